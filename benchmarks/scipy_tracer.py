@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.sparse import coo_matrix, csr_matrix, vstack
+from scipy.sparse.linalg import spsolve
 
 EXACT = {"method": "lm", "xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
 HARD = 1e10  # 1/m: soft rows would let the weak directions pull
@@ -28,6 +30,21 @@ def station_slope(p, targets, length):
 def locate_station(targets, length, start):
     """Return (X, Y, Z, d) of one station."""
     return least_squares(station_misfit, start, station_slope, args=(targets, length), **EXACT).x
+
+
+def locate_stations_batched(targets, length, start, rounds=8):
+    """Return (m, 4): Gauss-Newton for all stations at once, in numpy alone."""
+    state = np.tile(start, (len(length), 1))
+    for _ in range(rounds):
+        difference = state[:, None, :3] - targets
+        away = np.sqrt((difference**2).sum(axis=2))
+        slope = np.concatenate([difference / away[:, :, None], -np.ones((*away.shape, 1))], axis=2)
+        right = slope.swapaxes(1, 2) @ (away - state[:, 3:] - length)[:, :, None]
+        step = np.linalg.solve(slope.swapaxes(1, 2) @ slope, right)[:, :, 0]
+        state = state - step
+        if np.abs(step).max() < 1e-13:
+            break
+    return state
 
 
 @dataclass(frozen=True)
@@ -94,3 +111,42 @@ class DenseNetwork:
         spread = state[:, :3] - state[:, :3].mean(axis=0)
         slope[6, : 4 * m].reshape(m, 4)[:, :3] = spread / np.sqrt(m * (spread**2).sum())
         return slope
+
+
+class SparseNetwork(DenseNetwork):
+    """The same with a sparse Jacobian: by scipy's trf with lsmr, or by Gauss-Newton."""
+
+    def slope(self, p):
+        """Return the Jacobian: seven entries for each length."""
+        state, targets = self._split(p)
+        m, n = self.length.shape
+        difference = state[:, None, :3] - targets
+        unit = difference / np.sqrt((difference**2).sum(axis=2))[:, :, None] / self.length_std
+        values = np.concatenate([unit, np.full((m, n, 1), -1.0 / self.length_std), -unit], axis=2)
+        station, target = np.divmod(np.arange(m * n), n)
+        own, shared = 4 * station[:, None] + np.arange(4), 4 * m + 3 * target[:, None]
+        columns = np.concatenate([own, shared + np.arange(3)], axis=1).ravel()
+        size = 4 * m + 3 * n
+        places = (np.repeat(np.arange(m * n), 7), columns)
+        lengths = coo_matrix((values.ravel(), places), (m * n, size))
+        if self.target_std is None:
+            return vstack([lengths, csr_matrix(HARD * self._held_slope(state, n))]).tocsr()
+        places = (np.arange(3 * n), 4 * m + np.arange(3 * n))
+        known = coo_matrix((np.full(3 * n, 1.0 / self.target_std), places), (3 * n, size))
+        return vstack([lengths, known]).tocsr()
+
+    def solve(self, start):
+        """Return the solution by scipy's trust region, whose steps are lsmr's."""
+        exact = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
+        options = {"method": "trf", "tr_solver": "lsmr", "x_scale": "jac", **exact}
+        return least_squares(self.misfit, start, self.slope, **options).x
+
+    def gauss_newton(self, p, rounds=20):
+        """Return the solution by Gauss-Newton on the sparse normal equations."""
+        for _ in range(rounds):
+            slope = self.slope(p)
+            step = spsolve((slope.T @ slope).tocsc(), slope.T @ self.misfit(p))
+            p = p - step
+            if np.abs(step).max() < 1e-13:
+                break
+        return p

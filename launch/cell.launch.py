@@ -21,6 +21,7 @@ from rotcal_ros.node_names import NODES, VIEWERS
 from rotcal_ros.nodes.machine_nodes import AS_CONFIGURED, OWN, PROBES, TABLES, machine_nodes
 
 CLOSING_S = "25"
+RESPAWN_S = 2.0
 YES_NO = ["true", "false"]
 
 
@@ -54,21 +55,26 @@ def cell(context):
     }
     autostart = value("autostart") == "true"
     names = (*NODES, *machine, *viewers)
-    nodes = [node(name, [*files, {"autostart": autostart, **own.get(name, {})}]) for name in names]
-    words = [sys.executable, "-m", "rotcal_ros.nodes.readiness", value("namespace"), *names]
+    place = value("namespace") or configuration.cell.namespace
+    started = {"namespace": place, "respawn": value("respawn") == "true"}
+    nodes = [
+        node(name, [*files, {"autostart": autostart, **own.get(name, {})}], **started)
+        for name in names
+    ]
+    words = [sys.executable, "-m", "rotcal_ros.nodes.readiness", place, *names]
     return [*nodes, ExecuteProcess(cmd=words, name="readiness", output="screen")]
 
 
-def node(name, parameters):
+def node(name, parameters, **started):
     """Return the action that starts a managed node, which configures and activates itself."""
     return LifecycleNode(
         package="rotcal_ros",
         executable=name,
         name=name,
-        namespace=LaunchConfiguration("namespace"),
         parameters=parameters,
         output="screen",
-        respawn=False,
+        respawn_delay=RESPAWN_S,
+        **started,
         # Closing a bag takes time: no SIGKILL before the recorder had it.
         sigterm_timeout=CLOSING_S,
         sigkill_timeout=CLOSING_S,
@@ -90,7 +96,18 @@ def cell_arguments():
             "Configuration of the calibration: one YAML file; every group in it becomes "
             "parameters of the nodes.",
         ),
-        argument("namespace", "/cell", "Namespace of the cell's topics, services and nodes."),
+        argument(
+            "namespace",
+            "",
+            "Namespace of the cell's topics, services and nodes; empty: the configuration's "
+            "cell.namespace.",
+        ),
+        argument(
+            "respawn",
+            "false",
+            "Start a node again that has ended; a calibration waits for it (restart_wait_s).",
+            choices=YES_NO,
+        ),
         argument(
             "simulated",
             "false",

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The way of a ROS 2 user: a workspace as docs/install.md makes it, `colcon build` without a word
-# more, a node out of the install folder as `ros2 run rotcal_ros planner` starts it, and Ctrl-C.
+# more and with keys that rosdep knows, a node out of the install folder as `ros2 run rotcal_ros planner` starts it, and Ctrl-C.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 root=$PWD
@@ -19,6 +19,7 @@ mkdir -p "$work/src"
 cd "$work"
 ln -s "$root" src/rotcal_ros
 ln -s rotcal_ros/msg_defs src/rotcal_msgs
+python "$root/scripts/check_keys.py" src
 colcon build || {
     tail -n 30 log/latest_build/*/stderr.log >&2
     exit 1

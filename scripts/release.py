@@ -108,7 +108,8 @@ def release(version: str, work: Path) -> Path:
     source, built = work / "source", work / "release"
     for folder in (source, built):
         folder.mkdir()
-    _export(source)
+    commit = _output("git", "rev-parse", "HEAD").strip()
+    _export(source, commit)
     _run(sys.executable, "-m", "build", "--quiet", "--outdir", built, source, cwd=work)
     wheel, archive = next(built.glob("*.whl")), next(built.glob("*.tar.gz"))
     check_contents(wheel, archive, source)
@@ -121,7 +122,7 @@ def release(version: str, work: Path) -> Path:
         raise UnfitError(f"none of Python {', '.join(PYTHONS)} is on this machine")
     with tarfile.open(built / f"rotcal_msgs-{version}.tar.gz", "w:gz") as messages:
         messages.add(source / "msg_defs", f"rotcal_msgs-{version}")
-    note = {"version": version, "commit": _output("git", "rev-parse", "HEAD"), "tried": tried}
+    note = {"version": version, "commit": commit, "tried": tried}
     (built / "release.json").write_text(json.dumps(note, indent=2) + "\n")
     write_checksums(built)
     return built
@@ -195,10 +196,10 @@ def write_checksums(folder: Path) -> None:
     (folder / "SHA256SUMS").write_text("".join(lines))
 
 
-def _export(target: Path) -> None:
-    """Copy what is committed, and nothing else, into a folder."""
+def _export(target: Path, commit: str) -> None:
+    """Copy what a commit holds, and nothing else, into a folder."""
     archive = subprocess.run(
-        ("git", "archive", "HEAD"), cwd=ROOT, check=True, stdout=subprocess.PIPE
+        ("git", "archive", commit), cwd=ROOT, check=True, stdout=subprocess.PIPE
     ).stdout
     subprocess.run(("tar", "-x", "-C", target), input=archive, check=True)
 

@@ -30,6 +30,7 @@ ROSDEP_KEYS = {
     "rich": "python3-rich",
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
+    "uvicorn": "python3-uvicorn",
     "yaml": "python3-yaml",
     "zstandard": "mcap-ros2-support",  # comes with mcap
 }
@@ -174,7 +175,7 @@ def test_ros_run_finds_the_executables():
 def test_the_manifest_names_what_is_imported_and_nothing_else(setup_py):
     extras = setup_py["extras_require"]
     names = (name for extra in ("many", "opcua", "ads", "dcc", "page") for name in extras[extra])
-    optional = {*(name.replace("-", "_") for name in names), *OF_THE_CONTROLLER}
+    optional = {*(name.replace("-", "_") for name in names), *OF_THE_CONTROLLER} - {"uvicorn"}
     imported = {
         name.split(".")[0]
         for folder in ("rotcal_ros", "launch")
@@ -203,6 +204,25 @@ def test_keys_of_pip_alone_are_asked_for_only_by_who_wants_them(asked, found):
     named = {d.name for d in package.exec_depends if d.evaluated_condition}
     assert named & OF_PIP_ALONE == found
     assert "python3-numpy" in named
+
+
+def test_every_key_is_one_of_rosdep(tmp_path):
+    """Nobody looks inside a package for another one: the second one needs a link."""
+    keys = runpy.run_path(str(ROOT / "scripts" / "check_keys.py"))
+    (tmp_path / "rotcal_ros").symlink_to(ROOT)
+    assert keys["wrong"](tmp_path, {})[1] == ["rotcal_ros: no rosdep key 'rotcal_msgs'"]
+    (tmp_path / "rotcal_msgs").symlink_to(ROOT / "msg_defs")
+    assert keys["wrong"](tmp_path, {}) == (["rotcal_msgs", "rotcal_ros"], [])
+    asked = {d.name for m in MANIFESTS for d in parse_package(m).exec_depends}
+    assert asked & {k for k, rest in keys["known_keys"]().items() if "pip" in rest} >= OF_PIP_ALONE
+
+
+def test_the_workspace_file_and_the_recipe_name_the_same_folders():
+    (name,) = yaml.safe_load((ROOT / "rotcal.repos").read_text())["repositories"]
+    recipe = (ROOT / "docs" / "install.md").read_text()
+    for line in ("vcs import src < rotcal.repos", f"ln -s {name}/msg_defs src/rotcal_msgs"):
+        assert line in recipe
+        assert line in (ROOT / "rotcal.repos").read_text()
 
 
 def test_the_hooks_are_the_linters_of_make_lint():

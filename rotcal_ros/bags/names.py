@@ -62,6 +62,11 @@ OBSERVATION: Final = "observation"
 STEP_CHOICE: Final = "step_choice"
 TABLE_IN_FORCE: Final = "table_in_force"
 PAUSE: Final = "pause"
+GOAL: Final = "calibrate/_action/send_goal/_service_event"
+"""What was asked of the action: ROS 2 tells it from Kilted on."""
+GOAL_STATUS: Final = "calibrate/_action/status"
+ACTION: Final = (GOAL, "calibrate/_action/feedback", GOAL_STATUS)
+"""Topics of the action, hidden from people: goal, feedback and status."""
 TF_STATIC: Final = "/tf_static"
 """Static transforms of all cells of a domain; outside of every namespace, and not needed."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from math import dist
 from typing import Final
 
 from rotcal_ros.bags.names import TRACER_LENGTH
@@ -144,6 +145,25 @@ class Calibration:
             return None
         place = places[step.station if step.station < len(places) else 0]
         return carried(place, step.table_angle) if rides else place
+
+    def place_on_table(self) -> Point | None:
+        """Return where an instrument rides on the table, at angle 0; None: none is known to."""
+        places = self._stations.places
+        return places[0] if places and self._stations.carried else None
+
+    @cached_property
+    def beams_m(self) -> tuple[float, float]:
+        """The shortest and the longest beam of the plan, m.
+
+        Where nobody says where the instrument stands, by the distances between the targets.
+        """
+        stands = [(step, self.stand_at(step)) for step in self.plan.steps]
+        beams = [dist(step.position, at) for step, at in stands if at is not None]
+        if beams:
+            return min(beams), max(beams)
+        places = [step.position for step in self.plan.steps]
+        size = dist(*(tuple(map(of, zip(*places, strict=True))) for of in (min, max)))
+        return 0.3 * size, 3.0 * size
 
     @cached_property
     def _stations(self) -> Stations:

@@ -33,13 +33,17 @@ class CheckLine:
 
 @dataclass(frozen=True)
 class CellReport:
-    """All lines of a check; ``place`` says where was listened, ``seconds`` how long."""
+    """All lines of a check; ``place`` says where was listened, ``seconds`` how long.
+
+    ``moved``: the table was turned for it.
+    """
 
     namespace: str
     place: str
     seconds: float
     lines: tuple[CheckLine, ...]
     domains: tuple[int, ...] = ()
+    moved: bool = False
 
     @property
     def complete(self) -> bool:

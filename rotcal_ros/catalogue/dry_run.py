@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from math import dist
 
 import numpy as np
 
@@ -133,13 +132,12 @@ class DryRun:
     def _beams(self) -> Iterator[CheckLine]:
         """Yield whether the beams are as short as the capture takes them, where that is known."""
         most = self.calibration.configuration.capture.max_length_m
-        stands = [(step, self.calibration.stand_at(step)) for step in self._steps]
-        lengths = [dist(step.position, at) for step, at in stands if at is not None]
-        if not lengths:
+        if self.calibration.stand_at(self._steps[0]) is None:
             return
-        state: State = "good" if max(lengths) <= most else "missing"
+        shortest, longest = self.calibration.beams_m
+        state: State = "good" if longest <= most else "missing"
         todo = "" if state == "good" else "bring the targets nearer, or raise capture.max_length_m"
-        found = f"{min(lengths) / MILLIMETRE:.0f} to {max(lengths) / MILLIMETRE:.0f} mm"
+        found = f"{shortest / MILLIMETRE:.0f} to {longest / MILLIMETRE:.0f} mm"
         yield CheckLine(PART, "beams", state, f"{found} from where the instrument stands", todo)
 
     def _time(self) -> CheckLine:

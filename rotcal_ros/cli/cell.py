@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from rotcal_ros.cli.completion import configurations
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.report.terminal.console import say
+
+if TYPE_CHECKING:
+    from rotcal_ros.catalogue.check_lines import CellReport
 
 
 @click.group()
@@ -30,21 +34,33 @@ def command() -> None:
     type=click.FloatRange(1.0, 3600.0),
     help="Seconds to listen.",
 )
+@click.option(
+    "--move",
+    is_flag=True,
+    help="Then turn the table by 5 degrees and back, once you have agreed: proves sign, unit, "
+    "handedness, lag and rest.",
+)
 @json_option
-def check(configuration: Path | None, namespace: str, seconds: float, as_json: bool) -> int:
+def check(
+    configuration: Path | None, namespace: str, seconds: float, move: bool, as_json: bool
+) -> int:
     """Listen to the cell of CONFIG and say line by line what is there and what is missing.
 
-    Nothing is moved and nothing needs to run but the cell. With CONFIG its plan is gone through,
-    too: the first order, whether everything is in reach, and the time. The exit code is 0 where
-    nothing is missing, otherwise 1, with what to do next.
+    Nothing is moved, but with --move, and nothing needs to run but the cell. With CONFIG its plan
+    is gone through, too: the first order, whether everything is in reach, and the time. The exit
+    code is 0 where nothing is missing, otherwise 1, with what to do next.
     """
     from rotcal_ros.sessions.cell_check import check_cell
     from rotcal_ros.sessions.environment import require_ros
 
+    if move and configuration is None:
+        raise click.UsageError("--move needs CONFIG: it says which joint the table is")
     require_ros()
     if not as_json:
         say(f"listening for {seconds:g} s; nothing is moved, Ctrl-C ends it")
     report = check_cell(configuration, namespace, seconds)
+    if move and configuration is not None:
+        report = _moved(configuration, report)
     if as_json:
         print_json(report.to_dict())
     else:
@@ -52,3 +68,34 @@ def check(configuration: Path | None, namespace: str, seconds: float, as_json: b
 
         print_cell(report)
     return 0 if report.complete else 1
+
+
+def _moved(configuration: Path, report: CellReport) -> CellReport:
+    """Turn the table, if nothing speaks against it and the person agrees."""
+    from rotcal_ros.sessions.cell_check import move_cell
+
+    against = [line for line in report.lines if line.part == "table" and line.state == "doubt"]
+    if not report.complete or against:
+        say("the table is not turned: first set right what is missing or doubtful of it")
+        return report
+    here = (line.found for line in report.lines if (line.part, line.name) == ("table", "joint"))
+    say(
+        f"{next(here, 'the table')}; it will turn by 5° and back, much further where its unit or "
+        "sign is wrong"
+    )
+    question = "Is the way free, and a hand on the emergency stop?"
+    if not click.confirm(question, err=True):
+        return report
+    return _answered(move_cell(configuration, report))
+
+
+def _answered(report: CellReport) -> CellReport:
+    """Ask the person which way round the table turned, where no instrument could tell."""
+    from rotcal_ros.catalogue.trial_motion import handedness_seen
+
+    if not any(line.name == "handedness" and line.state == "open" for line in report.lines):
+        return report
+    question = "Seen from above, where did a positive angle turn it"
+    sides = click.Choice(["counter-clockwise", "clockwise", "unknown"])
+    seen = click.prompt(question, type=sides, default="unknown", err=True)
+    return handedness_seen(report, seen)

@@ -13,6 +13,9 @@ from rotcal_ros.planning.plan import Plan
 _FULL_TURN: Final = 2.0 * pi
 _NEAR_M: Final = 1.0
 """Nothing at rest before a calibration is much further than this from the plan's own size."""
+_THOUSAND: Final = 1e3
+_NEARLY: Final = 3.0
+"""So many times shorter or longer than in the plan a reading may be before it begins."""
 _AIR: Final = {
     names.TEMPERATURE: ("temperature_unit", -20.0, 60.0, "degrees Celsius"),
     names.AIR_PRESSURE: ("pressure_unit", 50e3, 120e3, "pascal"),
@@ -75,6 +78,24 @@ def position_in_words(
     return (
         f"says {far:.6g} m, more than ten times as far as the plan goes"
         f"{_instead('topics.position_unit', unit)}"
+    )
+
+
+def small_in_words(value: float, plan_m: tuple[float, float], stated: str, setting: str) -> str:
+    """Say that a number (m) is a thousand times too small for the plan; empty: it is not.
+
+    ``plan_m`` is the least and the largest that the plan makes of it. Zero says nothing: anything
+    may stand there, or have been set to zero.
+    """
+    least, largest = plan_m
+    if not isfinite(value) or not least / _NEARLY <= abs(value) * _THOUSAND <= largest * _NEARLY:
+        return ""
+    larger = LENGTH_UNITS[stated] * _THOUSAND
+    unit = next((name for name, factor in LENGTH_UNITS.items() if factor == larger), None)
+    twice = _instead(setting, unit) or ": is it converted to metres twice?"
+    return (
+        f"says {value:.6g} m, a thousand times less than the {least:.3g} to {largest:.3g} m of "
+        f"the plan{twice}"
     )
 
 

@@ -17,6 +17,7 @@ from rotcal_ros.instruments.steps import Order, StepFinder
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.concerns import CLOCK_DOUBT, COMPLAINT, OFFSET, REJECTED, show
+from rotcal_ros.nodes.health import CALIBRATING
 from rotcal_ros.nodes.instrument_streams import InstrumentStreams
 from rotcal_ros.nodes.latest import HOPELESS, WAITING_FOR
 from rotcal_ros.nodes.length_trigger import PERIOD_S, LengthTrigger
@@ -87,6 +88,10 @@ class CaptureNode(CellNode):
         self._instruments = InstrumentStreams(self, self._hear)
         self._orders = self.take_orders(self._take_order)
         self.every(PERIOD_S, self._ask)
+
+    def has_time(self) -> bool:
+        """Return whether no orders have to be answered: the planner measures nothing."""
+        return not self.health.state("planner").startswith(CALIBRATING)
 
     def deactivated(self) -> None:
         """Feed nothing more: what an instrument says in between is missing from every window."""

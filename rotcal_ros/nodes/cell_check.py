@@ -30,7 +30,7 @@ from rotcal_ros.capture.stamp_offsets import OffsetLimits, StampOffsets
 from rotcal_ros.catalogue import Calibration, Configuration
 from rotcal_ros.catalogue.calibration import prepare_to_measure
 from rotcal_ros.catalogue.check_lines import CellReport, CheckLine
-from rotcal_ros.catalogue.configuration import parse_configuration, read_configuration
+from rotcal_ros.catalogue.configuration import changed, parse_configuration, read_configuration
 from rotcal_ros.catalogue.dry_run import DryRun
 from rotcal_ros.catalogue.method import DEFAULT
 from rotcal_ros.errors import BagError
@@ -39,6 +39,7 @@ from rotcal_ros.middleware import discovery_in_words
 from rotcal_ros.nodes.capture import CaptureNode
 from rotcal_ros.nodes.cell_graph import CellGraph
 from rotcal_ros.nodes.channels import message_type
+from rotcal_ros.nodes.check_adapter import GROUP, AdapterEars
 from rotcal_ros.nodes.check_drivers import driver_lines
 from rotcal_ros.nodes.check_frames import FramesHeard
 from rotcal_ros.nodes.check_heard import Heard
@@ -91,11 +92,16 @@ class Listening:
         self._offsets = StampOffsets(OffsetLimits())
         self._conventions = Conventions(TopicSettings())
         self.frames = FramesHeard(self.node)
+        self._adapter: AdapterEars | None = None
         steady_timer(self.node, _LOOK_S, self._look)
 
     def announce(self, calibration: Calibration) -> None:
         """Let the ears know what they listen for, as a planner does."""
         configuration = calibration.configuration
+        if GROUP in configuration.given:
+            self._adapter = AdapterEars(self.node, configuration)
+            heard = [f"topics.joint_states={self._adapter.topic}"]
+            configuration = changed(configuration, heard)  # what the adapter will pass on
         self._conventions = Conventions(configuration.topics)
         self._plans = self._ears.create_publisher(CalibrationPlan, names.PLAN, LATCHED)
         self._plans.publish(
@@ -117,7 +123,9 @@ class Listening:
             words.setdefault(OFFSET, clocks)
         compared = self._offsets.compared()
         graph = CellGraph(self.node)
-        return Heard(graph, words, self.headers, configuration, calibration, compared)
+        return Heard(
+            graph, words, self.headers, configuration, calibration, compared, self._adapter
+        )
 
     def _stamped(self, topic: str, stamp_ns: int, sent_ns: int, received_ns: int) -> None:
         if topic in TIMED:

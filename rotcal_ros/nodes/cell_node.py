@@ -170,6 +170,10 @@ class CellNode(ManagedNode, ABC):
         listen(ProbeTarget, names.PROBE_TARGET, orders.probe_target)
         return orders
 
+    def has_time(self) -> bool:
+        """Return whether what comes may wait a moment, to be taken together: nobody measures."""
+        return False
+
     def why_not(self) -> str:
         """Return why this node does not do what it is asked; empty: it does."""
         return "" if self.active else f"node {self.get_name()} is {self.standing()}"

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from ament_index_python.packages import get_package_share_directory
 from rclpy.duration import Duration
@@ -17,6 +17,8 @@ from rotcal_ros.bags.definitions import collect_definition
 from rotcal_ros.bags.rosbag2_metadata import INFINITE_NS, OfferedQos, qos_text
 from rotcal_ros.errors import BagError
 from rotcal_ros.nodes.recording import Channel
+
+_FEEDBACK: Final = "_FeedbackMessage"
 
 
 def described_channel(name: str, type_name: str, infos: Sequence[Any]) -> Channel:
@@ -63,6 +65,10 @@ def message_type(type_name: str) -> type:
     """Return the class of a message type (``pkg/msg/Name``); BagError where there is none."""
     package, kind, name = [*type_name.split("/"), "", ""][:3]
     try:
+        if kind == "action" and name.endswith(_FEEDBACK):
+            action = getattr(import_module(f"{package}.{kind}"), name.removesuffix(_FEEDBACK))
+            feedback: type = action.Impl.FeedbackMessage
+            return feedback
         found: type = getattr(import_module(f"{package}.{kind}"), name)
     except (ImportError, AttributeError, ValueError) as error:
         raise BagError(f"message type {type_name} is not installed here: {error}") from error

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -12,9 +12,11 @@ from rotcal_ros.catalogue import Calibration, Configuration
 from rotcal_ros.instruments.conventions import single_shots
 from rotcal_ros.node_names import FURTHER_NODES, further_nodes
 from rotcal_ros.nodes.cell_graph import CellGraph
+from rotcal_ros.nodes.check_adapter import AdapterEars
 from rotcal_ros.nodes.check_drivers import brought
 from rotcal_ros.nodes.header_watch import HeaderWatch
 from rotcal_ros.nodes.preflight import Values
+from rotcal_ros.nodes.table_feedback import joint_faults
 from rotcal_ros.nodes.topic_names import TOPIC
 
 SIMULATION: Final = FURTHER_NODES["simulation"]
@@ -24,7 +26,8 @@ SIMULATION: Final = FURTHER_NODES["simulation"]
 class Heard:
     """What a check has to judge by; ``calibration``: None where no configuration was given.
 
-    ``compared`` are the streams whose clocks could be held against that of the table.
+    ``compared`` are the streams whose clocks could be held against that of the table. ``adapter``
+    is there where the configuration has a table adapter: the table is what is behind it.
     """
 
     graph: CellGraph
@@ -33,6 +36,7 @@ class Heard:
     configuration: Configuration
     calibration: Calibration | None
     compared: tuple[str, ...]
+    adapter: AdapterEars | None = None
 
     def name(self, role: str) -> str:
         """Return the absolute name of the topic of a role, as the capture knows it."""
@@ -44,9 +48,16 @@ class Heard:
 
     def unusable(self, role: str) -> str:
         """Return in words why the topic of a role is of no use; empty: it is of use."""
+        if role == names.JOINT_STATES and self.adapter is not None:
+            return self.adapter.wrong()[0]
         silent = role in single_shots(self.configuration.topics)
         delivered = silent or self.values.get(f"valid.{role}", "0") != "0"
         return next(self.graph.without_instrument(self.name(role), delivered), "")
+
+    def joint_faults(self) -> Iterator[str]:
+        """Yield what is wrong with the table's joint; an adapter has its own word about that."""
+        if self.adapter is None:
+            yield from joint_faults(self.values, self.configuration.cell.joint)
 
     @cached_property
     def nodes(self) -> frozenset[str]:

@@ -23,9 +23,10 @@ from rotcal_ros.nodes.preflight import (
     length_faults,
     probe_faults,
     rate_faults,
+    size_doubts,
+    slow_table,
     without_air,
 )
-from rotcal_ros.nodes.table_feedback import joint_faults
 from rotcal_ros.nodes.topic_names import name_in
 
 KINDS: Final[Mapping[str, tuple[str, str]]] = {
@@ -111,11 +112,11 @@ def _problem(heard: Heard, topic: str, offers: list[Any], watch: HeaderWatch) ->
     name, limit_s = heard.name(topic), heard.configuration.planner.stream_timeout_s
     if text := heard.values.get(REFUSED + topic):
         return text, f"publish {kind} on {name}"
-    bad_joint = topic == names.JOINT_STATES and any(
-        joint_faults(heard.values, heard.configuration.cell.joint)
-    )  # the line of the joint tells it
+    bad_joint = topic == names.JOINT_STATES and any(heard.joint_faults())  # its line tells it
     if not bad_joint and (why := heard.unusable(topic)):
         many = f"stop all publishers of {name} but one" if len(offers) > 1 else ""
+        if topic == names.JOINT_STATES and heard.adapter is not None:
+            many = heard.adapter.wrong()[1]
         return why, many or _silent(watch, name)
     if wrong := next(_faults(heard, topic), ""):
         return wrong, f"publish {name} as expected, or set what its line names"
@@ -149,6 +150,11 @@ def _silent(watch: HeaderWatch, name: str) -> str:
 def _doubt(heard: Heard, topic: str, watch: HeaderWatch) -> tuple[str, str]:
     """Return what looks wrong about a stream though it can be measured with, and what to do."""
     limit_s = heard.configuration.capture.stamp_offset_s
+    planned, is_table = heard.calibration, topic == names.JOINT_STATES
+    if planned and (small := next(size_doubts(heard.values, planned, topic), "")):
+        return small, f"publish {heard.name(topic)} in the unit that the group topics states"
+    if is_table and (slow := next(slow_table(heard.values, heard.configuration), "")):
+        return slow, f"publish {heard.name(topic)} more often"
     text = next(air_doubts(heard.values, topic), "") if topic in _IN_WORDS else ""
     if text:
         return text, f"publish {heard.name(topic)} in {_IN_WORDS[topic]}"

@@ -10,12 +10,11 @@ from rotcal_ros.bags import names
 from rotcal_ros.catalogue.check_lines import CheckLine
 from rotcal_ros.escapes import printable
 from rotcal_ros.nodes.cell_graph import ORDERS
+from rotcal_ros.nodes.check_adapter import controller_lines
 from rotcal_ros.nodes.check_drivers import brought_line
-from rotcal_ros.nodes.matching import deaf_listeners
 from rotcal_ros.nodes.table_feedback import (
     chosen_joint,
     joint_doubts,
-    joint_faults,
     joints,
     table_angle,
 )
@@ -30,12 +29,11 @@ _TYPES: Final = {
     names.TABLE_ANGLE: "rotcal_msgs/msg/TableAngle",
     names.PROBE_TARGET: "rotcal_msgs/msg/ProbeTarget",
 }
-_ADAPTER: Final = "table_adapter"
 
 
 def machine_lines(heard: Heard) -> Iterator[CheckLine]:
     """Yield a line for the joint and for every order."""
-    if _ADAPTER in heard.brought.get(names.TABLE_ANGLE, ()):
+    if heard.adapter is not None:
         yield from _adapter_lines(heard)
     elif joints(heard.values):
         yield _joint_line(heard)
@@ -56,7 +54,7 @@ def _doubts(heard: Heard) -> Iterator[str]:
 def _joint_line(heard: Heard) -> CheckLine:
     joint = heard.configuration.cell.joint
     chosen = chosen_joint(heard.values, joint)
-    if fault := next(joint_faults(heard.values, joint), ""):
+    if fault := next(heard.joint_faults(), ""):
         there = ", ".join(map(printable, joints(heard.values)))
         todo = f"cell.joint: one of {there}"
         if chosen in joints(heard.values):
@@ -90,21 +88,15 @@ def _order_lines(heard: Heard, order: str) -> Iterator[CheckLine]:
 
 
 def _adapter_lines(heard: Heard) -> Iterator[CheckLine]:
-    """Yield whether a controller of ros2_control is there, for the adapter to come."""
-    settings, node = heard.configuration.table_adapter, heard.graph.node
-    if not node.get_publishers_info_by_topic(settings.feedback):
-        found = f"nobody publishes {settings.feedback}"
-        todo = "start joint_state_broadcaster, or correct table_adapter.feedback"
-        yield CheckLine("table", "feedback", "missing", found, todo)
-    else:
-        yield CheckLine("table", "feedback", "good", f"{settings.feedback} is published")
-    last = "joint_trajectory" if settings.interface == "trajectory" else "commands"
-    topic = f"{settings.controller}/{last}"
-    listeners = node.get_subscriptions_info_by_topic(topic)
-    if not listeners:
-        found, todo = f"nobody listens to {topic}", "start and activate the controller"
-        yield CheckLine("table", "controller", "missing", found, todo)
-    else:
-        deaf = list(deaf_listeners(node, topic, lambda _: True))
-        found = "; ".join(deaf) or f"node {listeners[0].node_name} listens to {topic}"
-        yield CheckLine("table", "controller", "missing" if deaf else "good", found)
+    """Yield what the adapter would say of its joint, and whether its controller is there."""
+    assert heard.adapter is not None
+    wrong, todo = heard.adapter.wrong()
+    if wrong:
+        yield CheckLine("table", "joint", "missing", wrong, todo)
+    elif outside := heard.adapter.outside():
+        todo = "publish the joint in rad, or correct table_adapter.lower_deg and upper_deg"
+        yield CheckLine("table", "joint", "doubt", outside, todo)
+    elif joints(heard.values):
+        yield _joint_line(heard)
+    if not heard.started_by_us:
+        yield from controller_lines(heard)

@@ -34,7 +34,9 @@ async def be_ready(calibration: Calibration, watch: GoalWatch, asking: Asking) -
     unheard = [
         without_air(role, name, configuration) for role, name in links.missing_air(wished).items()
     ]
-    links.warn(PREFLIGHT, unheard + doubts(links.health.values("capture"), configuration))
+    links.warn(
+        PREFLIGHT, unheard + doubts(links.health.values("capture"), configuration, calibration)
+    )
     watch.crew.nodes = nodes | _needed(links)
     watch.refuse_stop()
     watch.preflight = False

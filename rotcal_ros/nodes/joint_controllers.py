@@ -56,7 +56,18 @@ class JointController(Protocol):
 def joint_controller(
     node: CellNode, settings: TableAdapterSettings, joint: str
 ) -> JointController:
-    """Return the controller that the settings name.
+    """Return the controller that the settings name; ConfigurationError as :func:`interface_of`."""
+    interface = interface_of(settings)
+    if interface == "goals":
+        from rotcal_ros.nodes.joint_goals import GoalController
+
+        return GoalController(node, settings.controller, joint)
+    kind = PositionController if interface == "positions" else TrajectoryController
+    return kind(node, settings.controller, joint)
+
+
+def interface_of(settings: TableAdapterSettings) -> str:
+    """Return goals, trajectory or positions, whichever it is here.
 
     Raises ConfigurationError for goals where nobody knows their messages.
     """
@@ -66,12 +77,9 @@ def joint_controller(
             "table_adapter.interface: goals need the package control_msgs, which is not installed "
             "here; install it, or set trajectory, which needs nothing"
         )
-    if interface == "goals" or (interface == "auto" and with_goals):
-        from rotcal_ros.nodes.joint_goals import GoalController
-
-        return GoalController(node, settings.controller, joint)
-    kind = PositionController if interface == "positions" else TrajectoryController
-    return kind(node, settings.controller, joint)
+    if interface == "auto":
+        return "goals" if with_goals else "trajectory"
+    return interface
 
 
 def trajectory_message(joint: str, way: Way) -> JointTrajectory:

@@ -170,6 +170,11 @@ class Listener:
         topic.sent_ns = sent_ns(batch[-1][1])
         if topic.channel.topic == names.TF_STATIC:
             topic.latched.append(Messages.taken(topic.channel, batch))
+        elif topic.channel.topic.endswith((f"/{names.GOAL}", f"/{names.GOAL_STATUS}")):
+            # told before the bag begins: request and answer, and how it stands
+            topic.latched.append(Messages.taken(topic.channel, batch))
+            while len(topic.latched) > 2:
+                topic.latched.popleft()
         for _, info in batch:
             received_ns = info["received_timestamp"] or time.time_ns()
             if (lost := _lost_before(topic, info)) is not None:
@@ -194,8 +199,12 @@ def _lost_before(topic: HeardTopic, info: Any) -> int | None:
 
 
 def _wanted_topics(node: Node, further: Collection[str]) -> dict[str, str]:
-    """Return name -> type of all topics of the cell: its namespace, diagnostics, log, others."""
+    """Return name -> type of all topics of the cell: its namespace, diagnostics, log, others.
+
+    Of the topics that ROS hides only those of its action are among them.
+    """
     prefix = node.get_namespace().rstrip("/") + "/"
+    further = {*further, *(prefix + name for name in names.ACTION)}
     return {
         name: types[0]
         for name, types in node.get_topic_names_and_types()

@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
+from rclpy.service_introspection import ServiceIntrospectionState
 from rotcal_msgs.action import Calibrate
 
 from rotcal_ros.catalogue import prepare_to_measure
@@ -29,6 +30,7 @@ from rotcal_ros.nodes.health import CALIBRATING
 from rotcal_ros.nodes.pauses import Pauses
 from rotcal_ros.nodes.plans import PlannerParameters, read_continuation
 from rotcal_ros.nodes.progress import Progress
+from rotcal_ros.nodes.qos import EVENT
 from rotcal_ros.nodes.running import run
 from rotcal_ros.plugins import in_words
 
@@ -66,6 +68,9 @@ class Planner(CellNode):
             cancel_callback=lambda _: CancelResponse.ACCEPT,
             result_timeout=RESULT_TIMEOUT_S,
         )
+        if hasattr(self._server, "configure_introspection"):  # from Kilted on
+            contents = ServiceIntrospectionState.CONTENTS
+            self._server.configure_introspection(self.get_clock(), EVENT, contents)
 
     def activated(self) -> None:
         """Take goals."""

@@ -16,6 +16,7 @@ from rotcal_ros.instruments.plausibility import (
     air_in_words,
     length_in_words,
     position_in_words,
+    small_in_words,
 )
 from rotcal_ros.nodes.concerns import OFFSET
 from rotcal_ros.nodes.latest import FRAME, NOW, RATE, REFUSED
@@ -30,6 +31,10 @@ _AIR: Final = {
     "humidity": names.RELATIVE_HUMIDITY,
 }
 """Topic of each quantity of the air, by its name in the settings of the capture."""
+SLOW_HZ: Final = 8.0
+_SIZED: Final = (names.TRACER_LENGTH, names.PROBE_POINT)
+_OUTSIDE: Final = 3.0
+"""So many times nearer or further than the targets of the plan a probe may stand."""
 _OF_AN_INSTRUMENT: Final = {PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST}
 
 Values = Mapping[str, str]
@@ -51,11 +56,21 @@ def faults(values: Values, configuration: Configuration, plan: Plan | None = Non
     ]
 
 
-def doubts(values: Values, configuration: Configuration) -> list[str]:
-    """Return what looks wrong, though observations may come of it."""
+def doubts(
+    values: Values, configuration: Configuration, calibration: Calibration | None = None
+) -> list[str]:
+    """Return what looks wrong, though observations may come of it.
+
+    Readings are held against the geometry of the plan of a ``calibration``.
+    """
+    small = [] if calibration is None else [
+        text for role in _SIZED for text in size_doubts(values, calibration, role)
+    ]  # fmt: skip
     return [
+        *small,
         *joint_doubts(values, configuration),
         *frame_doubts(values, configuration),
+        *slow_table(values, configuration),
         *(text for role in _AIR.values() for text in air_doubts(values, role)),
     ]
 
@@ -65,6 +80,38 @@ def air_doubts(values: Values, role: str) -> Iterator[str]:
     value = number_in(values.get(NOW + role, ""))
     found = [] if value is None else air_in_words({role: value})
     yield from (f"{name_in(values, role)} {text}" for role, text in found if text)
+
+
+def size_doubts(values: Values, calibration: Calibration, role: str) -> Iterator[str]:
+    """Yield that lengths, or the places of the probe, are far too small for the plan."""
+    topics, name = calibration.configuration.topics, name_in(values, role)
+    if role == names.TRACER_LENGTH and role in calibration.method.topics:
+        length = number_in(values.get(NOW + role, "")) or 0.0
+        text = small_in_words(
+            length, calibration.beams_m, topics.length_unit, "topics.length_unit"
+        )
+        if text:
+            yield f"{name} {text}"
+    words = values.get(NOW + role, "").split() if role == names.PROBE_POINT else []
+    if len(words) == 3 and _in_the_machine_frame(calibration.configuration):
+        far = max(abs(float(x)) for x in words)
+        size = max(abs(x) for step in calibration.plan.steps for x in step.position)
+        span = (size / _OUTSIDE, size * _OUTSIDE)
+        if text := small_in_words(far, span, topics.position_unit, "topics.position_unit"):
+            yield f"{name} {text}"
+
+
+def slow_table(values: Values, configuration: Configuration) -> Iterator[str]:
+    """Yield that the table's feedback comes so seldom that its rest is known late.
+
+    A machine behind I++ DME is asked seldom while it has no order.
+    """
+    rate = number_in(values.get(RATE + names.JOINT_STATES, ""))
+    if rate and rate < SLOW_HZ and "dme" not in configuration.given:
+        yield (
+            f"{name_in(values, names.JOINT_STATES)} comes at {rate:.3g} Hz: that the table moves "
+            f"or rests is known {1.0 / rate:.2g} s late; 50 Hz are usual, {SLOW_HZ:g} Hz the least"
+        )
 
 
 def frame_doubts(values: Values, configuration: Configuration) -> Iterator[str]:

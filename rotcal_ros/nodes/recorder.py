@@ -69,6 +69,10 @@ class RecorderNode(CellNode):
         """Return whether the bag is closed."""
         return self._writing() is None and not self._reading
 
+    def has_time(self) -> bool:
+        """Return whether no bag is open."""
+        return not self.configured or self._writing() is None
+
     def _writing(self) -> Recording | None:
         """Return the recording whose bag is open."""
         return self._recording if self._recording and not self._recording.finished else None

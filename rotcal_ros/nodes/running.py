@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
@@ -26,6 +27,9 @@ SUPERVISOR_VARIABLE: Final = "ROTCAL_SUPERVISOR"
 """Environment variable: process id of a supervisor that the node must not outlive."""
 STOP_TIMEOUT_S: Final = 20.0
 _TURN_S: Final = 0.2
+_AWAKE_S: Final = 0.01
+GATHER_S: Final = 0.04
+"""So long a node that has time lets messages gather: a turn costs as much for one as for many."""
 
 
 def run(make: Callable[[], CellNode], default_range: str = ROS_DEFAULT_RANGE) -> NoReturn:
@@ -90,6 +94,21 @@ class EndRequest:
         self._signalled = True
 
 
+class _Rest:
+    """Lets messages gather where a node has time, after all that had gathered before."""
+
+    def __init__(self) -> None:
+        self._taken_s = 0.0
+
+    def take(self, node: CellNode) -> None:
+        """Rest for a moment, if the node has time and was awake for long enough."""
+        if time.monotonic() < self._taken_s + _AWAKE_S:
+            return
+        if node.has_time() and not node.health.sim.used:
+            time.sleep(GATHER_S)
+        self._taken_s = time.monotonic()
+
+
 def _spin(make: Callable[[], CellNode]) -> None:
     """Spin a node; the first signal lets it finish (close its bag, end its goal).
 
@@ -102,9 +121,11 @@ def _spin(make: Callable[[], CellNode]) -> None:
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         wake_after_jumps(executor)
+        rest = _Rest()
         with suppress(ExternalShutdownException):
             while not (end or node.over()):
                 executor.spin_once(timeout_sec=_TURN_S)
+                rest.take(node)
             if node.configured:
                 _finish(node, executor)
             node.health.leave()

@@ -7,20 +7,27 @@ import os
 import subprocess
 import sys
 import tempfile
+import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from rotcal_ros.catalogue.check_lines import CellReport
-from rotcal_ros.catalogue.configuration import read_configuration
+from rotcal_ros.catalogue.check_lines import CellReport, CheckLine
+from rotcal_ros.catalogue.configuration import node_parameters, read_configuration
 from rotcal_ros.errors import ConfigurationError, RotcalError
+from rotcal_ros.machine_load import patient
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.records import record
 from rotcal_ros.sessions.environment import node_environment
+from rotcal_ros.sessions.processes import Processes
 from rotcal_ros.settings import check_ros_name
 
 _GRACE_S: Final = 30.0
 """Time for the start of the process and for what is worked out of the plan."""
 _END_S: Final = 5.0
+_POLL_S: Final = 0.1
+_TRIAL_S: Final = 150.0
+"""Time for a trial motion, there and back."""
 
 
 def check_cell(path: Path | None, namespace: str = "", seconds: float = 5.0) -> CellReport:
@@ -42,22 +49,58 @@ def check_cell(path: Path | None, namespace: str = "", seconds: float = 5.0) -> 
     return _answer(command, seconds)
 
 
+def move_cell(path: Path, report: CellReport) -> CellReport:
+    """Turn the table by a few degrees and back; return ``report`` with what that has proven.
+
+    Only once a person has agreed. An adapter of the configuration that is not here yet is started
+    for it. Raises RotcalError when the process that orders ends without an answer.
+    """
+    configuration = read_configuration(path)
+    environment = node_environment(alone=False)
+    with tempfile.TemporaryDirectory() as name, Processes(Path(name), environment) as processes:
+        parameters, output = Path(name) / "parameters.yaml", Path(name) / "lines.json"
+        parameters.write_text(node_parameters(configuration), encoding="utf-8")
+        ros = ["--ros-args", "-r", f"__ns:={report.namespace}", "--params-file", str(parameters)]
+        if "table_adapter" in configuration.given:  # a second one beside that of the cell ends
+            adapter = [sys.executable, "-m", "rotcal_ros.nodes.table_adapter", *ros]
+            processes.start("table_adapter", adapter)
+        trial = [
+            sys.executable, "-m", "rotcal_ros.nodes.trial_motion", *ros,
+            "-p", f"configuration_file:={json.dumps(str(path.absolute()))}",
+            "-p", f"output:={json.dumps(str(output))}",
+        ]  # fmt: skip
+        processes.start("trial_motion", trial)
+        deadline = time.monotonic() + patient(_TRIAL_S)
+        while "trial_motion" not in processes.ended() and time.monotonic() < deadline:
+            time.sleep(_POLL_S)
+        if not output.exists():
+            raise RotcalError(f"no trial motion: {processes.log_tail('trial_motion', 1)}")
+        lines = (record(CheckLine, line) for line in json.loads(output.read_text()))
+        return replace(report, lines=(*report.lines, *lines), moved=True)
+
+
 def _answer(command: list[str], seconds: float) -> CellReport:
     """Return what the process found; it is ended whatever happens here."""
-    environment = {**os.environ, **node_environment(alone=False)}
+    environment, late = {**os.environ, **node_environment(alone=False)}, False
+    limit_s = seconds + patient(_GRACE_S)
     with tempfile.TemporaryFile("w+", errors="replace") as log:
         child = subprocess.Popen(
             command, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=log,
             text=True, start_new_session=True,
         )  # fmt: skip
         try:
-            text, _ = child.communicate(timeout=seconds + _GRACE_S)
+            text, _ = child.communicate(timeout=limit_s)
         except subprocess.TimeoutExpired:
-            text = ""
+            text, late = "", True
         finally:
             _end(child)
         log.seek(0)
         last = (log.read().strip().splitlines() or ["it wrote nothing"])[-1]
+    if late:
+        raise RotcalError(
+            f"no answer within {limit_s:.0f} s, of which {seconds:g} s were for listening: the "
+            f"process that listens was ended by this time limit; its last word: {last}"
+        )
     if child.returncode == ConfigurationError.exit_code and not text:
         raise ConfigurationError(last)
     try:

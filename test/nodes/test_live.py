@@ -6,7 +6,10 @@ import signal
 import numpy as np
 import pytest
 from live_cell import SUITE, wait_until
+from mcap.reader import make_reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from rotcal_ros.bags import names
 from rotcal_ros.bags.verdict import FileVerdict
 from rotcal_ros.catalogue.configuration import parse_configuration
 from rotcal_ros.recordings.replay import read_recording
@@ -15,6 +18,9 @@ from rotcal_ros.simulation import SimulatedCell
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
+from action_msgs.msg import GoalStatus
+from rclpy.action import ActionServer
+
 pytestmark = pytest.mark.ros
 
 BAD_CONFIGURATION, TOPIC_MISSING, NODE_LOST, CANCELED = 601, 602, 603, 607
@@ -22,6 +28,19 @@ BAD_CONFIGURATION, TOPIC_MISSING, NODE_LOST, CANCELED = 601, 602, 603, 607
 
 def verdicts(live) -> tuple[FileVerdict, ...]:
     return read_recording(live.bag).verdicts
+
+
+def action_of(live):
+    """Return goal, feedback and status of the action as rosbags reads them from the bag."""
+    found = {name: [] for name in names.ACTION}
+    store = get_typestore(Stores.EMPTY)
+    with next(live.bag.glob("*.mcap")).open("rb") as stream:
+        topics = [f"/cell/{name}" for name in names.ACTION]
+        for schema, channel, message in make_reader(stream).iter_messages(topics=topics):
+            store.register(get_types_from_msg(schema.data.decode(), schema.name))
+            read = store.deserialize_cdr(message.data, schema.name)
+            found[channel.topic.removeprefix("/cell/")].append(read)
+    return found.values()
 
 
 def test_a_calibration_ends_with_a_true_result_that_the_bag_repeats_bit_for_bit(cell):
@@ -54,6 +73,13 @@ def test_a_calibration_ends_with_a_true_result_that_the_bag_repeats_bit_for_bit(
                  "probe_target", "observation", "observation_recorded", "plan", "deviations",
                  "compensation_table", "heartbeat"):  # fmt: skip
         assert topics[f"/cell/{name}"].messages > 0, name
+    asked, told, stood = action_of(live)
+    assert told[-1].feedback.total == 60
+    assert GoalStatus.STATUS_EXECUTING in {s.status for m in stood for s in m.status_list}
+    if hasattr(ActionServer, "configure_introspection"):  # from Kilted on
+        request = next(message.request[0] for message in asked if len(message.request))
+        assert bytes(request.goal_id.uuid) == bytes(told[-1].goal_id.uuid)
+        assert request.goal.start_index == 0
     assert {
         "configuration.yaml",
         "versions.json",

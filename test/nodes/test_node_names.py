@@ -38,6 +38,7 @@ NO_NODES = {
     "rate_trial",
     "readiness",
     "selftest",
+    "trial_motion",
     "trial_start",
 }
 """Programs beside the nodes that others start."""
@@ -120,6 +121,20 @@ def test_a_real_configuration_starts_no_simulation(monkeypatch):
         launched(monkeypatch, ROOT / "config" / "tracer.yaml", simulated=True)
 
 
+@pytest.mark.parametrize(("given", "place"), [("", "/lab"), ("/other", "/other")])
+def test_the_configuration_says_where_the_cell_is_and_somebody_whether_nodes_come_back(
+    monkeypatch, tmp_path, given, place
+):
+    file = tmp_path / "cell.yaml"
+    text = (ROOT / "config" / "tracer_paper.yaml").read_text()
+    file.write_text(text.replace("namespace: /cell", "namespace: /lab"))
+    for respawn in ("true", "false"):
+        more = {"namespace": given, "respawn": respawn} if given else {"respawn": respawn}
+        started = launched(monkeypatch, file, simulated=False, place=place, **more)
+        assert {node["namespace"] for node in started} == {place}
+        assert {node["respawn"] for node in started} == {respawn == "true"}
+
+
 def test_the_nodes_get_lists_of_one_type_whatever_the_file_has(monkeypatch, tmp_path):
     file = tmp_path / "cell.yaml"
     text = (ROOT / "config" / "tracer_paper.yaml").read_text()
@@ -133,7 +148,7 @@ def test_the_nodes_get_lists_of_one_type_whatever_the_file_has(monkeypatch, tmp_
     assert {type(size) for size in sizes} == {float}
 
 
-def launched(monkeypatch, file, *, simulated, **more):
+def launched(monkeypatch, file, *, simulated, place="/cell", **more):
     """Return the nodes that the launch file starts, each with its options."""
     values = {"configuration": str(file), "simulated": str(simulated).lower()} | more
     started, later, watched = [], [], []
@@ -153,8 +168,8 @@ def launched(monkeypatch, file, *, simulated, **more):
     runpy.run_path(str(ROOT / "launch" / "cell.launch.py"))["generate_launch_description"]()
     for function in later:
         function(None)
-    ((_, _, module, place, *names),) = watched
-    assert (module, place) == ("rotcal_ros.nodes.readiness", "/cell")
+    ((_, _, module, told, *names),) = watched
+    assert (module, told) == ("rotcal_ros.nodes.readiness", place)
     assert names == [node["executable"] for node in started]
     return started
 

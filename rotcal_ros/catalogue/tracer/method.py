@@ -11,7 +11,7 @@ import numpy as np
 from rotcal_ros.capture.length import decide_length
 from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.catalogue.configuration import Configuration
-from rotcal_ros.catalogue.method import Method, See, TableReader
+from rotcal_ros.catalogue.method import Adaptive, Method, See, TableReader
 from rotcal_ros.catalogue.stations import Stations
 from rotcal_ros.catalogue.tracer import calibration, table
 from rotcal_ros.catalogue.tracer.disturbances import DISTURBANCES
@@ -19,7 +19,6 @@ from rotcal_ros.catalogue.tracer.figures import figures
 from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings, check_plan, tracer_plan
 from rotcal_ros.catalogue.tracer.plan_tables import PLAN_FILES
 from rotcal_ros.catalogue.tracer.plausibility import LengthCheck
-from rotcal_ros.catalogue.tracer.policy import until_goal
 from rotcal_ros.catalogue.tracer.simulation_settings import TracerSimulationSettings
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.tracer.settings import TracerSolverSettings
@@ -55,6 +54,13 @@ def compare(
     from rotcal_ros.catalogue.tracer import paper
 
     return paper.compare(configuration, plan, steps, lost)
+
+
+def until_goal(configuration: Configuration, plan: Plan) -> Adaptive:
+    """Return what makes the policy of that name; loaded when it is asked for."""
+    from rotcal_ros.catalogue.tracer import policy
+
+    return policy.until_goal(configuration, plan)
 
 
 METHOD: Final = Method(

@@ -24,9 +24,6 @@ from rotcal_ros.observations import Approach, PointKind
 from rotcal_ros.planning.plan import Plan, Point, Step
 from rotcal_ros.planning.points import block, in_a_line, in_a_plane
 from rotcal_ros.planning.table_angles import TableAngleSettings, table_angles
-from rotcal_ros.planning.tracer_design.candidates import candidates
-from rotcal_ros.planning.tracer_design.scene import Scene, on_table
-from rotcal_ros.planning.tracer_design.settings import TracerDesignSettings
 from rotcal_ros.planning.visits import visits
 from rotcal_ros.settings import setting
 
@@ -212,6 +209,10 @@ def tracer_plan(settings: TracerPlanSettings) -> Plan:
 
 def _with_free_beams(plan: Plan, settings: TracerPlanSettings) -> Plan:
     """Return the plan without the pairs whose beam is too low or too short."""
+    from rotcal_ros.planning.tracer_design.candidates import candidates
+    from rotcal_ros.planning.tracer_design.scene import Scene, on_table
+    from rotcal_ros.planning.tracer_design.settings import TracerDesignSettings
+
     if len(settings.tracer_m) != 3:
         raise PlanError(
             "min_elevation_deg and min_distance_m need to know where the tracer stands on the "

@@ -11,7 +11,7 @@ from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.ball_plate import model
 from rotcal_ros.methods.ball_plate.model import LinearFit, Solution
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, grid_angles
 from rotcal_ros.units import ARCSEC, MICROMETRE
 
 FALSE_ALARM = 1e-6
@@ -66,7 +66,7 @@ def find_knock(
     later = np.cumsum(np.einsum("nij,ni->nj", motion, weighted)[::-1], axis=0)[::-1]
     best: tuple[float, int, Floats] | None = None
     for start in _candidates(later, motion, weight[order]):
-        gain, amount = _fit_motion(problem, linear, order[start:], later[start])
+        gain, amount = _fit_motion(problem, linear, order[start:], motion[start:], later[start])
         if best is None or gain > best[0]:
             best = (gain, start, amount)
     if best is None or solution.dof <= 12:
@@ -92,7 +92,7 @@ def find_knock(
 def _motion_design(problem: BallPlateProblem) -> Floats:
     """Return (n, 3, 6): displacement of a centre per unit shift, and rotation times radius."""
     turn = rotation_about_z(problem.angles)[problem.position]
-    cross = model.cross_unit(problem.angles[problem.ball_step])
+    cross = model.cross_unit(grid_angles(problem.grid))[problem.ball_step]
     return np.concatenate([turn, turn @ cross], axis=2)
 
 
@@ -123,11 +123,12 @@ def _fit_motion(
     problem: BallPlateProblem,
     linear: LinearFit,
     rows: Ints,
+    motion: Floats,
     right: Floats,
 ) -> tuple[float, Floats]:
     """Return gain of w'w and the motion (6,) when the rows from a moment on have moved."""
     moved = np.zeros((len(problem.centres), 3, 6))
-    moved[rows] = _motion_design(problem)[rows]
+    moved[rows] = motion
     remains = np.stack([linear.fit(moved[:, :, c])[1] for c in range(6)], axis=2)
     weight = np.ones_like(problem.centres) if problem.std is None else problem.std**-2
     information = np.einsum("nij,ni,nik->jk", moved, weight, remains)

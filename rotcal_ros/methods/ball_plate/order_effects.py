@@ -142,13 +142,13 @@ def layout_of(problem: BallPlateProblem, closing: BallPlateProblem | None) -> La
 @lru_cache(maxsize=4)
 def _of_layout(layout: Layout) -> OrderEffects:
     problem = layout.problem()
-    pairs = _Pairs(problem, np.frombuffer(layout.closing, dtype=np.int64).reshape(-1, 3))
+    motion = motion_columns(problem)
+    pairs = _Pairs(problem, np.frombuffer(layout.closing, dtype=np.int64).reshape(-1, 3), motion)
     solve = _solver(problem)
     n = len(problem.centres)
     quick = problem.complete and n <= MANY_CENTRES
     count = MOMENTS if quick else MOMENTS // 4
     moments = np.unique(np.ceil((np.arange(count) + 0.5) / count * n).astype(np.int64))
-    motion = motion_columns(problem)
     place = np.empty(n, dtype=np.int64)
     place[np.argsort(problem.rows, kind="stable")] = np.arange(n)
     return OrderEffects(
@@ -188,7 +188,7 @@ def _solver(problem: BallPlateProblem) -> Callable[[Floats, Floats], Disturbance
 def motion_columns(problem: BallPlateProblem) -> Floats:
     """Return (n, 3, 6): displacement per unit shift of the plate, and rotation times radius."""
     turn = rotation_about_z(problem.angles)[problem.position]
-    cross = model.cross_unit(problem.angles[problem.ball_step])
+    cross = model.cross_unit(grid_angles(problem.grid))[problem.ball_step]
     columns: Floats = np.concatenate([turn, turn @ cross], axis=2)
     return columns
 
@@ -196,13 +196,14 @@ def motion_columns(problem: BallPlateProblem) -> Floats:
 class _Pairs:
     """Closing rows (position, ball step, row number) with the rows that they repeat."""
 
-    def __init__(self, problem: BallPlateProblem, closing: Ints) -> None:
+    def __init__(self, problem: BallPlateProblem, closing: Ints, motion: Floats) -> None:
         self.problem = problem
         cell = problem.position * problem.grid + problem.ball_step
         wanted = closing[:, 0] * problem.grid + closing[:, 1]
         known = np.isin(wanted, cell)
         order = np.argsort(cell, kind="stable")
         self.first = order[np.searchsorted(cell[order], wanted[known])]
+        self.motion = motion[self.first]
 
     def drift(self) -> Floats:
         """Return the information on a drift (3, 3): it was 0.5 at the end."""
@@ -211,7 +212,7 @@ class _Pairs:
 
     def knock(self, place: Ints, moment: int) -> Floats:
         """Return the information on a motion (6, 6) before row ``moment``."""
-        moved = motion_columns(self.problem)[self.first[place[self.first] < moment]]
+        moved = self.motion[place[self.first] < moment]
         information: Floats = 0.5 * np.einsum("nia,nib->ab", moved, moved)
         return information
 

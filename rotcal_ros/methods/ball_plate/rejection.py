@@ -192,13 +192,14 @@ def judge_centres(
     gain = np.sum(np.where(checked, along**2 / np.where(checked, values, 1.0), 0.0), axis=1)
     rank = np.maximum(checked.sum(axis=1), 1)
     others = np.maximum(solution.dof - rank, 1)
+    ranks = np.arange(1, 4)  # every limit is one of three
+    limits = f_isf(FALSE_ALARM / len(gain), ranks, np.maximum(solution.dof - ranks, 1))
     least = max((sigma or 0.0) ** 2, model.least_variance(problem, solution.estimate))
     variance = np.maximum((solution.weighted_square_sum - gain) / others, least)
-    critical = np.sqrt(f_isf(FALSE_ALARM / len(gain), rank, others))
     return CentreTest(
         gain=gain,
         value=np.sqrt(gain / rank / variance),
-        critical=critical,
+        critical=np.sqrt(limits)[rank - 1],
         redundancy=np.einsum("nii,ni->n", cofactor, 1.0 / own) / 3.0,
     )
 

@@ -59,8 +59,9 @@ def screen(problem: BallPlateProblem) -> tuple[BallPlateProblem, list[Rejection]
             Rejection(int(problem.rows[r]), f"{problem.row_name(r)}: {why}")
             for r, why in zip(bad, reasons, strict=True)
         ]
-        good = np.setdiff1d(np.arange(len(problem.centres)), bad)
-        problem, there = problem.take(good), there.take(good)
+        if len(bad):
+            good = np.setdiff1d(np.arange(len(problem.centres)), bad)
+            problem, there = problem.take(good), there.take(good)
     return problem, rejected
 
 

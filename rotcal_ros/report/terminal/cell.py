@@ -122,7 +122,8 @@ def _verdict(report: CellReport) -> tuple[str, str]:
     """Return colour and text of the last line."""
     counts = {state: sum(line.state == state for line in report.lines) for state in _MARKS}
     doubts = f", {counts['doubt']} doubtful" if counts["doubt"] else ""
+    moved = "the table was turned there and back" if report.moved else "nothing was moved"
     if report.complete:
         text = "all there" if counts["good"] > 1 else "nothing is missing"
-        return ("yellow" if doubts else "green"), f"{text}{doubts}; nothing was moved"
-    return "red", f"{counts['missing']} missing{doubts}; nothing was moved"
+        return ("yellow" if doubts else "green"), f"{text}{doubts}; {moved}"
+    return "red", f"{counts['missing']} missing{doubts}; {moved}"
