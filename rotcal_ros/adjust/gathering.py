@@ -7,7 +7,7 @@ probable joins the covariance.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
@@ -39,10 +39,14 @@ class Words(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """How many of a group may be rejected by chance, and how rarely tests alarm on sound data."""
+    """How many of a group may be rejected by chance, and how rarely tests alarm on sound data.
+
+    ``significance``: of the test of groups; ``suspected``: of what cannot be proved.
+    """
 
     rejected_share: float
     significance: float
+    suspected: float = SUSPECTED
 
 
 class Count(NamedTuple):
@@ -61,21 +65,18 @@ class Gathering:
 
     ``judgement``: of what is left, None where nothing was judged. ``blamed``: what was left out,
     in the order in which it was found. ``counts``: all groups with the elements that are left.
+    ``contested``: a single outlier was kept, for several that are off together explain it as well.
     """
 
     judgement: Judgement | None = None
     blamed: tuple[Blame, ...] = ()
     counts: tuple[Count, ...] = ()
+    contested: bool = False
 
     @property
     def chance(self) -> float:
         """How probably sound data look as much as if something gathered."""
         return 1.0 if self.judgement is None else self.judgement.chance
-
-    @property
-    def suspected(self) -> bool:
-        """Whether something may gather that is not proved."""
-        return self.chance < SUSPECTED
 
     def covariance(self) -> Floats | None:
         """Return what they may add to the covariance (o, o) of the outputs; None: nothing."""
@@ -91,18 +92,28 @@ def judged(
     rest: tuple[float, float] | None,
     weighed: Sequence[Group] | None = None,
     belief: Belief = BELIEF,
+    common: Collection[str] = (),
 ) -> Gathering:
     """Return ``before`` with what ``groups`` say.
 
     ``rest`` as in :func:`~.groups.group_test`. ``weighed``: of which it is asked what gathers in
-    them; None: those that name subsets. All are tested.
+    them; None: those that name subsets. All are tested, but of kinds that all scatter beyond
+    chance (``common``) no single group is called improbable.
     """
     counts = tuple(
-        Count(g.kind, g.name, group_test(g, rest), g.size + g.lost, g.lost) for g in groups
+        Count(
+            g.kind,
+            g.name,
+            replace(test, probability=1.0) if g.kind in common else test,
+            g.size + g.lost,
+            g.lost,
+        )
+        for g, test in ((g, group_test(g, rest)) for g in groups)
     )
     if weighed is None:
         weighed = [g for g in groups if isinstance(g, Group) and len(g.gathered)]
-    return replace(before, judgement=judge(weighed, belief, rest), counts=counts)
+    found = judge(weighed, belief, rest)
+    return replace(before, judgement=found, counts=counts, contested=False)
 
 
 def doubts(gathering: Gathering, limits: Limits, words: Words) -> list[str]:
@@ -110,13 +121,19 @@ def doubts(gathering: Gathering, limits: Limits, words: Words) -> list[str]:
     found = [_blamed(case, words) for case in gathering.blamed if _many(case, limits)]
     named = {case.group.name for case in gathering.blamed}
     judgement = gathering.judgement
-    if judgement is not None and gathering.suspected:
+    suspected = gathering.contested or gathering.chance < limits.suspected
+    if judgement is not None and suspected:
         name = judgement.groups[judgement.worst].name
+        why = (
+            f"one of the {words.elements} of {name} does not fit, and some of them that are off "
+            "together explain it as well"
+            if gathering.contested
+            else f"the {words.elements} of {name} look as if some of them were off together (p = "
+            f"{gathering.chance:.2g} on sound {words.elements})"
+        )
         found.append(
-            f"the {words.elements} of {name} look as if some of them were off together (p = "
-            f"{gathering.chance:.2g} on sound {words.elements}), which ones is not certain: the "
-            f"uncertainty holds what that may do; look for {words.cause} {words.its}, and measure "
-            "it again"
+            f"{why}, which ones is not certain: the uncertainty holds what that may do; look for "
+            f"{words.cause} {words.its}, and measure it again"
         )
     return found + _counted(gathering.counts, named, limits, words)
 
@@ -154,10 +171,11 @@ def _counted(counts: Sequence[Count], named: set[str], limits: Limits, words: Wo
     found = []
     significance = 1.0 - (1.0 - limits.significance) ** (1.0 / max(len(counts), 1))
     for row in counts:
-        usual = binomial_quantile(1.0 - significance, row.whole, limits.rejected_share)
         if row.name in named:
             continue
-        if row.lost > usual:
+        if row.lost and row.lost > binomial_quantile(
+            1.0 - significance, row.whole, limits.rejected_share
+        ):
             found.append(
                 f"{row.lost} of the {row.whole} {words.elements} of {row.name} were rejected, "
                 "which is no chance: something is wrong with all of it; measure it again"

@@ -33,7 +33,8 @@ class Group:
     ``unit`` (e, c): whitened units per unit of a common shift, the inverse standard
     deviation; zero where an element lacks the axis, whose other entries are zero too.
     ``gathered`` (q, e): subsets that lie together, see :mod:`.subsets`. ``lost``: how many
-    elements of the group were rejected before, which are no members.
+    elements of the group were rejected before, which are no members. ``eigen``: eigenvalues and
+    vectors of R, where a layout's are remembered.
     """
 
     kind: str
@@ -45,6 +46,7 @@ class Group:
     unit: Floats
     gathered: Bools
     lost: int = 0
+    eigen: tuple[Floats, Floats] | None = None
 
     @classmethod
     def of(
@@ -121,7 +123,7 @@ class Group:
     def axes(self) -> tuple[Floats, Floats]:
         """Eigenvalues (e c,) of R, from 0 to 1, and its vectors."""
         n = self.residual.size
-        values, vectors = np.linalg.eigh(self.cofactor.reshape(n, n))
+        values, vectors = self.eigen or np.linalg.eigh(self.cofactor.reshape(n, n))
         return np.clip(values, 0.0, 1.0), vectors
 
     @property

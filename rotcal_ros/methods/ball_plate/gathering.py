@@ -5,21 +5,24 @@ in every order of measurement.
 
 The engine in :mod:`rotcal_ros.adjust` judges; here are the groups of a plate's centres and what
 the model says of them. Residual cofactors of all groups and the map to the six deviations follow
-from the layout alone and are remembered. Only groups that show anything at all are judged.
+from the layout alone and are remembered. What gathers is asked only where a group shows anything.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
+from rotcal_ros.adjust import gathering as engine
 from rotcal_ros.adjust.distributions import chi2_isf
 from rotcal_ros.adjust.felt import Felt
-from rotcal_ros.adjust.groups import CHECKED, Group
-from rotcal_ros.adjust.judgement import Belief, Blame, Judgement, blame, judge
+from rotcal_ros.adjust.gathering import Count, Gathering, Limits, Words
+from rotcal_ros.adjust.groups import Group, GroupTest
+from rotcal_ros.adjust.judgement import Belief, blame, judge
 from rotcal_ros.adjust.reliability import Hidden, hidden
 from rotcal_ros.adjust.subsets import distinct, runs
 from rotcal_ros.arrays import Bools, Floats, Ints
@@ -29,15 +32,17 @@ from rotcal_ros.methods.ball_plate.model import Solution
 from rotcal_ros.methods.ball_plate.order_effects import Layout, layout_of
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.protection import POWER
-from rotcal_ros.units import MICROMETRE
 
-EVEN: Final = 2.0
-"""ln of the Bayes factor from which on a result is suspect; below, U covers what is probable. One
-of 100 sound plates reached it."""
 SIGNIFICANCE: Final = 0.01
 """Probability below which chance may cost good centres of one place."""
+LIMITS: Final = Limits(rejected_share=3e-4, significance=0.002, suspected=0.003)
+"""Single outliers are rare: two of eight are no chance. One of 100 sound plates reaches
+``suspected``, for in some of so many groups subsets are searched; motion has its own test."""
 BELIEF: Final = Belief(disturbed=0.8)
 """Disturbances are held to be likely: what can be neither proved nor excluded widens U."""
+WORDS: Final = Words("centres", "dirt, a touched plate or warm air", "there", "there")
+LEAST_OF_GROUP: Final = 4
+"""Centres of which it is asked what gathers among them."""
 MOST_UNKNOWNS: Final = 1200
 """Unknowns up to which groups are judged: the work grows with their third power."""
 RUNS: Final = (2, 3, 4, 5, 6, 8, 12)
@@ -56,134 +61,169 @@ LARGEST: Final = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """The rows (e,) of one group, its residual cofactor with pseudo-inverse (3 e, 3 e) and rank.
+    """The rows (e,) of the group ``number`` of a kind, and its residual cofactor (e, 3, e, 3).
 
-    ``gathered`` (q, e) are its subsets, ``inverse`` (q, 3, 3) the covariances of their shifts.
+    ``eigen``: the cofactor's eigenvalues and vectors. ``gathered`` (q, e) are its subsets,
+    ``inverse`` (q, 3, 3) the covariances of their shifts.
     """
 
     kind: str
-    name: str
+    number: int
     rows: Ints
     cofactor: Floats
-    whole: Floats
-    rank: int
+    eigen: tuple[Floats, Floats]
     gathered: Bools
     inverse: Floats
 
+    @property
+    def name(self) -> str:
+        """What people call it."""
+        return f"{self.kind} {self.number}"
+
+    def felt(self, response: Floats) -> Felt:
+        """Return what the outputs feel of its rows; ``response`` (o, n, 3)."""
+        return Felt.whole(response[:, self.rows].reshape(len(response), -1))
+
     def group(self, whitened: Floats, unit: Floats, response: Floats | None) -> Group:
-        """Return the engine's group; ``response`` (6 M, n, 3), None for none."""
-        none = np.zeros((1, 3 * len(self.rows)))
+        """Return the engine's group; ``response`` (o, n, 3), None for none."""
         return Group(
             kind=self.kind,
             name=self.name,
             members=self.rows,
             residual=whitened[self.rows],
             cofactor=self.cofactor,
-            felt=Felt.whole(
-                none if response is None else response[:, self.rows].reshape(len(response), -1)
-            ),
+            felt=self.felt(np.zeros((1, *unit.shape)) if response is None else response),
             unit=unit[self.rows],
             gathered=self.gathered,
+            eigen=self.eigen,
         )
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """All groups of a layout, and the errors (6 M, n, 3) of the deviations per unit of a row."""
+    """All groups of a layout, and the errors (6 N, n, 3) of the deviations per unit of a row.
+
+    Of table positions without a centre they are zero.
+    """
 
     places: tuple[Place, ...]
     response: Floats
 
 
 @dataclass(frozen=True, eq=False)
-class Gathered:
-    """What is believed after a fit of ``positions`` (M,); ``blame`` is None where all is kept.
+class Taken:
+    """All rows ``whole`` that were to be fitted, as people count them, and which are ``gone``.
 
-    ``covariance`` (6 M, 6 M), m and rad, is what probable but unproved disturbances add, or what
-    the choice adds which of several explanations is taken. ``contested``: some centre alone would
-    be rejected there, which explains it no better.
+    ``gone`` (k,): numbers of the rows that were rejected.
     """
 
-    positions: Ints
-    judgement: Judgement
-    blame: Blame | None
-    contested: bool = False
+    whole: BallPlateProblem
+    gone: Ints
 
-    @property
-    def covariance(self) -> Floats:
-        """What it adds to the covariance (6 M, 6 M)."""
-        if self.blame is not None:
-            return self.blame.covariance
-        return self.judgement.covariance()
+    def counted(self, problem: BallPlateProblem, kind: str) -> tuple[Ints, Ints]:
+        """Return what people call the groups (n,) of a kind that the rows of ``problem`` are in.
 
-    @property
-    def doubtful(self) -> bool:
-        """Whether the residuals speak for a disturbance beyond what chance makes of sound ones."""
-        return self.contested or self.judgement.log_bayes > EVEN
-
-    @property
-    def rows(self) -> Ints:
-        """The rows to leave out, as the problem has them."""
-        if self.blame is None:
-            return np.empty(0, dtype=np.int64)
-        return np.asarray(self.blame.group.members[self.blame.subset])
-
-    @property
-    def suspected(self) -> Ints:
-        """The rows of the place where something gathers most probably, as the problem has them."""
-        return self.judgement.groups[self.judgement.worst].members
-
-    def sentence(self) -> str:
-        """Say in words what gathers where."""
-        if self.blame is None:
-            group = self.judgement.groups[self.judgement.worst]
-            return (
-                f"something may be wrong with several of the {group.size} centres of "
-                f"{group.name}: the uncertainty covers it; measure them again"
-            )
-        size = self.blame.size / MICROMETRE
-        group = self.blame.group
-        text = (
-            f"{int(self.blame.subset.sum())} of the {group.size} centres of {group.name} are "
-            f"displaced together by about ({size[0]:.2f}, {size[1]:.2f}, {size[2]:.2f}) um and "
-            "are left out"
-        )
-        if self.blame.ambiguous:
-            text += "; other ones explain it nearly as well, the uncertainty covers both"
-        return f"{text}: look for dirt, a touched plate or warm air there, and measure it again"
+        And how many of each such group were rejected, (n,).
+        """
+        order = np.argsort(self.whole.rows)
+        at = order[np.searchsorted(self.whole.rows, problem.rows, sorter=order)]
+        column = _columns(self.whole)[kind]
+        lost = np.bincount(column[np.isin(self.whole.rows, self.gone)], minlength=column.max() + 1)
+        return column[at], lost[column[at]]
 
 
-def judged(problem: BallPlateProblem, solution: Solution, sigma: float | None) -> Gathered | None:
-    """Return what gathers in one place of a fitted problem; None where nothing shows.
+def judged(
+    before: Gathering,
+    problem: BallPlateProblem,
+    solution: Solution,
+    sigma: float | None,
+    taken: Taken,
+) -> Gathering:
+    """Return ``before`` with what gathers in one place of a fitted problem.
 
     ``sigma``: the stated noise of unit weight, m (or 1), None where it is not known; the noise in
-    the residuals counts, axis by axis, where it is larger or nothing was stated. Problems of more
-    than MOST_UNKNOWNS unknowns are not judged.
+    the residuals counts, axis by axis, where it is larger or nothing was stated.
     """
-    if not can_judge(problem):
-        return None
     view = view_of(problem)
     whitened, unit, rest, scale = _whitened(problem, solution, sigma)
-    shown = _showing([p for p in view.places if len(p.rows) >= 4], whitened)
-    if not shown:
+    groups = _named([p.group(whitened, unit, None) for p in view.places], problem, taken)
+    common = _common(groups)
+    asked = [
+        k
+        for k, group in enumerate(groups)
+        if group.size >= LEAST_OF_GROUP and group.kind not in common
+    ]
+    shown = [groups[k] for k in asked if _shows(groups[k], view.places[k])]
+    first = judge(shown, BELIEF, rest, SUSPICIOUS, among=len(groups))
+    weighed = list[Group]()
+    if first.possible:  # seldom on sound plates: of all groups it costs more
+        response = view.response * scale
+        weighed = [replace(groups[k], felt=view.places[k].felt(response)) for k in asked]
+    return engine.judged(before, groups, rest, weighed, BELIEF, common)
+
+
+def counted(
+    before: Gathering, problem: BallPlateProblem, redundancy: Floats, taken: Taken
+) -> Gathering:
+    """Return ``before`` with what was rejected of each group of a problem that is not judged.
+
+    ``redundancy`` (n,) of its rows.
+    """
+    found = []
+    for kind in _columns(problem):
+        number, lost = taken.counted(problem, kind)
+        names, first, group, size = np.unique(
+            number, return_index=True, return_inverse=True, return_counts=True
+        )
+        share = np.bincount(group, redundancy) / size
+        for name, gone, left, checked in zip(
+            names.tolist(), lost[first].tolist(), size.tolist(), share.tolist(), strict=True
+        ):
+            test = GroupTest(0.0, 0, 1.0, checked, gone / (left + gone))
+            found.append(Count(kind, f"{kind} {name}", test, left + gone, gone))
+    return replace(before, counts=tuple(found))
+
+
+def left_out(
+    gathering: Gathering, problem: BallPlateProblem
+) -> tuple[Gathering, dict[int, str]] | None:
+    """Return what is proved to be wrong together, and why by its rows; None: nothing is."""
+    found = gathering.judgement
+    if found is None or not found.proved(SIGNIFICANCE):
         return None
-    among = len(view.places)
-    without = judge(
-        [p.group(whitened, unit, None) for p in shown],
-        belief=BELIEF,
-        rest=rest,
-        searched=SUSPICIOUS,
-        among=among,
+    case = blame(found.groups[found.worst], BELIEF)
+    if case is None:
+        return None
+    rows = case.group.members[case.subset]
+    why = (
+        f"one of {len(rows)} centres of {case.group.name} that are off together, by "
+        f"{engine.micrometres(case.size)} (x, y, z)"
     )
-    if not without.possible:
-        return None
-    likely = [p for p, b in zip(shown, without.by_group, strict=True) if b > 1e-3]
-    response = view.response * scale
-    groups = [p.group(whitened, unit, response) for p in likely]
-    found = judge(groups, belief=BELIEF, rest=rest, searched=SUSPICIOUS, among=among)
-    proved = without.proved(SIGNIFICANCE)
-    to_blame = blame(found.groups[found.worst], BELIEF) if proved else None
-    return Gathered(problem.table_positions, found, to_blame)
+    found_why = {int(r): f"{problem.row_name(r)}: {why}" for r in rows}
+    return replace(gathering, blamed=(*gathering.blamed, case)), found_why
+
+
+def suspected(gathering: Gathering) -> Ints:
+    """Return the rows of the place where something may gather; none where nothing does."""
+    found = gathering.judgement
+    if found is None or not found.possible:
+        return np.empty(0, dtype=np.int64)
+    return found.groups[found.worst].members
+
+
+def doubts(gathering: Gathering) -> list[str]:
+    """Return a sentence about everything that gathers, and about groups that do not fit."""
+    return engine.doubts(gathering, LIMITS, WORDS)
+
+
+def details(gatherings: Sequence[Gathering]) -> dict[str, Any]:
+    """Return what was found in several fits for the details of a result; sizes in m."""
+    each = [engine.details(gathering, WORDS.elements) for gathering in gatherings]
+    return {
+        "chance": min(one["chance"] for one in each),
+        "groups": [row for one in each for row in one["groups"]],
+        "blamed": [case for one in each for case in one["blamed"]],
+    }
 
 
 def can_judge(problem: BallPlateProblem) -> bool:
@@ -204,7 +244,8 @@ def unseen(
     scale, std = sigma
     own = np.ones_like(problem.centres) if problem.std is None else problem.std
     nothing, unit = np.zeros_like(problem.centres), 1.0 / (own * scale)
-    response = view.response.reshape(6, -1, *problem.centres.shape) * scale / std[:, :, None, None]
+    response = view.response.reshape(6, -1, *problem.centres.shape)[:, problem.table_positions]
+    response = response * scale / std[:, :, None, None]
     groups = [
         place.group(nothing, unit, response[:, k])
         for k, place in enumerate(p for p in view.places if p.kind == "table position")
@@ -246,29 +287,35 @@ def _freedom(problem: BallPlateProblem) -> Floats:
     return np.array([total - axial, axial], dtype=np.float64)
 
 
-def _showing(places: list[Place], whitened: Floats) -> list[Place]:
-    """Return the places of which a group or a subset stands out, kind by kind."""
-    found: list[Place] = []
-    for kind in dict.fromkeys(p.kind for p in places):
-        mine = [p for p in places if p.kind == kind]
-        flat = [whitened[p.rows].ravel() for p in mine]
-        squares = np.array([r @ p.whole @ r for p, r in zip(mine, flat, strict=True)])
-        rank = np.array([p.rank for p in mine])
-        if len(mine) > MANY and np.median(squares / chi2_isf(0.5, rank)) > SHARED:
-            continue
-        limit = chi2_isf(SUSPICIOUS, rank)
-        for place, value, most in zip(mine, squares, limit, strict=True):
-            if value > most or _largest(place, whitened) > SHOWS:
-                found.append(place)
+def _common(groups: list[Group]) -> list[str]:
+    """Return the kinds of which the typical group scatters, as by the table's repeatability."""
+    found = []
+    for kind in dict.fromkeys(group.kind for group in groups):
+        both = np.array([group.together for group in groups if group.kind == kind])
+        typical = np.median(both[:, 0] / chi2_isf(0.5, np.maximum(both[:, 1], 1.0)))
+        if len(both) > MANY and typical > SHARED:
+            found.append(kind)
     return found
 
 
-def _largest(place: Place, whitened: Floats) -> float:
-    """Return the largest chi-squared of a common shift of a gathered subset."""
-    if not len(place.gathered):
-        return 0.0
-    right = place.gathered @ whitened[place.rows]
-    return float(np.einsum("qa,qab,qb->q", right, place.inverse, right).max())
+def _shows(group: Group, place: Place) -> bool:
+    """Whether a group or a common shift of one of its gathered subsets stands out."""
+    squares, rank = group.together
+    if squares > chi2_isf(SUSPICIOUS, max(rank, 1)):
+        return True
+    right = place.gathered @ group.residual
+    shift = np.einsum("qa,qab,qb->q", right, place.inverse, right)
+    return float(shift.max(initial=0.0)) > SHOWS
+
+
+def _named(groups: list[Group], problem: BallPlateProblem, taken: Taken) -> list[Group]:
+    """Return the ``groups`` with what people call them, and how many of each were rejected."""
+    known = {kind: taken.counted(problem, kind) for kind in _columns(problem)}
+    found = []
+    for group in groups:
+        number, lost = (column[group.members[0]] for column in known[group.kind])
+        found.append(replace(group, name=f"{group.kind} {number}", lost=int(lost)))
+    return found
 
 
 def view_of(problem: BallPlateProblem) -> View:
@@ -303,44 +350,41 @@ def _of_layout(layout: Layout) -> View:
         return np.asarray(0.5 * (kept + kept.T)).reshape(shape)
 
     places = tuple(
-        _placed(problem, cofactor(rows), kind, name, rows) for kind, name, rows in _groups(problem)
+        _placed(problem, cofactor(np.flatnonzero(column == k)), kind, k)
+        for kind, column in _columns(problem).items()
+        for k in np.unique(column).tolist()
     )
-    return View(places, response.reshape(len(response), n, 3))
+    everywhere = np.zeros((6, problem.n_positions, n, 3))
+    everywhere[:, problem.table_positions] = response.reshape(6, -1, n, 3)
+    return View(places, everywhere.reshape(-1, n, 3))
 
 
-def _placed(
-    problem: BallPlateProblem, cofactor: Floats, kind: str, name: str, rows: Ints
-) -> Place:
+def _placed(problem: BallPlateProblem, cofactor: Floats, kind: str, number: int) -> Place:
+    rows = np.flatnonzero(_columns(problem)[kind] == number)
     gathered = _subsets(problem, kind, rows)
     part = gathered.astype(np.float64)
     both = np.tensordot(part, cofactor, 1)
     square = np.einsum("qaeb,qe->qab", both, part)
     inverse = np.linalg.pinv(square, rcond=1e-6, hermitian=True) if len(part) else square
-    flat = cofactor.reshape(3 * len(rows), -1)
-    values = np.linalg.eigvalsh(flat)
-    whole = np.asarray(np.linalg.pinv(flat, rcond=CHECKED, hermitian=True), dtype=np.float64)
-    rank = int(np.count_nonzero(values > CHECKED))
-    return Place(kind, name, rows, cofactor, whole, max(rank, 1), gathered, inverse)
+    values, vectors = np.linalg.eigh(cofactor.reshape(3 * len(rows), -1))
+    eigen = (np.clip(values, 0.0, 1.0), vectors)
+    return Place(kind, number, rows, cofactor, eigen, gathered, inverse)
 
 
-def _groups(problem: BallPlateProblem) -> list[tuple[str, str, Ints]]:
-    """Return kind, name and rows of all groups."""
-    found = []
-    for kind, column in (
-        ("table position", problem.position),
-        ("ball", problem.ball_step),
-        ("CMM position", problem.cmm_index),
-    ):
-        word = "ball step" if kind == "ball" else kind
-        found += [(kind, f"{word} {k}", np.flatnonzero(column == k)) for k in np.unique(column)]
-    return found
+def _columns(problem: BallPlateProblem) -> dict[str, Ints]:
+    """Return the group of each row (n,) by kind."""
+    return {
+        "table position": problem.position,
+        "ball step": problem.ball_step,
+        "CMM position": problem.cmm_index,
+    }
 
 
 def _subsets(problem: BallPlateProblem, kind: str, rows: Ints) -> Bools:
     """Return what may be wrong together: neighbours on the plate, in the turn, in time."""
-    along = problem.position[rows] if kind == "ball" else problem.ball_step[rows]
+    along = problem.position[rows] if kind == "ball step" else problem.ball_step[rows]
     found = runs(along.astype(np.float64), closed=True)
-    if kind != "ball":
+    if kind != "ball step":
         found = distinct(found, runs(problem.rows[rows].astype(np.float64)))
     return _short(found)
 

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from rotcal_ros.adjust.distributions import f_isf
+from rotcal_ros.adjust.gathering import Gathering
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import DataError, ObservabilityError
 from rotcal_ros.methods.ball_plate import model
 from rotcal_ros.methods.ball_plate.estimate import solved
-from rotcal_ros.methods.ball_plate.gathering import Gathered, judged
+from rotcal_ros.methods.ball_plate.gathering import (
+    Taken,
+    can_judge,
+    counted,
+    judged,
+    left_out,
+    suspected,
+)
 from rotcal_ros.methods.ball_plate.general import (
     MIN_BALLS,
     balls_at_positions,
@@ -58,8 +66,8 @@ class CentreTest:
 class Fitted:
     """The rows that were kept, their solution and tests, the rejected ones and why.
 
-    Table positions that are not among those of ``problem`` were left out. ``gathered``: what was
-    found to be wrong together, in the order in which it was found; the last may be kept.
+    Table positions that are not among those of ``problem`` were left out. ``gathering``: what
+    was found to be wrong together, and how each group fits; not judged after a knock.
     """
 
     problem: BallPlateProblem
@@ -68,21 +76,22 @@ class Fitted:
     test: CentreTest
     rejected: tuple[Rejection, ...]
     knock: Knock | None
-    gathered: tuple[Gathered, ...] = ()
+    gathering: Gathering = field(default_factory=Gathering)
 
 
-def fit_and_reject(problem: BallPlateProblem) -> Fitted:
+def fit_and_reject(problem: BallPlateProblem, named: BallPlateProblem | None = None) -> Fitted:
     """Solve, and reject what is wrong together in one place, then single centres, worst first.
 
     A jump of the plate that explains more than the worst centre ends the rejection: the moved
-    rows are not wrong one by one. Raises ObservabilityError when too little is left, DataError
-    when more than a tenth of the centres would have to go.
+    rows are not wrong one by one. ``named``: the same rows as people number them; None: as in
+    ``problem``. Raises ObservabilityError when too little is left, DataError when more than a
+    tenth of the centres would have to go.
     """
-    whole, rejected, left_out = problem, list[Rejection](), list[Rejection]()
-    gathered: tuple[Gathered, ...] = ()
+    whole, rejected, poor = named or problem, list[Rejection](), list[Rejection]()
+    gathering = Gathering()
     while True:
-        problem, poor = _without_poor_positions(problem)
-        left_out += poor
+        problem, open_ = _without_poor_positions(problem)
+        poor += open_
         linear, solution = _solve(problem)
         if solution.dof < 1:
             raise DataError(
@@ -93,26 +102,35 @@ def fit_and_reject(problem: BallPlateProblem) -> Fitted:
         test = judge_centres(problem, solution, sigma)
         knock = find_knock(problem, linear, solution, sigma)
         if knock is not None and _more_than_one_centre(knock, test, solution.dof):
-            done = tuple(rejected + left_out)
-            return Fitted(problem, linear, solution, test, done, knock, gathered)
-        together = judged(problem, solution, sigma)
-        if together is not None and len(together.rows) and len(gathered) < MOST_PLACES:
-            gathered, bad = (*gathered, together), together.rows
-            why = {int(r): f"{problem.row_name(r)}: {together.sentence()}" for r in bad}
+            gathering = Gathering(blamed=gathering.blamed)
+            return Fitted(problem, linear, solution, test, (*rejected, *poor), knock, gathering)
+        taken = Taken(whole, np.array([r.index for r in rejected], dtype=np.int64))
+        if can_judge(problem):
+            gathering = judged(gathering, problem, solution, sigma, taken)
         else:
-            bad = choose(problem, test)
-            if together is not None and np.isin(bad, together.suspected).any():
-                # The centre that fits worst is often a good one among several that are displaced.
-                bad = np.setdiff1d(bad, together.suspected)
-                together = replace(together, contested=True)
-            why = {int(r): _reason(problem, solution.residuals[r], test, int(r)) for r in bad}
-        if not len(bad):
-            done = tuple(rejected + left_out)
-            last = () if together is None else (together,)
-            return Fitted(problem, linear, solution, test, done, None, (*gathered, *last))
+            gathering = counted(gathering, problem, test.redundancy, taken)
+        gathering, why = _next(gathering, problem, solution, test)
+        if not why:
+            return Fitted(problem, linear, solution, test, (*rejected, *poor), None, gathering)
         rejected += [Rejection(int(problem.rows[r]), text) for r, text in why.items()]
         _check_share(len(rejected), whole, rejected[0])
-        problem = problem.take(np.setdiff1d(np.arange(len(problem.centres)), bad))
+        problem = problem.take(np.setdiff1d(np.arange(len(problem.centres)), list(why)))
+
+
+def _next(
+    gathering: Gathering, problem: BallPlateProblem, solution: Solution, test: CentreTest
+) -> tuple[Gathering, dict[int, str]]:
+    """Return which rows to leave out next, with the reason, and what is known to gather then."""
+    together = left_out(gathering, problem) if len(gathering.blamed) < MOST_PLACES else None
+    if together is not None:
+        return together
+    bad, kept = choose(problem, test), suspected(gathering)
+    if np.isin(bad, kept).any():
+        # The centre that fits worst is often a good one among several that are displaced.
+        bad = np.setdiff1d(bad, kept)
+        gathering = replace(gathering, contested=True)
+    why = {int(r): _reason(problem, solution.residuals[r], test, int(r)) for r in bad}
+    return gathering, why
 
 
 def _without_poor_positions(problem: BallPlateProblem) -> tuple[BallPlateProblem, list[Rejection]]:

@@ -130,7 +130,10 @@ def _fitted(
     """Cut a problem into its groups, if it has any, and fit each."""
     alone = Group(np.arange(whole.n_positions), 0.0, whole, closing)
     groups = split(whole, closing) if whole.separate_groups else (alone,)
-    return groups, tuple(fit_and_reject(group.problem) for group in groups)
+    return groups, tuple(
+        fit_and_reject(group.problem, whole.take(np.isin(whole.rows, group.problem.rows)))
+        for group in groups
+    )
 
 
 def _turned(groups: tuple[Group, ...], fits: tuple[Fitted, ...]) -> list[tuple[Fitted, float]]:

@@ -13,7 +13,7 @@ from rotcal_ros.adjust.reliability import Hidden
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.components import COMPONENTS, ROTATIONS
 from rotcal_ros.geometry.rotations import rotation_about_z
-from rotcal_ros.methods.ball_plate import repeatability
+from rotcal_ros.methods.ball_plate import gathering, repeatability
 from rotcal_ros.methods.ball_plate.closure import Closure, closures
 from rotcal_ros.methods.ball_plate.estimate import solved
 from rotcal_ros.methods.ball_plate.evidence import (
@@ -23,7 +23,6 @@ from rotcal_ros.methods.ball_plate.evidence import (
     find_motion,
     stronger,
 )
-from rotcal_ros.methods.ball_plate.gathering import unseen
 from rotcal_ros.methods.ball_plate.model import least_variance, of_component
 from rotcal_ros.methods.ball_plate.noise import Noise
 from rotcal_ros.methods.ball_plate.order_effects import (
@@ -40,10 +39,6 @@ from rotcal_ros.methods.ball_plate.screening import RADIUS_TOLERANCE
 from rotcal_ros.methods.ball_plate.solution import PlateSolution
 from rotcal_ros.methods.ball_plate.zeros import allowed
 from rotcal_ros.results import Result, plain_fields
-
-FEW_LOST = 2
-SHARE_LOST = 0.2
-"""Rejected centres at one position, and their share, from which on a result is suspect."""
 
 
 @dataclass(frozen=True)
@@ -69,12 +64,11 @@ def completed(result: Result, solution: PlateSolution) -> Result:
     added = _added(solution, found)
     warnings = [test.sentence() for test in stronger(found.drifts, found.motions)]
     warnings += [c.sentence() for c in found.closures if not c.closed]
-    doubts = [g for fit in solution.fits for g in fit.gathered if g.doubtful]
-    crowded = _crowded(solution)
-    warnings += [g.sentence() for g in doubts] + crowded
+    gathers = [doubt for fit in solution.fits for doubt in gathering.doubts(fit.gathering)]
+    warnings += gathers
     doubt = any(t.significant and not t.estimated for t in found.drifts)
     doubt |= any(t.significant for t in found.motions)
-    doubt |= any(not c.closed for c in found.closures) or bool(doubts + crowded)
+    doubt |= any(not c.closed for c in found.closures) or bool(gathers)
     std = {n: np.sqrt(values**2 + added[n].diagonal()) for n, values in result.std.items()}
     result = replace(
         result,
@@ -82,26 +76,9 @@ def completed(result: Result, solution: PlateSolution) -> Result:
         covariance={name: c + added[name].dense() for name, c in result.covariance.items()},
         warnings=(*result.warnings, *warnings),
         verdict="suspect" if doubt and result.verdict == "ok" else result.verdict,
-        details={**result.details, **_details(found)},
+        details={**result.details, **_details(found, solution.fits)},
     )
     return replace(result, protections=protections(_facts(result, solution, found)))
-
-
-def _crowded(solution: PlateSolution) -> list[str]:
-    """Say at which positions of table or CMM several centres were rejected one by one."""
-    whole = solution.whole
-    gone = np.isin(whole.rows, [r.index for r in solution.rejected])
-    found = list[str]()
-    for name, column in (("table", whole.position), ("CMM", whole.cmm_index)):
-        lost = np.bincount(column[gone], minlength=whole.n_positions)
-        count = np.bincount(column, minlength=whole.n_positions)
-        many = (lost >= FEW_LOST) & (lost > SHARE_LOST * count) & (lost < count)
-        found += [
-            f"{lost[k]} of {count[k]} centres at the {name} position {k} were rejected: what is "
-            "left there can hardly be checked; measure it again"
-            for k in np.flatnonzero(many)
-        ]
-    return found
 
 
 def _findings(solution: PlateSolution) -> Findings:
@@ -187,19 +164,14 @@ def _of_places(fit: Fitted, turn: float) -> Floats | None:
 
     None where none is probable; large problems are not judged.
     """
-    if not fit.gathered:
+    whole = fit.gathering.covariance()
+    if whole is None:
         return None
-    known = fit.problem.table_positions
-    added = np.zeros((6, len(known), len(known)))
-    for gathered in fit.gathered:
-        count = len(gathered.positions)
-        at = np.flatnonzero(np.isin(gathered.positions, known))
-        both = gathered.covariance.reshape(2, 3, count, 2, 3, count)[:, :, at][..., at]
-        back = rotation_about_z(turn)
-        each = np.einsum("ij,bjmbkn,ik->bimn", back, both, back).reshape(6, len(at), len(at))
-        place = np.searchsorted(known, gathered.positions[at])
-        added[np.ix_(np.arange(6), place, place)] += each
-    return added
+    known, count = fit.problem.table_positions, fit.problem.n_positions
+    both = whole.reshape(2, 3, count, 2, 3, count)[:, :, known][..., known]
+    back = rotation_about_z(turn)
+    each: Floats = np.einsum("ij,bjmbkn,ik->bimn", back, both, back)
+    return each.reshape(6, len(known), len(known))
 
 
 def _places(solution: PlateSolution) -> list[Ints]:
@@ -250,7 +222,7 @@ def _hidden(result: Result, solution: PlateSolution) -> Hidden | None:
     for place, fit in zip(_places(solution), solution.fits, strict=True):
         std = np.array([result.std[name][place] for name in COMPONENTS])
         std = np.maximum(std, np.median(std, axis=1)[:, None])  # less is chance
-        found = unseen(fit.problem, (solution.noise.scale, std))
+        found = gathering.unseen(fit.problem, (solution.noise.scale, std))
         if found is not None and (worst is None or found.error > worst.error):
             worst = found
     return worst
@@ -268,9 +240,10 @@ def _scale_error(result: Result) -> float:
     )
 
 
-def _details(found: Findings) -> dict[str, Any]:
+def _details(found: Findings, fits: tuple[Fitted, ...]) -> dict[str, Any]:
     """Return the findings as entries of a result's details, SI."""
-    details: dict[str, Any] = {}
+    gathers = gathering.details([fit.gathering for fit in fits])
+    details: dict[str, Any] = {"gathering": gathers}
     if found.closures:
         details["closure"] = _plain(found.closures)
     if found.drifts:
