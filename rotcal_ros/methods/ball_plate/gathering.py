@@ -220,9 +220,9 @@ def details(gatherings: Sequence[Gathering]) -> dict[str, Any]:
     """Return what was found in several fits for the details of a result; sizes in m."""
     each = [engine.details(gathering, WORDS.elements) for gathering in gatherings]
     return {
-        "chance": min(one["chance"] for one in each),
-        "groups": [row for one in each for row in one["groups"]],
-        "blamed": [case for one in each for case in one["blamed"]],
+        "chance": min(part["chance"] for part in each),
+        "groups": [row for part in each for row in part["groups"]],
+        "blamed": [case for part in each for case in part["blamed"]],
     }
 
 
