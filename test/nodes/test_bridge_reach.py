@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -30,8 +31,10 @@ def bench(cell, tmp_path):
 
 def addresses(process):
     """Return the local addresses of the UDP sockets of a process."""
-    folder = Path(f"/proc/{process.pid}/fd")
-    held = {str(path.readlink()) for path in folder.iterdir() if path.is_symlink()}
+    held = set()
+    for path in Path(f"/proc/{process.pid}/fd").iterdir():
+        with suppress(FileNotFoundError):  # closed since
+            held.add(str(path.readlink()))
     lines = [line.split() for line in Path("/proc/net/udp").read_text().splitlines()[1:]]
     return {line[1].partition(":")[0] for line in lines if f"socket:[{line[9]}]" in held}
 
