@@ -4,6 +4,7 @@ import json
 import signal
 import sys
 import time
+from contextlib import contextmanager
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
@@ -81,6 +82,15 @@ class LiveCell:
 
     def kill(self, name):
         self.processes.signal(name, signal.SIGKILL)
+
+    @contextmanager
+    def held(self):
+        """Let the simulated cell stand still meanwhile, so that a calibration cannot end."""
+        self.processes.signal("simulated_cell", signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            self.processes.signal("simulated_cell", signal.SIGCONT)
 
     def log(self, name):
         return (self.folder / "log" / f"{name}.log").read_text()
