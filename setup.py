@@ -70,6 +70,7 @@ setup(
         "rich",
         "rosbags",
         "scipy",
+        "threadpoolctl",
     ],
     extras_require={
         "ros": [
