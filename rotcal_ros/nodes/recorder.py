@@ -21,6 +21,7 @@ from rotcal_ros.nodes.dropouts import TOGETHER_S, DropoutNotes
 from rotcal_ros.nodes.health import RECORDING_FAILED
 from rotcal_ros.nodes.heard_topic import HeardTopic
 from rotcal_ros.nodes.listening import Listener
+from rotcal_ros.nodes.middleware_events import handle_events
 from rotcal_ros.nodes.receipts import Receipts
 from rotcal_ros.nodes.recorded_session import RecordedSession
 from rotcal_ros.nodes.recording import Messages, Recording
@@ -112,6 +113,7 @@ class RecorderNode(CellNode):
 
     def _all_losses(self) -> Counter[str]:
         """Return what was lost since the bag was opened, here and at the full queue."""
+        handle_events(self)
         queued = self._recording.losses if self._recording is not None else Counter[str]()
         return self._listener.losses + queued
 
