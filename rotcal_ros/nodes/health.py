@@ -127,7 +127,7 @@ class Health:
         return sorted(set(names) - self.present())
 
     def values(self, name: str) -> dict[str, str]:
-        """Return the values of the last beat of node ``name``; they are asked for in every turn."""
+        """Return the values of the last beat of node ``name``; every turn asks for them."""
         beat = self.others.get(name)
         if beat is None:
             return {}
