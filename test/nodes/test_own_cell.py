@@ -38,7 +38,7 @@ def test_the_readme_s_commands_find_the_error_of_its_table(tmp_path, monkeypatch
         )  # fmt: skip
     finally:
         own.terminate()
-        own.wait(10)
+        own.wait(patient(10))
     assert done.returncode == 0, done.stdout + done.stderr + (tmp_path / "own.log").read_text()
     outcome = json.loads(done.stdout)
     assert outcome["verdict"] == "ok"
