@@ -72,12 +72,8 @@ OFFLINE_GROUPS: Final = ("identity", "cell", "plan", "capture", "air", "solver",
 
 def settings_classes(method: Method) -> dict[str, type[Any]]:
     """Return the registry of settings: group -> settings class, for one method."""
-    own = {
-        "plan": method.plan_settings,
-        "solver": method.solver_settings,
-        "simulation": method.simulation_settings,
-    }
-    return {name: (own | dict(SHARED_GROUPS))[name] for name in GROUPS}
+    classes = {**SHARED_GROUPS, **method.own_settings}
+    return {name: classes[name] for name in GROUPS}
 
 
 @dataclass(frozen=True)
