@@ -11,6 +11,7 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -196,6 +197,7 @@ def read_topics(text: str) -> TopicSettings:
     return TopicSettings()
 
 
+@lru_cache(maxsize=4)  # every solution asks it of the same text
 def read_policy(text: str) -> str:
     """Return the policy that a configuration states, whatever else of it can be read today."""
     with suppress(ConfigurationError):

@@ -7,11 +7,13 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import Any, Final
 
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.callback_groups import CallbackGroup
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from rotcal_ros.errors import RotcalError
+from rotcal_ros.nodes.waiting import Seldom
 
 
 def entities(node: Node) -> Iterator[Any]:
@@ -63,6 +65,7 @@ class ManagedNode(LifecycleNode):
     """
 
     def __init__(self, name: str, **options: Any) -> None:
+        self._seldom = Seldom()  # before rclpy puts the first entity into it
         super().__init__(name, **options)
         self.configured = self.active = self.shut_down = False
         self._starting = self._ending = False
@@ -71,6 +74,11 @@ class ManagedNode(LifecycleNode):
         self._autostart = self.parameter(
             "autostart", True, "configure and activate at the start; else wait for transitions"
         )
+
+    @property
+    def default_callback_group(self) -> CallbackGroup:
+        """The group of what is made without another."""
+        return self._seldom
 
     def parameter(
         self, name: str, default: Any, description: str, *, read_only: bool = True

@@ -42,3 +42,64 @@ def test_the_capture_has_time_until_the_planner_measures():
     for state, has_time in (("", True), ("idle", True), (f"{CALIBRATING}: step 3", False)):
         health = SimpleNamespace(state={"planner": state}.__getitem__)
         assert CaptureNode.has_time(SimpleNamespace(health=health)) is has_time
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    from rotcal_ros.nodes import waiting
+
+    clock = SimpleNamespace(now_s=100.0)
+    monkeypatch.setattr(waiting.time, "monotonic", lambda: clock.now_s)
+    return clock
+
+
+def member(group, kind):
+    """Return something of a kind that the group holds."""
+    made = kind.__new__(kind)
+    group.add_entity(made)
+    return made
+
+
+def test_events_are_looked_for_a_few_times_a_second_and_the_rest_always(clock):
+    from rclpy.event_handler import EventHandler
+    from rclpy.subscription import Subscription
+
+    from rotcal_ros.nodes.waiting import EVENTS_S, Seldom
+
+    group = Seldom()
+    event, subscription = member(group, EventHandler), member(group, Subscription)
+    looked = []
+    for turn in range(2000):  # every ms
+        assert group.can_execute(subscription)
+        if group.can_execute(event):
+            assert group.can_execute(event)  # what was waited for may be handled in the same turn
+            looked.append(turn)
+        clock.now_s += TURN_S
+    looks = [a for a, b in zip(looked, [-9, *looked], strict=False) if a - b > 1]
+    assert len(looks) == pytest.approx(2.0 / EVENTS_S, abs=1)
+    assert len(looked) < 0.03 * 2000
+
+
+def test_a_late_turn_looks_for_events_at_once(clock):
+    from rclpy.event_handler import EventHandler
+
+    from rotcal_ros.nodes.waiting import Seldom
+
+    group = Seldom()
+    event = member(group, EventHandler)
+    for pause_s in (0.0, 0.25, 3.0, 0.21):
+        clock.now_s += pause_s
+        assert group.can_execute(event)
+
+
+def test_nobody_wakes_for_what_is_drained(clock):
+    from rclpy.event_handler import EventHandler
+    from rclpy.subscription import Subscription
+    from rclpy.timer import Timer
+
+    from rotcal_ros.nodes.waiting import Unwaited
+
+    group = Unwaited()
+    assert not group.can_execute(member(group, Subscription))
+    assert group.can_execute(member(group, Timer))
+    assert group.can_execute(member(group, EventHandler))
