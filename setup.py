@@ -138,6 +138,10 @@ setup(
             f"{method} = {NAME}.catalogue.{folder}.method:METHOD"
             for method, folder in METHODS.items()
         ],
+        "rotcal_ros.method_settings": [
+            f"{method} = {NAME}.catalogue.{folder}.settings:SETTINGS"
+            for method, folder in METHODS.items()
+        ],
         "rotcal_ros.controllers": [
             f"{controller} = {NAME}.compensation.{module}:CONTROLLER"
             for controller, module in CONTROLLERS.items()

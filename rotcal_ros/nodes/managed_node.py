@@ -12,8 +12,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from rotcal_ros.errors import RotcalError
-from rotcal_ros.nodes.middleware_events import handle_events, unwaited
 from rotcal_ros.nodes.steady import steady_timer
+from rotcal_ros.nodes.waiting import handle_events, with_unwaited_events
 
 
 def entities(node: Node) -> Iterator[Any]:
@@ -79,11 +79,11 @@ class ManagedNode(LifecycleNode):
 
     def create_subscription(self, *arguments: Any, **options: Any) -> Any:
         """Make one whose events are handled now and then."""
-        return unwaited(super().create_subscription(*arguments, **options))
+        return with_unwaited_events(super().create_subscription(*arguments, **options))
 
     def create_publisher(self, *arguments: Any, **options: Any) -> Any:
         """Make one whose events are handled now and then."""
-        return unwaited(super().create_publisher(*arguments, **options))
+        return with_unwaited_events(super().create_publisher(*arguments, **options))
 
     def parameter(
         self, name: str, default: Any, description: str, *, read_only: bool = True
