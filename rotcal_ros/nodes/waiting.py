@@ -1,6 +1,6 @@
 """What an executor waits for in every turn: a turn costs as much as it waits for things.
 
-rclpy gives every publisher and subscription two handlers of events or more, such as a lost message,
+rclpy gives every publisher and subscription two handlers of events or more, as of a lost message,
 and builds them into the set of every wait: most of what a node with many topics costs.
 """
 
