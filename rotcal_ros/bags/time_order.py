@@ -34,6 +34,8 @@ from rotcal_ros.bags.sorting import Sorting
 
 LEAST_NS: Final = 1_000_000_000
 """Messages of several topics may stand a little out of their order."""
+STANDSTILL_NS: Final = 20_000_000_000
+"""A recorder that stood still takes topic by topic what came meanwhile; nobody is warned."""
 LOG, PUBLISH, STAMP = range(3)
 IN_WORDS: Final = ("log times", "publish times", "the stamps in their headers")
 _SHARED, _APART = 0.5, 0.1
@@ -50,7 +52,8 @@ class TimeOrder:
 
     ``back`` says how often log times of one and the same channel go back by a second or more and
     ``back_ns`` how far at most, ``apart_ns`` how far messages stand behind later ones;
-    ``doubtful`` that the log times are not true and no other time is there for every stream.
+    ``doubtful`` that the log times are not true and no other time is there for every stream;
+    ``rearranged`` that more than a standstill of the recorder has been at work.
     """
 
     sort_by: int | None = None
@@ -58,10 +61,11 @@ class TimeOrder:
     back_ns: int = 0
     apart_ns: int = 0
     doubtful: bool = False
+    rearranged: bool = True
 
     def in_words(self) -> tuple[str, ...]:
         """Return what a reader of the messages should know, none where all is in order."""
-        if self.sort_by is not None:
+        if self.sort_by is not None and self.rearranged:
             why = (
                 "its log times are those of the program that wrote it"
                 if self.sort_by != LOG
@@ -217,7 +221,11 @@ class TimeOrders:
             return TimeOrder(clock, apart_ns=apart)
         if back:
             return TimeOrder(back=back, back_ns=back_ns, apart_ns=apart)
-        return TimeOrder(LOG if apart > tolerance_ns or mixed else None, apart_ns=apart)
+        if apart <= tolerance_ns and not mixed:
+            return TimeOrder(apart_ns=apart)
+        first = min(int(topic.first[LOG]) for topic in self._topics.values())
+        standstill = min(STANDSTILL_NS, (int(self._all.newest[LOG]) - first) // 3)
+        return TimeOrder(LOG, apart_ns=apart, rearranged=mixed or apart > standstill)
 
     def _channel(
         self,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -287,10 +288,7 @@ class BagWriter:
     def _require_presence(self) -> None:
         if fault := self._guarded(self._presence.fault):
             self._give_up()
-            raise BagError(
-                f"cannot go on with the bag {self.folder}: {fault}; recording stopped, since "
-                "nothing would be safe there; see who else uses this folder, or choose another"
-            )
+            raise self._disturbed(fault)
 
     def _require_space(self) -> None:
         free = self._guarded(lambda: disk.free_bytes(self.folder))
@@ -314,9 +312,19 @@ class BagWriter:
         except OSError as error:
             raise self._failed(error) from error
 
+    def _disturbed(self, fault: str) -> BagError:
+        return BagError(
+            f"cannot go on with the bag {self.folder}: {fault}; recording stopped, since "
+            "nothing would be safe there; see who else uses this folder, or choose another"
+        )
+
     def _failed(self, error: OSError) -> BagError:
         """Give up and return the error to raise."""
         self._give_up()
+        if error.errno == errno.ENOENT:
+            with suppress(OSError):
+                if fault := self._presence.fault():
+                    return self._disturbed(fault)
         reason = _REASONS.get(error.errno or 0, error.strerror or str(error))
         return BagError(
             f"cannot write the bag {self.folder}: {reason}; what was synced before is safe, "
