@@ -65,7 +65,8 @@ def solver_of(folder):
     ("motion", "confidence"),
     [
         pytest.param(None, 0.95, marks=pytest.mark.long),
-        (None, 0.8),
+        (0.0, 0.8),
+        pytest.param(None, 0.8, marks=pytest.mark.long),
         pytest.param(0.0, 0.95, marks=pytest.mark.long),
         pytest.param(1e-7, 0.95, marks=pytest.mark.long),
     ],
