@@ -4,12 +4,13 @@ import sys
 
 import rclpy
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from rotcal_msgs.msg import CalibrationPlan
 
 from rotcal_ros.nodes.qos import LATCHED
 
 if __name__ == "__main__":
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # a signal ends it
     node = Node("stranger", namespace="/cell")
     publisher = node.create_publisher(CalibrationPlan, "plan", LATCHED)
     for line in sys.stdin:
