@@ -239,16 +239,16 @@ class Suite:
     def tests_of(self, path: Path, line: int, first: str = "") -> list[str]:
         """Return the tests that run the statement on this line of a file, the nearest first.
 
-        A statement that runs on import alone concerns all that run anything in the file; where
-        all of the file does, the nearest tests.
+        A statement that runs on import alone concerns all that run anything in the file, and the
+        nearest: who makes a dataclass runs none of its lines.
         """
         span = _statement(ast.parse(path.read_text()), line)
         tests: set[str] = set()
         for folder in self.folders:
             lines = folder.lines(path)
             tests |= {test for n in span or lines for test in lines.get(n, ())}
-        if span is None and not tests:
-            tests = {test for test in self.parts if not self._far(path, test)[0]}
+        if span is None:
+            tests |= {test for test in self.parts if not self._far(path, test)[0]}
         chosen: list[str] = []
         parts: set[str] = set()
         for test in sorted(tests, key=lambda test: (test != first, *self._far(path, test))):
