@@ -70,6 +70,7 @@ setup(
         "rich",
         "rosbags",
         "scipy",
+        "threadpoolctl",
     ],
     extras_require={
         "ros": [
@@ -135,6 +136,10 @@ setup(
         ],
         "rotcal_ros.methods": [
             f"{method} = {NAME}.catalogue.{folder}.method:METHOD"
+            for method, folder in METHODS.items()
+        ],
+        "rotcal_ros.method_settings": [
+            f"{method} = {NAME}.catalogue.{folder}.settings:SETTINGS"
             for method, folder in METHODS.items()
         ],
         "rotcal_ros.controllers": [

@@ -14,7 +14,8 @@ import numpy as np
 
 from rotcal_ros.capture import Capture, CaptureSettings, Record
 from rotcal_ros.catalogue import find_method
-from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings, tracer_plan
+from rotcal_ros.catalogue.tracer.plan import tracer_plan
+from rotcal_ros.catalogue.tracer.settings import TracerPlanSettings
 from rotcal_ros.catalogue.tracer.simulation_settings import TracerSimulationSettings
 from rotcal_ros.observations import Observation, TracerSample
 from rotcal_ros.planning.plan import Plan

@@ -2,7 +2,8 @@
 
 ``rows()`` yields one measurement each. Both sides run alternately; the least processor time of
 each counts. Beside scipy's own the opponents are the strongest that are known: for the stations a
-batched Gauss-Newton, for the network a few lines of Gauss-Newton with a sparse Jacobian.
+batched Gauss-Newton, also compiled by JAX where that is installed (pip install jax), for the
+network a few lines of Gauss-Newton with a sparse Jacobian.
 """
 
 import os
@@ -13,6 +14,8 @@ import json
 import time
 from collections.abc import Iterator
 from dataclasses import asdict
+from functools import partial
+from importlib.util import find_spec
 
 import numpy as np
 from racing import Row, race
@@ -60,7 +63,13 @@ def station_by_station(same_start: bool, m: int = 11, n: int = 64) -> Iterator[R
         return locate_stations_batched(grid.targets, grid.length, start)
 
     name = "same start" if same_start else "no start values"
-    for label, other, repeats in (("scipy lm", opponent, 40), ("batched", batched, 400)):
+    opponents = [("scipy lm", opponent, 40), ("batched", batched, 400)]
+    if find_spec("jax") is not None:
+        from jax_tracer import locate_stations_jax
+
+        compiled = partial(locate_stations_jax, grid.targets, grid.length, start)
+        opponents.append(("JAX", compiled, 400))
+    for label, other, repeats in opponents:
         a, b, difference = race(ours, other, (400, repeats))
         yield Row(f"stations {m} x {n}, {name}, {label}", a, b, b / a, difference)
 

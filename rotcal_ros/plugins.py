@@ -16,6 +16,8 @@ from typing import Any, Final
 from rotcal_ros.errors import ConfigurationError
 
 METHODS: Final = "rotcal_ros.methods"
+METHOD_SETTINGS: Final = "rotcal_ros.method_settings"
+"""Of those methods whose settings can be told without loading the method."""
 CONTROLLERS: Final = "rotcal_ros.controllers"
 INSTRUMENTS: Final = "rotcal_ros.instruments"
 KINDS: Final = {METHODS: "method", CONTROLLERS: "controller", INSTRUMENTS: "instrument"}

@@ -52,7 +52,7 @@ def page() -> str:
         method = find_method(name)
         parts.append(f"## {method.title}: `method: {name}`\n\nSee [{method.page}]"
                      f"({method.page}.md).\n")  # fmt: skip
-        parts += [_section(f"### {own.group} of {name}", own) for own in own_sections(method)]
+        parts += [_section(f"### {own.group} of {name}", own) for own in own_sections(name)]
     parts.append(_section(GOAL, goal_section()))
     parts.append(_section(READING, reading_section()))
     return "\n".join(parts)

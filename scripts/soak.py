@@ -40,7 +40,7 @@ MOST = 5.0
 """Largest difference of two results, in its own standard deviations: of some 30 values."""
 SESSIONS = {
     "tracer": ("tracer_paper", "plan.table_positions=9", "plan.box_points=[3, 2, 3]",
-               "simulation.time_scale=8.0"),
+               "simulation.time_scale=8.0", "solver.length_std_m=8.0e-8"),
     "ball_plate": ("ball_plate_demo", "plan.plate.grid=12", "simulation.plate.grid=12",
                    "plan.plate.ball_steps=[0, 1, 3, 5, 8, 9]", "plan.rounds=1",
                    "simulation.plate.ball_steps=[0, 1, 3, 5, 8, 9]"),

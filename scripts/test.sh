@@ -1,8 +1,7 @@
 #!/usr/bin/env bash
-# All tests: those without live nodes side by side on all cores, each file in one worker, so that what
-# its tests share is made once. Then the live ones, one at a time unless ROTCAL_LIVE_WORKERS says
-# otherwise, because whole cells beat, stream and record in real time. At the end it says what could
-# not be tried on this machine, and what to install for it.
+# All tests: first those without live nodes, then the live ones; side by side on all cores, each file
+# in one worker, so that what its tests share is made once. ROTCAL_LIVE_WORKERS=1 runs one cell at a
+# time. At the end it says what could not be tried on this machine, and what to install for it.
 #
 # usage: scripts/test.sh [arguments of pytest]
 set -uo pipefail
@@ -25,10 +24,8 @@ run() {
 
 export OMP_NUM_THREADS=${OMP_NUM_THREADS:-1}
 side_by_side=(--dist loadfile --no-loadscope-reorder)
-live=()
-[[ ${ROTCAL_LIVE_WORKERS:-1} == 1 ]] || live=(-n "$ROTCAL_LIVE_WORKERS" "${side_by_side[@]}")
 run --live never -n auto "${side_by_side[@]}" "$@"
-run --live only "${live[@]}" "$@"
+run --live only -n "${ROTCAL_LIVE_WORKERS:-auto}" "${side_by_side[@]}" "$@"
 if [[ -s $ROTCAL_NOT_TRIED ]]; then
     echo "Not tried here (tests, reason):"
     sort "$ROTCAL_NOT_TRIED" | uniq -c

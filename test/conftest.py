@@ -6,6 +6,7 @@ from pathlib import Path
 
 import hypothesis
 import pytest
+from warm_rotcal import WarmRotcal
 
 from rotcal_ros.sessions.domains import free_domain
 
@@ -69,6 +70,14 @@ def pytest_terminal_summary(terminalreporter):
     reasons = [str(report.longrepr[2]).removeprefix("Skipped: ") for report in skipped]
     with Path(place).open("a", encoding="utf-8") as noted:
         noted.writelines(f"{reason}\n" for reason in reasons if not reason.startswith("long: "))
+
+
+@pytest.fixture(scope="session")
+def warm(tmp_path_factory):
+    """Return what runs ``rotcal`` and ``python`` without their imports."""
+    process = WarmRotcal(tmp_path_factory.mktemp("warm"))
+    yield process
+    process.close()
 
 
 @pytest.fixture(autouse=True)

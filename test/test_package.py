@@ -31,6 +31,7 @@ ROSDEP_KEYS = {
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
     "uvicorn": "python3-uvicorn",
+    "threadpoolctl": "mcap-ros2-support",  # there is no key: docs/install.md
     "yaml": "python3-yaml",
     "zstandard": "mcap-ros2-support",  # comes with mcap
 }

@@ -3,8 +3,12 @@
 import runpy
 from pathlib import Path
 
+import pytest
+
+from rotcal_ros import plugins
 from rotcal_ros.catalogue import find_method, method_names
 from rotcal_ros.catalogue.configuration import GROUPS, settings_classes
+from rotcal_ros.catalogue.method import own_settings
 from rotcal_ros.planning.tracer_design.settings import TracerDesignSettings
 from rotcal_ros.settings import declarations
 
@@ -32,3 +36,11 @@ def test_every_setting_of_a_goal_stands_there_without_a_group():
     text = (ROOT / "docs" / "settings.md").read_text()
     for declared in declarations(TracerDesignSettings):
         assert f"| `{declared.name}` |" in text
+
+
+@pytest.mark.parametrize("name", method_names())
+def test_what_is_told_without_a_method_is_what_the_method_takes(name, monkeypatch):
+    told = own_settings(name)
+    assert told == find_method(name).own_settings
+    monkeypatch.setattr(plugins, "METHOD_SETTINGS", "nobody.registers_this")
+    assert own_settings(name) == told  # a package may leave that entry out

@@ -3,7 +3,6 @@
 import os
 import shutil
 import subprocess
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -51,11 +50,11 @@ INPUTS = {
 
 
 @pytest.fixture(scope="module")
-def program(tmp_path_factory):
+def program(tmp_path_factory, warm):
     """Return a folder with ``rotcal`` and ``python`` of this checkout and environment."""
     folder = tmp_path_factory.mktemp("bin")
-    for name, module in (("rotcal", "-m rotcal_ros.cli.main"), ("python", "")):
-        (folder / name).write_text(f'#!/bin/sh\nexec {sys.executable} {module} "$@"\n')
+    for name in ("rotcal", "python"):
+        (folder / name).write_text(warm.program(name))
         (folder / name).chmod(0o755)
     return folder
 

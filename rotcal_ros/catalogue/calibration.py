@@ -8,6 +8,8 @@ from functools import cached_property, partial
 from math import dist
 from typing import Final
 
+from threadpoolctl import threadpool_limits
+
 from rotcal_ros.bags.names import TRACER_LENGTH
 from rotcal_ros.capture import Capture
 from rotcal_ros.catalogue.air import Refraction
@@ -84,9 +86,10 @@ class Calibration:
         static transforms that it has: where they contradict the result, that has a warning.
         """
         used = self._that_count(observations)
-        result = self.refraction.solve(
-            used, partial(self.method.solve, self.configuration, self.plan)
-        )
+        with threadpool_limits(1, "blas"):  # else the last bits depend on the number of cores
+            result = self.refraction.solve(
+                used, partial(self.method.solve, self.configuration, self.plan)
+            )
         result = with_clock_errors(result, self.arrival_std())
         measured_on = agreed(self.in_force(announced))
         if measured_on != UNKNOWN:

@@ -11,6 +11,7 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -72,12 +73,8 @@ OFFLINE_GROUPS: Final = ("identity", "cell", "plan", "capture", "air", "solver",
 
 def settings_classes(method: Method) -> dict[str, type[Any]]:
     """Return the registry of settings: group -> settings class, for one method."""
-    own = {
-        "plan": method.plan_settings,
-        "solver": method.solver_settings,
-        "simulation": method.simulation_settings,
-    }
-    return {name: (own | dict(SHARED_GROUPS))[name] for name in GROUPS}
+    classes = {**SHARED_GROUPS, **method.own_settings}
+    return {name: classes[name] for name in GROUPS}
 
 
 @dataclass(frozen=True)
@@ -200,6 +197,7 @@ def read_topics(text: str) -> TopicSettings:
     return TopicSettings()
 
 
+@lru_cache(maxsize=4)  # every solution asks it of the same text
 def read_policy(text: str) -> str:
     """Return the policy that a configuration states, whatever else of it can be read today."""
     with suppress(ConfigurationError):

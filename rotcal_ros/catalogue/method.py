@@ -5,36 +5,36 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias
 
 from rotcal_ros import plugins
-from rotcal_ros.arrays import Floats
-from rotcal_ros.capture.rules import CaptureRules
-from rotcal_ros.catalogue.disturbance import Disturbances
-from rotcal_ros.catalogue.plan_files import PlanFile
-from rotcal_ros.catalogue.stations import Stations
-from rotcal_ros.figures import Figure
-from rotcal_ros.observations import Observation
-from rotcal_ros.planning.plan import Plan, Step
-from rotcal_ros.planning.plan_figures import Compared
-from rotcal_ros.planning.policy.choices import Policy
-from rotcal_ros.results import Result
-from rotcal_ros.simulation.settings import SimulationSettings
-from rotcal_ros.tables import Header, Table
 
 if TYPE_CHECKING:
+    import numpy as np
+
+    from rotcal_ros.arrays import Floats
+    from rotcal_ros.capture.rules import CaptureRules
     from rotcal_ros.catalogue.configuration import Configuration
     from rotcal_ros.catalogue.continuation import Continuation
+    from rotcal_ros.catalogue.disturbance import Disturbances
+    from rotcal_ros.catalogue.plan_files import PlanFile
+    from rotcal_ros.catalogue.stations import Stations
+    from rotcal_ros.figures import Figure
+    from rotcal_ros.observations import Observation
+    from rotcal_ros.planning.plan import Plan, Step
+    from rotcal_ros.planning.plan_figures import Compared
+    from rotcal_ros.planning.policy.choices import Policy
+    from rotcal_ros.results import Result
+    from rotcal_ros.simulation.settings import SimulationSettings
+    from rotcal_ros.tables import Header, Table
 
-Trials = Callable[[np.random.Generator, int], Floats]
+Trials: TypeAlias = "Callable[[np.random.Generator, int], Floats]"
 """``trials(rng, count)`` draws measurements, solves them and returns (count, outputs)."""
-Curves = Mapping[str, Floats]
-Observed = Sequence[Observation]
-Adaptive = Callable[["Continuation"], Policy]
+Curves: TypeAlias = "Mapping[str, Floats]"
+Observed: TypeAlias = "Sequence[Observation]"
+Adaptive: TypeAlias = "Callable[[Continuation], Policy]"
 """Makes a policy that chooses what a continuation leaves."""
-See = Callable[[Step], tuple[float, ...]]
+See: TypeAlias = "Callable[[Step], tuple[float, ...]]"
 """What an instrument without error sees at a step."""
 
 
@@ -155,6 +155,15 @@ class Method:
     zero: Callable[[Result], Sequence[str]] = zero_at_the_first
     disturbances: Disturbances | None = None
 
+    @property
+    def own_settings(self) -> Mapping[str, type[Any]]:
+        """Its own groups of settings."""
+        return {
+            "plan": self.plan_settings,
+            "solver": self.solver_settings,
+            "simulation": self.simulation_settings,
+        }
+
     def __reduce__(self) -> tuple[Callable[[str], Method], tuple[str]]:
         """Travel to other processes by name."""
         return find_method, (self.name,)
@@ -174,3 +183,14 @@ def find_method(name: str) -> Method:
     """Return the method ``name``; ConfigurationError, with the nearest name, if there is none."""
     method: Method = plugins.load(plugins.METHODS, name, "method")
     return method
+
+
+def own_settings(name: str) -> Mapping[str, type[Any]]:
+    """Return the groups of settings of the method ``name``, which is loaded only if need be.
+
+    Raises ConfigurationError, with the nearest name, when there is no such method.
+    """
+    if name not in plugins.names(plugins.METHOD_SETTINGS):
+        return find_method(name).own_settings
+    settings: Mapping[str, type[Any]] = plugins.load(plugins.METHOD_SETTINGS, name, "method")
+    return settings

@@ -10,8 +10,8 @@ from dataclasses import MISSING, dataclass
 from typing import Any, Final
 
 from rotcal_ros.bags.reading_limits import ReadingLimits
-from rotcal_ros.catalogue.configuration import GROUPS, SHARED_GROUPS, settings_classes
-from rotcal_ros.catalogue.method import Method, find_method, method_names
+from rotcal_ros.catalogue.configuration import GROUPS, SHARED_GROUPS
+from rotcal_ros.catalogue.method import method_names, own_settings
 from rotcal_ros.planning.tracer_design.settings import TracerDesignSettings
 from rotcal_ros.settings import Declaration, declarations
 
@@ -55,10 +55,13 @@ def shared_sections() -> tuple[Section, ...]:
     return tuple(Section(name, "", cls) for name, cls in SHARED_GROUPS.items())
 
 
-def own_sections(method: Method) -> tuple[Section, ...]:
-    """Return the groups that a method declares for itself."""
-    classes = settings_classes(method)
-    return tuple(Section(name, method.name, classes[name]) for name in OWN_GROUPS)
+def own_sections(name: str) -> tuple[Section, ...]:
+    """Return the groups that a method declares for itself.
+
+    Raises ConfigurationError, with the nearest name, when there is no such method.
+    """
+    classes = own_settings(name)
+    return tuple(Section(group, name, classes[group]) for group in OWN_GROUPS)
 
 
 def method_sections(name: str) -> tuple[Section, ...]:
@@ -66,7 +69,7 @@ def method_sections(name: str) -> tuple[Section, ...]:
 
     Raises ConfigurationError, with the nearest name, when there is no such method.
     """
-    sections = {s.group: s for s in (*shared_sections(), *own_sections(find_method(name)))}
+    sections = {s.group: s for s in (*shared_sections(), *own_sections(name))}
     return tuple(sections[group] for group in GROUPS)
 
 
@@ -82,7 +85,7 @@ def reading_section() -> Section:
 
 def all_sections() -> tuple[Section, ...]:
     """Return every group: the shared ones, those of each method, what stands elsewhere."""
-    own = (section for name in method_names() for section in own_sections(find_method(name)))
+    own = (section for name in method_names() for section in own_sections(name))
     return (*shared_sections(), *own, goal_section(), reading_section())
 
 

@@ -19,7 +19,7 @@ UNREADABLE: Final = 2
 BROKEN_PIPE: Final = 141
 """As the shell reports a program that SIGPIPE ended."""
 
-OF_PIP_ALONE: Final = ("mcap", "rosbags")
+OF_PIP_ALONE: Final = ("mcap", "rosbags", "threadpoolctl")
 """What no package of a distribution can ask for: package.xml leaves it to people."""
 
 VERBS: Final[Mapping[str, str]] = {

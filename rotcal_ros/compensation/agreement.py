@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.units import NANOSECOND
+
+if TYPE_CHECKING:
+    from rotcal_ros.compensation.table import CompensationTable
 
 AXIS: Final = "axis"
 SERIAL: Final = "serial"

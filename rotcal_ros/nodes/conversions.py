@@ -28,6 +28,7 @@ from std_msgs.msg import Header
 
 from rotcal_ros import messages
 from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.errors import DataError
 from rotcal_ros.in_force import UNKNOWN
 from rotcal_ros.nodes.progress import Progress
@@ -248,6 +249,22 @@ def compensation_table(message: CompensationTableMsg) -> CompensationTable:
             f"its numbers have {table.table_hash}: it was changed on its way"
         )
     return table
+
+
+def result_values(result: Result) -> dict[str, str]:
+    """Return a result in words, as values of a diagnostic status: for who has no message of ours.
+
+    Of every deviation its range and its largest expanded uncertainty (k = 2).
+    """
+    values = {"verdict": result.verdict_line}
+    for name, curve in result.deviations.items():
+        factor, unit = unit_of(name)
+        expanded = COVERAGE_FACTOR * np.max(result.std[name])
+        values[name] = (
+            f"range {np.ptp(curve) / factor:.3g} {unit}, U (k = {COVERAGE_FACTOR:g}) "
+            f"{expanded / factor:.2g} {unit}"
+        )
+    return values
 
 
 def in_force_message(axis: str, in_force: str, now_ns: int) -> TableInForce:

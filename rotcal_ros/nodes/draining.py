@@ -15,6 +15,7 @@ from rclpy.qos import QoSProfile
 
 from rotcal_ros.nodes.qos import adapted_qos
 from rotcal_ros.nodes.steady import steady_timer
+from rotcal_ros.nodes.waiting import Unwaited
 
 LIMIT: Final = 1000
 """Messages taken in one callback at most, so that no topic starves the others."""
@@ -52,13 +53,15 @@ class DrainedSubscription:
         *,
         raw: bool = False,
         event_callbacks: Any = None,
+        group: Unwaited | None = None,
     ) -> None:
         self._handle = handle
         self._type = message_type
         self._raw = raw
         self.subscription = node.create_subscription(
-            message_type, topic, self._on_message, qos, raw=raw, event_callbacks=event_callbacks
-        )
+            message_type, topic, self._on_message, qos, raw=raw, event_callbacks=event_callbacks,
+            callback_group=group,
+        )  # fmt: skip
 
     def drain(self) -> None:
         """Handle what is waiting now."""

@@ -20,6 +20,8 @@ from rotcal_ros.session_folder import SessionFolder
 BAG_TIMEOUT_S: Final = 10.0
 OPEN_TIMEOUT_S: Final = 120.0
 """To go on, a recorder reads what the runs before have recorded."""
+LAST_TIMEOUT_S: Final = 2.0
+"""So long the bag stays open for observations that have come here and not yet to the recorder."""
 
 
 class GoalBag:
@@ -57,6 +59,7 @@ class GoalBag:
     async def close(self) -> None:
         """Have the recorder close the bag."""
         self._watch.tell("closing the bag")
+        await self._have_all_recorded()
         self._is_open = self._watch.recording = False
         await self._recorder_did(
             self._services.stop_recording, StopRecording.Request(), BAG_TIMEOUT_S
@@ -66,8 +69,20 @@ class GoalBag:
         """Close the bag if the recorder still lives; a dead one left whole chunks behind."""
         health = self._watch.links.health
         if self._is_open and not health.missing(["recorder"]):
+            await self._have_all_recorded()
             future = self._services.stop_recording.call_async(StopRecording.Request())
             await until(lambda: future.done() or bool(health.missing(["recorder"])), BAG_TIMEOUT_S)
+
+    async def _have_all_recorded(self) -> None:
+        """Let the recorder take the observations of the last steps, rejected ones too."""
+        links = self._watch.links
+        await until(
+            lambda: (
+                links.observations.keys() <= links.receipts.keys()
+                or bool(links.health.missing(["recorder"]))
+            ),
+            LAST_TIMEOUT_S,
+        )
 
     def keep_result(self, result_json: str) -> str:
         """Write the result into the session folder and return its path."""

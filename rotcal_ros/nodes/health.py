@@ -69,6 +69,7 @@ class Health:
         self.identity = Identity.own(os.environ, time.monotonic())
         self.refused = ""
         self.others: dict[str, DiagnosticStatus] = {}
+        self._read: dict[str, tuple[DiagnosticStatus, dict[str, str]]] = {}
         self.errors: Counter[str] = Counter()
         self.concerns: dict[str, str] = {}
         self.alarms: dict[str, str] = {}
@@ -126,8 +127,13 @@ class Health:
         return sorted(set(names) - self.present())
 
     def values(self, name: str) -> dict[str, str]:
-        """Return the values of the last beat of node ``name``."""
-        return {v.key: v.value for v in self.others[name].values} if name in self.others else {}
+        """Return the values of the last beat of node ``name``; every turn asks for them."""
+        beat = self.others.get(name)
+        if beat is None:
+            return {}
+        if self._read.get(name, (None,))[0] is not beat:
+            self._read[name] = beat, {v.key: v.value for v in beat.values}
+        return self._read[name][1]
 
     def state(self, name: str) -> str:
         """Return the state of node ``name`` in words, empty when it was never heard."""

@@ -25,10 +25,14 @@ from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch, DrainedSubscription
 from rotcal_ros.nodes.heard_topic import HeardTopic
 from rotcal_ros.nodes.qos import adapted_qos
 from rotcal_ros.nodes.recording import Messages
+from rotcal_ros.nodes.steady import steady_timer
+from rotcal_ros.nodes.waiting import UNWAITED
 from rotcal_ros.planning.safety_settings import SafetySettings
 
 ALWAYS: Final = ("/diagnostics", "/rosout", names.TF_STATIC)
 """Topics outside the namespace of the cell that are recorded too."""
+TOGETHER_S: Final = 0.02
+"""So often is taken what is fast: a turn costs as much for one message as for many."""
 
 
 class Listener:
@@ -36,6 +40,7 @@ class Listener:
 
     What is missing goes to ``missed``, before the messages behind it go to ``take``.
     Those are the topics of the namespace of the cell and the ``further`` ones, by absolute name.
+    Nobody wakes for messages of a topic that is ``fast``: they are taken together.
     ``topics`` maps absolute names to what was heard, ``refused`` names topics whose type is not
     installed.
     """
@@ -46,12 +51,15 @@ class Listener:
         take: Callable[[HeardTopic, Batch], None],
         missed: Callable[[Dropout], None],
         further: Callable[[], Collection[str]] = tuple,
+        fast: Callable[[str], bool] = lambda _: False,
     ) -> None:
         self._node = node
         self._hand_over = take
         self._missed = missed
         self._further = further
+        self._is_fast = fast
         self._drained: list[DrainedSubscription] = []
+        self._fast: list[DrainedSubscription] = []
         self.topics: dict[str, HeardTopic] = {}
         self.refused: dict[str, str] = {}
         self._conventions = Conventions(TopicSettings())
@@ -59,6 +67,7 @@ class Listener:
         stop = node.settings("safety", SafetySettings).emergency_stop
         self._stop = [node.resolve_topic_name(stop)] if stop else []
         node.every(GRAPH_PERIOD_S, self._look)
+        steady_timer(node, TOGETHER_S, node.health.guarded(self.take_fast))
 
     @property
     def losses(self) -> Counter[str]:
@@ -108,6 +117,11 @@ class Listener:
         for drained in self._drained:
             drained.drain()
 
+    def take_fast(self) -> None:
+        """Take what has arrived on topics that are fast."""
+        for drained in self._fast:
+            drained.drain()
+
     def _look(self) -> None:
         """Subscribe to topics that are new in the graph and have publishers."""
         for name, type_name in _wanted_topics(self._node, [*self._further(), *self._stop]).items():
@@ -131,6 +145,8 @@ class Listener:
 
         def missed(count: int, to_ns: int, reason: str) -> None:
             self._missed(Dropout(name, min(topic.heard_ns, to_ns), to_ns, count, reason))
+
+        fast = self._is_fast(name)
 
         def handle(batch: Batch) -> None:
             ours, others = self._node.hearing.split(name, batch)
@@ -159,8 +175,11 @@ class Listener:
                 event_callbacks=SubscriptionEventCallbacks(
                     message_lost=message_lost, incompatible_qos=incompatible
                 ),
+                group=UNWAITED if fast else None,
             )
         )
+        if fast:
+            self._fast.append(self._drained[-1])
 
     def _heard(
         self, topic: HeardTopic, batch: Batch, missed: Callable[[int, int, str], None]

@@ -12,6 +12,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from rotcal_ros.errors import RotcalError
+from rotcal_ros.nodes.steady import steady_timer
+from rotcal_ros.nodes.waiting import handle_events, with_unwaited_events
 
 
 def entities(node: Node) -> Iterator[Any]:
@@ -46,6 +48,8 @@ INACTIVE: Final = "inactive"
 WIND_UP_S: Final = 1.0
 """So long a clean-up waits at most; the node does not beat meanwhile."""
 _POLL_S: Final = 0.02
+EVENTS_PERIOD_S: Final = 0.1
+"""So often a node looks for events of the middleware."""
 SUCCESS: Final = TransitionCallbackReturn.SUCCESS
 FAILURE: Final = TransitionCallbackReturn.FAILURE
 
@@ -64,6 +68,7 @@ class ManagedNode(LifecycleNode):
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
+        steady_timer(self, EVENTS_PERIOD_S, lambda: handle_events(self))
         self.configured = self.active = self.shut_down = False
         self._starting = self._ending = False
         self._outside: frozenset[Any] = frozenset()
@@ -71,6 +76,14 @@ class ManagedNode(LifecycleNode):
         self._autostart = self.parameter(
             "autostart", True, "configure and activate at the start; else wait for transitions"
         )
+
+    def create_subscription(self, *arguments: Any, **options: Any) -> Any:
+        """Make one whose events are handled now and then."""
+        return with_unwaited_events(super().create_subscription(*arguments, **options))
+
+    def create_publisher(self, *arguments: Any, **options: Any) -> Any:
+        """Make one whose events are handled now and then."""
+        return with_unwaited_events(super().create_publisher(*arguments, **options))
 
     def parameter(
         self, name: str, default: Any, description: str, *, read_only: bool = True

@@ -13,6 +13,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.clock_jumps import noted
 from rotcal_ros.errors import BagError, RotcalError
+from rotcal_ros.instruments.interpreter import FAST
 from rotcal_ros.nodes.aside import done_aside
 from rotcal_ros.nodes.bookkeeping import LogTimes, Silences
 from rotcal_ros.nodes.cell_node import CellNode, until
@@ -29,6 +30,7 @@ from rotcal_ros.nodes.running import run
 from rotcal_ros.nodes.session_bags import OpenBag, SessionBags
 from rotcal_ros.nodes.surroundings import attach_parameters, keep_surroundings
 from rotcal_ros.nodes.topic_names import CalledOtherwise
+from rotcal_ros.nodes.waiting import handle_events
 
 CLOSE_TIMEOUT_S: Final = 15.0
 Request: TypeAlias = StartRecording.Request
@@ -56,7 +58,7 @@ class RecorderNode(CellNode):
         self._called = CalledOtherwise(self.get_namespace())
         self._dropouts = DropoutNotes(self.resolve_topic_name(f"~/{names.DROPOUTS}"))
         heard = self._take, self._dropouts.note, self._called.topics.values
-        self._listener = Listener(self, *heard)
+        self._listener = Listener(self, *heard, fast=self._is_fast)
         self._receipts = Receipts(self, self._called, self._listener, self._session)
         self.every(GRAPH_PERIOD_S, self._note_losses)
 
@@ -100,10 +102,15 @@ class RecorderNode(CellNode):
         messages = messages.at(self._log_times.ascending(topic.channel.topic, arrived_ns))
         if not recording.put(messages):
             self._dropouts.refused(messages)
+        if topic.channel.topic == self._called.topic(names.OBSERVATION):
+            self._listener.take_fast()  # its receipt is due once the readings before it are here
         self._receipts.hear(topic, batch)
         for receipt in self._receipts.due(self._all_losses):
             self._dropouts.write()
             recording.confirm(receipt)
+
+    def _is_fast(self, topic: str) -> bool:
+        return topic in map(self._called.topic, FAST)
 
     def _clock_jumps(self) -> int:
         """Return how often the clock was set, just now included."""
@@ -112,6 +119,7 @@ class RecorderNode(CellNode):
 
     def _all_losses(self) -> Counter[str]:
         """Return what was lost since the bag was opened, here and at the full queue."""
+        handle_events(self)
         queued = self._recording.losses if self._recording is not None else Counter[str]()
         return self._listener.losses + queued
 
@@ -146,6 +154,7 @@ class RecorderNode(CellNode):
 
     def _begin(self, request: Request, bag: OpenBag, response: Response) -> None:
         """Record into ``bag`` from now on."""
+        self._listener.drain()  # of what came before
         self._receipts.begin()
         self._jumps_before = self.health.clock.watch.count
         self._listener.begin(request.configuration)

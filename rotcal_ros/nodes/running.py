@@ -15,6 +15,7 @@ import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
+from threadpoolctl import threadpool_limits
 
 from rotcal_ros.errors import ConfigurationError, RotcalError
 from rotcal_ros.machine_load import Patience
@@ -43,6 +44,7 @@ def run(make: Callable[[], CellNode], default_range: str = ROS_DEFAULT_RANGE) ->
 def leave_with(work: Callable[[], None], default_range: str = ROS_DEFAULT_RANGE) -> NoReturn:
     """Do the work of a process and leave; an error of rotcal is one line and its exit code."""
     use_middleware(default_range)
+    use_single_thread()
     try:
         work()
     except RotcalError as error:
@@ -63,6 +65,12 @@ def use_middleware(default_range: str = ROS_DEFAULT_RANGE) -> None:
     """Let this process use the transport of the nodes; what the user has set stays."""
     os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
     os.environ |= middleware(os.environ, default_range)
+
+
+def use_single_thread() -> None:
+    """Let linear algebra take one thread: with more of them the last bits of sums are others."""
+    os.environ["OMP_NUM_THREADS"] = "1"  # of what is loaded later
+    threadpool_limits(1, "blas")
 
 
 @contextmanager

@@ -128,6 +128,7 @@ class SceneNode(CellNode):
         self._layout: Layout | None = None
         self._progress: Progress | None = None
         self._errors: Errors | None = None
+        self._announced = False
         self._joint, self._heard = "", set[str]()
         self._state = "waiting for a plan"
         self._feedback: JointState | None = None
@@ -155,6 +156,7 @@ class SceneNode(CellNode):
         self._layout = layout_of(calibration)
         self._progress = Progress(self._layout)
         self._errors, self._step, self._shown, self._changed = None, None, None, True
+        self._announced = False
         self._state = f"drawing {message.method}"
 
     def _take_errors(self, message: DeviationArray) -> None:
@@ -207,6 +209,9 @@ class SceneNode(CellNode):
         self._changed = False
         shapes = draw_still(self._layout, self._progress.states, self._errors, self._exaggeration)
         self._scene.publish(markers(shapes, self.now_ns()))
+        if self._errors is not None and not self._announced:
+            self._announced = True
+            self.get_logger().info(f"errors are drawn {self._exaggeration:g} times as large")
 
     def _show_moving(self) -> None:
         if self._layout is None:

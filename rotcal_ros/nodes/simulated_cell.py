@@ -25,7 +25,7 @@ from rotcal_ros.planning.safety_settings import SafetySettings
 from rotcal_ros.simulation import CellOutput, SimulatedCell
 from rotcal_ros.units import NANOSECOND
 
-PERIOD_S: Final = 0.005
+PERIOD_S: Final = 0.01
 LONGEST_TURN_NS: Final = 20_000_000
 """Wall time made up for in one turn at most, so that a stall never becomes a burst."""
 LONGEST_SIM_TURN_NS: Final = 500_000_000

@@ -66,6 +66,7 @@ class SolverNode(CellNode):
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="solve")
         self._solving: Future[Result] | None = None
         self._run_number = self._solved_count = 0
+        self._values: dict[str, str] = {}  # of the last final result
         self._deviations = self.create_publisher(DeviationArray, "deviations", LATCHED)
         self._tables = self.create_publisher(CompensationTableMsg, "compensation_table", LATCHED)
         self._corrections = self.create_publisher(
@@ -87,6 +88,7 @@ class SolverNode(CellNode):
         """Start afresh, with what the recorder has of the runs so far, or this node itself."""
         old, own = self._calibration, self._observations
         self._calibration, self._run, self._observations, self._state = None, "", {}, LOADING
+        self._values = {}
         self.health.beat()
         try:
             self._calibration = calibration_of(message)
@@ -201,6 +203,7 @@ class SolverNode(CellNode):
         self._deviations.publish(message)
         if not final:
             return
+        self._values = conversions.result_values(result)
         axis = configuration.cell.axis
         self._corrections.publish(conversions.correction_message(result, axis, plan_id, now_ns))
         try:
@@ -212,7 +215,7 @@ class SolverNode(CellNode):
 
     def _report(self) -> tuple[str, dict[str, Any]]:
         state = SOLVING if self._is_solving() else self._state
-        return state, {RUN: self._run, "observations": len(self._observations)}
+        return state, {RUN: self._run, "observations": len(self._observations), **self._values}
 
 
 def main() -> None:

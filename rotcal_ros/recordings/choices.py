@@ -6,6 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+from threadpoolctl import threadpool_limits
+
 from rotcal_ros import catalogue
 from rotcal_ros.catalogue.continuation import Continuation
 from rotcal_ros.observations import Observation
@@ -49,9 +51,10 @@ def differences(
     for run in sorted({recorded.run for recorded in choices}):
         mine = sorted((c for c in choices if c.run == run), key=lambda c: c.number)
         continuation = _begun(calibration, run, [o for o in every if o.run < run])
-        text = _first_difference(
-            calibration, continuation, mine, [o for o in every if o.run == run]
-        )
+        with threadpool_limits(1, "blas"):  # as the planner
+            text = _first_difference(
+                calibration, continuation, mine, [o for o in every if o.run == run]
+            )
         if text:
             found.append(text)
     return tuple(found)

@@ -96,7 +96,8 @@ def render_report(report: ReportInput) -> str:
 def _sections(report: ReportInput, doubt: str) -> list[tuple[str, str]]:
     """Return title and HTML of what follows page one; empty HTML where there is nothing."""
     result = report.result
-    drawn = {place: _drawings(report, place) for place in ("set-up", "residuals", "results")}
+    figures = [figure for figure in _figures(report) if figure.svg]
+    drawn = {place: _drawings(figures, place) for place in ("set-up", "residuals", "results")}
     return [
         (budget.TITLE, budget.section(result, doubt)),
         (trust.TITLE, trust.section(result)),
@@ -111,10 +112,10 @@ def _sections(report: ReportInput, doubt: str) -> list[tuple[str, str]]:
     ]
 
 
-def _drawings(report: ReportInput, place: str) -> str:
-    """Return all figures of a section that the result can fill."""
-    figures = [f for f in _figures(report) if f.svg and f.place == place]
-    return render("drawings", figures=figures) if figures else ""
+def _drawings(figures: Sequence[Figure], place: str) -> str:
+    """Return the HTML of those ``figures`` that stand in a section."""
+    there = [figure for figure in figures if figure.place == place]
+    return render("drawings", figures=there) if there else ""
 
 
 def _figures(report: ReportInput) -> list[Figure]:

@@ -1,15 +1,11 @@
 """Every example runs alone in an empty folder and finds the truth; its data can be made again."""
 
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 import rotcal_ros as rc
-from rotcal_ros.machine_load import patient
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 DATA = EXAMPLES / "data"
@@ -45,16 +41,16 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 """
 
 
-def run(script, folder, *words):
-    """Run a script in ``folder`` without ROS and network; return what it prints."""
-    paths = os.pathsep.join([str(EXAMPLES.parent), os.environ.get("PYTHONPATH", "")])
-    done = subprocess.run(
-        [sys.executable, "-c", NO_ROS_NO_NETWORK, str(script), *map(str, words)],
-        cwd=folder, capture_output=True, text=True, timeout=patient(120),
-        env={**os.environ, "PYTHONPATH": paths},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+@pytest.fixture(scope="module")
+def run(warm):
+    """Return a function that runs a script in a folder without ROS and network: what it prints."""
+
+    def printed(script, folder, *words):
+        done = warm.run("python", "-c", NO_ROS_NO_NETWORK, script, *words, folder=folder)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    return printed
 
 
 def test_every_example_has_a_key_figure():
@@ -62,14 +58,14 @@ def test_every_example_has_a_key_figure():
 
 
 @pytest.mark.parametrize("name", KEY_FIGURES)
-def test_an_example_finds_the_truth(name, tmp_path):
+def test_an_example_finds_the_truth(name, tmp_path, run):
     pattern, low, high = KEY_FIGURES[name]
     found = re.findall(pattern, run(EXAMPLES / f"{name}.py", tmp_path), re.M)
     assert found
     assert all(low <= float(figure) <= high for figure in found), found
 
 
-def test_examples_leave_what_they_say(tmp_path):
+def test_examples_leave_what_they_say(tmp_path, run):
     run(EXAMPLES / "04_solve_a_bag.py", tmp_path)
     text = run(EXAMPLES / "09_table_for_my_controller.py", tmp_path)
     assert "<html" in (tmp_path / "out" / "report.html").read_text()
@@ -87,7 +83,7 @@ def test_an_example_is_short_and_listed(name):
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def made(tmp_path_factory, run):
     folder = tmp_path_factory.mktemp("data")
     run(DATA / "make_data.py", folder, folder)
     return folder

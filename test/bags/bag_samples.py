@@ -199,8 +199,8 @@ def simulate(configuration_text: str = CONFIGURATION) -> Run:
         cell.order_table(order)
         cell.order_probe(order)
         before = len(run.observations)
-        for _ in range(400):
-            output = cell.advance(0.05)
+        for _ in range(100):
+            output = cell.advance(0.2)
             streams = (output.tracer, output.table, output.probe, output.temperature)
             for record in sorted((r for s in streams for r in s), key=lambda r: r.stamp_ns):
                 arrive(record)

@@ -7,7 +7,8 @@ import pytest
 
 from rotcal_ros.catalogue import last_accepted
 from rotcal_ros.catalogue.continuation import ATTEMPTS_PER_RUN, Continuation, continued
-from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings, tracer_plan
+from rotcal_ros.catalogue.tracer.plan import tracer_plan
+from rotcal_ros.catalogue.tracer.settings import TracerPlanSettings
 from rotcal_ros.errors import DataError
 from rotcal_ros.observations import Observation, PointKind
 

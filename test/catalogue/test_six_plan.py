@@ -8,7 +8,8 @@ import pytest
 
 from rotcal_ros.catalogue import changed, prepare_to_measure, read_configuration
 from rotcal_ros.catalogue.tracer_six.calibration import arrivals
-from rotcal_ros.catalogue.tracer_six.plan import SixPlanSettings, places_of, six_plan
+from rotcal_ros.catalogue.tracer_six.plan import places_of, six_plan
+from rotcal_ros.catalogue.tracer_six.settings import SixPlanSettings
 from rotcal_ros.errors import PlanError
 
 CONFIG = Path(__file__).parents[2] / "config"

@@ -116,7 +116,7 @@ def test_a_package_of_pip_alone_that_is_missing_is_named(verb):
     verb(raising(ModuleNotFoundError("No module named 'mcap.writer'", name="mcap")))
     result = run("doctor")
     assert result.exit_code == 2
-    assert result.stderr == "rotcal: mcap is missing: pip install mcap rosbags\n"
+    assert result.stderr == "rotcal: mcap is missing: pip install mcap rosbags threadpoolctl\n"
 
 
 def test_debug_shows_the_traceback(verb):

@@ -51,7 +51,7 @@ def test_a_name_that_says_something_else_is_refused_before_anything_is_done(verb
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["a.HTML", "a"])
 def test_a_report_is_html_under_names_that_allow_it(name, tmp_path):
-    assert run("report", PLATE, "-o", tmp_path / name).exit_code == 0
+    assert run("report", TRACER, "-o", tmp_path / name).exit_code == 0
     assert (tmp_path / name).read_bytes().startswith(b"<!DOCTYPE html>")
 
 
@@ -89,7 +89,7 @@ def test_a_browser_that_prints_nothing_is_an_error_and_no_empty_file(tmp_path, m
     fake.write_text("#!/bin/sh\necho 'no display' >&2\nexit 0\n")
     fake.chmod(0o755)
     monkeypatch.setenv("PATH", f"{programs}:/usr/bin:/bin")
-    ran = run("report", PLATE, "-o", tmp_path / "l.pdf")
+    ran = run("report", TRACER, "-o", tmp_path / "l.pdf")
     assert ran.exit_code == 2
     assert "made no PDF (no display)" in ran.stderr
     assert not (tmp_path / "l.pdf").exists()

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from few_runs import few_runs
 
 from rotcal_ros.catalogue import read_configuration
 from rotcal_ros.catalogue.calibration import prepare_to_measure
@@ -24,7 +25,7 @@ def planned(folder, *changes):
         "spacing_m=0.2",
         "zero=one",
         "circle_std_m=7.0e-8",
-        "confidence=0.85",
+        "confidence=0.7",
         *changes,
     ]
     arguments = [part for option in options for part in ("--set", option)]
@@ -42,7 +43,8 @@ def expanded_rms(result):
 
 
 @pytest.mark.parametrize("changes", [[], ["repeats=3"]], ids=["each once", "repeated"])
-def test_what_is_planned_is_measured_and_stated(tmp_path, changes):
+def test_what_is_planned_is_measured_and_stated(tmp_path, changes, monkeypatch):
+    few_runs(monkeypatch, 100)
     found, calibration = planned(tmp_path, *changes)
     steps = calibration.plan.steps
     pairs = [(step.table_position, step.target) for step in steps]

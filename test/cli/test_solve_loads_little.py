@@ -1,4 +1,4 @@
-"""Solving a small bag takes less time than loading what other verbs and methods need."""
+"""Solving a small bag, or telling what can be set, loads nothing that only others need."""
 
 import os
 import subprocess
@@ -26,16 +26,28 @@ SCRIPT = """
 import sys
 from rotcal_ros.cli.main import rotcal
 try:
-    rotcal(["solve", sys.argv[1], "--json"])
+    rotcal(sys.argv[1:])
 except SystemExit as end:
     assert end.code == 0, end.code
 print(*sys.modules, file=sys.stderr)
 """
 
 
+def solve(method):
+    return "solve", str(GOLDEN / method / "bag"), "--json"
+
+
+def loaded_by(*arguments):
+    """Return the modules that are loaded when a verb has ended well."""
+    ran = subprocess.run(
+        [sys.executable, "-c", SCRIPT, *arguments], check=True, capture_output=True, text=True
+    )
+    return set(ran.stderr.splitlines()[-1].split())
+
+
 def test_loading_costs_little_beside_what_nobody_can_do_without(tmp_path):
     """The import budget: all of ours together, in times of loading numpy and scipy."""
-    command = [sys.executable, "-X", "importtime", "-c", SCRIPT, str(GOLDEN / "tracer" / "bag")]
+    command = [sys.executable, "-X", "importtime", "-c", SCRIPT, *solve("tracer")]
     compiled = {"PYTHONPYCACHEPREFIX": str(tmp_path), "PYTHONDONTWRITEBYTECODE": ""}
     found = []
     for _ in range(4):  # the first may have to compile
@@ -54,12 +66,18 @@ def test_loading_costs_little_beside_what_nobody_can_do_without(tmp_path):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_bag_is_solved_with_its_own_method_alone(method):
-    ran = subprocess.run(
-        [sys.executable, "-c", SCRIPT, str(GOLDEN / method / "bag")],
-        check=True, capture_output=True, text=True,
-    )  # fmt: skip
-    loaded = set(ran.stderr.splitlines()[-1].split())
+    loaded = loaded_by(*solve(method))
     assert f"rotcal_ros.methods.{method}" in loaded
     others = {f"rotcal_ros.{room}.{m}" for room in ("methods", "catalogue") for m in METHODS}
     others -= {f"rotcal_ros.{room}.{method}" for room in ("methods", "catalogue")}
     assert not loaded & (others | set(NEVER))
+
+
+@pytest.mark.parametrize("method", [(), ("tracer_multistation",), ("tracer_six",)])
+def test_what_can_be_set_is_told_without_what_plans_captures_and_solves(method):
+    loaded = loaded_by("settings", *method, "--json")
+    assert "rotcal_ros.catalogue.settings_reference" in loaded
+    solvers = {f"rotcal_ros.methods.{m}" for m in (*METHODS, "tracer_six")}
+    entries = {f"rotcal_ros.catalogue.{m}.method" for m in (*METHODS, "tracer_six")}
+    never = {"rotcal_ros.catalogue.calibration", "rotcal_ros.capture.capture", "scipy"}
+    assert not loaded & (solvers | entries | never | set(NEVER))

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from compensation_examples import TAU, even, result_of, wavy
+from warm_rotcal import WarmRotcal
 
 from rotcal_ros.units import ARCSEC
 
@@ -42,14 +43,21 @@ def python(environment, *words):
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
 
 
+@pytest.fixture(scope="module")
+def warm_own(environment, tmp_path_factory):
+    process = WarmRotcal(tmp_path_factory.mktemp("warm"), environment)
+    yield process
+    process.close()
+
+
 @pytest.fixture
-def export(environment, tmp_path):
+def export(warm_own, tmp_path):
     result = tmp_path / "result.json"
     result.write_text(result_of(even(72), wavy(even(72))).to_json())
 
     def run(*words):
         words = ("export", result, "--replace", "--spacing", 5, "--out", tmp_path / "out", *words)
-        return python(environment, "-m", "rotcal_ros.cli.main", *words)
+        return warm_own.run("rotcal", *words)
 
     return run
 

@@ -14,7 +14,8 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.catalogue.plane_mirror.mirror_physics import measure, ring_cell, table_pose
-from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings, block_of_targets
+from rotcal_ros.catalogue.tracer.plan import block_of_targets
+from rotcal_ros.catalogue.tracer.settings import TracerPlanSettings
 from rotcal_ros.curves.interpolation import TURN
 from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.methods import ball_plate, plane_mirror, tracer, tracer_six

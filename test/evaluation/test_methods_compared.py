@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import one_table
 import pytest
+from chances import LONG
 
 from rotcal_ros.components import COMPONENTS
 from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
@@ -14,7 +15,7 @@ from rotcal_ros.evaluation.reference import without_polygon
 from rotcal_ros.methods import ball_plate
 from rotcal_ros.units import ARCSEC
 
-RUNS = 32
+RUNS = 32 if LONG else 16
 pytestmark = pytest.mark.slow
 
 

@@ -5,13 +5,12 @@ draws of their noise.
 """
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from chances import LONG
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -30,12 +29,6 @@ from rotcal_ros.results import Result
 TAU = 2.0 * np.pi
 DATED_NS = 10**17
 EXAMPLES = Path(__file__).parents[2] / "examples" / "data"
-
-
-def rotcal(*arguments):
-    script = "from rotcal_ros.cli.main import main; main()"
-    command = [sys.executable, "-c", script, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 def observation(step, position, angle, target, values, std, when_ns=0, kind=PointKind.REFLECTOR):
@@ -133,7 +126,7 @@ def both_ways(pairs):
 def test_lengths_evaluated_with_fewer_targets_vary_together_as_their_noise_says(tracer):
     rng = np.random.default_rng(24)
     pairs = []
-    for _ in range(60):
+    for _ in range(60 if LONG else 24):
         every = tracer.observations(rng)
         some = [o for o in every if o.target % 3]
         pairs.append((tracer.solve(every), tracer.solve(some)))
@@ -146,7 +139,7 @@ def test_lengths_evaluated_with_fewer_targets_vary_together_as_their_noise_says(
 def test_two_variants_of_the_same_lengths_vary_together_as_their_noise_says(tracer):
     rng = np.random.default_rng(25)
     pairs = []
-    for _ in range(60):
+    for _ in range(60 if LONG else 24):
         every = tracer.observations(rng)
         pairs.append((tracer.solve(every), tracer.solve(every, "solver.variant=station")))
     told, apart = both_ways(pairs)
@@ -161,7 +154,7 @@ def test_half_of_the_balls_vary_together_with_all_as_their_noise_says():
     fewer = f"solver.balls={balls[: len(balls) - 1]}"
     less = replace(calibration, configuration=changed(calibration.configuration, (fewer,)))
     pairs = []
-    for _ in range(60):
+    for _ in range(60 if LONG else 24):
         seen = centres(calibration, rng)
         pairs.append((calibration.solve(seen), less.solve(seen)))
     told, apart = both_ways(pairs)
@@ -377,15 +370,15 @@ def test_too_many_influences_are_left_out_of_the_file():
     assert "influence" not in RawData(("a", "b"), influence=many).to_dict()
 
 
-def test_compare_reads_the_file_of_several_evaluations(tmp_path):
+def test_compare_reads_the_file_of_several_evaluations(tmp_path, warm):
     out = tmp_path / "ways.json"
     table = EXAMPLES / "balls.csv"
     sound = ["solve", str(table), "--setup", str(EXAMPLES / "ball_plate.yaml")]
     steps = sorted({int(line.split(",")[1]) for line in table.read_text().splitlines()[1:]})
     fewer = ",".join(map(str, steps[:-1]))
-    solved = rotcal(*sound, "--balls", "all", "--balls", fewer, "-o", out)
+    solved = warm.run("rotcal", *sound, "--balls", "all", "--balls", fewer, "-o", out)
     assert solved.returncode in (0, 1), solved.stderr
-    compared = rotcal("compare", out, "--json")
+    compared = warm.run("rotcal", "compare", out, "--json")
     assert compared.returncode in (0, 1), compared.stderr
     (pair,) = json.loads(compared.stdout)["pairs"]
     assert [pair["first"].rpartition(": ")[2], pair["second"].rpartition(": ")[2]] == [
@@ -393,6 +386,6 @@ def test_compare_reads_the_file_of_several_evaluations(tmp_path):
         f"balls=[{fewer}]",
     ]
     assert any("same observations" in note for note in pair["notes"])
-    alone = rotcal("export", out, "--to", "csv", "--out", tmp_path)
+    alone = warm.run("rotcal", "export", out, "--to", "csv", "--out", tmp_path)
     assert alone.returncode == 3
     assert "holds 2 evaluations of the same data" in alone.stderr

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from one_table import by_ball_plate
+from warm_rotcal import WarmRotcal
 
 from rotcal_polygon.simulation import PolygonSimulationSettings, SimulatedAutocollimator
 from rotcal_ros.machine_load import patient
@@ -46,19 +47,32 @@ def environment(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def rotcal(environment):
+def warm_stranger(environment, tmp_path_factory):
+    """Return what runs ``rotcal`` beside the installed package without its imports."""
+    process = WarmRotcal(tmp_path_factory.mktemp("warm"), environment)
+    yield process
+    process.close()
+
+
+@pytest.fixture(scope="session")
+def rotcal(environment, warm_stranger):
     """Return a function that runs a verb and returns its output, the exit code checked."""
 
-    def run(*arguments, code=0):
-        command = [sys.executable, "-m", "rotcal_ros.cli.main", *map(str, arguments)]
-        done = subprocess.run(
-            command,
+    def anew(*arguments):
+        return subprocess.run(
+            [sys.executable, "-m", "rotcal_ros.cli.main", *map(str, arguments)],
             capture_output=True,
             text=True,
             timeout=patient(DEADLINE_S),
             cwd=ROOT,
             env={**environment, "ROS_DOMAIN_ID": str(free_domain())},
         )
+
+    def run(*arguments, code=0):
+        if arguments[0] == "run":  # starts nodes
+            done = anew(*arguments)
+        else:
+            done = warm_stranger.run("rotcal", *arguments, folder=ROOT)
         assert done.returncode == code, done.stderr
         assert "Traceback" not in done.stderr
         return done

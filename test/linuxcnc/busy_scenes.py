@@ -21,14 +21,14 @@ spec.loader.exec_module(agent)
 
 def asked():
     command = [sys.executable, AGENT, "-ini", INI, "--busy"]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
+    run = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     return run.returncode, run.stdout.strip() or run.stderr.strip()
 
 
 def rest(machine):
     machine.command.abort()
     machine.command.wait_complete(10)
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + 60
     while asked()[0] and time.monotonic() < deadline:
         time.sleep(0.1)
 

@@ -95,7 +95,7 @@ def wait_for(component, parts, environment):
 def end(process):
     process.terminate()
     try:
-        process.wait(10.0)
+        process.wait(60.0)
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()

@@ -15,7 +15,7 @@ from rotcal_ros.methods.ball_plate.noise import Noise
 
 SIGMA = 5e-8
 SIX = [0, 3, 4, 9, 14, 20]
-RUNS = 40 if LONG else 12
+RUNS = 40 if LONG else 8
 ABOUT = (0.92, 0.98) if LONG else by_chance(0.95, RUNS * 24 // 3)
 """Each of the 24 angles of a run has centres of its own; a third counts as independent."""
 REAL = {"table": 2e-6, "machine": 2e-6, "made": 1e-5}

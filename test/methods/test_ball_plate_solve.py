@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from chances import LONG
 from plate_data import PAPER_PLATE, RADIUS, grid_rows, in_cmm_order, rotate_z, simulated
 
 from rotcal_ros.components import COMPONENTS
@@ -71,7 +72,7 @@ def test_stated_intervals_contain_the_truth_in_95_percent_of_1000_runs():
 
 def test_whole_solver_keeps_its_intervals_with_the_paper_plate():
     inside, rejected = [], 0
-    for run in range(40):
+    for run in range(40 if LONG else 10):
         problem, truth = simulated(72, PAPER_PLATE, seed=run, sigma=5e-8)
         result = solve(problem)
         rejected += len(result.rejected)
@@ -256,11 +257,11 @@ def test_good_data_are_not_called_knocked():
 
 
 def test_contradictory_data_are_refused_not_trimmed():
-    problem = at(lambda b: b, noise=1e-8)
+    problem = at(lambda b: b, grid=36, balls=[0, 3, 4, 9, 14, 20], noise=1e-8)
     rng = np.random.default_rng(0)
-    bad = rng.choice(len(problem.centres), 120, replace=False)
+    bad = rng.choice(len(problem.centres), 30, replace=False)
     centres = problem.centres.copy()
-    centres[bad] += 10.0 ** rng.uniform(-6, -3.5, size=(120, 1)) * rng.choice([-1, 1], (120, 3))
+    centres[bad] += 10.0 ** rng.uniform(-6, -3.5, size=(30, 1)) * rng.choice([-1, 1], (30, 3))
     with pytest.raises(DataError, match="may not be rejected"):
         solve(replace(problem, centres=centres, sigma=1e-8))
 

@@ -1,5 +1,7 @@
 """Somebody who joins a run: points 15 um off, a table turned away, forged observations."""
 
+import sys
+
 import rclpy
 from rclpy.node import Node
 from rotcal_msgs.msg import Observation, ProbePoint
@@ -43,4 +45,6 @@ class SecondProbe(Node):
 
 if __name__ == "__main__":
     rclpy.init()
-    rclpy.spin(SecondProbe())
+    probe = SecondProbe()
+    sys.stderr.write("here\n")
+    rclpy.spin(probe)

@@ -53,7 +53,7 @@ def cells(tmp_path, monkeypatch):
     for process in running:
         process.kill()  # nothing of theirs is to be kept
     for process in running:
-        process.wait(10)
+        process.wait(patient(10))
 
 
 @pytest.mark.ros

@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -231,3 +232,14 @@ def test_a_table_of_parts_arrives_as_one_and_is_refused_by_the_bridge():
     assert arrived.table_hash == table.table_hash
     with pytest.raises(DataError, match=r"odd and even.*rotcal combine"):
         check_verdict(arrived)
+
+
+def test_a_result_stands_in_the_diagnostics_in_words():
+    deviations = {"EXC": np.array([0.0, 2e-6, -1e-6]), "ECC": np.array([0.0, 3.0, 1.0]) * ARCSEC}
+    std = {"EXC": np.full(3, 0.25e-6), "ECC": np.array([0.0, 0.1, 0.05]) * ARCSEC}
+    result = SimpleNamespace(verdict_line="ok (SIMULATED)", deviations=deviations, std=std)
+    assert conversions.result_values(result) == {
+        "verdict": "ok (SIMULATED)",
+        "EXC": "range 3 µm, U (k = 2) 0.5 µm",
+        "ECC": "range 3 arcsec, U (k = 2) 0.2 arcsec",
+    }

@@ -39,7 +39,8 @@ def stopped(cell):
 
     def make(*changes, qos="volatile"):
         live = cell(*CHANGES, *changes)
-        live.processes.start("safety", [sys.executable, str(STOPPER), qos], piped=True)
+        ears = ("planner", "simulated_cell") if qos == "volatile" else ()
+        live.processes.start("safety", [sys.executable, str(STOPPER), qos, *ears], piped=True)
         live.start(*SUITE, "simulated_cell")
         return live
 

@@ -1,5 +1,7 @@
 """A node that has time takes messages together, and wakes often enough for everybody else."""
 
+import sys
+import time
 from types import SimpleNamespace
 
 import pytest
@@ -7,6 +9,7 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
+from rotcal_ros.machine_load import patient
 from rotcal_ros.nodes import running
 from rotcal_ros.nodes.health import CALIBRATING
 
@@ -42,3 +45,40 @@ def test_the_capture_has_time_until_the_planner_measures():
     for state, has_time in (("", True), ("idle", True), (f"{CALIBRATING}: step 3", False)):
         health = SimpleNamespace(state={"planner": state}.__getitem__)
         assert CaptureNode.has_time(SimpleNamespace(health=health)) is has_time
+
+
+def test_events_are_handled_once_and_no_turn_waits_for_them(monkeypatch):
+    """A publisher that nobody can hear: the event of a subscription that asks for more."""
+    import rclpy
+    from rclpy.event_handler import EventHandler, SubscriptionEventCallbacks
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+    from std_msgs.msg import Bool
+
+    from rotcal_ros.nodes.managed_node import ManagedNode
+    from rotcal_ros.nodes.waiting import handle_events
+    from rotcal_ros.sessions.environment import node_environment
+
+    for name, value in node_environment().items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", sys.prefix)
+    rclpy.init()
+    try:
+        node, heard = ManagedNode("listener"), []
+        callbacks = SubscriptionEventCallbacks(incompatible_qos=heard.append)
+        node.create_subscription(Bool, "stop", print, 1, event_callbacks=callbacks)
+        events = [each for each in node.waitables if isinstance(each, EventHandler)]
+        assert events
+        assert not any(each.callback_group.can_execute(each) for each in events)
+        assert all(t.callback_group.can_execute(t) for t in node.timers)
+
+        other = rclpy.create_node("speaker")
+        unheard = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        other.create_publisher(Bool, "stop", unheard)
+        end = time.monotonic() + patient(30.0)
+        while not heard and time.monotonic() < end:
+            handle_events(node)
+            time.sleep(0.01)
+        handle_events(node)
+        assert [event.total_count for event in heard] == [1]
+    finally:
+        rclpy.try_shutdown()

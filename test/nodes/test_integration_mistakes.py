@@ -115,7 +115,7 @@ def checked(folder, mistake, *options):
         )  # fmt: skip
     finally:
         cell.kill()
-        cell.wait(10)
+        cell.wait(patient(10))
     assert done.stdout, done.stderr
     return json.loads(done.stdout)
 

@@ -66,7 +66,7 @@ def test_a_lost_node_ends_the_run_with_the_reason_and_a_slow_one_does_not(
         os.kill(pid, signal.SIGCONT)
     else:
         starve(pid)
-    code, text = process.wait(90), log.read_text()
+    code, text = process.wait(patient(90)), log.read_text()
     assert "Traceback" not in text
     if code == 0:  # it could wait
         return

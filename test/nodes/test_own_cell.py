@@ -20,6 +20,8 @@ pytestmark = pytest.mark.ros
 OWN = Path(__file__).parents[2] / "examples" / "own_cell"
 SCRIPT = OWN / "own_cell.py"
 DEADLINE_S = 180.0
+NO_CHANCE = ("--set", "solver.length_std_m=8.0e-8")
+"""Its noise goes by the clock: with twice as much stated no run is suspect by chance."""
 
 
 def test_the_readme_s_commands_find_the_error_of_its_table(tmp_path, monkeypatch):
@@ -31,13 +33,13 @@ def test_the_readme_s_commands_find_the_error_of_its_table(tmp_path, monkeypatch
     try:
         done = subprocess.run(
             [sys.executable, "-m", "rotcal_ros.cli.main", "run", str(OWN / "own_cell.yaml"),
-             "--output", str(tmp_path / "out"), "--no-page", "--json"],
+             "--output", str(tmp_path / "out"), "--no-page", "--json", *NO_CHANCE],
             capture_output=True, text=True, timeout=patient(DEADLINE_S),
         )  # fmt: skip
     finally:
         own.terminate()
-        own.wait(10)
-    assert done.returncode == 0, done.stderr + (tmp_path / "own.log").read_text()
+        own.wait(patient(10))
+    assert done.returncode == 0, done.stdout + done.stderr + (tmp_path / "own.log").read_text()
     outcome = json.loads(done.stdout)
     assert outcome["verdict"] == "ok"
     assert not outcome["verdict_line"].count("SIMULATED")

@@ -134,7 +134,9 @@ def test_a_step_that_a_loss_touches_is_measured_again(cell):
     # Step 9 is blocked; a loss during its rejected attempts would touch no accepted step.
     client.wait_for_step(15)
     late = str(Path(__file__).with_name("late_publisher.py"))
-    live.processes.start("late_publisher", [sys.executable, late])
+    with live.held():
+        live.processes.start("late_publisher", [sys.executable, late])
+        live.wait_for_log("late_publisher", "here")
     outcome = client.result()
     assert outcome["error_code"] == 0, outcome["error_msg"]
     recording = read_recording(live.bag)

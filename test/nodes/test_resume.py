@@ -27,11 +27,11 @@ def test_a_killed_run_is_resumed_to_a_true_result(rotcal, tmp_path):
     told = re.compile(r"(\d+) of 60 steps")
     wait_until(lambda: max(map(int, told.findall(log.read_text())), default=0) >= 24, "24 steps")
     first.send_signal(signal.SIGKILL)
-    first.wait(10)
+    first.wait(patient(10))
 
     log = tmp_path / "second.log"
     second = rotcal("--resume", folder, "--json", log=log)
-    assert second.wait(120) == 0, log.read_text()
+    assert second.wait(patient(120)) == 0, log.read_text()
     outcome = json.loads(log.with_suffix(".json").read_text())
     assert outcome["n_used"] == 59
     assert set(outcome["files"]) >= {"bag", "result", "truth", "report", "compensation"}

@@ -54,7 +54,10 @@ def test_a_calibration_is_drawn_and_does_not_end_with_its_scene(cell, monkeypatc
     live = cell("simulation.time_scale=4.0")
     live.start(*SUITE, "simulated_cell", "scene")
     client = live.client()
-    client.wait_for_step(54)
+    client.wait_for_step(50)
+    with live.held():
+        live.wait_for_log("scene", "errors are drawn 20000 times as large")
+    client.wait_for_step(52)
     live.kill("scene")
     outcome = client.result()
     assert outcome["error_code"] == 0, outcome["error_msg"]

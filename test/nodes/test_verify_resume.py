@@ -61,7 +61,7 @@ def test_an_interrupted_verification_ends_with_everything(verify, tmp_path, inte
 
     log = tmp_path / "second.log"
     second = verify("--resume", folder, log=log)
-    assert second.wait(180) == 0, log.read_text()
+    assert second.wait(patient(180)) == 0, log.read_text()
     assert "verdict ok (SIMULATED)" in log.read_text()
     for name in ("result.json", "truth.json", "report.html", "verification.json", "bag",
                  "compensation/c_csv_simulated.csv", "after/result.json"):  # fmt: skip

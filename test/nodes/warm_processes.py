@@ -1,4 +1,4 @@
-"""Nodes forked from one process that has imported them all.
+"""Nodes forked from one process that has imported all that they import, methods too.
 
 Imports are half of the work of a short cell: a node costs 1.1 s of processor time before its first
 line runs, a cell of seven as much as its whole short calibration. ``rotcal run``, the demos and
@@ -11,18 +11,20 @@ import atexit
 import ctypes
 import json
 import os
+import pkgutil
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from rotcal_ros.node_names import EXECUTABLES
+import rotcal_ros
 from rotcal_ros.sessions.processes import Processes
 
 PREFIX = "rotcal_ros.nodes."
@@ -180,8 +182,9 @@ def main() -> None:
     """Import all nodes, then fork whichever is asked for."""
     atexit.register(ending)  # the first is the last to be called
     asked = socket.socket(fileno=int(sys.argv[1]))
-    for name in (*EXECUTABLES, "client"):
-        import_module(PREFIX + name)
+    for module in pkgutil.walk_packages(rotcal_ros.__path__, "rotcal_ros."):
+        with suppress(ImportError):  # what an optional library is missing for
+            import_module(module.name)
     serve(asked)
 
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from rotcal_ros.catalogue.plane_mirror.layout import incidence, station_visits
-from rotcal_ros.catalogue.plane_mirror.plan import MirrorPlanSettings, mirror_plan
+from rotcal_ros.catalogue.plane_mirror.plan import mirror_plan
+from rotcal_ros.catalogue.plane_mirror.settings import MirrorPlanSettings
 from rotcal_ros.errors import PlanError
 from rotcal_ros.observations import PointKind
 from rotcal_ros.units import DEGREE

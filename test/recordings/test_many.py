@@ -30,7 +30,7 @@ HERE = Path(__file__).parent
 SEEDS = (5, 6, 7)
 _groups = yaml.safe_load(SAMPLE)["/**"]["ros__parameters"]
 _groups.pop("method")
-PLAN = {**_groups["plan"], "box_points": [3, 2, 2], "table_positions": 5}
+PLAN = {**_groups["plan"], "box_points": [2, 2, 2], "table_positions": 5}
 CONFIGURATION = dump_configuration(
     "tracer_multistation", {**_groups, "plan": PLAN, "solver": {"variant": "station"}}
 )

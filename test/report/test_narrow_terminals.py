@@ -1,5 +1,6 @@
 """Tables at a narrow terminal: nothing is cut; in a pipe: CSV, and words on standard error."""
 
+import contextlib
 import csv
 import io
 import json
@@ -10,10 +11,12 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from warm_rotcal import code_of
 
 from rotcal_ros.evaluation.monte_carlo import Propagation
 from rotcal_ros.evaluation.propagated import Propagated
@@ -43,39 +46,32 @@ VERBS = {
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
 
 
-def command(verb):
-    return [sys.executable, "-m", "rotcal_ros.cli.main", *map(str, VERBS[verb])]
+@pytest.fixture(scope="module")
+def at_terminal(warm):
+    """Return what a verb prints at a terminal of some width, in characters, without colours."""
 
-
-def at_terminal(verb, width):
-    """Return what a verb prints at a terminal of ``width`` characters, without its colours."""
-    leader, follower = pty.openpty()
-    environment = {**os.environ, "COLUMNS": str(width), "LINES": "50", "TERM": "xterm"}
-    with subprocess.Popen(
-        command(verb), stdout=follower, stderr=subprocess.DEVNULL, env=environment
-    ) as child:
+    @cache
+    def shown(verb, width):
+        leader, follower = pty.openpty()
+        environment = {**os.environ, "COLUMNS": str(width), "LINES": "50", "TERM": "xterm"}
+        with Path(os.devnull).open("r+") as nothing:
+            streams = (nothing.fileno(), follower, nothing.fileno())
+            asked = warm.start("rotcal", VERBS[verb], streams, environment)
         os.close(follower)
         text = b""
-        while True:
-            try:
-                part = os.read(leader, 65536)
-            except OSError:  # the other end is closed
-                break
-            if not part:
-                break
-            text += part
-    os.close(leader)
-    assert child.returncode in (0, 1)
-    return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text.decode()).replace("\r", "")
+        with contextlib.suppress(OSError):  # the other end is closed
+            while part := os.read(leader, 65536):
+                text += part
+        os.close(leader)
+        assert code_of(asked) in (0, 1)
+        return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text.decode()).replace("\r", "")
 
-
-def piped(verb):
-    return subprocess.run(command(verb), capture_output=True, text=True, check=False)
+    return shown
 
 
 @pytest.mark.parametrize("verb", VERBS)
-def test_in_a_pipe_there_is_one_table_of_csv_and_words_elsewhere(verb):
-    done = piped(verb)
+def test_in_a_pipe_there_is_one_table_of_csv_and_words_elsewhere(verb, warm):
+    done = warm.run("rotcal", *VERBS[verb])
     assert done.returncode in (0, 1), done.stderr
     header, *rows = csv.reader(io.StringIO(done.stdout))
     assert rows
@@ -86,7 +82,7 @@ def test_in_a_pipe_there_is_one_table_of_csv_and_words_elsewhere(verb):
 
 @pytest.mark.parametrize("width", [40, 60])
 @pytest.mark.parametrize("verb", VERBS)
-def test_at_a_narrow_terminal_no_digit_and_no_unit_is_cut(verb, width):
+def test_at_a_narrow_terminal_no_digit_and_no_unit_is_cut(verb, width, at_terminal):
     narrow, wide = at_terminal(verb, width), at_terminal(verb, 250)
     assert "…" not in narrow
     drawn = [line for line in narrow.splitlines() if line[:1] in "┃│┏┡└"]
@@ -152,8 +148,9 @@ def test_columns_are_stacked_with_the_first_one_in_each_group():
 
 
 def test_who_has_read_enough_ends_a_verb_without_a_word():
+    command = [sys.executable, "-m", "rotcal_ros.cli.main", *map(str, VERBS["effort"])]
     with subprocess.Popen(
-        command("effort"), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as child:
         child.stdout.close()
         words = child.stderr.read()

@@ -11,7 +11,8 @@ import pytest
 from rotcal_ros.capture import Capture
 from rotcal_ros.catalogue import find_method, prepare
 from rotcal_ros.catalogue.configuration import read_configuration
-from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings, tracer_plan
+from rotcal_ros.catalogue.tracer.plan import tracer_plan
+from rotcal_ros.catalogue.tracer.settings import TracerPlanSettings
 from rotcal_ros.simulation import SimulatedCell
 
 CONFIG = Path(__file__).parents[2] / "config"

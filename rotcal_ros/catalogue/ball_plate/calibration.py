@@ -9,7 +9,7 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.catalogue.arrivals import RepeatedTrials, arrivals_of
-from rotcal_ros.catalogue.ball_plate.plan import BallPlatePlanSettings
+from rotcal_ros.catalogue.ball_plate.settings import BallPlatePlanSettings
 from rotcal_ros.catalogue.ball_plate.solver_settings import DRIFTS, BallPlateSolverSettings
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.method import Trials

@@ -9,11 +9,8 @@ from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.catalogue.ball_plate import calibration, table
 from rotcal_ros.catalogue.ball_plate.disturbances import DISTURBANCES
 from rotcal_ros.catalogue.ball_plate.figures import figures
-from rotcal_ros.catalogue.ball_plate.plan import (
-    BallPlatePlanSettings,
-    check_plan,
-    plan,
-)
+from rotcal_ros.catalogue.ball_plate.plan import check_plan, plan
+from rotcal_ros.catalogue.ball_plate.settings import BallPlatePlanSettings
 from rotcal_ros.catalogue.ball_plate.simulation_settings import PlateSimulationSettings
 from rotcal_ros.catalogue.ball_plate.solver_settings import BallPlateSolverSettings
 from rotcal_ros.catalogue.ball_plate.touched_ball import reported_centre, touched_centre

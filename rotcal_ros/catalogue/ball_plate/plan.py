@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final, cast, get_args
+from typing import cast
 
 import numpy as np
 
+from rotcal_ros.catalogue.ball_plate.plate import checked
+from rotcal_ros.catalogue.ball_plate.settings import SURFACE, BallPlatePlanSettings
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.errors import ConfigurationError, PlanError
 from rotcal_ros.methods.ball_plate.general import MIN_BALLS
-from rotcal_ros.methods.ball_plate.plate import Plate, checked, points_setting
 from rotcal_ros.methods.ball_plate.problem import position_of
 from rotcal_ros.methods.ball_plate.rejection import MOST_OPEN
 from rotcal_ros.methods.ball_plate.solve import METHOD
 from rotcal_ros.observations import Approach, PointKind
 from rotcal_ros.planning.ball_plan import (
-    DEFAULT_ORDER,
     BallPlan,
     Kinematics,
     Order,
@@ -24,50 +23,7 @@ from rotcal_ros.planning.ball_plan import (
 )
 from rotcal_ros.planning.plan import Plan, Point, Step
 from rotcal_ros.planning.visits import visits
-from rotcal_ros.settings import setting
 from rotcal_ros.units import DEGREE
-
-SURFACE: Final = "surface"
-CENTRE: Final = "centre"
-
-
-@dataclass(frozen=True)
-class BallPlatePlanSettings:
-    """The plate, where it stands, and the order in which its balls are measured."""
-
-    plate: Plate = setting(doc="the ball plate")
-    centre_m: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.0), doc="m, machine frame: point of the axis at the height of the balls"
-    )
-    table_start_deg: float = setting(
-        0.0, doc="deg, table angle at which ball step 0 lies on the +x side; table position 0"
-    )
-    cmm_positions: tuple[int, ...] = setting(
-        (), doc="grid steps at which balls are measured; empty: all", minimum=0
-    )
-    order: str = setting(
-        DEFAULT_ORDER,
-        doc="a share of the balls at every stop in several turns, or all balls in one turn of "
-        "the table, or the probe rests (paper)",
-        choices=get_args(Order),
-    )
-    rounds: int = setting(
-        0,
-        doc="turns of the table: interleaved, each for a share of the balls; table_once, each "
-        "for a share of the CMM positions; 0: as many as the order asks for (4 and 1)",
-        minimum=0,
-        maximum=100,
-    )
-    closing: bool = setting(True, doc="measure the first table position again at the end")
-    backlash: bool = setting(True, doc="approach all angles in the positive direction")
-    bidirectional: bool = setting(
-        False,
-        doc="measure every turn of the table upward and, all angles from the other side, downward",
-    )
-    measure: str = setting(
-        SURFACE, doc="touch points, or centres from the machine", choices=(SURFACE, CENTRE)
-    )
-    points_per_ball: int = points_setting()
 
 
 def plan(configuration: Configuration) -> Plan:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from rotcal_ros.methods.ball_plate.plate import grid_setting, points_setting
+from rotcal_ros.catalogue.ball_plate.plate import grid_setting, points_setting
 from rotcal_ros.settings import group, setting
 from rotcal_ros.simulation.settings import SimulationSettings
 

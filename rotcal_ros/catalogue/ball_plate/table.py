@@ -10,11 +10,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
+from rotcal_ros.catalogue.ball_plate.plate import parse_plate
 from rotcal_ros.catalogue.calibration import prepare
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.measurements import PlannedMeasurements, StepFinder
 from rotcal_ros.errors import DataError
-from rotcal_ros.methods.ball_plate.plate import parse_plate
 from rotcal_ros.observations import PointKind
 from rotcal_ros.tables import Header, Row, Table, hashes
 

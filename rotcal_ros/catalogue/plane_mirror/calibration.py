@@ -11,12 +11,12 @@ import numpy as np
 from rotcal_ros.catalogue.arrivals import RepeatedTrials, arrivals_of
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.method import Trials
-from rotcal_ros.catalogue.plane_mirror.plan import MirrorPlanSettings
+from rotcal_ros.catalogue.plane_mirror.settings import MirrorPlanSettings
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods import plane_mirror
 from rotcal_ros.methods.arrivals import Arrivals, mean_of_runs
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem, noise_of
-from rotcal_ros.methods.plane_mirror.settings import DIRECT, WAYS, MirrorSolverSettings, Way
+from rotcal_ros.methods.plane_mirror_settings import DIRECT, WAYS, MirrorSolverSettings, Way
 from rotcal_ros.observations import Observation, PointKind
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.table_angles import table_angles

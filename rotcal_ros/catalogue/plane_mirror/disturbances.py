@@ -24,11 +24,8 @@ from rotcal_ros.catalogue.disturbance import (
     times,
 )
 from rotcal_ros.catalogue.plane_mirror.mirror_physics import TrackerStation
-from rotcal_ros.catalogue.plane_mirror.plan import (
-    MirrorPlanSettings,
-    nominal_mirror,
-    tracker_stands,
-)
+from rotcal_ros.catalogue.plane_mirror.plan import nominal_mirror, tracker_stands
+from rotcal_ros.catalogue.plane_mirror.settings import MirrorPlanSettings
 from rotcal_ros.geometry.rotations import rotation_about_z, rotation_from_vector
 from rotcal_ros.methods.plane_mirror.problem import noise_of
 from rotcal_ros.observations import PointKind

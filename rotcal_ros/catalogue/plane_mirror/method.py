@@ -15,7 +15,6 @@ from rotcal_ros.catalogue.plane_mirror.disturbances import DISTURBANCES
 from rotcal_ros.catalogue.plane_mirror.figures import figures
 from rotcal_ros.catalogue.plane_mirror.mirror_physics import TrackerStation
 from rotcal_ros.catalogue.plane_mirror.plan import (
-    MirrorPlanSettings,
     check_plan,
     nominal_mirror,
     plan,
@@ -23,13 +22,14 @@ from rotcal_ros.catalogue.plane_mirror.plan import (
     tracker_stands,
 )
 from rotcal_ros.catalogue.plane_mirror.plausibility import TrackerCheck
+from rotcal_ros.catalogue.plane_mirror.settings import MirrorPlanSettings
 from rotcal_ros.catalogue.plane_mirror.simulation_settings import MirrorSimulationSettings
 from rotcal_ros.catalogue.stations import Stations
 from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.gum_numbers import value_with_uncertainty
-from rotcal_ros.methods.plane_mirror.settings import MirrorSolverSettings
 from rotcal_ros.methods.plane_mirror.solve import METHOD as NAME
+from rotcal_ros.methods.plane_mirror_settings import MirrorSolverSettings
 from rotcal_ros.observations import PointKind
 from rotcal_ros.planning.plan import Plan, Step
 from rotcal_ros.planning.table_angles import table_angles

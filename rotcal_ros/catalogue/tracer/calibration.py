@@ -14,16 +14,16 @@ from rotcal_ros.catalogue.tracer.lengths import (
     mean_targets,
     reported_positions,
 )
-from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings
+from rotcal_ros.catalogue.tracer.settings import TracerPlanSettings
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods.arrivals import Arrivals, mean_of_runs
 from rotcal_ros.methods.tracer.joins import Pairs, Runs, adjust_at_equal_places, adjust_joined
 from rotcal_ros.methods.tracer.problem import TracerProblem
 from rotcal_ros.methods.tracer.reported import Weighed, with_reported
-from rotcal_ros.methods.tracer.settings import TracerSolverSettings
 from rotcal_ros.methods.tracer.solution import TracerSolution
 from rotcal_ros.methods.tracer.solve import result_of
 from rotcal_ros.methods.tracer.trials import trials_about
+from rotcal_ros.methods.tracer_settings import TracerSolverSettings
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.table_angles import table_angles

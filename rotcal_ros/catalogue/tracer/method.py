@@ -16,13 +16,14 @@ from rotcal_ros.catalogue.stations import Stations
 from rotcal_ros.catalogue.tracer import calibration, table
 from rotcal_ros.catalogue.tracer.disturbances import DISTURBANCES
 from rotcal_ros.catalogue.tracer.figures import figures
-from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings, check_plan, tracer_plan
+from rotcal_ros.catalogue.tracer.plan import check_plan, tracer_plan
 from rotcal_ros.catalogue.tracer.plan_tables import PLAN_FILES
 from rotcal_ros.catalogue.tracer.plausibility import LengthCheck
+from rotcal_ros.catalogue.tracer.settings import TracerPlanSettings
 from rotcal_ros.catalogue.tracer.simulation_settings import TracerSimulationSettings
 from rotcal_ros.geometry.rotations import rotation_about_z
-from rotcal_ros.methods.tracer.settings import TracerSolverSettings
 from rotcal_ros.methods.tracer.solve import METHOD as NAME
+from rotcal_ros.methods.tracer_settings import TracerSolverSettings
 from rotcal_ros.observations import PointKind
 from rotcal_ros.planning.plan import Plan, Step
 from rotcal_ros.planning.plan_figures import Compared

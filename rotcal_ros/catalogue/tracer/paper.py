@@ -9,8 +9,9 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.catalogue.configuration import Configuration
-from rotcal_ros.catalogue.tracer.plan import STATIONS_PER_TARGET, TracerPlanSettings, tracer_plan
+from rotcal_ros.catalogue.tracer.plan import tracer_plan
 from rotcal_ros.catalogue.tracer.policy import length_experiment
+from rotcal_ros.catalogue.tracer.settings import STATIONS_PER_TARGET, TracerPlanSettings
 from rotcal_ros.catalogue.tracer.timing import cell_time, plan_seconds
 from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.planning.plan import Plan, Step

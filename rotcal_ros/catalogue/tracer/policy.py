@@ -10,10 +10,10 @@ import numpy as np
 from rotcal_ros.arrays import Floats
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.continuation import Continuation
-from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings
+from rotcal_ros.catalogue.tracer.settings import TracerPlanSettings
 from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.errors import ConfigurationError, PlanError, RotcalError
-from rotcal_ros.methods.tracer.settings import TracerSolverSettings
+from rotcal_ros.methods.tracer_settings import TracerSolverSettings
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.policy.choices import Policy

@@ -15,7 +15,7 @@ from rotcal_ros.catalogue.tracer.lengths import (
     mean_targets,
     reported_positions,
 )
-from rotcal_ros.catalogue.tracer.plan import TARGETS_PER_STATION
+from rotcal_ros.catalogue.tracer.settings import TARGETS_PER_STATION
 from rotcal_ros.catalogue.tracer_six.places import described
 from rotcal_ros.catalogue.tracer_six.plan import LOCATING, places_of
 from rotcal_ros.errors import DataError
@@ -25,10 +25,10 @@ from rotcal_ros.methods.tracer.reported import Weighed, with_reported
 from rotcal_ros.methods.tracer.station import locate_stations
 from rotcal_ros.methods.tracer_six.problem import SixProblem
 from rotcal_ros.methods.tracer_six.response import adjust_at_equal_places
-from rotcal_ros.methods.tracer_six.settings import TracerSixSolverSettings, Zero, ZeroSetting
 from rotcal_ros.methods.tracer_six.solution import SixSolution
 from rotcal_ros.methods.tracer_six.solve import result_of
 from rotcal_ros.methods.tracer_six.trials import SixTrials
+from rotcal_ros.methods.tracer_six_settings import TracerSixSolverSettings, Zero, ZeroSetting
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan, Point
 from rotcal_ros.planning.time_order import time_order

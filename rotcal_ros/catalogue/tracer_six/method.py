@@ -15,8 +15,9 @@ from rotcal_ros.catalogue.stations import Stations
 from rotcal_ros.catalogue.tracer_six import calibration, table
 from rotcal_ros.catalogue.tracer_six.disturbances import DISTURBANCES
 from rotcal_ros.catalogue.tracer_six.figures import figures
-from rotcal_ros.catalogue.tracer_six.plan import SixPlanSettings, check_plan, places_of, plan
+from rotcal_ros.catalogue.tracer_six.plan import check_plan, places_of, plan
 from rotcal_ros.catalogue.tracer_six.plausibility import PlaceLengths
+from rotcal_ros.catalogue.tracer_six.settings import SixPlanSettings
 from rotcal_ros.catalogue.tracer_six.simulation_settings import SixSimulationSettings
 from rotcal_ros.curves import gauge
 from rotcal_ros.geometry.rotations import rotation_about_z

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from rotcal_ros.catalogue.tracer.simulation_settings import (
     LengthsSimulationSettings,
     SimulatedReadingsSettings,
 )
 from rotcal_ros.settings import group, setting
-from rotcal_ros.simulation.instrument import Instrument, Table
-from rotcal_ros.simulation.temperature import SimulatedTemperature
+
+if TYPE_CHECKING:
+    from rotcal_ros.simulation.instrument import Instrument, Table
+    from rotcal_ros.simulation.temperature import SimulatedTemperature
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,9 @@ from rotcal_ros.catalogue.calibration import Calibration, prepare
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.measurements import PlannedMeasurements, StepFinder
 from rotcal_ros.catalogue.tracer.table import SEGMENT, read_targets, targets_of_table
-from rotcal_ros.catalogue.tracer_six.plan import SixPlanSettings, plan_of
+from rotcal_ros.catalogue.tracer_six.plan import plan_of
 from rotcal_ros.catalogue.tracer_six.plausibility import PlaceLengths
+from rotcal_ros.catalogue.tracer_six.settings import SixPlanSettings
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.methods.tracer_six import TracerSixSolverSettings
 from rotcal_ros.plugins import nearest

@@ -6,9 +6,9 @@ from rotcal_ros.methods.plane_mirror.problem import (
     TrackerNoise,
     problem_from_observations,
 )
-from rotcal_ros.methods.plane_mirror.settings import WAYS
 from rotcal_ros.methods.plane_mirror.solve import METHOD, solve
 from rotcal_ros.methods.plane_mirror.trials import mirror_trials
+from rotcal_ros.methods.plane_mirror_settings import WAYS
 
 __all__ = [
     "METHOD",

@@ -42,8 +42,8 @@ from rotcal_ros.methods.plane_mirror.prepare import (
     PreparedWay,
 )
 from rotcal_ros.methods.plane_mirror.registration import Poses, nest_equations, pose_jacobian
-from rotcal_ros.methods.plane_mirror.settings import STITCHING
 from rotcal_ros.methods.plane_mirror.stitching import station_cones
+from rotcal_ros.methods.plane_mirror_settings import STITCHING
 
 CIRCLE: Final = 7
 """Unknowns of the circle of a reflector on the table: centre, three turns, radius."""

@@ -25,7 +25,7 @@ from rotcal_ros.methods.plane_mirror.prepare import (
 )
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.registration import nest_equations
-from rotcal_ros.methods.plane_mirror.settings import STITCHING
+from rotcal_ros.methods.plane_mirror_settings import STITCHING
 from rotcal_ros.results import Residuals
 
 _CERTAIN = 1e-300

@@ -30,13 +30,13 @@ from rotcal_ros.methods.plane_mirror.nest_tests import register
 from rotcal_ros.methods.plane_mirror.normals import Normals, fit_normals, pair_weights
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.registration import Poses, adjust_stations
-from rotcal_ros.methods.plane_mirror.settings import STITCHING
 from rotcal_ros.methods.plane_mirror.stitching import (
     joining_map,
     require_cone,
     require_overlap,
     stitch,
 )
+from rotcal_ros.methods.plane_mirror_settings import STITCHING
 from rotcal_ros.observations import PointKind
 from rotcal_ros.results import Rejection
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.errors import DataError
-from rotcal_ros.methods.plane_mirror.settings import (
+from rotcal_ros.methods.plane_mirror_settings import (
     INCIDENCE_LIMIT_DEG,
     WAYS,
     MirrorSolverSettings,

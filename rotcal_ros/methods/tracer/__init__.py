@@ -5,9 +5,9 @@
 """
 
 from rotcal_ros.methods.tracer.problem import TracerProblem
-from rotcal_ros.methods.tracer.settings import TracerLimits, TracerSolverSettings
 from rotcal_ros.methods.tracer.solve import METHOD, solve
 from rotcal_ros.methods.tracer.trials import TracerTrials, tracer_trials
+from rotcal_ros.methods.tracer_settings import TracerLimits, TracerSolverSettings
 
 __all__ = [
     "METHOD",

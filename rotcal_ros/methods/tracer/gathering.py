@@ -27,7 +27,7 @@ from rotcal_ros.methods.tracer.angles import bearing_slopes, table_motion
 from rotcal_ros.methods.tracer.grid import FREE_TARGET_MINIMUM, Grid
 from rotcal_ros.methods.tracer.length_view import view_of
 from rotcal_ros.methods.tracer.network import linearise
-from rotcal_ros.methods.tracer.settings import TracerLimits
+from rotcal_ros.methods.tracer_settings import TracerLimits
 from rotcal_ros.protection import POWER, Protection
 from rotcal_ros.units import MICROMETRE
 

@@ -15,7 +15,7 @@ from rotcal_ros.methods.columns import indices as _indices
 from rotcal_ros.methods.columns import matrix as _matrix
 from rotcal_ros.methods.columns import require as _require
 from rotcal_ros.methods.columns import vector as _vector
-from rotcal_ros.methods.tracer.settings import Datum, TracerLimits, TracerSolverSettings, Variant
+from rotcal_ros.methods.tracer_settings import Datum, TracerLimits, TracerSolverSettings, Variant
 
 _DEFAULTS = TracerSolverSettings()
 _LATEST = 2**62

@@ -52,7 +52,7 @@ from rotcal_ros.methods.tracer.noise import (
     noise_evidence,
     scaled,
 )
-from rotcal_ros.methods.tracer.settings import TracerLimits
+from rotcal_ros.methods.tracer_settings import TracerLimits
 
 GROSS: Final = 5.0
 """Margin of the coarse round over the fine one."""

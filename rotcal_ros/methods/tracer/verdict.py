@@ -31,8 +31,8 @@ from rotcal_ros.methods.tracer.gathering import doubts as doubt_gathering
 from rotcal_ros.methods.tracer.grid import FREE_TARGET_MINIMUM
 from rotcal_ros.methods.tracer.jumps import Jump
 from rotcal_ros.methods.tracer.noise import Noise
-from rotcal_ros.methods.tracer.settings import TracerLimits
 from rotcal_ros.methods.tracer.uncertainty import CircleStatement, GlobalTest
+from rotcal_ros.methods.tracer_settings import TracerLimits
 from rotcal_ros.results import Verdict
 from rotcal_ros.units import ARCSEC
 

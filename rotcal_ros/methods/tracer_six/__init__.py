@@ -5,9 +5,9 @@ what comes out. docs/tracer_six.md has the derivation.
 """
 
 from rotcal_ros.methods.tracer_six.problem import SixProblem
-from rotcal_ros.methods.tracer_six.settings import TracerSixSolverSettings
 from rotcal_ros.methods.tracer_six.solve import METHOD, solve
 from rotcal_ros.methods.tracer_six.trials import SixTrials, six_trials
+from rotcal_ros.methods.tracer_six_settings import TracerSixSolverSettings
 
 __all__ = [
     "METHOD",

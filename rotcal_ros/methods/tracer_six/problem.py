@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.methods.columns import broadcast, indices, matrix, require, vector
-from rotcal_ros.methods.tracer.settings import Datum, TracerLimits
-from rotcal_ros.methods.tracer_six.settings import TracerSixSolverSettings, Zero
+from rotcal_ros.methods.tracer_settings import Datum, TracerLimits
+from rotcal_ros.methods.tracer_six_settings import TracerSixSolverSettings, Zero
 
 _DEFAULTS: Final = TracerSixSolverSettings()
 _LATEST: Final = 2**62

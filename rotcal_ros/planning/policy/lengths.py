@@ -18,7 +18,7 @@ from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.methods.tracer.grid import station_minimum
 from rotcal_ros.methods.tracer.prediction import predicted
 from rotcal_ros.methods.tracer.problem import TracerProblem
-from rotcal_ros.methods.tracer.settings import TracerSolverSettings
+from rotcal_ros.methods.tracer_settings import TracerSolverSettings
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.policy.measured import Measured

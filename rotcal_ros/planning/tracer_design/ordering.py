@@ -12,7 +12,7 @@ from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.errors import PlanError
 from rotcal_ros.methods.tracer.prediction import predicted
 from rotcal_ros.methods.tracer.problem import TracerProblem
-from rotcal_ros.methods.tracer.settings import TracerLimits
+from rotcal_ros.methods.tracer_settings import TracerLimits
 from rotcal_ros.planning.sequence_choice import MeasuringOrder, least_hidden, measuring_orders
 from rotcal_ros.planning.sequence_forecast import OrderForecast, ranks
 from rotcal_ros.planning.sequence_time import HARDLY, Drive, TimeModel, stated_time

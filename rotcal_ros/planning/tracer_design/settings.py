@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.methods.tracer.settings import TracerLimits, TracerSolverSettings
+from rotcal_ros.methods.tracer_settings import TracerLimits, TracerSolverSettings
 from rotcal_ros.planning.table_angles import TableAngleSettings
 from rotcal_ros.protection import TOLERABLE
 from rotcal_ros.settings import setting

@@ -9,7 +9,7 @@ from settings_page import rows
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods.plane_mirror import TrackerNoise, problem_from_observations
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem, noise_of
-from rotcal_ros.methods.plane_mirror.settings import MirrorSolverSettings
+from rotcal_ros.methods.plane_mirror_settings import MirrorSolverSettings
 from rotcal_ros.observations import Approach, PointKind
 from rotcal_ros.planning.plan import Step
 from rotcal_ros.units import ARCSEC

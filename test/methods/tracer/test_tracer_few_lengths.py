@@ -8,7 +8,7 @@ import pytest
 from rotcal_ros.errors import DataError, ObservabilityError
 from rotcal_ros.methods.tracer import TracerProblem, solve
 from rotcal_ros.methods.tracer.grid import station_minimum
-from rotcal_ros.methods.tracer.settings import TracerLimits
+from rotcal_ros.methods.tracer_settings import TracerLimits
 from rotcal_ros.planning.tracer_design.scene import on_table
 
 ANGLES = np.radians(30.0 * np.arange(9))

@@ -9,7 +9,7 @@ from tracer_scene import arc, low_ring, simulate
 from rotcal_ros.errors import ConfigurationError, DataError, ObservabilityError
 from rotcal_ros.methods.tracer import TracerProblem, solve
 from rotcal_ros.methods.tracer.screening import critical_value
-from rotcal_ros.methods.tracer.settings import TracerLimits
+from rotcal_ros.methods.tracer_settings import TracerLimits
 from rotcal_ros.units import ARCSEC
 
 SCENE = simulate(seed=1)

@@ -19,7 +19,7 @@ from rotcal_ros.results import Result
 ARCSEC = np.pi / 648000
 LENGTH, TARGET = 2e-7, 1e-6
 """What is stated, m."""
-RUNS, BARE = (250, 60) if LONG else (20, 10)
+RUNS, BARE = (250, 60) if LONG else (12, 6)
 """Runs of each case, and those of them that are solved without rejection too."""
 ABOUT = (0.92, 0.98) if LONG else share(0.95, RUNS)
 """Six angles of a run err together: a share scatters by 1.4 % at most in 250 runs."""

@@ -20,11 +20,11 @@ from rotcal_ros.methods.tracer.observability import (
     weakest_direction,
 )
 from rotcal_ros.methods.tracer.schur import eliminate
-from rotcal_ros.methods.tracer.settings import TracerLimits
 from rotcal_ros.methods.tracer.solution import adjust
 from rotcal_ros.methods.tracer.solve import solve
 from rotcal_ros.methods.tracer.uncertainty import GlobalTest
 from rotcal_ros.methods.tracer.verdict import Closure, Evidence, closures, judge
+from rotcal_ros.methods.tracer_settings import TracerLimits
 
 LIMITS = TracerLimits()
 GOOD = Evidence(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from rotcal_ros.methods.tracer.settings import Datum, LengthNoiseSettings
+from rotcal_ros.methods.tracer_settings import Datum, LengthNoiseSettings
 from rotcal_ros.settings import setting
 
 Zero = Literal["per_run", "per_station", "per_segment"]

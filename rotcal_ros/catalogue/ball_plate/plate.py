@@ -10,7 +10,6 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.methods.ball_plate.problem import grid_angles, on_circle
 from rotcal_ros.settings import load, setting
 
 
@@ -46,6 +45,8 @@ class Plate:
     @property
     def places(self) -> Floats:
         """Nominal places (grid, 3) of all steps at table position 0, metres."""
+        from rotcal_ros.methods.ball_plate.problem import grid_angles, on_circle
+
         return self.circle_radius_m * on_circle(grid_angles(self.grid))
 
 

@@ -1,0 +1,16 @@
+"""Plans of a tracer of which few simulated runs tell whether they keep their promise.
+
+How many runs a promise takes is tried in planning/tracer_design/test_promise.py; a plan's tests
+ask what is done with them.
+"""
+
+from functools import partial
+
+import pytest
+
+from rotcal_ros.planning.tracer_design import ordering, promise
+
+
+def few_runs(monkeypatch: pytest.MonkeyPatch, runs: int) -> None:
+    """Let the promise of a plan be told by so many runs, or by none."""
+    monkeypatch.setattr(ordering, "promised", partial(promise.promised, looks=(runs,)))
