@@ -1,9 +1,10 @@
-"""Try a mutant on the tests of its room.
+"""Try a mutant on the tests that run its statement.
 
-A mutant meets the tests that ran its statement, the quickest ones, ``ENOUGH_S`` of them; those
-marked ``slow``, ``ros`` or ``linuxcnc`` are left out. It lives in a fork of this process, which
-has imported all but the project; no file is changed. Which test runs which line is measured once
-and kept in ``out/mutants/`` until code or tests change.
+Which test runs which line is measured once for each folder of tests and kept in ``out/mutants/``
+until code or tests change. Left out are tests marked ``slow``, ``ros`` or ``linuxcnc``, those that
+fail under the meter (they want a terminal, say) and those that take longer than ``LONGEST_S``. A
+mutant meets the nearest and quickest tests, ``ENOUGH_S`` of them. It lives in a fork of this
+process, which has imported all but the project; no file is changed.
 """
 
 from __future__ import annotations
@@ -19,9 +20,10 @@ import signal
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from importlib.machinery import ModuleSpec, SourceFileLoader
 from pathlib import Path
 from types import CodeType
@@ -38,75 +40,110 @@ ROOT = Path(__file__).parents[1]
 KEPT = ROOT / "out" / "mutants"
 MARKERS = "not slow and not ros and not linuxcnc"
 ENOUGH_S = 20.0
-"""Seconds that the tests of one mutant may need without it."""
+"""Processor seconds that the tests of one mutant may need without it."""
+LONGEST_S = 20.0
+"""Seconds that one test may take under the meter."""
+FILE_S = 0.1
+"""Processor seconds to collect a file of tests."""
 PATIENCE_S, PATIENCE = 10.0, 5.0
 """A mutant is stopped after the first and so many times as long as its tests need without it."""
+WAITS = 4.0
+"""It may wait so many times as long as it may compute: the machine may be busy."""
 MEMORY = 6 << 30
 sys.path.insert(0, str(ROOT))
 
 
+class Repeatable:
+    """Has hypothesis always try the same examples; ``conftest.py`` has set its own by then."""
+
+    def pytest_configure(self) -> None:
+        """Set it."""
+        phases = [Phase.explicit, Phase.generate]
+        settings.register_profile("mutants", derandomize=True, database=None, phases=phases)
+        settings.load_profile("mutants")
+
+
 @dataclass(eq=False)
-class Meter:
+class Meter(Repeatable):
     """Notes which tests run which lines; what a shared fixture runs counts for all its users."""
 
     coverage: coverage.Coverage
     seconds: defaultdict[str, float] = field(default_factory=lambda: defaultdict(float))
-    users: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+    parts: dict[str, list[str]] = field(default_factory=dict)
     stack: list[str] = field(default_factory=lambda: [""])
+    mark: float = 0.0
 
     def _inside(self, context: str) -> Generator[None, Any, Any]:
+        self._switch()
         self.stack.append(context)
         self.coverage.switch_context(context)
         try:
             return (yield)
         finally:
+            self._switch()
             self.stack.pop()
             self.coverage.switch_context(self.stack[-1])
+
+    def _switch(self) -> None:
+        now = sum(os.times()[:4])
+        self.seconds[self.stack[-1]] += now - self.mark
+        self.mark = now
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, Any, Any]:
         """Count for this test what runs now."""
-        for name in (item.nodeid, *getattr(item, "fixturenames", ())):
-            self.users[name].append(item.nodeid)
+        known = item._fixtureinfo.name2fixturedefs.values()
+        shared = [_name(defs[-1]) for defs in known if defs[-1].scope != "function"]
+        self.parts[item.nodeid] = [item.nodeid, *shared]
         return (yield from self._inside(item.nodeid))
 
     @pytest.hookimpl(wrapper=True)
     def pytest_fixture_setup(self, fixturedef: Any) -> Generator[None, Any, Any]:
         """Count for the fixture what runs now."""
         shared = fixturedef.scope != "function"
-        return (yield from self._inside(fixturedef.argname if shared else self.stack[-1]))
+        return (yield from self._inside(_name(fixturedef) if shared else self.stack[-1]))
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_call(self) -> Generator[None, Any, Any]:
+        """End a test that takes too long."""
+        signal.signal(signal.SIGALRM, lambda *_: pytest.fail("takes too long"))
+        signal.setitimer(signal.ITIMER_REAL, LONGEST_S)
+        try:
+            return (yield)
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Add up the seconds of a test."""
-        self.seconds[report.nodeid] += report.duration
+        """Forget a test that fails."""
+        if report.failed:
+            print("left out:", report.nodeid)
+            self.parts.pop(report.nodeid, None)
 
-    def lines(self) -> dict[str, dict[int, list[str]]]:
-        """Return the tests of each line of each file; none for what ran on import alone."""
-        data = self.coverage.get_data()
-        return {
-            file: {
-                line: sorted(
-                    {test for context in contexts for test in self.users.get(context, ())}
-                )
-                for line, contexts in data.contexts_by_lineno(file).items()
-            }
-            for file in data.measured_files()
-        }
+
+def _name(fixturedef: Any) -> str:
+    return f"{fixturedef.baseid}::{fixturedef.argname} (fixture)"
 
 
 @dataclass(frozen=True, eq=False)
-class Chosen:
-    """Runs these tests alone, the quickest file first."""
+class Chosen(Repeatable):
+    """Runs these tests alone, the first file first, and notes which one failed."""
 
-    seconds: dict[str, float]
+    tests: Sequence[str]
+    killer: Path
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
         """Select and sort."""
-        items[:] = [item for item in items if item.nodeid in self.seconds]
-        total: defaultdict[Path, float] = defaultdict(float)
-        for item in items:
-            total[item.path] += self.seconds[item.nodeid]
-        items.sort(key=lambda item: total[item.path])
+        wanted = set(self.tests)
+        files = files_of(self.tests)
+        items[:] = [item for item in items if item.nodeid in wanted]
+        items.sort(key=lambda item: files.index(item.nodeid.split("::")[0]))
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport | pytest.CollectReport) -> None:
+        """Note which test failed, or which file of them."""
+        if report.failed:
+            self.killer.write_text(report.nodeid)
+
+    pytest_collectreport = pytest_runtest_logreport
 
 
 class Replaced(SourceFileLoader):
@@ -127,77 +164,149 @@ class Replaced(SourceFileLoader):
         return compile(self.source, self.path, "exec", dont_inherit=True)
 
 
-class Room:
-    """A room, its tests, and which of them run which line."""
+class Folder:
+    """A folder of tests, and which of them run which line; ``top`` are those in no folder."""
 
     def __init__(self, name: str) -> None:
-        os.chdir(ROOT)
         self.name = name
-        kept = KEPT / f"{name}.json"
-        digest = _digest(ROOT / PACKAGE, ROOT / "test" / name)
+        self.data, kept = KEPT / f"{name}.coverage", KEPT / f"{name}.json"
+        digest = _digest(ROOT / PACKAGE, *self._paths())
         if not kept.exists() or json.loads(kept.read_text())["digest"] != digest:
             KEPT.mkdir(parents=True, exist_ok=True)
+            self.data.unlink(missing_ok=True)
+            print(f"measuring which line is run by which test of {name}", flush=True)
             log = KEPT / f"{name}.log"
-            print(f"{name}: measuring which test runs which line", flush=True)
-            if code := in_fork(lambda: self._measure(kept, digest), 3600.0, log):
-                sys.exit(f"the tests of {name} fail without any mutant ({code}), see {log}")
+            code = in_fork(lambda: self._measure(kept, digest), 3600.0, log)[0]
+            if code not in (0, int(pytest.ExitCode.TESTS_FAILED)):
+                print(f"the tests of {name} are left out: they ended with {code}, see {log}")
+                kept.write_text(json.dumps({"digest": digest, "parts": {}, "seconds": {}}))
         measured = json.loads(kept.read_text())
         self.seconds: dict[str, float] = measured["seconds"]
-        self.lines: dict[str, dict[str, list[str]]] = measured["lines"]
-        for module in measured["imports"]:
-            with suppress(Exception):
-                importlib.import_module(module)
-        path = Path(max(self.lines, key=lambda file: len(self.lines[file])))
-        if self.outcome(path, path.read_text(), self.tests_of(path, 1)) != "survived":
-            sys.exit(f"the tests of {name} see a mutant where there is none, see {KEPT}/trial.log")
+        self.parts: dict[str, list[str]] = measured["parts"]
+        self.imports: list[str] = measured.get("imports", [])
+
+    def _paths(self) -> list[Path]:
+        if self.name != "top":
+            return [ROOT / "test" / self.name]
+        return sorted(Path(ROOT, "test").glob("test_*.py"))
 
     def _measure(self, kept: Path, digest: str) -> int:
-        source = [str(ROOT / PACKAGE / self.name)]
-        meter = Meter(coverage.Coverage(data_file=None, config_file=False, source=source))
+        source = [str(ROOT / PACKAGE)]
+        meter = Meter(coverage.Coverage(str(self.data), config_file=False, source=source))
         meter.coverage.start()
-        code = run_pytest([f"test/{self.name}"], meter)
+        code = run_pytest([str(path.relative_to(ROOT)) for path in self._paths()], meter)
         meter.coverage.stop()
+        meter.coverage.save()
         files = {name: getattr(module, "__file__", "") for name, module in sys.modules.items()}
         foreign = [name for name, file in files.items() if "-packages" in (file or "")]
-        if code == 0:
-            found = {"digest": digest, "seconds": meter.seconds, "lines": meter.lines()}
-            kept.write_text(json.dumps({**found, "imports": foreign}))
+        found = {"digest": digest, "seconds": meter.seconds, "parts": meter.parts}
+        kept.write_text(json.dumps({**found, "imports": foreign}))
         return code
 
-    def tests_of(self, path: Path, line: int) -> dict[str, float]:
-        """Return the tests, and their seconds, that run the statement on this line of a file.
+    @cached_property
+    def users(self) -> dict[str, set[str]]:
+        """The tests that a part, a test or a shared fixture, is part of."""
+        users = defaultdict(set)
+        for test, parts in self.parts.items():
+            for part in parts:
+                users[part].add(test)
+        return users
 
-        A statement that runs on import alone concerns all that run anything in the file.
+    def lines(self, path: Path) -> dict[int, set[str]]:
+        """Return the tests of each line of a file; none for what ran on import alone."""
+        data = coverage.CoverageData(str(self.data))
+        data.read()
+        found = data.contexts_by_lineno(str(path)) if self.parts else {}
+        return {
+            line: {test for context in contexts for test in self.users.get(context, ())}
+            for line, contexts in found.items()
+        }
+
+
+class Suite:
+    """All tests, and which of them notice a mutant."""
+
+    def __init__(self, folders: Iterable[str]) -> None:
+        os.chdir(ROOT)
+        self.folders = [Folder(name) for name in folders]
+        self.parts = {test: parts for f in self.folders for test, parts in f.parts.items()}
+        self.seconds = {part: s for f in self.folders for part, s in f.seconds.items()}
+        self.trusted: dict[str, bool] = {"": True}
+        for module in sorted({module for f in self.folders for module in f.imports}):
+            with suppress(Exception):
+                importlib.import_module(module)
+
+    def tests_of(self, path: Path, line: int, first: str = "") -> list[str]:
+        """Return the tests that run the statement on this line of a file, the nearest first.
+
+        A statement that runs on import alone concerns all that run anything in the file, and the
+        nearest: who makes a dataclass runs none of its lines.
         """
-        lines = self.lines.get(str(path), {})
         span = _statement(ast.parse(path.read_text()), line)
-        tests = {test for n in span or map(int, lines) for test in lines.get(str(n), ())}
-        if span is None and not tests:
-            tests = set(self.seconds)
-        chosen: dict[str, float] = {}
-        for test in sorted(tests, key=lambda test: (self.seconds[test], test)):
-            if sum(chosen.values()) < ENOUGH_S:
-                chosen[test] = self.seconds[test]
+        tests: set[str] = set()
+        for folder in self.folders:
+            lines = folder.lines(path)
+            tests |= {test for n in span or lines for test in lines.get(n, ())}
+        if span is None:
+            tests |= {test for test in self.parts if not self._far(path, test)[0]}
+        chosen: list[str] = []
+        parts: set[str] = set()
+        for test in sorted(tests, key=lambda test: (test != first, *self._far(path, test))):
+            file = test.split("::")[0]
+            trusted = self.trusted.get(test, True) and self.trusted.get(file, True)
+            if trusted and self._needs(parts) < ENOUGH_S:
+                chosen.append(test)
+                parts |= {file, *self.parts[test]}
         return chosen
 
-    def outcome(self, path: Path, source: str, tests: dict[str, float]) -> str:
-        """Return "survived", "killed", "timeout", or "untested" where there are no tests."""
-        if not tests:
-            return "untested"
+    def _far(self, path: Path, test: str) -> tuple[bool, float, str]:
+        room = path.relative_to(ROOT / PACKAGE).parts[0]
+        near = f"test/{room}/" in test or path.stem in test.split("::")[0]
+        return not near, self._needs(self.parts[test]), test
+
+    def _needs(self, parts: Iterable[str]) -> float:
+        return sum(self.seconds.get(part, FILE_S) for part in parts)
+
+    def outcome(self, path: Path, line: int, source: str, first: str = "") -> tuple[str, str, int]:
+        """Return whether it was noticed, by which test, and how many tests it might meet.
+
+        A test that kills is tried alone and without the mutant: one that fails then, too, counts
+        no more.
+        """
+        while tests := self.tests_of(path, line, first):
+            outcome, killer = self._try(path, source, tests)
+            if killer not in self.trusted:
+                alone = self._try(path, path.read_text(), [killer])
+                self.trusted[killer] = alone[0] == "survived"
+            if self.trusted[killer]:
+                return outcome, killer, len(tests)
+        return "untested", "", 0
+
+    def _try(self, path: Path, source: str, tests: list[str]) -> tuple[str, str]:
+        killer = KEPT / "killer"
+        killer.write_text("")
 
         def trial() -> int:
             parts = path.relative_to(ROOT).with_suffix("").parts
             name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
             sys.meta_path.insert(0, Replaced(name, str(path), source))
-            return run_pytest(sorted({test.split("::")[0] for test in tests}), Chosen(tests))
+            return run_pytest(files_of(tests), Chosen(tests, killer), "-x")
 
-        limit_s = PATIENCE_S + PATIENCE * sum(tests.values())
-        code = in_fork(trial, limit_s, KEPT / "trial.log")
-        return {None: "timeout", 0: "survived"}.get(code, "killed")
+        parts = {part for test in tests for part in self.parts.get(test, ())}
+        needs = self._needs(parts.union(files_of(tests)))
+        code, late = in_fork(trial, PATIENCE_S + PATIENCE * needs, KEPT / "trial.log")
+        passed = code in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED)
+        return "timeout" if late else "survived" if passed else "killed", killer.read_text()
 
 
-def _digest(*folders: Path) -> str:
-    files = sorted(path for folder in folders for path in folder.rglob("*.py"))
+def files_of(tests: Sequence[str]) -> list[str]:
+    """Return the files of these tests, in their order."""
+    return [*dict.fromkeys(test.split("::")[0] for test in tests)]
+
+
+def _digest(*places: Path) -> str:
+    found = {path for place in places for path in [place, *place.rglob("*.py")]}
+    files = sorted(path for path in found if path.is_file())
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 
@@ -214,23 +323,23 @@ def _statement(tree: ast.AST, line: int) -> range | None:
     return max((head for head in heads if line in head), key=lambda h: h.start, default=None)
 
 
-def run_pytest(paths: Sequence[str], plugin: object) -> int:
-    """Run tests until one fails; hypothesis always tries the same examples."""
-    phases = [Phase.explicit, Phase.generate]
-    settings.register_profile("mutants", derandomize=True, database=None, phases=phases)
-    settings.load_profile("mutants")
-    options = ["-x", "-q", "-p", "no:cacheprovider", "-m", MARKERS, "--tb=short"]
+def run_pytest(paths: Sequence[str], plugin: object, *options: str) -> int:
+    """Run tests."""
+    options = ("-q", "-p", "no:cacheprovider", "-m", MARKERS, "--tb=short", *options)
     return int(pytest.main([*options, *paths], plugins=[plugin]))
 
 
-def in_fork(work: Callable[[], int], limit_s: float, log: Path) -> int | None:
-    """Return the exit code of ``work`` in a forked process; None if it took too long."""
+def in_fork(work: Callable[[], int], limit_s: float, log: Path) -> tuple[int, bool]:
+    """Return the exit code of ``work`` in a forked process, and whether it took too long."""
     child = os.fork()
     if child == 0:
         code = 1
         try:
             os.setsid()
             resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+            resource.setrlimit(resource.RLIMIT_CPU, (int(limit_s), int(limit_s)))
+            nowhere = os.open(os.devnull, os.O_RDONLY)
+            os.dup2(nowhere, 0)
             with log.open("w") as output:
                 os.dup2(output.fileno(), 1)
                 os.dup2(output.fileno(), 2)
@@ -238,7 +347,7 @@ def in_fork(work: Callable[[], int], limit_s: float, log: Path) -> int | None:
         finally:
             sys.stdout.flush()
             os._exit(code)
-    end = time.monotonic() + limit_s
+    end = time.monotonic() + WAITS * limit_s
     ended = (0, 0)
     try:
         while ended == (0, 0) and time.monotonic() < end:
@@ -248,6 +357,6 @@ def in_fork(work: Callable[[], int], limit_s: float, log: Path) -> int | None:
         with suppress(ProcessLookupError):
             os.killpg(child, signal.SIGKILL)  # with all that it has started
     if ended == (0, 0):
-        os.waitpid(child, 0)
-        return None
-    return os.waitstatus_to_exitcode(ended[1])
+        return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), True
+    code = os.waitstatus_to_exitcode(ended[1])
+    return code, code in (-signal.SIGXCPU, -signal.SIGKILL)

@@ -1,4 +1,4 @@
-"""Put small faults into the code, one by one, and see whether the tests of the room notice.
+"""Put small faults into the code, one by one, and see whether the tests notice.
 
 mutmut makes the mutants: of functions with decorators and of constants too, which its own runner
 cannot try. Left out are those that put None for a value (they crash and tell nothing), those in
@@ -13,23 +13,28 @@ from __future__ import annotations
 import argparse
 import difflib
 import json
+import math
 import random
 import re
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import libcst as cst
 import libcst.matchers as m
 from libcst.metadata import MetadataWrapper, PositionProvider
-from mutant_trials import PACKAGE, ROOT, Room
+from mutant_trials import PACKAGE, ROOT, Suite
 from mutmut.mutation.file_mutation import MutationVisitor, deep_replace
 from mutmut.mutation.mutators import mutation_operators
 from mutmut.mutation.pragma_handling import IgnoredCode
 
-ROOMS = ("methods", "capture", "compensation", "planning", "evaluation")
+ROOMS = [*sorted(path.parent.name for path in Path(ROOT, PACKAGE).glob("*/__init__.py")), "top"]
+"""The folders of the package, and ``top`` for the files in none of them."""
+FOLDERS = [*sorted({path.parent.name for path in Path(ROOT, "test").glob("*/test_*.py")}), "top"]
+"""The folders of tests, and ``top`` likewise."""
 CHANGES_NOTHING = re.compile(r",\s*(?:strict=\w+|dtype=np\.float64|(?=\)))")
 INDICES = re.compile(r'"[a-z.,]+->[a-z.]*"')
 """The text of an ``einsum``, all in lower case: in upper case it says the same."""
@@ -125,76 +130,102 @@ def _same_but_none(old: cst.Call, new: cst.CSTNode) -> bool:
     return isinstance(new, cst.Call) and new.func is old.func and len(new.args) == len(old.args)
 
 
+def files_of(room: str) -> list[Path]:
+    """Return the files of a room."""
+    package = Path(ROOT, PACKAGE)
+    return sorted(package.glob("*.py") if room == "top" else Path(package, room).rglob("*.py"))
+
+
+def folders_for(rooms: Sequence[str]) -> list[str]:
+    """Return the folders of tests that name one of the rooms; all of them for all rooms."""
+    names = tuple(f"{PACKAGE}.{room}" for room in rooms)
+
+    def concerned(folder: str) -> bool:
+        place = Path(ROOT, "test", folder)
+        texts = (path.read_text() for path in place.rglob("*.py"))
+        return folder in rooms or any(name in text for text in texts for name in names)
+
+    return [folder for folder in FOLDERS if "top" in (folder, *rooms) or concerned(folder)]
+
+
 def choose(
-    rooms: list[str], seed: int, count: int, again: Path | None
+    rooms: Sequence[str], seed: int, count: int, again: dict[tuple[str, ...], str] | None
 ) -> tuple[int, list[Mutant]]:
-    """Return how many mutants there are, and those to try: a sample or survivors of a report."""
+    """Return how many mutants there are, and those to try: a sample, or those tried before."""
     found = [
-        mutant
-        for room in rooms
-        for path in sorted(Path(ROOT, PACKAGE, room).rglob("*.py"))
-        for mutant in mutants_of(room, path)
+        mutant for room in rooms for path in files_of(room) for mutant in mutants_of(room, path)
     ]
     if again is None:
         return len(found), random.Random(seed).sample(found, min(count, len(found)))
     random.Random(seed).shuffle(found)
-    wanted = {tuple(entry["key"]) for entry in json.loads(again.read_text())["survivors"]}
-    return len(found), [mutant for mutant in found if mutant.key in wanted]
+    return len(found), [mutant for mutant in found if mutant.key in again]
 
 
 def main() -> None:
-    """Try the mutants and report: shares on the terminal, every survivor in the file."""
+    """Try the mutants and report: shares on the terminal, every mutant in the file."""
     parser = argparse.ArgumentParser(description="See which small faults the tests notice.")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--sample", type=int, default=400)
     parser.add_argument("--room", choices=ROOMS, action="append", help="all when not given")
-    parser.add_argument("--again", type=Path, help="try the survivors of this report instead")
+    parser.add_argument("--again", type=Path, help="try the mutants of this report instead")
+    parser.add_argument("--survivors", type=Path, help="try those that survived in this report")
     parser.add_argument("--minutes", type=float, help="stop the sample after so long")
     parser.add_argument("--output", type=Path, default=ROOT / "out" / "mutants.json")
     given = parser.parse_args()
+    rooms, former = given.room or ROOMS, given.again or given.survivors
+    killers = None if former is None else killers_of(former, survivors_only=not given.again)
+    total, chosen = choose(rooms, given.seed, given.sample, killers)
+    print(f"{total} mutants, {len(chosen)} of them are tried", flush=True)
+    suite = Suite(folders_for(rooms))
     start = time.monotonic()
-    total, chosen = choose(given.room or [*ROOMS], given.seed, given.sample, given.again)
-    print(f"{total} mutants, {len(chosen)} of them are tried")
-    outcomes: Counter[tuple[str, str]] = Counter()
-    survivors: list[dict[str, object]] = []
-    rooms = {name: Room(name) for name in sorted({mutant.room for mutant in chosen})}
+    tried: list[dict[str, Any]] = []
     for mutant in chosen:
         if given.minutes and time.monotonic() - start > 60.0 * given.minutes:
             break
-        room = rooms[mutant.room]
-        tests = room.tests_of(mutant.path, mutant.line)
-        outcome = room.outcome(mutant.path, mutant.mutated(), tests)
-        outcomes[mutant.room, outcome] += 1
+        killer = (killers or {}).get(mutant.key, "")
+        outcome, by, tests = suite.outcome(mutant.path, mutant.line, mutant.mutated(), killer)
+        place = f"{mutant.key[0]}:{mutant.line}"
+        entry = {"room": mutant.room, "place": place, "outcome": outcome, "by": by}
+        tried.append({**entry, "tests": tests, "diff": mutant.diff(), "key": mutant.key})
         if outcome in ("survived", "untested"):
-            place = f"{mutant.key[0]}:{mutant.line}"
-            entry = {"place": place, "diff": mutant.diff(), "tests": len(tests)}
-            survivors.append({**entry, "key": mutant.key})
-            print(f"{place}  met {len(tests)} tests\n{mutant.diff()}", flush=True)
+            print(f"{place}  met {tests} tests\n{mutant.diff()}", flush=True)
+    of_room = {room: [entry for entry in tried if entry["room"] == room] for room in rooms}
     report = {
         "seed": given.seed,
         "mutants": total,
         "seconds": round(time.monotonic() - start),
-        "rooms": {
-            name: share(Counter({o: n for (r, o), n in outcomes.items() if r == name}))
-            for name in sorted({room for room, _ in outcomes})
-        },
-        "overall": share(Counter([o for (_, o), n in outcomes.items() for _ in range(n)])),
-        "survivors": survivors,
+        "rooms": {room: share(entries) for room, entries in of_room.items() if entries},
+        "overall": share(tried),
+        "tried": tried,
     }
     given.output.parent.mkdir(parents=True, exist_ok=True)
     given.output.write_text(json.dumps(report, indent=1))
     for name, row in [*report["rooms"].items(), ("overall", report["overall"])]:
-        print(f"{name:14}", *(f"{key} {value:<7}" for key, value in row.items()))
-    print(f"{report['seconds']} s; every survivor stands in {given.output}")
+        print(f"{name:18}", *(f"{key} {value:<6}" for key, value in row.items()))
+    print(f"{report['seconds']} s; every mutant stands in {given.output}")
 
 
-def share(outcomes: Counter[str]) -> dict[str, float]:
-    """Return counts and the share killed in percent; who never ends counts as killed."""
-    killed, late = outcomes["killed"], outcomes["timeout"]
-    tried = outcomes.total()
-    percent = round(100 * (killed + late) / tried, 1)
-    counts = {"tried": tried, "killed": killed, "timeout": late, "untested": outcomes["untested"]}
-    return {**counts, "killed_percent": percent}
+def killers_of(report: Path, survivors_only: bool) -> dict[tuple[str, ...], str]:
+    """Return the tests that killed the mutants of an earlier report, which are tried first."""
+    tried = json.loads(report.read_text())["tried"]
+    alive = ("survived", "untested")
+    wanted = [entry for entry in tried if entry["outcome"] in alive or not survivors_only]
+    return {tuple(entry["key"]): entry["by"] for entry in wanted}
+
+
+def share(tried: Sequence[dict[str, Any]]) -> dict[str, float]:
+    """Return counts, the share killed and its standard error in percent.
+
+    Who never ends counts as killed; "met" is the share of those that met a test at all.
+    """
+    counts = Counter(entry["outcome"] for entry in tried)
+    dead, n = counts["killed"] + counts["timeout"], len(tried)
+    return {
+        **{name: counts[name] for name in ("killed", "timeout", "survived", "untested")},
+        "percent": round(100 * dead / n, 1),
+        "error": round(100 * math.sqrt(dead * (n - dead) / n**3), 1),
+        "met_percent": round(100 * dead / max(n - counts["untested"], 1), 1),
+    }
 
 
 if __name__ == "__main__":

@@ -94,6 +94,10 @@ def test_who_was_started_anew_during_a_run(now, anew):
     assert started_anew({POINTS: {OURS: "/cell/probe"}}, {POINTS: now}) == anew
 
 
+def test_a_topic_that_nobody_publishes_any_more_has_nobody_who_was_started_anew():
+    assert started_anew({POINTS: {OURS: "/cell/probe"}, LENGTHS: {THIRD: "/x"}}, {}) == {}
+
+
 def test_the_next_run_begins_without_intruders_and_the_same_words_change_nothing():
     heard = judge(points=(OURS,))
     heard.hears(POINTS, Origin(STRAY, 1), 0.0)

@@ -36,6 +36,18 @@ def test_data_of_all_forms_are_read():
     assert parse_values("100.0, 0.2,1.5,0") == (100.0, 0.2, 1.5, 0.0)
 
 
+def test_calls_inside_each_other_are_read_down_to_the_depth_that_the_refusal_names():
+    def nested(depth):
+        return "A(" * depth + "1" + ")" * depth
+
+    inner = parse_call(nested(8))
+    for _ in range(7):
+        (inner,) = inner.arguments
+    assert inner == Call("A", (1.0,))
+    with pytest.raises(ProtocolError, match="more than 8 calls inside each other"):
+        parse_call(nested(9))
+
+
 @pytest.mark.parametrize(
     "text", ["", "GoTo", "GoTo(", "GoTo(X(1)", "GoTo(,)", "GoTo(1,)", "GoTo(X(1)) x", "1", '"a',
              "GoTo(1 2)", "GoTo(1E999)", "GoTo(--1)", "Go.To.(1)", "(" * 50, "A(" * 50]

@@ -225,6 +225,8 @@ def test_the_tables_repeatability_is_estimated_from_its_stops(size):
         assert not scatter["significant"][2]
         repeatability = next(p for p in result.protections if p.effect == "repeatability")
         assert repeatability.treatment == "estimated"
+        variance = result.covariance["EYC"].diagonal()  # both hold what the stops add
+        np.testing.assert_allclose(result.std["EYC"] ** 2, variance, rtol=1e-9, atol=1e-20)
         off = np.abs(result.deviations["EYC"] - truth.component("EYC")) / result.std["EYC"]
         inside, total = inside + np.count_nonzero(off < 1.96), total + len(off)
     assert np.sqrt(np.mean(np.square(found))) == pytest.approx(size, rel=0.15, abs=1.5e-8)

@@ -40,6 +40,14 @@ def test_four_balls_fail_in_some_layouts_although_the_divisor_is_one():
         require_separable(simulated(12, [0, 1, 6, 7])[0])
 
 
+@pytest.mark.parametrize(
+    ("balls", "divisor"), [([1, 6, 11, 16, 21], 1), ([1, 7, 13, 19], 6), ([2, 5, 11, 20], 3)]
+)
+def test_a_factor_counts_only_where_the_grid_shares_it(balls, divisor):
+    """Eq. 22 on a grid of 24: a distance of five steps between all balls goes around in 24."""
+    assert separability(24, np.array(balls)).common_divisor == divisor
+
+
 def test_divisor_one_is_enough_for_five_balls():
     for balls in combinations(range(1, 12), 4):
         found = separability(12, np.array([0, *balls]))

@@ -182,3 +182,11 @@ def test_instruments_stand_with_serial_numbers_and_dates(whole):
 def test_a_result_read_back_gives_the_same_page(whole):
     again = Result.from_dict(json.loads(result().to_json()))
     assert render_report(report(again)) == whole
+
+
+def test_details_are_told_in_words_and_long_arrays_left_out():
+    plane = {"tilt_rad": 2e-6, "unit_normal": [0.0, 0.0, 1.0], "all_heights": [0.5] * 9}
+    page = text_of(render_report(report(result(details={"fitted_plane": plane}))))
+    assert "fitted plane" in page
+    assert "tilt rad 2e-06; unit normal (0, 0, 1)" in page
+    assert "all heights" not in page

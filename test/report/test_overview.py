@@ -131,6 +131,17 @@ def test_every_bag_is_on_one_page_and_no_page_is_large(large):
     assert max(path.stat().st_size for path in [*pages, large / "overview.html"]) < 300_000
 
 
+def test_every_link_leads_to_a_page(large):
+    pages = [large / "overview.html", *(large / "overview").glob("*.html")]
+    links = {
+        (page.parent / link).resolve()
+        for page in pages
+        for link in re.findall(r'href="([^"#:]+\.html)"', page.read_text())
+    }
+    assert all(link.is_file() for link in links)
+    assert links >= {page.resolve() for page in pages if page.name.startswith("table-")}
+
+
 def test_a_reader_searches_and_pages_in_a_browser_without_a_request_elsewhere(large):
     playwright = pytest.importorskip("playwright.sync_api")
     with playwright.sync_playwright() as library:

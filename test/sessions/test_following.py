@@ -168,3 +168,38 @@ def test_a_second_interruption_says_how_to_go_on_too(tmp_path, monkeypatch, reco
     assert "interrupted once more" in told[0]
     expected = "to go on: rotcal run c.yaml --resume f" if recorded else "nothing was recorded yet"
     assert told[1].startswith(expected)
+
+
+@pytest.mark.parametrize(
+    ("code", "recorded", "told_bag", "kind"),
+    [
+        (601, False, "", ConfigurationError),
+        (602, False, "", ConfigurationError),
+        (608, True, "/data/told", ConfigurationError),
+        (603, True, "", DataError),
+        (604, True, "/data/told", DataError),
+        (604, False, "", DataError),
+    ],
+)
+def test_the_error_that_ended_it_says_what_is_left_and_where_the_logs_are(
+    tmp_path, monkeypatch, code, recorded, told_bag, kind
+):
+    """A planner that is lost cannot tell of its bag; the bag is named all the same."""
+    folder = SessionFolder(tmp_path)
+    folder.bag.mkdir()
+    if recorded:
+        (folder.bag / "bag_0.mcap").touch()
+    session = SimpleNamespace(
+        configuration=SimpleNamespace(simulated=False),
+        folder=folder,
+        finished=False,
+        resume_command="rotcal run c.yaml --resume f",
+        log_folder="/data/logs",
+    )
+    outcome = {"error_code": code, "error_msg": "it broke", "bag_folder": told_bag}
+    monkeypatch.setattr(following, "_run", lambda *_: outcome)
+    with pytest.raises(kind) as raised:
+        following.calibrate(session, Told())
+    left = f"; everything up to there is in {told_bag or folder.bag}"
+    go_on = "; go on with: rotcal run c.yaml --resume f"
+    assert str(raised.value) == "it broke" + recorded * (left + go_on) + "; logs: /data/logs"
