@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,3 +14,16 @@ Complexes: TypeAlias = NDArray[np.complex128]
 Bytes: TypeAlias = NDArray[np.uint8]
 Stamps: TypeAlias = NDArray[np.int64]
 """Times in integer nanoseconds."""
+
+_Numbers = TypeVar("_Numbers", bound=NDArray[Any])
+
+
+def steps_from(before: float, values: _Numbers) -> _Numbers:
+    """Return the steps (n,) of ``values`` (n,), the first of them from ``before``.
+
+    As ``np.diff`` with ``prepend``, which takes several times as long for a few values.
+    """
+    steps: _Numbers = np.empty_like(values)
+    steps[:1] = values[:1] - before
+    np.subtract(values[1:], values[:-1], out=steps[1:])
+    return steps

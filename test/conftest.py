@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 from pathlib import Path
 
 import hypothesis
@@ -17,6 +18,9 @@ if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
     # Started by nohup: nor would they hear of a terminal that is gone.
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
+# What is compiled is kept, for all workers and for every process that a test starts.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # A busy machine is no fault: examples have no deadline.
 hypothesis.settings.register_profile("quick", max_examples=30, deadline=None)

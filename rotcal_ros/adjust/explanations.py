@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -154,8 +155,7 @@ def free(group: Group, subset: Bools) -> Hypotheses:
     c = group.residual.shape[1]
     k = int(subset.sum())
     weight = group.weight[subset][:, :, subset].reshape(k * c, k * c)
-    together = np.linalg.cholesky(np.ones((k, k)) + OWN**2 * np.eye(k))
-    mixing = np.kron(together, np.eye(c))
+    mixing = _free_mixing(k, c)
     values, vectors = np.linalg.eigh(mixing.T @ weight @ mixing)
     axes = mixing @ vectors
     along = group.score[subset].ravel() @ axes
@@ -166,6 +166,15 @@ def free(group: Group, subset: Bools) -> Hypotheses:
         return mix.reshape(-1, 1, k * c)
 
     return Hypotheses(np.maximum(values, 0.0)[None], along[None], on_rows, group.felt)
+
+
+@lru_cache(maxsize=256)
+def _free_mixing(k: int, c: int) -> Floats:
+    """Return what k elements with c axes are off by, (k c, k c), per independent size."""
+    together = np.linalg.cholesky(np.ones((k, k)) + OWN**2 * np.eye(k))
+    mixing = np.kron(together, np.eye(c))
+    mixing.setflags(write=False)
+    return mixing
 
 
 def without(group: Group, subset: Bools) -> Floats:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any, Final
 
 from rosbags.interfaces import Nodetype
@@ -20,6 +20,8 @@ MAX_DEFINITION: Final = 1 << 18
 """Longest definition that is parsed, in characters; ROS's own are up to a tenth of that."""
 MAX_DEPTH: Final = 64
 """How deep messages may contain each other."""
+_REMEMBERED: Final = 1 << 14
+"""Longest definition whose types are remembered: all of ROS's and ours that are recorded here."""
 _MAX_ELEMENTS: Final = 10_000
 """Most elements of arrays of texts and messages together: rosbags writes code for each."""
 _ENCODINGS: Final = ("cdr", "")
@@ -50,11 +52,11 @@ def message_types(channel: ChannelDefinition) -> tuple[Typestore, Definitions]:
             f"topic {channel.topic}: its messages are serialised as "
             f"{channel.message_encoding!r}, which cannot be read (cdr can)"
         )
-    store = get_typestore(Stores.EMPTY)
+    known = len(channel.definition) <= _REMEMBERED
     try:
-        types = _always_known() | _parsed(channel)
-        _Tree(types).least_size(channel.type_name)
-        store.register(types)
+        store = (_store if known else _store.__wrapped__)(
+            channel.type_name, channel.encoding, channel.definition
+        )
     except _Unusable as error:
         reason = str(error)
     except Exception as error:
@@ -66,13 +68,23 @@ def message_types(channel: ChannelDefinition) -> tuple[Typestore, Definitions]:
     )
 
 
-def _parsed(channel: ChannelDefinition) -> dict[str, Any]:
-    if len(channel.definition) > MAX_DEFINITION:
+@lru_cache(maxsize=64)
+def _store(type_name: str, encoding: str, definition: str) -> Typestore:
+    """Return the store with the types of a definition: bags of one cell have the same ones."""
+    types = _always_known() | _parsed(type_name, encoding, definition)
+    _Tree(types).least_size(type_name)
+    store = get_typestore(Stores.EMPTY)
+    store.register(types)
+    return store
+
+
+def _parsed(type_name: str, encoding: str, definition: str) -> dict[str, Any]:
+    if len(definition) > MAX_DEFINITION:
         raise _Unusable(f"it is longer than {MAX_DEFINITION} characters")
-    text = _LINE_END.sub("\n", channel.definition.removeprefix("\ufeff"))
-    if channel.encoding == "ros2idl":
+    text = _LINE_END.sub("\n", definition.removeprefix("\ufeff"))
+    if encoding == "ros2idl":
         return dict(get_types_from_idl(text))
-    return dict(get_types_from_msg(text, channel.type_name))
+    return dict(get_types_from_msg(text, type_name))
 
 
 class _Tree:

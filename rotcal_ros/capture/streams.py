@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.arrays import Floats, Stamps
+from rotcal_ros.arrays import Floats, Stamps, steps_from
 
 CAPACITY = 1 << 17
 """Samples that a stream remembers at least: two minutes of a 1 kHz stream."""
@@ -211,7 +211,7 @@ class Stream:
         It stops where the clock is found to have been set back.
         """
         first = int(stamps[0]) - 1 if self.latest is None else self.latest
-        steps = np.diff(stamps, prepend=first)
+        steps = steps_from(first, stamps)
         if steps.min() > 0 and steps.max() <= self._tolerance_ns:
             self._ahead = 0
             self._behind.clear()

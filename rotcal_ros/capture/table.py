@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Bools, Floats
+from rotcal_ros.arrays import Bools, Floats, steps_from
 from rotcal_ros.capture.attempt import nanoseconds
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import Stream
@@ -61,7 +61,7 @@ def departure(
     first, last = table.index(begin_ns), table.index(end_ns)
     stamps = table.stamps[first : last + 1]
     moved = ~at_rest(table.values[first : last + 1], commanded, settings)
-    silent = np.diff(stamps, prepend=begin_ns) > nanoseconds(settings.table_silence_s)
+    silent = steps_from(begin_ns, stamps) > nanoseconds(settings.table_silence_s)
     wrong = moved | silent
     if not wrong.any():
         return None

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats, Ints, Stamps
+from rotcal_ros.arrays import Floats, Ints, Stamps, steps_from
 from rotcal_ros.capture.beam import WRAP, Beam
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import Stream
@@ -119,7 +119,7 @@ def classify(status: Floats, length: Floats, max_length: float) -> Ints:
 
 def sequence_steps(sequence: Floats, before: float) -> Ints:
     """Return the steps (n,) of a sequence that follows ``before``, modulo 32 bits."""
-    steps: Ints = np.diff(sequence, prepend=before).astype(np.int64) % WRAP
+    steps: Ints = steps_from(before, sequence).astype(np.int64) % WRAP
     return steps
 
 

@@ -74,8 +74,11 @@ class Motion:
         """Return position and velocity at ``stamps`` (n,), the lag included."""
         if not self._legs:
             return np.full(len(stamps), self.place), np.zeros(len(stamps))
-        position, velocity = self._legs[0].state(stamps)
-        for leg in self._legs[1:]:
+        first = stamps.min(initial=self.end_ns)
+        under_way = [leg for leg in self._legs[:-1] if leg.end_ns > first]
+        legs = [*under_way, self._legs[-1]]
+        position, velocity = legs[0].state(stamps)
+        for leg in legs[1:]:
             later = stamps >= leg.begin_ns
             there, speed = leg.state(stamps)
             position, velocity = np.where(later, there, position), np.where(later, speed, velocity)

@@ -67,7 +67,8 @@ class IndexedNoise:
         begin, end = first // _BLOCK, (first + max(count, 1) - 1) // _BLOCK
         blocks = [self._block(kind, number) for number in range(begin, end + 1)]
         offset = first - begin * _BLOCK
-        return np.concatenate(blocks)[offset : offset + count]
+        whole = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
+        return whole[offset : offset + count]
 
     def _block(self, kind: str, number: int) -> Floats:
         known = self._blocks.get((kind, number))
@@ -81,4 +82,5 @@ class IndexedNoise:
         if len(self._blocks) >= 4:
             self._blocks.pop(next(iter(self._blocks)))
         self._blocks[kind, number] = block = draw(_BLOCK)
+        block.setflags(write=False)
         return block

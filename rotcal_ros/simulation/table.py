@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats, Stamps
+from rotcal_ros.arrays import Floats, Ints, Stamps
 from rotcal_ros.compensation import plain_csv
 from rotcal_ros.components import COMPONENTS
 from rotcal_ros.observations import Approach, TableSample
@@ -19,15 +20,23 @@ from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE
 def harmonics(series: LinearHarmonics | AngularHarmonics, angles: Floats) -> Floats:
     """Return the sum of amplitude_k cos(k angle + phase_k) at ``angles`` (n,), in m or rad."""
     if isinstance(series, LinearHarmonics):
-        amplitudes = np.array(series.amplitudes_um) * MICROMETRE
+        parts = _parts(series.amplitudes_um, MICROMETRE, series.phases_deg)
     else:
-        amplitudes = np.array(series.amplitudes_arcsec) * ARCSEC
-    phases = np.zeros(len(amplitudes))
-    given = np.array(series.phases_deg[: len(amplitudes)]) * DEGREE
-    phases[: len(given)] = given
-    orders = np.arange(1, len(amplitudes) + 1)
+        parts = _parts(series.amplitudes_arcsec, ARCSEC, series.phases_deg)
+    orders, amplitudes, phases = parts
     total: Floats = np.cos(np.multiply.outer(angles, orders) + phases) @ amplitudes
     return total
+
+
+@lru_cache(maxsize=64)
+def _parts(
+    amplitudes: tuple[float, ...], unit: float, phases_deg: tuple[float, ...]
+) -> tuple[Ints, Floats, Floats]:
+    """Return orders, amplitudes in m or rad, and phases in rad of a series, each (k,)."""
+    phases = np.zeros(len(amplitudes))
+    given = np.array(phases_deg[: len(amplitudes)]) * DEGREE
+    phases[: len(given)] = given
+    return np.arange(1, len(amplitudes) + 1), np.array(amplitudes) * unit, phases
 
 
 def deviations(settings: TableSettings, angles: Floats) -> dict[str, Floats]:
@@ -43,12 +52,12 @@ def rotations(rx: Floats, ry: Floats, rz: Floats) -> Floats:
     """Return the matrices Rz Ry Rx (n, 3, 3) for rotations (n,) about the fixed axes, rad."""
     cx, cy, cz = np.cos(rx), np.cos(ry), np.cos(rz)
     sx, sy, sz = np.sin(rx), np.sin(ry), np.sin(rz)
-    rows = [
-        [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
-        [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
-        [-sy, cy * sx, cy * cx],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
+    rows = np.empty((3, 3, len(rx)))
+    rows[0] = cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx
+    rows[1] = sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx
+    rows[2] = -sy, cy * sx, cy * cx
+    matrices: Floats = rows.transpose(2, 0, 1)
+    return matrices
 
 
 def table_poses(
