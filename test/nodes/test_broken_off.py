@@ -185,7 +185,8 @@ def test_a_goal_canceled_while_the_recorder_opens_the_bag_has_it_closed():
     services = SimpleNamespace(
         continue_recording=None, start_recording=None, stop_recording=recorder("stop")
     )
-    links = SimpleNamespace(services=services, health=SimpleNamespace(missing=lambda _: []))
+    health = SimpleNamespace(missing=lambda _: [])
+    links = SimpleNamespace(services=services, health=health, observations={}, receipts={})
     bag = GoalBag(PLAIN.configuration, SimpleNamespace(links=links, tell=print, call=canceled))
     with pytest.raises(GoalError, match="canceled"):
         asyncio.run(bag.open(goes_on=True))
