@@ -143,7 +143,7 @@ class LowRank:
 
     def lifted(self, by: float) -> LowRank:
         """Return the matrix with ``by`` added to its diagonal."""
-        return replace(self, blocks=self.blocks + by)
+        return LowRank(self.blocks + by, self.columns, self.core)
 
     def squares(self, vector: Floats, least: float) -> tuple[float, int]:
         """Return v'R^+v of a ``vector`` (k,) and the rank of R, whose eigenvalues are 0 to 1.

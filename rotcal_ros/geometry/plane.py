@@ -47,7 +47,8 @@ class Plane:
         )
         first = seed - (seed @ self.normal) * self.normal
         first /= np.linalg.norm(first)
-        return np.stack([first, np.cross(self.normal, first)])
+        (a, b, c), (x, y, z) = self.normal.tolist(), first.tolist()
+        return np.array([[x, y, z], [b * z - c * y, c * x - a * z, a * y - b * x]])
 
 
 def fit_plane(points: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Plane:

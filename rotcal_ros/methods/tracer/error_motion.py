@@ -105,7 +105,7 @@ class CircleResiduals:
 
     def squares(self, values: Floats) -> Floats:
         """Return chi-squared (t,) of ``values`` (t, k) in place of what was seen."""
-        return self._fit(self._open(values))[0]
+        return self._fit(self.noise, self._open(values))[0]
 
     def likelihood(self, variances: Floats) -> Floats:
         """Return ln of the likelihood (t,) of what was seen, up to a constant.
@@ -118,7 +118,7 @@ class CircleResiduals:
             variance = np.maximum(noise, 0.0) + variances[:, None]
             return np.asarray(-0.5 * (np.log(variance) + squares / variance).sum(axis=1))
         seen = self._open(self.seen[None])
-        found = [self.lifted(variance)._fit(seen) for variance in variances.tolist()]
+        found = [self._fit(self.noise.lifted(v), seen) for v in variances.tolist()]
         return np.array([-0.5 * (log + squares[0]) for squares, log in found])
 
     @property
@@ -130,10 +130,10 @@ class CircleResiduals:
         """Return ``values`` (t, k) without what is absorbed of them."""
         return np.asarray(values - (values @ self.absorbed) @ self.absorbed.T)
 
-    def _fit(self, values: Floats) -> tuple[Floats, float]:
+    def _fit(self, noise: LowRank, values: Floats) -> tuple[Floats, float]:
         """Return chi-squared (t,) of open ``values`` (t, k), and ln det of the free covariance."""
         t = len(values)
-        solved, log = self.noise.solved(np.column_stack([values.T, self.absorbed]))
+        solved, log = noise.solved(np.column_stack([values.T, self.absorbed]))
         mixed, inner = self.absorbed.T @ solved[:, :t], self.absorbed.T @ solved[:, t:]
         squares = (values.T * solved[:, :t]).sum(axis=0)
         squares -= (mixed * np.linalg.solve(inner, mixed)).sum(axis=0)
