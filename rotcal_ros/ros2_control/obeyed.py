@@ -136,6 +136,8 @@ class JointWatch:
             return ""
         if now_s - self._heard_s > patience:
             return f"no feedback of the table for {now_s - self._heard_s:.1f} s"
+        if now_s - self._heard_s > 0.5 * patience:
+            return ""  # soon it is silent, or tells more
         if not isfinite(self.latest.angle):
             return "the feedback of the table is no number"
         order = self.order

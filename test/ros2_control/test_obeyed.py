@@ -169,3 +169,13 @@ def test_what_is_no_number_is_not_told():
     joint = Joint(nan)
     assert joint.told == []
     assert joint.complaint() == "the feedback of the table is no number"
+
+
+def test_who_falls_silent_with_an_order_is_not_blamed_for_standing_still():
+    joint = Joint(0.0)
+    joint.order(30 * DEG)
+    joint.read()  # on its way when the order was sent
+    complaints = {
+        joint.watch.complaint(joint.now_s + after_s) for after_s in np.arange(0, 4, 0.001)
+    }
+    assert {text.partition(" for ")[0] for text in complaints} == {"", "no feedback of the table"}
