@@ -8,7 +8,7 @@ loaded when it is first asked for: what can be set is told without it.
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from rotcal_ros.capture.settings import CaptureSettings
 
@@ -17,10 +17,12 @@ if TYPE_CHECKING:
     from rotcal_ros.capture.rules import CaptureRules
 
 __all__ = ["Capture", "CaptureRules", "CaptureSettings", "Record"]
+_MODULES: Final = {"Capture": "capture", "CaptureRules": "rules", "Record": "capture"}
+"""Name -> module, for those that are loaded when they are first asked for."""
 
 
 def __getattr__(name: str) -> Any:
     """Load the module of a name."""
-    if name not in __all__:
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{'rules' if 'Rules' in name else 'capture'}"), name)
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
