@@ -81,6 +81,10 @@ class Calibrator:
             lambda: self._action.server_is_ready() and bool(self.planner_state), timeout_s
         )
 
+    def listen(self, seconds: float) -> None:
+        """Take for so long what comes in."""
+        self._peer.work_until(lambda: False, seconds)
+
     def wait_until_ready(self, timeout_s: float = 30.0) -> None:
         """Wait for the planner; CalibratorError when it does not appear."""
         if not self.is_ready(timeout_s):
@@ -133,7 +137,7 @@ class Calibrator:
         answer = self._wait(self._resume.call_async(Trigger.Request()))
         if not answer.success:
             raise CalibratorError(answer.message)
-        self._peer.work_until(lambda: False, _ON_ITS_WAY_S)
+        self.listen(_ON_ITS_WAY_S)
         self._feedback = None
 
     def result(self, timeout_s: float = math.inf) -> Outcome:

@@ -72,16 +72,17 @@ class Client:
         """Wait for the planner; False when the client has to end, CalibratorError if in vain."""
         patience = Patience(timeout_s)
         listen_until = time.monotonic() + LISTEN_S
-        while not self._calibrator.is_ready(PERIOD_S) or time.monotonic() < listen_until:
-            self._live()
+        while True:
+            self._calibrator.listen(PERIOD_S)
+            ready = self._calibrator.is_ready(0.0) and time.monotonic() >= listen_until
+            self._live()  # whose planner it is shows in the beat that made it ready
             if text := other_session(self._calibrator.health, os.environ):
                 raise GoalRefusedError(text)
-            if self._end:
-                return False
+            if ready or self._end:
+                return not self._end
             if patience.is_over():
                 state = self._calibrator.planner_state or "silent"
                 raise CalibratorError(f"no answer from the planner; it is {state}")
-        return True
 
     def _followed(self) -> Outcome:
         """Report on the goal until it ends."""

@@ -1,13 +1,18 @@
 """What starts a second time, or publishes a plan of its own, does not end a calibration."""
 
+import json
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from live_cell import SUITE, Client, wait_until
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
+from rotcal_ros.nodes import client as client_module
+from rotcal_ros.nodes.identity import Identity
+
 pytestmark = pytest.mark.ros
 
 LATER = "env", "ROTCAL_SESSION=9000000000000000000-1"
@@ -54,3 +59,41 @@ def test_strays_are_refused_with_a_sentence_and_the_calibration_ends_as_ever(cel
     assert outcome["n_used"] == 59
     for node in ("capture", "solver"):
         assert "ERROR" not in live.log(node)
+
+
+class PlannerOfOthers:
+    """A calibrator that hears of the planner, and whose it is, only while it listens."""
+
+    def __init__(self):
+        self.node = SimpleNamespace(
+            declare_parameter=lambda _name, value: SimpleNamespace(value=value)
+        )
+        self.planner_state, self.health = "", self
+        self.goals = []
+
+    def listen(self, _seconds):
+        self.planner_state = "calibrating: step 3 of 60"
+
+    def is_ready(self, _timeout_s):
+        return bool(self.planner_state)
+
+    def values(self, name):
+        whose = Identity("one", "anybody", 0.0).in_a_beat(1.0)
+        return {"identity": whose} if name == "planner" and self.planner_state else {}
+
+    def state(self, _name):
+        return self.planner_state
+
+    def start(self, *goal):
+        self.goals.append(goal)
+
+
+def test_a_planner_heard_of_at_the_last_moment_is_still_asked_whose_it_is(capfd, monkeypatch):
+    monkeypatch.setenv("ROTCAL_SESSION", "two")
+    monkeypatch.setattr(client_module, "LISTEN_S", 0.0)
+    others = PlannerOfOthers()
+    client_module.Client(others, False).run()
+    refused = [json.loads(line) for line in capfd.readouterr().out.splitlines()][-1]
+    assert refused["event"] == "refused"
+    assert "another calibration's nodes are at work here (node planner" in refused["reason"]
+    assert others.goals == []
