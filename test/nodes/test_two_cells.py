@@ -44,7 +44,8 @@ LEFT = {
     "plan.table_positions": POSITIONS,
     "capture.step_timeout_s": 20.0,
     "capture.window_samples": 20,
-    "solver.length_std_m": 1.0e-7,  # more than there is: chance makes no run suspect
+    "solver.length_std_m": 4.5e-8,
+    "solver.target_std_m": 1.0e-8,
 }
 
 
