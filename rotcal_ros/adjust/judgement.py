@@ -89,11 +89,13 @@ class Weighed(NamedTuple):
 class Judgement:
     """What is believed after the residuals were seen.
 
+    ``freedom``: degrees of freedom from which each group's noise was estimated; inf: it is known.
     ``log_bayes``: ln of the Bayes factor of a disturbance that gathers against none (which may
     hold single outliers); -inf without groups. ``weighed``: what it is made of.
     """
 
     groups: tuple[Group, ...]
+    freedom: tuple[float, ...]
     belief: Belief
     log_bayes: float
     weighed: tuple[Weighed, ...]
@@ -154,16 +156,17 @@ class Judgement:
     def chance(self) -> float:
         """How probably sound data have a Bayes factor as large as this one.
 
-        By DRAWS sets of residuals with the cofactor of each group, from a fixed seed; subsets that
-        were searched for are not searched for again. One where nothing is possible.
+        By DRAWS sets of residuals with the cofactor of each group, from a fixed seed, each over
+        noise that is estimated as that of the data was; subsets that were searched for are not
+        searched for again. One where nothing is possible.
         """
         if not self.possible:
             return 1.0
         rng = np.random.default_rng(0)
         total: list[Floats] = []
         single = [np.full(DRAWS, np.log(1.0 - self.belief.outlier))]
-        for group in self.groups:
-            for part, prior, counts in _drawn(group, self.belief, rng):
+        for group, freedom in zip(self.groups, self.freedom, strict=True):
+            for part, prior, counts in _drawn(group, freedom, self.belief, rng):
                 (total if counts else single).append(part + prior - np.log(len(self.groups)))
         drawn = log_sum(np.array(total).T) - log_sum(np.array(single).T)
         return float((1 + (drawn >= self.log_bayes).sum()) / (1 + DRAWS))
@@ -189,24 +192,30 @@ def judge(
     see :func:`~.groups.group_test`. Any subset is searched for in groups whose own test has a
     probability below ``searched``.
     """
-    groups = tuple(_seen(group, rest) for group in groups)
     if not groups:
-        return Judgement(groups, belief, -np.inf, ())
+        return Judgement((), (), belief, -np.inf, ())
+    groups, freedom = zip(*(_seen(group, rest) for group in groups), strict=True)
     weighed = [w for g, group in enumerate(groups) for w in _weigh(g, group, belief, searched)]
     logs = np.concatenate([w.log_weight.ravel() for w in weighed])
     logs -= np.log(max(len(groups), among))
     single = np.concatenate([np.repeat(w.single, w.log_weight.shape[1]) for w in weighed])
     calm = float(log_sum(np.append(logs[single], np.log(1.0 - belief.outlier))))
-    return Judgement(groups, belief, float(log_sum(logs[~single])) - calm, tuple(weighed))
+    bayes = float(log_sum(logs[~single])) - calm
+    return Judgement(groups, freedom, belief, bayes, tuple(weighed))
 
 
-def _seen(group: Group, rest: tuple[float, float] | None) -> Group:
-    """Return ``group`` with the noise that the others show, where it was estimated."""
+def _seen(group: Group, rest: tuple[float, float] | None) -> tuple[Group, float]:
+    """Return ``group`` with the noise that the others show, where it was estimated.
+
+    And from how many degrees of freedom that is.
+    """
     if rest is None:
-        return group
+        return group, np.inf
     squares, rank = group.together
     left = rest[1] - rank
-    return group if left < 1.0 else studentised(group, max((rest[0] - squares) / left, 1e-9))
+    if left < 1.0:
+        return group, np.inf
+    return studentised(group, max((rest[0] - squares) / left, 1e-9)), left
 
 
 def _families(group: Group, belief: Belief) -> tuple[list[tuple[Bools, Floats]], float]:
@@ -240,7 +249,7 @@ def _weigh(g: int, group: Group, belief: Belief, searched: float) -> list[Weighe
 
 
 def _drawn(
-    group: Group, belief: Belief, rng: np.random.Generator
+    group: Group, freedom: float, belief: Belief, rng: np.random.Generator
 ) -> list[tuple[Floats, float, bool]]:
     """Return ln of the mean Bayes factor (DRAWS,) of each family on sound residuals.
 
@@ -250,6 +259,8 @@ def _drawn(
     normal = rng.standard_normal((len(values), DRAWS))
     # by the symmetric root: vectors of equal values may turn with the rounding
     drawn = vectors @ (np.sqrt(values)[:, None] * (vectors.T @ normal))
+    if np.isfinite(freedom):
+        drawn /= np.sqrt(rng.chisquare(freedom, DRAWS) / freedom)
     whole = log_bayes(np.tile(values, (DRAWS, 1)), (vectors.T @ drawn).T)
     families, noisier = _families(group, belief)
     alike = np.log(len(SIZES))

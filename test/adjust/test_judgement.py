@@ -18,11 +18,16 @@ NEAR = neighbourhoods(places_on_a_ring(E) * [1.0, 1.01])
 
 
 def groups(errors, own_zero=True):
-    design = DESIGN[own_zero]
-    view = Dense(design, outputs(design, GROUPS, own_zero), residuals(design, errors))
+    return stations(DESIGN[own_zero], GROUPS, E, NEAR, errors, own_zero)
+
+
+def stations(design, count, e, gathered, errors, own_zero=True):
+    view = Dense(design, outputs(design, count, own_zero), residuals(design, errors))
     return view, [
-        view.group("station", f"station {g}", np.arange(E), E * g + np.arange(E), gathered=NEAR)
-        for g in range(GROUPS)
+        view.group(
+            "station", f"station {g}", np.arange(e), e * g + np.arange(e), gathered=gathered
+        )
+        for g in range(count)
     ]
 
 
@@ -121,3 +126,17 @@ def test_probable_but_unproved_errors_are_covered():
             std = np.sqrt(view.std**2 + seen.covariance().diagonal())
             held.append((np.abs(4.0 * truth) / std).max() < 2.5)
     assert not held or np.mean(held) > 0.8
+
+
+@pytest.mark.parametrize(("e", "count"), [(8, 6), (6, 3)])
+def test_sound_data_whose_noise_was_estimated_are_suspected_no_more_often(e, count):
+    design = lines(count, e)
+    freedom = len(design) - float(np.linalg.matrix_rank(design))
+    near = neighbourhoods(places_on_a_ring(e) * [1.0, 1.01])
+    alarms = 0
+    for seed in range(300):
+        errors = 3.0 * np.random.default_rng(seed).standard_normal(len(design))
+        squares = float((residuals(design, errors) ** 2).sum())
+        found = judge(stations(design, count, e, near, errors)[1], rest=(squares, freedom))
+        alarms += found.chance < 0.02
+    assert alarms <= 12  # as above
