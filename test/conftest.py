@@ -7,8 +7,9 @@ from pathlib import Path
 
 import hypothesis
 import pytest
-from warm_rotcal import WarmRotcal
+from warm import WARM_SUBPROCESS, WarmServer
 
+from rotcal_ros.sessions import processes
 from rotcal_ros.sessions.domains import free_domain
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -77,17 +78,18 @@ def pytest_terminal_summary(terminalreporter):
 
 
 @pytest.fixture(scope="session")
-def warm(tmp_path_factory):
+def warm():
     """Return what runs ``rotcal`` and ``python`` without their imports."""
-    process = WarmRotcal(tmp_path_factory.mktemp("warm"))
+    process = WarmServer()
     yield process
     process.close()
 
 
 @pytest.fixture(autouse=True)
-def _own_domain(request, monkeypatch):
-    """Give each test marked ``ros`` a domain of its own, on this machine only."""
+def _live(request, monkeypatch):
+    """Give each test marked ``ros`` a domain of its own on this machine, and nodes as copies."""
     if request.node.get_closest_marker("ros"):
+        monkeypatch.setattr(processes, "subprocess", WARM_SUBPROCESS)
         monkeypatch.setenv("ROS_DOMAIN_ID", str(_domain_of_this_worker()))
         monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 

@@ -2,11 +2,11 @@
 
 import os
 import re
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import warm
 
 import rotcal_ros as rc
 from rotcal_ros.machine_load import patient
@@ -30,9 +30,7 @@ def cell(tmp_path, monkeypatch):
 def test_the_script_calibrates_the_simulated_cell(cell):
     cell.start("planner", "capture", "solver", "recorder", "simulated_cell")
     script = ROOT / "examples" / "11_calibrate_from_a_script.py"
-    done = subprocess.run(
-        [sys.executable, script, cell.file], capture_output=True, text=True, timeout=patient(120)
-    )
+    done = warm.run([sys.executable, script, cell.file], timeout=patient(120))
     assert done.returncode == 0, done.stderr
     assert "verdict ok" in done.stdout
     assert float(re.search(r"truth: (\S+) standard", done.stdout)[1]) < 3.5

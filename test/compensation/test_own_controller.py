@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from compensation_examples import TAU, even, result_of, wavy
-from warm_rotcal import WarmRotcal
+from warm import WarmServer
 
 from rotcal_ros.units import ARCSEC
 
@@ -44,8 +44,8 @@ def python(environment, *words):
 
 
 @pytest.fixture(scope="module")
-def warm_own(environment, tmp_path_factory):
-    process = WarmRotcal(tmp_path_factory.mktemp("warm"), environment)
+def warm_own(environment):
+    process = WarmServer(environment)
     yield process
     process.close()
 

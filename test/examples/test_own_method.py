@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from one_table import by_ball_plate
-from warm_rotcal import WarmRotcal
+from warm import WarmServer
 
 from rotcal_polygon.simulation import PolygonSimulationSettings, SimulatedAutocollimator
 from rotcal_ros.machine_load import patient
@@ -47,9 +47,9 @@ def environment(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def warm_stranger(environment, tmp_path_factory):
+def warm_stranger(environment):
     """Return what runs ``rotcal`` beside the installed package without its imports."""
-    process = WarmRotcal(tmp_path_factory.mktemp("warm"), environment)
+    process = WarmServer(environment, ros=True)
     yield process
     process.close()
 

@@ -1,11 +1,11 @@
 """Live cells that end with their test."""
 
 import os
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import warm
 from live_cell import DEMO, SHORT, LiveCell
 
 from rotcal_ros.catalogue.configuration import changed, read_configuration
@@ -39,7 +39,7 @@ def rotcal(monkeypatch):
     def start(*arguments, log, changes=()):
         parts = [part for change in (*SHORT, *changes) for part in ("--set", change)]
         command = [sys.executable, "-m", "rotcal_ros.cli.main", "run", str(DEMO), *parts]
-        process = subprocess.Popen(
+        process = warm.popen(
             [*command, *map(str, arguments)],
             stdout=log.with_suffix(".json").open("w"), stderr=log.open("w"),
         )  # fmt: skip

@@ -10,11 +10,11 @@ from queue import Empty, SimpleQueue
 from threading import Thread
 
 import pytest
-from warm_processes import WarmProcesses
 
 from rotcal_ros.machine_load import Patience, in_words
 from rotcal_ros.node_names import NODES
 from rotcal_ros.sessions.environment import node_environment
+from rotcal_ros.sessions.processes import Processes
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"
 SUITE = NODES
@@ -46,7 +46,7 @@ class LiveCell:
         self.file = folder / "cell.yaml"
         self.file.write_text(configuration.text, encoding="utf-8")
         (folder / "log").mkdir()
-        self.processes = WarmProcesses(folder / "log", node_environment())
+        self.processes = Processes(folder / "log", node_environment())
 
     @property
     def session(self):

@@ -7,8 +7,10 @@ import re
 import select
 import subprocess
 import termios
+from functools import partial
 from threading import Event, Thread
 
+import warm
 from live_cell import wait_until
 
 CONTROL = re.compile(rb"\x1b\[[0-9;?]*[a-zA-Z]|\r")
@@ -17,17 +19,18 @@ CONTROL = re.compile(rb"\x1b\[[0-9;?]*[a-zA-Z]|\r")
 class PseudoTerminal:
     """Runs a program that has this as its controlling terminal; ``text`` is what it showed."""
 
-    def __init__(self, command, prepare=lambda: None):
+    def __init__(self, command, prepare=None):
         self._master, slave = pty.openpty()
 
         def begin():
             prepare()
             fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 
-        self.process = subprocess.Popen(
-            [*map(str, command)],
-            stdin=slave, stdout=slave, stderr=slave, start_new_session=True, preexec_fn=begin,
-        )  # fmt: skip
+        streams = {"stdin": slave, "stdout": slave, "stderr": slave, "start_new_session": True}
+        start = warm.popen
+        if prepare is not None:
+            start = partial(subprocess.Popen, preexec_fn=begin)
+        self.process = start([*map(str, command)], **streams)
         os.close(slave)
         self._shown = b""
         self._gone = Event()

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import warm
 import yaml
 from live_cell import DEADLINE_S, DEMO, SHORT, LiveCell, wait_until
 from pseudo_terminal import PseudoTerminal
@@ -66,12 +67,8 @@ def running(folder, *changes):
 
 def rotcal(*arguments, code=0):
     """Run a verb without a terminal and return what it printed."""
-    done = subprocess.run(
-        [*ROTCAL, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=patient(2 * DEADLINE_S),
-        stdin=subprocess.DEVNULL,
+    done = warm.run(
+        [*ROTCAL, *arguments], timeout=patient(2 * DEADLINE_S), stdin=subprocess.DEVNULL
     )
     assert done.returncode == code, done.stderr
     return done
@@ -176,7 +173,7 @@ def test_in_the_background_from_the_start(tmp_path, monkeypatch):
         assert "no calibration runs" in rotcal("attach", code=2).stderr
         assert "verdict " in (folder / "log" / "run.log").read_text()
     finally:
-        subprocess.run([*ROTCAL, "attach", folder, "--stop"], capture_output=True, check=False)
+        warm.run([*ROTCAL, "attach", folder, "--stop"])
 
 
 @pytest.mark.long

@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
+import warm
 
 from rotcal_ros.machine_load import patient
 from rotcal_ros.sessions.domains import domains_in_use, free_domain
@@ -25,7 +26,7 @@ DEADLINE_S = 90.0
 
 
 def checking(*options, **environment):
-    return subprocess.Popen(
+    return warm.popen(
         [sys.executable, "-m", "rotcal_ros.cli.main", "cell", "check", *map(str, options)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env={**os.environ, **environment},
@@ -46,7 +47,7 @@ def cells(tmp_path, monkeypatch):
     shutil.copytree(OWN, tmp_path / "my_cell")
     monkeypatch.chdir(tmp_path)
     running = [
-        subprocess.Popen([sys.executable, script, "--ros-args", "-r", f"__ns:={place}"])
+        warm.popen([sys.executable, script, "--ros-args", "-r", f"__ns:={place}"])
         for place, script in scripts.items()
     ]
     yield

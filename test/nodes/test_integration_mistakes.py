@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import warm
 
 from rotcal_ros.machine_load import patient
 
@@ -106,18 +107,19 @@ def checked(folder, mistake, *options):
     file.write_text(configuration_of(mistake))
     script = [sys.executable, str(HERE / "mistaken_cell.py"), mistake]
     place = ["--ros-args", "-r", f"__ns:={names_of(mistake)}"]
-    cell = subprocess.Popen([*script, *place], env=environment)
+    cell = warm.popen([*script, *place], env=environment)
     command = [sys.executable, "-m", "rotcal_ros.cli.main", "cell", "check", str(file), "--json"]
     try:
-        done = subprocess.run(
+        process = warm.popen(
             [*command, "--time", str(max(6.0, patient(4.0))), *options], env=environment,
-            input="y\n", capture_output=True, text=True, timeout=patient(120.0), check=False,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
+        out, error = process.communicate("y\n", timeout=patient(120.0))
     finally:
         cell.kill()
         cell.wait(patient(10))
-    assert done.stdout, done.stderr
-    return json.loads(done.stdout)
+    assert out, error
+    return json.loads(out)
 
 
 def bad_lines(report, *parts):
@@ -159,6 +161,6 @@ def test_a_small_motion_proves_what_listening_cannot(tmp_path, mistake):
 
 def test_nothing_moves_without_a_yes_or_a_configuration(tmp_path):
     command = [sys.executable, "-m", "rotcal_ros.cli.main", "cell", "check", "--move"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = warm.run(command)
     assert done.returncode == 2
     assert "--move needs CONFIG" in done.stderr

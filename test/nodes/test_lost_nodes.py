@@ -5,12 +5,12 @@ import os
 import re
 import resource
 import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
 
 import pytest
+import warm
 from live_cell import wait_until
 
 from rotcal_ros.machine_load import patient
@@ -79,10 +79,10 @@ def test_a_lost_node_ends_the_run_with_the_reason_and_a_slow_one_does_not(
     if how == "starved" and not LONG:
         return  # the other case goes on
     (command,) = re.findall(r"go on with: rotcal (run .*?);", text)
-    again = subprocess.run(
+    again = warm.run(
         [sys.executable, "-m", "rotcal_ros.cli.main", *command.split(), *quiet],
-        capture_output=True, text=True, timeout=patient(120),
-    )  # fmt: skip
+        timeout=patient(120),
+    )
     assert again.returncode == 0, again.stderr
     assert json.loads((folder / "result.json").read_text())["n_observations"] == 59
     assert before <= {o.step for o in read_recording(folder / "bag").observations if o.accepted}

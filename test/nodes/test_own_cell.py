@@ -3,12 +3,12 @@
 import json
 import os
 import runpy
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+import warm
 
 from rotcal_ros.api.reading import read_result
 from rotcal_ros.machine_load import patient
@@ -27,14 +27,14 @@ NO_CHANCE = ("--set", "solver.length_std_m=8.0e-8")
 def test_the_readme_s_commands_find_the_error_of_its_table(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
     log = (tmp_path / "own.log").open("w")
-    own = subprocess.Popen(
+    own = warm.popen(
         [sys.executable, SCRIPT, "--ros-args", "-r", "__ns:=/cell"], stdout=log, stderr=log
     )
     try:
-        done = subprocess.run(
+        done = warm.run(
             [sys.executable, "-m", "rotcal_ros.cli.main", "run", str(OWN / "own_cell.yaml"),
              "--output", str(tmp_path / "out"), "--no-page", "--json", *NO_CHANCE],
-            capture_output=True, text=True, timeout=patient(DEADLINE_S),
+            timeout=patient(DEADLINE_S),
         )  # fmt: skip
     finally:
         own.terminate()

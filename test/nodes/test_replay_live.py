@@ -1,12 +1,11 @@
 """Topics with other names, recorded and read; and the same bag replayed to live nodes."""
 
 import json
-import os
 import re
-import subprocess
 import sys
 
 import pytest
+import warm
 
 from rotcal_ros.bags import names
 from rotcal_ros.catalogue.configuration import changed, read_configuration
@@ -29,10 +28,10 @@ SEEN = ("-r", "observation:=/cell/seen")
 
 
 def rotcal(*arguments):
-    return subprocess.run(
+    return warm.run(
         [sys.executable, "-m", "rotcal_ros.cli.main", *map(str, arguments)],
-        capture_output=True, text=True, timeout=patient(100.0), check=False, env=os.environ,
-    )  # fmt: skip
+        timeout=patient(100.0),
+    )
 
 
 def test_other_names_are_heard_recorded_read_again_and_replayed(cell, monkeypatch):

@@ -1,14 +1,13 @@
 """A newcomer interrupts the demonstration, in its first or its second half, and goes on."""
 
 import json
-import os
 import re
 import signal
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import warm
 from live_cell import wait_until
 
 from rotcal_ros.machine_load import patient
@@ -30,7 +29,7 @@ def verify():
     def start(*arguments, log):
         command = [sys.executable, "-m", "rotcal_ros.cli.main", "verify", *map(str, arguments)]
         with log.open("w") as stream:
-            child = subprocess.Popen(command, stdout=stream, stderr=stream, env=dict(os.environ))
+            child = warm.popen(command, stdout=stream, stderr=stream)
         started.append(child)
         return child
 

@@ -16,7 +16,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from warm_rotcal import code_of
 
 from rotcal_ros.evaluation.monte_carlo import Propagation
 from rotcal_ros.evaluation.propagated import Propagated
@@ -55,15 +54,17 @@ def at_terminal(warm):
         leader, follower = pty.openpty()
         environment = {**os.environ, "COLUMNS": str(width), "LINES": "50", "TERM": "xterm"}
         with Path(os.devnull).open("r+") as nothing:
-            streams = (nothing.fileno(), follower, nothing.fileno())
-            asked = warm.start("rotcal", VERBS[verb], streams, environment)
+            process = warm.start(
+                "rotcal", *VERBS[verb], env=environment,
+                stdin=nothing, stdout=follower, stderr=nothing,
+            )  # fmt: skip
         os.close(follower)
         text = b""
         with contextlib.suppress(OSError):  # the other end is closed
             while part := os.read(leader, 65536):
                 text += part
         os.close(leader)
-        assert code_of(asked) in (0, 1)
+        assert process.wait() in (0, 1)
         return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text.decode()).replace("\r", "")
 
     return shown
