@@ -40,8 +40,8 @@ NOT_COPIED = ("LD_PRELOAD",)
 """Variables that count from the first instruction of a process."""
 REQUEST_BYTES = 1 << 20
 CRASHED = 70
-SET_DEATH_SIGNAL, SET_CHILD_SUBREAPER = 1, 36
-"""Options of prctl(2): what a child hears when its parent dies, who takes over orphans."""
+SET_DEATH_SIGNAL, SET_NAME, SET_CHILD_SUBREAPER = 1, 15, 36
+"""Options of prctl(2): what a child hears when its parent dies, its name, who adopts orphans."""
 numbers = count()
 servers: dict[int, WarmServer] = {}
 """That with ROS of each process; a copy remembers those of its parents."""
@@ -209,7 +209,7 @@ def adopting() -> Any:
         prctl(SET_CHILD_SUBREAPER, 0)
 
 
-def prctl(option: int, value: int) -> None:
+def prctl(option: int, value: int | bytes) -> None:
     ctypes.CDLL(None).prctl(option, value, 0, 0, 0)
 
 
@@ -302,6 +302,7 @@ def begin(arguments: Sequence[str]) -> None:
         import importlib
 
         module = importlib.import_module(rest.pop(0))
+        prctl(SET_NAME, module.__name__.rpartition(".")[2].encode())
         sys.argv = [str(module.__file__), *rest]
         if ("-m", module.__name__) == ROTCAL and rest and rest[0] in START_NODES:
             start_copies()

@@ -30,6 +30,8 @@ SHORT = (
 DEADLINE_S = 120.0
 """On a machine that has a core for us; beside others it takes as much longer as they take."""
 LOOK_S = 0.05
+NAME_LENGTH = 15
+"""What Linux keeps of the name of a process."""
 
 
 class LiveCell:
@@ -149,3 +151,16 @@ def wait_until(condition, what):
         if patience.is_over():
             pytest.fail(f"not within {DEADLINE_S} s of an idle machine: {what}; {in_words()}")
         time.sleep(LOOK_S)
+
+
+def process_of(parent, node):
+    """Return the id of the process of a node that a session in process ``parent`` has started."""
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            state = (folder / "stat").read_text().rsplit(")", 1)[1].split()
+            name = (folder / "comm").read_text().strip()
+        except OSError:
+            continue
+        if int(state[1]) == parent and name == node[:NAME_LENGTH]:
+            return int(folder.name)
+    pytest.fail(f"no process of {node}")

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import warm
 import yaml
-from live_cell import DEADLINE_S, DEMO, SHORT, LiveCell, wait_until
+from live_cell import DEADLINE_S, DEMO, SHORT, LiveCell, process_of, wait_until
 from pseudo_terminal import PseudoTerminal
 
 from rotcal_ros.catalogue.configuration import changed, read_configuration
@@ -171,7 +171,7 @@ def test_in_the_background_from_the_start(tmp_path, monkeypatch):
         assert outcome["n_used"] == 59
         assert outcome["verdict_line"] == read_source(folder / "result.json").result.verdict_line
         assert "no calibration runs" in rotcal("attach", code=2).stderr
-        assert "verdict " in (folder / "log" / "run.log").read_text()
+        assert "measurement: ok" in (folder / "log" / "run.log").read_text()
     finally:
         warm.run([*ROTCAL, "attach", folder, "--stop"])
 
@@ -188,7 +188,7 @@ def test_an_ignored_hangup_stays_ignored_and_the_dead_terminal_kills_nothing(tmp
     run.wait_for("/60")
     run.hang_up()
     assert run.process.wait(patient(DEADLINE_S)) == 0
-    assert "verdict " in (folder / "log" / "run.log").read_text()
+    assert "measurement: ok" in (folder / "log" / "run.log").read_text()
 
 
 @pytest.mark.long  # test_run.py has the exit code
@@ -198,13 +198,7 @@ def test_an_error_is_told_to_those_who_are_attached_with_its_exit_code(tmp_path,
     run.wait_for("/60")
     viewer = terminal("attach", folder)
     viewer.wait_for("/60")
-    capture = next(
-        int(p.parent.name)
-        for p in Path("/proc").glob("[0-9]*/cmdline")
-        if b"rotcal_ros.nodes.capture" in p.read_bytes()
-        and int((p.parent / "stat").read_text().rsplit(")", 1)[1].split()[1]) == run.process.pid
-    )
-    os.kill(capture, signal.SIGKILL)
+    os.kill(process_of(run.process.pid, "capture"), signal.SIGKILL)
     assert run.process.wait(patient(DEADLINE_S)) == viewer.process.wait(patient(DEADLINE_S)) == 3
     for shown in (run, viewer):
         shown.wait_for("capture")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 import warm
-from live_cell import wait_until
+from live_cell import process_of, wait_until
 
 from rotcal_ros.machine_load import patient
 from rotcal_ros.recordings.replay import read_recording
@@ -27,19 +27,6 @@ STARVED = NODES if LONG else ("recorder",)
 STANDSTILL_S = 5.0
 ROOM = 1 << 20
 CASES = [("stopped", node) for node in STOPPED] + [("starved", node) for node in STARVED]
-
-
-def process_of(parent, node):
-    """Return the id of the process of a node that ``rotcal run`` has started."""
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            state = (folder / "stat").read_text().rsplit(")", 1)[1].split()
-            command = (folder / "cmdline").read_text()
-        except OSError:
-            continue
-        if int(state[1]) == parent and f"rotcal_ros.nodes.{node}" in command:
-            return int(folder.name)
-    pytest.fail(f"no process of {node}")
 
 
 def starve(pid):
