@@ -28,7 +28,7 @@ from rotcal_ros.nodes.recording import Messages, Recording
 from rotcal_ros.nodes.roll_call import LOADING
 from rotcal_ros.nodes.running import run
 from rotcal_ros.nodes.session_bags import OpenBag, SessionBags
-from rotcal_ros.nodes.surroundings import attach_parameters, keep_surroundings
+from rotcal_ros.nodes.surroundings import Parameters, keep_surroundings
 from rotcal_ros.nodes.topic_names import CalledOtherwise
 from rotcal_ros.nodes.waiting import handle_events
 
@@ -167,7 +167,8 @@ class RecorderNode(CellNode):
         bag.keep(request.configuration)
         self._listener.tell_again(recording.put)
         self._recording = recording
-        self.begin(attach_parameters, recording, self)
+        self._asked = Parameters(recording, self)
+        self.begin(self._asked.ask)
         response.folder, response.success = str(bag.folder.path), True
 
     async def _stop(
@@ -189,6 +190,7 @@ class RecorderNode(CellNode):
         """Take what has arrived and close the bag behind it."""
         if (recording := self._writing()) is not None:
             self._listener.drain()
+            self._asked.attach()
             self._dropouts.silences(self._silences.end(time.monotonic()))
             self._dropouts.write()
             recording.close(self._listener.losses + self._silences.counts)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Iterable
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Final
 
+from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.client import Client
 from rclpy.node import Node
@@ -66,29 +66,38 @@ def _version(package: str) -> str:
         return ""
 
 
-async def attach_parameters(recording: Recording, node: CellNode) -> None:
-    """Ask all nodes for their parameters, while the calibration begins."""
-    text = await parameters_json(node, node.health.present())
-    recording.attach(names.PARAMETERS, "application/json", text.encode())
+class Parameters:
+    """What the nodes say of their parameters: node name -> parameter -> value, as JSON in a bag.
 
-
-async def parameters_json(node: Node, beating: Iterable[str]) -> str:
-    """Return node name -> parameter -> value as JSON; a node that does not answer is null.
-
-    The nodes are those of the cell's namespace and the ``beating`` ones, which the graph may
-    not list yet.
+    They are asked while the calibration begins. A node that does not answer is null, and so is one
+    that had not yet answered when the bag was closed.
     """
-    namespace = node.get_namespace()
-    listed = {n for n, space in node.get_node_names_and_namespaces() if space == namespace}
-    wanted = listed | {node.get_name(), *beating}
-    found: dict[str, Any] = {}
-    for name in sorted(wanted):
-        if name == node.get_name():
-            own = node.get_parameters_by_prefix("")
-            found[name] = {key: _plain(parameter.value) for key, parameter in own.items()}
-        else:
-            found[name] = await _parameters_of(node, f"{namespace.rstrip('/')}/{name}")
-    return json.dumps(found, indent=1)
+
+    def __init__(self, recording: Recording, node: CellNode) -> None:
+        self._recording, self._node = recording, node
+        self._found: dict[str, Any] | None = {}
+
+    async def ask(self) -> None:
+        """Ask all nodes that the graph lists in the cell's namespace, or that beat."""
+        node, namespace = self._node, self._node.get_namespace()
+        listed = {n for n, space in node.get_node_names_and_namespaces() if space == namespace}
+        own = node.get_parameters_by_prefix("")
+        if self._found is not None:
+            self._found |= dict.fromkeys(sorted(listed | set(node.health.present())))
+            self._found[node.get_name()] = {key: _plain(one.value) for key, one in own.items()}
+        for name in list(self._found or ()):
+            if name != node.get_name():
+                answer = await _parameters_of(node, f"{namespace.rstrip('/')}/{name}")
+                if self._found is not None:
+                    self._found[name] = answer
+        self.attach()
+
+    def attach(self) -> None:
+        """Put what is known into the bag, once."""
+        if self._found is not None:
+            text = json.dumps(self._found, indent=1, sort_keys=True)
+            self._recording.attach(names.PARAMETERS, "application/json", text.encode())
+        self._found = None
 
 
 async def _parameters_of(node: Node, remote: str) -> dict[str, Any] | None:
@@ -98,12 +107,16 @@ async def _parameters_of(node: Node, remote: str) -> dict[str, Any] | None:
         listed = await _ask(lister, ListParameters.Request())
         if listed is None:
             return None
+        wanted = sorted(listed.result.names)
+        answer = await _ask(getter, GetParameters.Request(names=wanted))
+        values = [] if answer is None else list(answer.values)
+        if len(values) == len(wanted):
+            return dict(zip(wanted, map(_value, values), strict=True))
         found: dict[str, Any] = {}
-        for name in sorted(listed.result.names):
-            # One by one: asked for many, a node answers nothing if one of them has no value.
+        for name in wanted:  # asked for many, a node answers nothing if one of them has no value
             answer = await _ask(getter, GetParameters.Request(names=[name]))
             if answer is not None and answer.values:
-                found[name] = _plain(parameter_value_to_python(answer.values[0]))
+                found[name] = _value(answer.values[0])
         return found
     finally:
         node.destroy_client(lister)
@@ -115,6 +128,10 @@ async def _ask(client: Client, request: Any) -> Any | None:
         return None
     future = client.call_async(request)
     return future.result() if await until(future.done, TIMEOUT_S) else None
+
+
+def _value(parameter: ParameterValue) -> Any:
+    return _plain(parameter_value_to_python(parameter))
 
 
 def _plain(value: Any) -> Any:
