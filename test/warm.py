@@ -36,7 +36,7 @@ WITH_ROS = ("rotcal_ros.nodes", "rotcal_ros.ros", "rotcal_ros.api.ros")
 """What needs ROS, or starts it."""
 START_NODES = ("run", "verify", "doctor")
 """Commands whose own processes begin as copies, too."""
-NOT_COPIED = ("LD_PRELOAD",)
+NOT_COPIED = ("LD_PRELOAD", "LD_LIBRARY_PATH")
 """Variables that count from the first instruction of a process."""
 REQUEST_BYTES = 1 << 20
 CRASHED = 70
@@ -136,7 +136,8 @@ def popen(command: Sequence[Any], **options: Any) -> subprocess.Popen[Any]:
     environment = options.get("env") or os.environ
     first, second, third = [*map(str, command), "", ""][:3]
     ours = (second == "-m" and third.startswith(PACKAGE)) or second.endswith(".py")
-    if first != sys.executable or not ours or environment.keys() & set(NOT_COPIED):
+    other = any(environment.get(name) != os.environ.get(name) for name in NOT_COPIED)
+    if first != sys.executable or not ours or other:
         return subprocess.Popen(command, **options)
     return Copy(command, server=server_with_ros(), **options)
 
