@@ -30,7 +30,8 @@ test-aids: setup  ## fetch what some tests run: packages of Node.js, NIST's suit
 	@$(BIN)/python test/aids.py
 
 test-jazzy:  ## a live cell with known truth on ROS 2 Jazzy, in .venv-jazzy
-	@$(MAKE) --no-print-directory ROS_DISTRO=jazzy test PYTEST_ARGS="$(JAZZY_TESTS)"
+	@ROTCAL_LONG_TESTS=1 $(MAKE) --no-print-directory ROS_DISTRO=jazzy test \
+		PYTEST_ARGS="$(JAZZY_TESTS)"
 
 docs: setup  ## build the site of the pages strictly; open out/site/index.html
 	@$(BIN)/python -c 'import material, mkdocs_click' 2>/dev/null || $(BIN)/pip install -q \

@@ -66,6 +66,7 @@ def test_kill_9_of_everything_at_once(cell):
     check(live, accepted, file, before, died_ns)
 
 
+@pytest.mark.long  # test_live.py kills it, test_kill_recorder.py looks at what it has kept
 def test_kill_9_of_the_recorder(cell):
     live = cell()
     client, accepted, file, before = under_way(live, 10)

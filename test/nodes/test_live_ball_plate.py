@@ -137,6 +137,7 @@ def test_a_shifted_plate_is_told_and_given_up_after_three_balls(plate_cell):
         recording.solve()
 
 
+@pytest.mark.long  # test_live.py asks it of a tracer
 def test_the_parameters_of_the_nodes_are_enough(plate_cell):
     live = plate_cell("plan.cmm_positions=[0, 1, 2, 3, 4, 5]")
     live.start(*SUITE, "simulated_cell")
