@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # All tests: first those without live nodes, then the live ones; side by side on all cores, each file
 # in one worker, so that what its tests share is made once. Live tests often wait, so there is one
-# worker more than there are cores; ROTCAL_LIVE_WORKERS=1 runs one cell at a time. At the end it says what could not be tried on this machine, and what to install for it.
+# worker more than there are cores; ROTCAL_LIVE_WORKERS=1 runs one cell at a time. At the end it says
+# what could not be tried on this machine, and what to install for it.
 #
 # usage: scripts/test.sh [arguments of pytest]
 set -uo pipefail
