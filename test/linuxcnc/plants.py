@@ -10,7 +10,7 @@ REFERENCE_DEG = 0.0
 BETWEEN_DEG = np.array(
     [7.5, 31.0, 52.5, 93.0, 127.0, 142.5, 187.5, 232.0, 251.0, 277.5, 322.5, 352.5]
 )
-SMALLER = 30.0
+SMALLER = 50.0
 """So many times smaller has the error to become."""
 
 

@@ -30,8 +30,8 @@ CONFIGURATION = HERE.parents[1] / "config" / "verify_demo.yaml"
 CHANGES = (
     "plan.box_points=[2, 2, 2]",
     "plan.bidirectional=true",
-    "plan.table_step_deg=30.0",
-    "plan.table_positions=12",
+    "plan.table_step_deg=20.0",
+    "plan.table_positions=18",
     "plan.order=targets_per_station",
     "capture.settle_time_s=0.02",
     "capture.step_timeout_s=10.0",
@@ -52,7 +52,7 @@ CHANGES = (
     "simulation.faults.spike_probability=0.0",
 )
 HALF = ("plan.table_step_deg=60.0", "plan.table_positions=6")
-"""Every second angle tells what is left; between them looks ``true_deviations``."""
+"""Every third angle tells what is left; between them looks ``true_deviations``."""
 SEED = 20261122
 
 
