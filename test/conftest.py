@@ -84,6 +84,12 @@ def warm(tmp_path_factory):
     process.close()
 
 
+@pytest.fixture
+def without_figures(monkeypatch):
+    """Draw nothing: for tests of the words of pages, whose figures take most of their time."""
+    monkeypatch.setattr("rotcal_ros.figures.style.svg", lambda _: '<svg viewBox="0 0 9 9"></svg>')
+
+
 @pytest.fixture(autouse=True)
 def _own_domain(request, monkeypatch):
     """Give each test marked ``ros`` a domain of its own, on this machine only."""
