@@ -109,8 +109,8 @@ def svg(ax: Axes) -> str:
     with warnings.catch_warnings():
         # A box stands for a sign that the font lacks, and long names stand over each other.
         warnings.filterwarnings("ignore", "Glyph .* missing|constrained_layout not applied")
-        # savefig draws the same twice
-        FigureCanvasSVG(figure).print_svg(stream, metadata={"Date": None, "Creator": None})
+        canvas: Any = FigureCanvasSVG(figure)  # untyped; savefig would draw the same twice
+        canvas.print_svg(stream, metadata={"Date": None, "Creator": None})
     text = printable_lines(stream.getvalue())  # ticks get their names while they are drawn
     return text[text.index("<svg") :]
 
