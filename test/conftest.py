@@ -24,7 +24,7 @@ sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # A busy machine is no fault: examples have no deadline.
-hypothesis.settings.register_profile("quick", max_examples=30, deadline=None)
+hypothesis.settings.register_profile("quick", max_examples=15, deadline=None)
 hypothesis.settings.register_profile("long", max_examples=300, deadline=None)
 hypothesis.settings.load_profile("long" if os.environ.get("ROTCAL_LONG_TESTS") else "quick")
 
@@ -83,6 +83,12 @@ def warm():
     process = WarmServer()
     yield process
     process.close()
+
+
+@pytest.fixture
+def without_figures(monkeypatch):
+    """Draw nothing: for tests of the words of pages, whose figures take most of their time."""
+    monkeypatch.setattr("rotcal_ros.figures.style.svg", lambda _: '<svg viewBox="0 0 9 9"></svg>')
 
 
 @pytest.fixture(autouse=True)

@@ -8,9 +8,11 @@ from functools import partial
 
 import pytest
 
+from rotcal_ros.planning import sequence_choice
 from rotcal_ros.planning.tracer_design import ordering, promise
 
 
 def few_runs(monkeypatch: pytest.MonkeyPatch, runs: int) -> None:
-    """Let the promise of a plan be told by so many runs, or by none."""
+    """Let the promise of a plan be told by so many runs; orders are less polished."""
+    monkeypatch.setattr(sequence_choice, "TRADES", 30)
     monkeypatch.setattr(ordering, "promised", partial(promise.promised, looks=(runs,)))

@@ -93,6 +93,8 @@ def svg(ax: Axes) -> str:
 
     All panels share one legend, above them, where it covers nothing.
     """
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
     figure = ax.get_figure(root=True)
     assert figure is not None
     entries: dict[str, Any] = {}
@@ -107,7 +109,8 @@ def svg(ax: Axes) -> str:
     with warnings.catch_warnings():
         # A box stands for a sign that the font lacks, and long names stand over each other.
         warnings.filterwarnings("ignore", "Glyph .* missing|constrained_layout not applied")
-        figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+        canvas: Any = FigureCanvasSVG(figure)  # untyped; savefig would draw the same twice
+        canvas.print_svg(stream, metadata={"Date": None, "Creator": None})
     text = printable_lines(stream.getvalue())  # ticks get their names while they are drawn
     return text[text.index("<svg") :]
 

@@ -39,7 +39,11 @@ CONFIGURATION = dump_configuration(
             "box_centre_m": [0.0, 0.0, 0.6],
         },
         "capture": {"settle_time_s": 0.1, "window_samples": 30, "temperature_lag_s": 0.2},
-        "simulation": {"seed": 5, "tracer": {"rate_hz": 200.0}},
+        "simulation": {
+            "seed": 5,
+            "table": {"speed_deg_s": 100.0, "acceleration_deg_s2": 500.0},  # fewer messages
+            "tracer": {"rate_hz": 200.0},
+        },
     },
 )
 

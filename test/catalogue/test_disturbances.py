@@ -56,7 +56,7 @@ def test_noise_follows_the_seed_and_the_undisturbed_result_agrees_with_the_truth
     first, again, other = (prepared.measured({}, seed) for seed in (5, 5, 6))
     assert first.observations == again.observations
     assert first.observations != other.observations
-    squares, doubts, runs = [], 0, 20 if LONG else 8
+    squares, doubts, runs = [], 0, 20 if LONG else 4
     for seed in range(runs):
         measured = prepared.measured({}, seed)
         result = prepared.solve(measured.observations)

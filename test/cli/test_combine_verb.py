@@ -16,6 +16,8 @@ from rotcal_ros.methods.ball_plate import solve
 from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC
 
+pytestmark = pytest.mark.usefixtures("without_figures")
+
 DATA = Path(__file__).parents[2] / "examples" / "data"
 TRACER, PLATE = DATA / "result_tracer.json", DATA / "result_ball_plate.json"
 

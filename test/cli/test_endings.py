@@ -13,6 +13,8 @@ from rotcal_ros.cli.main import rotcal
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.recordings.replay import read_recording
 
+pytestmark = pytest.mark.usefixtures("without_figures")
+
 DATA = Path(__file__).parents[2] / "examples" / "data"
 CONFIG = Path(__file__).parents[2] / "config"
 TRACER, PLATE = DATA / "result_tracer.json", DATA / "result_ball_plate.json"

@@ -17,6 +17,8 @@ from rotcal_ros.cli.main import rotcal
 from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC
 
+pytestmark = pytest.mark.usefixtures("without_figures")
+
 
 def truth(degrees):
     t = np.deg2rad(degrees)

@@ -44,7 +44,7 @@ def expanded_rms(result):
 
 @pytest.mark.parametrize("changes", [[], ["repeats=3"]], ids=["each once", "repeated"])
 def test_what_is_planned_is_measured_and_stated(tmp_path, changes, monkeypatch):
-    few_runs(monkeypatch, 100)
+    few_runs(monkeypatch, 20)
     found, calibration = planned(tmp_path, *changes)
     steps = calibration.plan.steps
     pairs = [(step.table_position, step.target) for step in steps]

@@ -30,8 +30,8 @@ HALF = ("--confidence", "0.5")
 
 
 @pytest.fixture(autouse=True)
-def _sixty_runs(monkeypatch):
-    few_runs(monkeypatch, 60)
+def _twenty_runs(monkeypatch):
+    few_runs(monkeypatch, 20)
 
 
 def run(*arguments):
@@ -162,7 +162,7 @@ def test_a_pattern_tells_what_its_solver_will_do(tmp_path):
     assert "circle_std_m" not in solver
 
 
-@pytest.mark.parametrize("wanted", ["12", "30"])
+@pytest.mark.parametrize("wanted", ["30"])
 def test_a_loose_goal_has_a_plan_that_checks_itself(wanted):
     # whatever reaches 6 arcsec reaches 30 as well
     small = (*SMALL, "--set", "spacing_m=0.2", "--set", "exchanges=40")

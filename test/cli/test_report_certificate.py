@@ -13,6 +13,8 @@ from rotcal_ros.cli.main import rotcal
 from rotcal_ros.identity import Identity
 from rotcal_ros.results import Result
 
+pytestmark = pytest.mark.usefixtures("without_figures")
+
 DATA = Path(__file__).parents[2] / "examples" / "data"
 IDENTITY = {
     "item": "table", "serial": "1", "place": "hall", "operator": "A", "laboratory": "L",

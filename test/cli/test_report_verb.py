@@ -10,6 +10,8 @@ from click.testing import CliRunner
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.cli.report import page_beside
 
+pytestmark = pytest.mark.usefixtures("without_figures")
+
 ROOT = Path(__file__).parents[2]
 BAG = ROOT / "test" / "golden" / "tracer" / "bag"
 

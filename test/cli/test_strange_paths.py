@@ -14,6 +14,8 @@ from rotcal_ros.cli import main
 from rotcal_ros.escapes import printable_lines
 from rotcal_ros.machine_load import patient
 
+pytestmark = pytest.mark.usefixtures("without_figures")
+
 LONG = bool(os.environ.get("ROTCAL_FUZZ_SECONDS"))
 """All endings of files, not only those that a kind is most likely taken for."""
 SHORT = {"pipe": (".mcap", ".json", ".yaml"), "endless": (".csv",), "folder of pipes": ("",),

@@ -13,6 +13,8 @@ from click.testing import CliRunner
 
 from rotcal_ros.cli.main import rotcal
 
+pytestmark = pytest.mark.usefixtures("without_figures")
+
 DATA = Path(__file__).parents[2] / "examples" / "data"
 TRACER, PLATE = DATA / "tracer.yaml", DATA / "ball_plate.yaml"
 

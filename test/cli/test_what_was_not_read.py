@@ -17,6 +17,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "bags"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "recordings"))
 from rearranged import CONFIGURATION, run_messages, write_mcap
 
+pytestmark = pytest.mark.usefixtures("without_figures")
+
 
 def run(*arguments: object) -> Result:
     return CliRunner().invoke(rotcal, [str(argument) for argument in arguments])
@@ -26,10 +28,10 @@ def run(*arguments: object) -> Result:
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a sound bag, its result, and a bag with one flipped byte."""
     folder = tmp_path_factory.mktemp("unread")
-    sound = write_mcap(folder / "sound.mcap", run_messages(), chunk_size=60_000)
+    sound = write_mcap(folder / "sound.mcap", run_messages(), chunk_size=20_000)
     with sound.open("rb") as file:
         chunks = make_reader(file).get_summary().chunk_indexes
-    hit = chunks[len(chunks) // 2]
+    hit = chunks[1]  # before the first window
     data = bytearray(sound.read_bytes())
     data[hit.chunk_start_offset + hit.chunk_length // 2] ^= 0xFF
     (folder / "bad").mkdir()

@@ -65,7 +65,7 @@ def deviation_curves(draw):
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-@settings(max_examples=30 if LONG else 3, deadline=None)
+@settings(max_examples=30 if LONG else 2, deadline=None)
 @given(
     curve=deviation_curves(),
     rows=st.sampled_from([36, 40, 72, 80]),

@@ -18,6 +18,8 @@ from rotcal_ros.report.terminal.tables import print_result
 from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC, MICROMETRE
 
+pytestmark = pytest.mark.usefixtures("without_figures")
+
 DATA = Path(__file__).parents[2] / "examples" / "data"
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import one_table
 import pytest
-from chances import LONG
+from chances import LONG, most, scatter, share
 
 from rotcal_ros.components import COMPONENTS
 from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
@@ -15,7 +15,7 @@ from rotcal_ros.evaluation.reference import without_polygon
 from rotcal_ros.methods import ball_plate
 from rotcal_ros.units import ARCSEC
 
-RUNS = 32 if LONG else 16
+RUNS = 32 if LONG else 8
 pytestmark = pytest.mark.slow
 
 
@@ -47,10 +47,11 @@ PAIRS = [
 @pytest.mark.parametrize("pair", PAIRS, ids="-".join)
 def test_normalised_errors_are_within_one_at_the_expected_rate(comparisons, pair):
     errors = np.concatenate([run[pair].normalised_error for run in comparisons])
-    assert np.mean(np.abs(errors) <= 1.0) == pytest.approx(0.9545, abs=0.03)
-    ratios = [run[pair].chi2 / run[pair].dof for run in comparisons]
-    assert np.mean(ratios) == pytest.approx(1.0, abs=0.15)
-    assert np.mean([run[pair].agree for run in comparisons]) > 0.9
+    low, high = (0.925, 0.985) if LONG else share(0.9545, len(errors))
+    assert low <= np.mean(np.abs(errors) <= 1.0) <= high
+    low, high = scatter(sum(run[pair].dof for run in comparisons))
+    assert low < np.mean([run[pair].chi2 / run[pair].dof for run in comparisons]) < high
+    assert [run[pair].agree for run in comparisons].count(False) <= most(0.05, RUNS)
 
 
 def test_all_angles_were_measured_by_both(comparisons):

@@ -63,7 +63,7 @@ def test_trials_do_not_hide_an_offset_that_none_of_them_tells():
     problem = plate_problem()
     told = Propagated(
         ball_plate.solve(problem),
-        propagate(ball_plate.plate_trials(problem), seed=1, max_trials=200, block=100),
+        propagate(ball_plate.plate_trials(problem), seed=1, max_trials=40, block=20),
         1,
     )
     assert "the odd and even table positions is not measured" in told.in_words()

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from chances import LONG
 from exact_plate import RADIUS, ExactPlate, about_z
 from plate_data import PAPER_PLATE
 
@@ -90,7 +91,7 @@ def test_stated_uncertainties_hold_far_from_the_axis():
     exact = plate.problem(sigma=SIGMA)
     rng = np.random.default_rng(1)
     square, stated = dict.fromkeys(COMPONENTS, 0.0), dict.fromkeys(COMPONENTS, 0.0)
-    runs = 80
+    runs = 80 if LONG else 20
     for _ in range(runs):
         noise = SIGMA * rng.normal(size=exact.centres.shape)
         result = solve(replace(exact, centres=exact.centres + noise))
@@ -98,8 +99,11 @@ def test_stated_uncertainties_hold_far_from_the_axis():
             error = result.deviations[name] - plate.true(name)
             square[name] += np.mean(error**2) / runs
             stated[name] += np.mean(result.std[name] ** 2) / runs
-    for name in COMPONENTS:  # 80 runs of 24 positions know a standard deviation to 1.6 %
-        assert np.sqrt(square[name] / stated[name]) == pytest.approx(1.0, abs=0.05), name
+    for (
+        name
+    ) in COMPONENTS:  # 80 runs of 24 positions know a standard deviation to 1.6 %, 20 to 3.2 %
+        ratio = np.sqrt(square[name] / stated[name])
+        assert ratio == pytest.approx(1.0, abs=0.05 if LONG else 0.1), name
 
 
 @pytest.mark.parametrize("sigma", [None, SIGMA], ids=["not stated", "stated"])

@@ -29,7 +29,7 @@ def gone(result, problem):
 
 
 @pytest.mark.parametrize("stated", [True, False])
-@pytest.mark.parametrize("which", [(3, 7), (7, 12, 18), (0, 12, 27)])
+@pytest.mark.parametrize("which", [(3, 7), (0, 12, 27)])
 @pytest.mark.parametrize("size", [1e-6, 5e-6])
 def test_a_minority_at_one_position_is_left_out_and_named(which, size, stated):
     for seed in range(3 if LONG else 1):
@@ -52,7 +52,7 @@ def test_no_good_ball_is_rejected_for_two_that_are_probably_displaced():
 
 
 def test_half_of_a_position_against_the_other_is_ambiguous_and_inside_u():
-    for seed in range(4):
+    for seed in range(4 if LONG else 2):
         problem, truth = world(seed, (0, 7, 18, 27), 1e-6)
         result = solve(problem)
         assert result.verdict == "suspect"
@@ -62,7 +62,7 @@ def test_half_of_a_position_against_the_other_is_ambiguous_and_inside_u():
 
 def test_a_half_that_is_far_off_together_is_inside_u_whatever_noise_prefers():
     """Which half of a position is off nothing tells, however far."""
-    for seed in range(100, 112):
+    for seed in range(100, 112 if LONG else 104):
         which = np.random.default_rng(seed).choice(EIGHT, 4, replace=False)
         problem, truth = world(seed, which, 3e-6)
         result = solve(problem)
@@ -74,7 +74,7 @@ def test_a_half_that_is_far_off_together_is_inside_u_whatever_noise_prefers():
 def test_small_ones_are_seldom_ok_and_wrong(column):
     """The figure for 100 worlds of each size is in docs/ball_plate.md."""
     missed = 0
-    for seed in range(12 if LONG else 6):
+    for seed in range(12 if LONG else 3):
         problem, truth = world(seed, (18, 22), 5e-7, column=column)
         result = solve(problem)
         missed += result.verdict == "ok" and worst(result, truth) > 4.5
@@ -83,7 +83,7 @@ def test_small_ones_are_seldom_ok_and_wrong(column):
 
 def test_sound_plates_stay_ok_and_mostly_keep_their_uncertainty():
     grown = []
-    for seed in range(25):
+    for seed in range(25 if LONG else 8):
         problem, _ = world(seed)
         result = solve(problem)
         assert result.verdict == "ok", result.warnings

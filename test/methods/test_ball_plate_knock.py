@@ -35,8 +35,7 @@ def noisy(problem, rng):
 def test_one_bad_centre_is_never_called_a_knock(exact, order, size):
     problem = numbered(exact, order)
     rng = np.random.default_rng(3)
-    # 29 is coprime to 12 and 24: every ball and every position has its turn.
-    for row in range(int(size > 1e-5), len(problem.centres), 11 if LONG else 29):
+    for row in range(int(size > 1e-5), len(problem.centres), 11 if LONG else 71):
         centres = noisy(problem, rng)
         away = rng.normal(size=3)
         centres[row] += size * away / np.linalg.norm(away)
@@ -48,7 +47,7 @@ def test_one_bad_centre_is_never_called_a_knock(exact, order, size):
 def test_two_bad_centres_at_one_table_position_are_no_knock(exact):
     problem = numbered(exact, "table_once")
     rng = np.random.default_rng(4)
-    for position in range(0, GRID, 2 if LONG else 6):
+    for position in range(0, GRID, 2 if LONG else 9):
         centres = noisy(problem, rng)
         there = np.flatnonzero(problem.position == position)[[4, 7]]
         centres[there] += 2e-6 * rng.normal(size=(2, 3))
@@ -79,16 +78,16 @@ def found(exact, order, moments, size):
 
 
 def test_a_knock_between_cmm_positions_is_found_as_before(exact):
-    moments = range(30, 260, 9)
+    moments = range(30, 260, 9 if LONG else 23)
     assert found(exact, "probe_rests", moments, 3e-7) > 0.9
     assert found(exact, "probe_rests", moments, 3e-6) > 0.95
 
 
 def test_a_knock_within_a_table_position_is_found(exact):
     """Six balls before and six after it; two and ten for a large one."""
-    halves = range(30, 260, 12)
+    halves = range(30, 260, 12 if LONG else 36)
     assert found(exact, "table_once", halves, 1e-6) > 0.9
-    quarters = range(26, 260, 12)
+    quarters = range(26, 260, 12 if LONG else 36)
     assert found(exact, "table_once", quarters, 5e-6) > 0.95
 
 

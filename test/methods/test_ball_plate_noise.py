@@ -15,7 +15,7 @@ from rotcal_ros.methods.ball_plate.noise import Noise
 
 SIGMA = 5e-8
 SIX = [0, 3, 4, 9, 14, 20]
-RUNS = 40 if LONG else 8
+RUNS = 40 if LONG else 5
 ABOUT = (0.92, 0.98) if LONG else by_chance(0.95, RUNS * 24 // 3)
 """Each of the 24 angles of a run has centres of its own; a third counts as independent."""
 REAL = {"table": 2e-6, "machine": 2e-6, "made": 1e-5}
@@ -56,12 +56,14 @@ def test_intervals_hold_where_the_statement_is_wrong_in_one_axis(plate, exact):
 
 
 def test_each_axis_is_estimated_without_bias(exact):
-    rng, square, runs = np.random.default_rng(5), np.zeros(3), 20
+    rng, square, runs = np.random.default_rng(5), np.zeros(3), 20 if LONG else 8
     for _ in range(runs):
         noise = np.array([3.0, 2.0, 1.0]) * SIGMA * rng.normal(size=exact.centres.shape)
         result = solve(replace(exact, centres=exact.centres + noise))
         square += np.square(result.details["axis_noise"]["estimated"]) / runs
-    np.testing.assert_allclose(np.sqrt(square) / SIGMA, [3.0, 2.0, 1.0], rtol=0.045)
+    np.testing.assert_allclose(
+        np.sqrt(square) / SIGMA, [3.0, 2.0, 1.0], rtol=0.045 if LONG else 0.07
+    )
 
 
 @pytest.mark.parametrize(
@@ -82,7 +84,7 @@ def test_the_noisier_axis_is_named_with_its_factor(exact, axes, text):
 
 def test_equal_noise_is_rarely_called_unequal(exact):
     rng, called = np.random.default_rng(8), 0
-    for _ in range(60):
+    for _ in range(60 if LONG else 20):
         noise = SIGMA * rng.normal(size=exact.centres.shape)
         result = solve(replace(exact, centres=exact.centres + noise, sigma=SIGMA))
         called += not result.details["axis_noise"]["equal"]
@@ -155,9 +157,9 @@ def test_groups_know_their_axes():
     plate = ExactPlate(24, [0, 2, 4, 8, 14, 20], seed=6)
     exact = plate.problem(separate_groups=True)
     for axes in ((1, 1, 2), (2, 1, 1)):
-        share = covered(plate, exact, axes, 15)
+        share = covered(plate, exact, axes, 15 if LONG else 5)
         # frames are turned from group to group: of x and y the larger one is stated for both
-        assert all(value > 0.9 for value in share.values()), (axes, share)
+        assert all(value > (0.9 if LONG else 0.86) for value in share.values()), (axes, share)
 
 
 @pytest.mark.parametrize("sizes", [{}, REAL])

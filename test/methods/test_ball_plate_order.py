@@ -38,13 +38,13 @@ from rotcal_ros.planning.ball_plan import plan_measurement
 from rotcal_ros.protection import EFFECTS
 
 
-@pytest.mark.parametrize("part", [0.02, 0.1, 0.37, 0.5, 0.81, 0.97])
+@pytest.mark.parametrize("part", [0.02, 0.37, 0.97])
 def test_a_knock_between_two_stops_is_never_a_bare_ok(part):
     """Every seed at each moment: the plate moves while the table turns."""
     plan = plan_measurement(36, DEMO_PLATE)
     stops = np.flatnonzero(np.diff(plan.position)) + 1
     moment = stops[int(part * len(stops))]
-    for seed in range(10 if LONG else 3):
+    for seed in range(10 if LONG else 2):
         problem, _ = measured(
             36, DEMO_PLATE, seed, displaced=lambda i, j: knocked(36, i, j, moment)
         )
@@ -59,7 +59,7 @@ def test_a_knock_between_two_stops_is_never_a_bare_ok(part):
 @pytest.mark.parametrize("order", ORDERS)
 def test_a_drift_of_a_micrometre_is_seen_or_does_no_harm(order, axis):
     amount = np.eye(3)[axis] * 1e-6
-    for seed in range(8 if LONG else 2):
+    for seed in range(8 if LONG else 1):
         problem, _ = measured(
             36, DEMO_PLATE, seed, ORDERS[order], displaced=lambda i, _: drifted(len(i), amount)
         )
@@ -88,7 +88,7 @@ def test_without_closure_one_turn_says_what_it_hides():
 
 def test_good_data_in_the_default_order_are_protected_from_drift_and_knock():
     doubted = 0
-    seeds = 40 if LONG else 12
+    seeds = 40 if LONG else 6
     for seed in range(seeds):
         problem, _ = measured(36, DEMO_PLATE, seed)
         found = solve(problem)
@@ -134,7 +134,7 @@ def test_predicted_errors_are_what_a_simulation_gives(order, grid):
 
 
 def test_a_drift_of_the_predicted_size_is_found_in_95_percent():
-    n, hits, runs = 144, 0, 120 if LONG else 40
+    n, hits, runs = 144, 0, 120 if LONG else 20
     problem, _ = measured(12, list(range(12)), 0, {"closing": False})
     effects = order_effects(problem, None)
     dof = least_squares(problem).dof
@@ -210,7 +210,7 @@ def test_the_tables_repeatability_is_estimated_from_its_stops(size):
     """Every stop shifts the table along y by a random amount of its own."""
     found = []
     inside = total = 0
-    for seed in range(12 if LONG else 5):
+    for seed in range(12 if LONG else 2):
         rng = np.random.default_rng([seed, 11])
 
         def arriving(table, ball, rng=rng):
@@ -229,8 +229,9 @@ def test_the_tables_repeatability_is_estimated_from_its_stops(size):
         np.testing.assert_allclose(result.std["EYC"] ** 2, variance, rtol=1e-9, atol=1e-20)
         off = np.abs(result.deviations["EYC"] - truth.component("EYC")) / result.std["EYC"]
         inside, total = inside + np.count_nonzero(off < 1.96), total + len(off)
-    assert np.sqrt(np.mean(np.square(found))) == pytest.approx(size, rel=0.15, abs=1.5e-8)
-    assert 0.9 < inside / total < 0.99
+    close = 0.15 if LONG else 0.3
+    assert np.sqrt(np.mean(np.square(found))) == pytest.approx(size, rel=close, abs=1.5e-8)
+    assert (0.9 if LONG else 0.86) < inside / total < (0.99 if LONG else 1.0)
 
 
 def test_groups_close_and_are_protected_each_for_itself():

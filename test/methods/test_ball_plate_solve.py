@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from chances import LONG
+from chances import LONG, share
 from plate_data import PAPER_PLATE, RADIUS, grid_rows, in_cmm_order, rotate_z, simulated
 
 from rotcal_ros.components import COMPONENTS
@@ -72,7 +72,7 @@ def test_stated_intervals_contain_the_truth_in_95_percent_of_1000_runs():
 
 def test_whole_solver_keeps_its_intervals_with_the_paper_plate():
     inside, rejected = [], 0
-    for run in range(40 if LONG else 10):
+    for run in range(40 if LONG else 4):
         problem, truth = simulated(72, PAPER_PLATE, seed=run, sigma=5e-8)
         result = solve(problem)
         rejected += len(result.rejected)
@@ -80,7 +80,8 @@ def test_whole_solver_keeps_its_intervals_with_the_paper_plate():
             np.abs(result.deviations[n] - truth.component(n)) < 1.96 * result.std[n]
             for n in COMPONENTS
         ]
-    assert 0.93 < np.mean(inside) < 0.97
+    low, high = (0.93, 0.97) if LONG else share(0.95, 4 * 72 // 3)
+    assert low < np.mean(inside) < high
     assert rejected <= 3  # one run in a hundred may lose a centre
 
 
@@ -147,7 +148,7 @@ def test_dirt_is_rejected_and_the_result_stays_right():
     assert np.abs(error / result.std["ECC"]).max() < 4.5
 
 
-@pytest.mark.parametrize("size", [1e-5, 1e-3])
+@pytest.mark.parametrize("size", [1e-3])
 def test_a_gross_error_costs_no_other_centre(size):
     problem, _ = simulated(72, PAPER_PLATE, seed=6)
     centres = problem.centres.copy()
@@ -234,8 +235,7 @@ def test_doubled_ball_with_another_missing_sets_both_aside():
     assert "2 times while ball 12 is missing there" in result.rejected[0].why
 
 
-@pytest.mark.parametrize("jump", [3e-7, 3e-6])
-@pytest.mark.parametrize("moment", [300, 431])
+@pytest.mark.parametrize(("jump", "moment"), [(3e-7, 431), (3e-6, 300)])
 def test_knocked_plate_is_found_and_the_moment_named(jump, moment):
     problem, _ = simulated(72, PAPER_PLATE, seed=7)
     problem = in_cmm_order(problem)
@@ -251,7 +251,7 @@ def test_knocked_plate_is_found_and_the_moment_named(jump, moment):
 
 
 def test_good_data_are_not_called_knocked():
-    for seed in range(60):
+    for seed in range(60 if LONG else 15):
         problem, _ = simulated(24, [0, 3, 4, 9, 14, 20], seed=seed)
         assert solve(in_cmm_order(problem)).verdict != "failed"
 

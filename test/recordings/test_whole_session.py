@@ -20,6 +20,8 @@ from rotcal_ros.cli.main import rotcal
 from rotcal_ros.recordings.many import Job, solve_bag
 from rotcal_ros.recordings.replay import read_recording
 
+pytestmark = pytest.mark.usefixtures("without_figures")
+
 EARLIER = [FileInfo(f"bag_{number}.mcap") for number in range(18)]
 MISSING = "bag_7.mcap of the session is missing"
 
@@ -32,7 +34,7 @@ def run(*arguments: object) -> Result:
 def split(simulated_run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a session of many files; tests must not change it."""
     folder = tmp_path_factory.mktemp("whole") / "bag"
-    settings = WriterSettings(min_free_bytes=0, split_bytes=150_000)
+    settings = WriterSettings(min_free_bytes=0, split_bytes=76_000)
     write_run(folder, simulated_run, settings, tick_every=200)
     return folder
 

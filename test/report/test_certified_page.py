@@ -72,6 +72,7 @@ def test_what_is_not_known_is_said_to_be(bare, clause):
         assert any("not stated" in text for text in texts)
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_before_and_after_adjustment_stand_in_the_report_that_has_both():
     run = Positioning(np.arange(3.0), np.array([0.0, 30.0, 5.0]) * ARCSEC, np.full(3, ARCSEC))
     section = verification_section(Verification(run, replace(run, deviation=run.std), 0.0))
@@ -101,6 +102,7 @@ def test_number_and_fingerprint_are_those_of_the_result(whole, bare):
     assert re.search(r"No\. RC-[0-9A-F]{10}<", bare)
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_number_cannot_break_out_of_the_style_sheet():
     evil = replace(CIRCUMSTANCES.identity, certificate_number='"}</style><b>$x$')
     page = render_report(report(result(circumstances=replace(CIRCUMSTANCES, identity=evil))))
@@ -108,6 +110,7 @@ def test_a_number_cannot_break_out_of_the_style_sheet():
     assert 'content: "No. \\22 \\7d \\3c ' in page
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_simulation_is_never_taken_for_a_calibration():
     page = render_report(report(result(circumstances=replace(CIRCUMSTANCES, simulated=True))))
     assert "<strong>SIMULATED</strong> This is no calibration of a real table." in page
@@ -152,6 +155,7 @@ def test_a_band_far_from_the_injected_truth_is_not_valid():
     assert withheld(wrong, honest) == withheld(wrong) == ""
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_what_u_does_not_cover_is_said_beside_it():
     from rotcal_ros.protection import Protection
 
@@ -184,6 +188,7 @@ def test_a_result_read_back_gives_the_same_page(whole):
     assert render_report(report(again)) == whole
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_details_are_told_in_words_and_long_arrays_left_out():
     plane = {"tilt_rad": 2e-6, "unit_normal": [0.0, 0.0, 1.0], "all_heights": [0.5] * 9}
     page = text_of(render_report(report(result(details={"fitted_plane": plane}))))

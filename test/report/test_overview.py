@@ -17,6 +17,8 @@ from rotcal_ros.report import trend
 from rotcal_ros.report.fleet_queries import asked, bags_by_table
 from rotcal_ros.report.overview import PAGE, write_overview
 
+pytestmark = pytest.mark.usefixtures("without_figures")
+
 DAY_NS = 86_400 * 10**9
 U = 1e-7
 

@@ -3,6 +3,7 @@ from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
+import pytest
 
 from rotcal_ros.catalogue.goal import GoalStanding
 from rotcal_ros.planning.plan_figures import Compared, PlanFigures
@@ -10,6 +11,8 @@ from rotcal_ros.protection import Protection
 from rotcal_ros.report.page import ReportInput, render_report
 from rotcal_ros.results import Rejection, Residuals, Result
 from rotcal_ros.units import ARCSEC, DEGREE
+
+pytestmark = pytest.mark.usefixtures("without_figures")
 
 
 def tracer_result() -> Result:

@@ -10,6 +10,8 @@ from rotcal_ros.report.page import ReportInput, render_report
 from rotcal_ros.results import RepeatedRuns, Result
 from rotcal_ros.units import ARCSEC
 
+pytestmark = pytest.mark.usefixtures("without_figures")
+
 
 def result(count=12, step=30.0, runs=None):
     t = np.deg2rad(np.arange(count) * step)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from chances import LONG, most
 
 from rotcal_ros.catalogue.plane_mirror.mirror_physics import (
     measure,
@@ -187,8 +188,9 @@ def test_nests_alone_are_checked_while_measuring():
 
 @pytest.mark.slow
 def test_false_alarms_in_good_registrations_are_rare():
-    warned = sum(bool(solve(simulated("registration", seed=s)).warnings) for s in range(40))
-    assert warned <= 2
+    runs = 40 if LONG else 12
+    warned = sum(bool(solve(simulated("registration", seed=s)).warnings) for s in range(runs))
+    assert warned <= most(0.01, runs)
 
 
 def test_three_nests_tell_that_one_moved_but_not_which():

@@ -16,7 +16,7 @@ from rotcal_ros.methods.plane_mirror.prepare import prepare
 from rotcal_ros.observations import PointKind
 
 WAYS = ("stitching", "registration", "joint")
-RUNS = 600 if LONG else 200
+RUNS = 600 if LONG else 100
 ABOUT = (0.93, 0.97) if LONG else share(0.95, RUNS)
 """Of the shares of intervals that hold the truth: as if all angles of a run erred together."""
 CREEPS = {
@@ -128,7 +128,7 @@ def test_a_large_drift_makes_the_result_suspect_unless_nests_show_its_course():
 
 def test_without_drift_false_alarms_are_as_rare_as_stated():
     found = campaign()
-    points = found.noisy(np.random.default_rng(11), 150 if LONG else 60)
+    points = found.noisy(np.random.default_rng(11), 150 if LONG else 30)
     drifts = [find_drift(found.problem(p)) for p in points]
     chances = np.array([[s.probability(1e-3) for s in d.stations] for d in drifts]).ravel()
     for level in (0.5, 0.05, 0.01):
@@ -138,7 +138,7 @@ def test_without_drift_false_alarms_are_as_rare_as_stated():
     squares = sum(s.chi_square for d in drifts for s in d.stations)
     dof = sum(s.dof for d in drifts for s in d.stations)
     assert abs(squares / dof - 1.0) < 5.0 * np.sqrt(2.0 / dof)
-    verdicts = [solve(found.problem(p)).verdict for p in points[: 25 if LONG else 10]]
+    verdicts = [solve(found.problem(p)).verdict for p in points[: 25 if LONG else 6]]
     assert len(verdicts) - verdicts.count("ok") <= most(0.01, len(verdicts))
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from chances import LONG
 from scipy.stats import chi2
 
 from rotcal_ros.catalogue.plane_mirror.mirror_physics import (
@@ -211,7 +212,7 @@ def test_registration_beats_stitching_beyond_the_first_station(errors):
 def test_residuals_are_as_large_as_the_noise_says(way, runs):
     problem, points, _ = runs
     squares, dof = 0.0, 0
-    for k in range(0, RUNS, 40):
+    for k in range(0, RUNS, 40 if LONG else 100):
         result = solve(replace(problem, xyz=points[k], way=way))
         squares += result.sigma0**2 * result.dof
         dof += result.dof
@@ -257,7 +258,7 @@ def test_mirror_that_is_not_flat_is_covered_by_its_slope():
     deviations, truth = table(17)
     noise = TrackerNoise(mirror_slope_std=2.5e-6)
     scores = []
-    for seed in range(30):
+    for seed in range(30 if LONG else 10):
         cell = paper_cell(sag=63e-9 * rng.normal(), twist=63e-9 * rng.normal(), reflectors=3)
         problem = measure(cell, deviations, noise, np.random.default_rng(seed), way="joint")
         result = solve(problem)

@@ -82,7 +82,7 @@ def test_what_no_length_notices_changes_nothing():
 @pytest.mark.parametrize("noise", [1e-7, 1e-6, 1e-5])
 def test_noisy_reports_of_a_machine_that_stands_still_change_nothing(noise, variant):
     """To the last bit: the lengths are those of a machine that reports no noise."""
-    for seed in range(4):
+    for seed in range(2):
         problem, _, shift = world(seed, 0.0, noise, variant=variant)
         weighed, plain = adjust_at_equal_places(problem, shift), solve(problem)
         assert weighed.reported.weight == 0.0
@@ -99,7 +99,7 @@ def test_noisy_reports_of_a_machine_that_stands_still_change_nothing(noise, vari
 @pytest.mark.parametrize("move", [1e-6, 1e-5, 5e-5])
 def test_true_reports_of_a_machine_that_moves_are_believed_wholly(move, variant):
     """As without the moves: both cells have the same noise of the lengths."""
-    for seed in range(4):
+    for seed in range(2):
         problem, _, shift = world(seed, move, 0.0, variant=variant)
         found = solved(problem, shift)
         still, _, _ = world(seed, 0.0, 0.0, variant=variant)
@@ -134,7 +134,7 @@ def test_the_stated_uncertainty_holds_and_sound_cells_are_not_suspect(move, nois
     Where a part of the reports is noise, some cells cannot tell it from noise of the lengths.
     """
     inside, square, suspect = [], [], 0
-    cells = 60 if LONG else 15
+    cells = 60 if LONG else 8
     for seed in range(cells):
         problem, truth, shift = world(100 + seed, move, noise, m=12)
         found = solved(problem, shift)
@@ -172,21 +172,18 @@ def test_noisy_lengths_are_not_blamed_on_reports_that_hardly_move():
 
 
 def test_no_other_weight_does_better():
-    """Of the errors of the angles over 20 cells, against weights that nobody had to find."""
+    """Of the errors of the angles, against weights that nobody had to find."""
     errors = {w: [] for w in ("found", 0.0, 1.0)}
     for seed in range(20):
         problem, truth, shift = world(seed, 2e-7, 2e-7, m=8)
+        plain = solve(problem)
+        stations = plain.details["stations"]
+        beam = problem.targets[problem.target] - stations[problem.position]
+        beam /= np.linalg.norm(beam, axis=1, keepdims=True)
+        whole = replace(problem, length=problem.length - (beam * shift).sum(axis=1))
+        found = {"found": solved(problem, shift), 0.0: plain, 1.0: solve(whole)}
         for w, kept in errors.items():
-            part = shift if w == "found" else w * shift
-            if w == "found":
-                kept.append(solved(problem, part).deviations["ECC"] - truth)
-                continue
-            stations = solve(problem).details["stations"]
-            beam = problem.targets[problem.target] - stations[problem.position]
-            beam /= np.linalg.norm(beam, axis=1, keepdims=True)
-            along = (beam * part).sum(axis=1)
-            result = solve(replace(problem, length=problem.length - along))
-            kept.append(result.deviations["ECC"] - truth)
+            kept.append(found[w].deviations["ECC"] - truth)
     rms = {w: np.sqrt(np.mean(np.square(kept))) for w, kept in errors.items()}
     assert rms["found"] < 0.95 * min(rms[0.0], rms[1.0])
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from chances import LONG
 
 from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.methods.tracer import TracerProblem, solve
@@ -89,8 +90,8 @@ def independent(noise, m):
 @pytest.mark.parametrize("m", [5, 12])
 @pytest.mark.parametrize("motion_std", [3e-7, 3e-6])
 def test_95_percent_of_the_deviations_lie_inside(m, motion_std):
-    """Only stations and their noise: 400 circles, as many estimates of their error motion."""
-    rng, noise, runs = np.random.default_rng(m), 2e-7, 400
+    """Only stations and their noise: many circles, as many estimates of their error motion."""
+    rng, noise, runs = np.random.default_rng(m), 2e-7, 400 if LONG else 100
     angles = 2 * np.pi * np.arange(m) / m
     true = np.stack([RADIUS * np.cos(angles), RADIUS * np.sin(angles), np.full(m, 0.2)], axis=1)
     known = independent(noise, m)
@@ -105,16 +106,16 @@ def test_95_percent_of_the_deviations_lie_inside(m, motion_std):
         seen = bearing - bearing[0]
         std = np.sqrt(np.einsum("ia,ia->i", seen @ total, seen))[1:]
         hits.append(np.abs(found.cumulative[1:]) <= 1.96 * std)
-    assert np.mean(hits) >= 0.92
+    assert np.mean(hits) >= (0.92 if LONG else 0.9)
     if m > 5 or motion_std > 5 * noise:  # two residuals cannot tell so little from more
-        assert np.mean(hits) <= 0.98
+        assert np.mean(hits) <= (0.98 if LONG else 0.99)
 
 
 @pytest.mark.parametrize("m", [11, 12])
 @pytest.mark.parametrize("motion_std", [0.0, 1e-7, 2e-7, 3e-7, 3e-6])
 def test_intervals_hold_neither_more_nor_less_than_95_percent(m, motion_std):
     """All sizes of error motion beside a noise of 0.2 um, and none at all: 93 to 97 % (+- 1)."""
-    rng, noise, runs = np.random.default_rng(100 + m), 2e-7, 300
+    rng, noise, runs = np.random.default_rng(100 + m), 2e-7, 300 if LONG else 100
     angles = 2 * np.pi * np.arange(m) / m
     true = np.stack([RADIUS * np.cos(angles), RADIUS * np.sin(angles), np.full(m, 0.2)], axis=1)
     known = independent(noise, m)
@@ -128,7 +129,7 @@ def test_intervals_hold_neither_more_nor_less_than_95_percent(m, motion_std):
         seen = turn @ bearing_jacobian(stations, found)
         std = np.sqrt(np.einsum("ia,ia->i", seen @ total, seen))
         hits.append(np.abs(turn @ found.cumulative) <= 1.96 * std)
-    assert 0.925 <= np.mean(hits) <= 0.98
+    assert (0.925 if LONG else 0.915) <= np.mean(hits) <= (0.98 if LONG else 0.985)
 
 
 def test_exact_stations_on_an_exact_circle_have_no_error_motion():

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from chances import LONG, most
 
 from rotcal_ros.errors import DataError, ObservabilityError
 from rotcal_ros.methods.tracer import TracerProblem, solve
@@ -67,13 +68,14 @@ def test_sound_lengths_are_kept_beside_those_that_nothing_checks():
     """Residuals of stations with four lengths are zero, and say nothing of the usual miss."""
     exact = measured([4, 4, 4, 5, 6, 5, 4, 4, 4], one_zero=False)
     lost = 0
-    for seed in range(100):
+    runs = 100 if LONG else 30
+    for seed in range(runs):
         rng = np.random.default_rng([seed, 5])
         moved = 1e-6 * rng.standard_normal(TARGETS.shape)
         noise = 2e-7 * rng.standard_normal(len(exact.length))
         result = solve(replace(exact, length=exact.length + noise, targets=TARGETS + moved))
         lost += bool(result.rejected)
-    assert lost <= 5  # significance 0.01
+    assert lost <= most(0.01, runs)  # significance
 
 
 def test_a_poor_station_is_named():

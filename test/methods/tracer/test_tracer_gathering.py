@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from chances import LONG, most
 
 from rotcal_ros.methods.tracer import TracerProblem, length_view, solve
 from rotcal_ros.methods.tracer.angles import bearing_slopes
@@ -56,19 +57,20 @@ def rejected_rows(result):
 def test_the_bad_beams_are_left_out_and_no_good_ones(one_zero, pattern, spread):
     """Eight of twenty, 2 um or 1 to 3 um too long: once good ones were rejected instead."""
     exact = 0
-    for seed in range(6):
+    runs = 6 if LONG else 2
+    for seed in range(runs):
         here = world(seed, pattern, 2 * UM, spread=spread, one_zero=one_zero)
         result = solve(problem(here, here.disturbed, one_zero))
         assert result.verdict == "suspect"
         error = np.abs(result.deviations["ECC"] - here.truth)[1:] / result.std["ECC"][1:]
         assert error.max() < 4.0
         exact += rejected_rows(result) == bad_rows(here)
-    assert exact >= 3
+    assert exact >= runs / 2
 
 
 @BOTH
 def test_sixteen_of_forty_eight(one_zero):
-    for seed in range(3):
+    for seed in range(3 if LONG else 1):
         here = world(seed, "sector", 1 * UM, n=48, one_zero=one_zero)
         result = solve(problem(here, here.disturbed, one_zero))
         assert result.verdict == "suspect"
@@ -108,14 +110,15 @@ def test_no_ok_with_a_large_error_of_large_disturbances(one_zero):
 @BOTH
 def test_sound_lengths_stay_sound_and_their_covariance_as_it_was(one_zero):
     alarms, grown = 0, 0
-    for seed in range(40):
+    runs = 40 if LONG else 12
+    for seed in range(runs):
         here = world(100 + seed, one_zero=one_zero)
         result = solve(problem(here, here.sound, one_zero))
         alarms += result.verdict != "ok"
         grown += "gathered" in result.details["budget"]
         assert all(one["rejected"] <= 2 for one in result.details["gathering"]["groups"])
-    assert alarms <= 3
-    assert grown <= 6
+    assert alarms <= most(0.01, runs)
+    assert grown <= runs * 0.15
 
 
 def test_two_outliers_of_one_station_are_no_gathering():

@@ -80,8 +80,8 @@ def test_angles_and_circle_are_those_of_whole_matrices(variant):
 
 
 @pytest.mark.parametrize("variant", ["joint", "station"])
-def test_1500_positions_take_the_memory_of_their_covariance_a_few_times(variant):
-    m = 1500
+def test_800_positions_take_the_memory_of_their_covariance_a_few_times(variant):
+    m = 800
     problem = full_circle(m, 8, variant=variant)
     tracemalloc.start()
     result = solve(problem)

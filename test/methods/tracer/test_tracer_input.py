@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from chances import LONG, most
 from tracer_scene import arc, low_ring, simulate
 
 from rotcal_ros.errors import ConfigurationError, DataError, ObservabilityError
@@ -149,10 +150,11 @@ def test_spikes_are_rejected_flagged_and_harmless(options):
 @pytest.mark.parametrize("options", VARIANTS)
 def test_good_data_are_hardly_ever_rejected(options):
     false_alarms = 0
-    for seed in range(60):
+    runs = 60 if LONG else 20
+    for seed in range(runs):
         scene = simulate(seed, arc(8), 24, low_ring, target_std=options.get("target_std", 0.0))
         false_alarms += bool(solve(scene.problem(**options)).rejected)
-    assert false_alarms <= 4  # 0.6 expected at the default of 1 % per run
+    assert false_alarms <= most(0.01, runs)  # at the default of 1 % per run
 
 
 def test_critical_value_is_shared_among_the_lengths():

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from chances import LONG
 from tracer_scene import arc, low_ring, simulate
 
 from rotcal_ros.errors import DataError
@@ -63,7 +64,7 @@ def test_another_zero_is_found_and_leaves_no_trace(variant):
 
 def test_the_stated_uncertainty_holds_over_many_interruptions():
     scores = []
-    for seed in range(20):
+    for seed in range(20 if LONG else 8):
         scene, _, changed, run, pairs = interrupted(seed)
         result = adjust_joined(runs(changed, run, pairs)).result()
         error = result.deviations["ECC"] - scene.deviation
@@ -115,12 +116,13 @@ def test_an_error_of_one_join_reaches_the_runs_that_lean_on_it():
 
 def test_the_stated_uncertainty_holds_after_two_interruptions():
     scores = []
-    for seed in range(30):
+    for seed in range(30 if LONG else 10):
         scene, together = interrupted_twice(seed, 100.0)
         result = adjust_joined(together).result()
         scores.append((result.deviations["ECC"] - scene.deviation)[1:] / result.std["ECC"][1:])
-    # The zeros dominate, two numbers in each of 30 measurements: 18 % are two standard deviations.
-    assert 0.75 < np.sqrt(np.mean(np.square(scores))) < 1.25
+    # The zeros dominate, two numbers in each measurement: of 30 it scatters by 9 %, of 10 by 16 %.
+    low, high = (0.75, 1.25) if LONG else (0.6, 1.5)
+    assert low < np.sqrt(np.mean(np.square(scores))) < high
 
 
 def test_something_that_moved_makes_the_result_suspect():

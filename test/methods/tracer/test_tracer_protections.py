@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from chances import LONG, most
 
 from rotcal_ros.methods.tracer import TracerProblem, solve
 from rotcal_ros.methods.tracer import disturbances as patterns
@@ -13,6 +14,7 @@ from rotcal_ros.protection import EFFECTS
 
 STATIONS, TARGETS, RADIUS = 12, 24, 0.09
 LENGTH, TARGET = 2e-7, 1e-6
+RUNS = 20 if LONG else 8
 
 
 def measured(seed, turned=STATIONS, interleaved=False, effect=None, **options):
@@ -136,14 +138,14 @@ def test_what_is_called_detectable_turns_the_verdict(effect, pattern, interleave
     assert size < 1e-4
     verdicts = [
         solve(measured(100 + k, interleaved=interleaved, effect=effect(size))).verdict
-        for k in range(20)
+        for k in range(RUNS)
     ]
-    assert verdicts.count("ok") <= 4  # 1 expected
+    assert verdicts.count("ok") <= most(0.05, RUNS)
     half = [
         solve(measured(100 + k, interleaved=interleaved, effect=effect(0.3 * size))).verdict
-        for k in range(10)
+        for k in range(RUNS // 2)
     ]
-    assert half.count("ok") >= 6  # not detectable by far
+    assert half.count("ok") >= 0.6 * (RUNS // 2)  # not detectable by far
 
 
 def test_a_leaning_axis_and_a_wrong_scale_hardly_touch_the_angle():
@@ -191,7 +193,7 @@ def test_a_tracer_shifted_along_its_circle_is_named_as_no_length_sees_it(stated,
 def test_a_closing_measurement_bounds_what_of_it_does_not_come_back(crept):
     """A cable that winds up: the tracer ends ``crept`` further along its circle."""
     wave, within = np.arange(STATIONS + 1) / STATIONS, []
-    for seed in range(40):
+    for seed in range(40 if LONG else 10):
         result = solve(measured(seed, turned=STATIONS + 1, effect=along(crept, wave)))
         (closing,) = result.details["returned"]
         assert (closing["first"], closing["last"]) == (0, STATIONS)
@@ -200,7 +202,7 @@ def test_a_closing_measurement_bounds_what_of_it_does_not_come_back(crept):
         assert closing["within"] == pytest.approx(
             RADIUS * (abs(closure["error"]) + 1.96 * closure["std"]), rel=1e-3
         )  # the table is stated to have no error motion
-    assert np.mean(np.array(within) >= crept) >= 0.9
+    assert np.mean(np.array(within) >= crept) >= (0.9 if LONG else 0.8)
     assert np.median(within) < crept + 4e-7  # a bound that says something
     stated = treatments(result)["tangential motion"]
     assert stated.treatment == "not protected"  # what comes back with the angle stays unseen

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from chances import LONG, most
 from segment_scene import measure
 
 from rotcal_ros.methods.tracer import solve
 
-RUNS = 60
+RUNS = 60 if LONG else 15
 
 
 def breaks(rng, k):
@@ -32,5 +33,5 @@ def test_95_percent_intervals_hold_the_truth(case, by_target, kept, ok):
         inside.append(np.mean((np.abs(error) <= 1.96 * result.std["ECC"])[1:]))
         verdicts.append(result.verdict)
     # six angles of a run err together: the mean of 60 runs scatters by 1.5 %
-    assert 0.905 < np.mean(inside) < 0.99
-    assert verdicts.count("ok") >= ok * RUNS
+    assert (0.905 if LONG else 0.86) < np.mean(inside) < 0.995
+    assert RUNS - verdicts.count("ok") <= most(1 - ok, RUNS)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from chances import LONG
 from six_scene import good_targets, on_circle, scene
 
 from rotcal_ros.components import COMPONENTS
@@ -57,14 +58,14 @@ def test_a_prior_on_the_tilts_carries_two_places_and_stands_in_the_budget():
 
 def test_prior_on_the_tilts_covers():
     rng, inside = np.random.default_rng(4), []
-    for _ in range(25):
+    for _ in range(25 if LONG else 8):
         truth = scene(rng, curves=(1e-6, 1e-5))
         two = some(truth.rows, truth.rows["place"] != 2)
         result = solve(SixProblem(**two, tilt_std=1e-5))
         error = np.array([result.deviations[n] for n in COMPONENTS]) - truth.truth
         std = np.array([result.std[n] for n in COMPONENTS])
         inside.append((np.abs(error) < 1.96 * std).mean(axis=1))
-    assert (np.mean(inside, axis=0) > 0.89).all()
+    assert (np.mean(inside, axis=0) > (0.89 if LONG else 0.84)).all()
 
 
 def test_a_clockwise_table_is_named():

