@@ -84,7 +84,7 @@ class Parameters:
         own = node.get_parameters_by_prefix("")
         if self._found is not None:
             self._found |= dict.fromkeys(sorted(listed | set(node.health.present())))
-            self._found[node.get_name()] = {key: _plain(one.value) for key, one in own.items()}
+            self._found[node.get_name()] = {key: _plain(mine.value) for key, mine in own.items()}
         for name in list(self._found or ()):
             if name != node.get_name():
                 answer = await _parameters_of(node, f"{namespace.rstrip('/')}/{name}")

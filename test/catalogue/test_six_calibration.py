@@ -58,7 +58,7 @@ def test_each_length_has_its_place_position_target_and_arrival():
         np.testing.assert_array_equal(made.arrival, step // PER_PLACE % 2)
         np.testing.assert_array_equal(np.argsort(made.order), np.argsort(step))
         distance = np.linalg.norm(np.array(calibration.plan.targets), axis=1)[made.target]
-        np.testing.assert_allclose(made.length_std, np.hypot(9.5e-8, 1e-6 * distance))
+        np.testing.assert_allclose(made.length_std, np.hypot(1.05e-7, 1e-6 * distance))
         assert made.zero == "per_segment"
         np.testing.assert_array_equal(made.segment, made.place)
     np.testing.assert_allclose(np.hypot(*made.places[:, :2].T), 0.15)
@@ -108,11 +108,11 @@ def test_where_every_length_has_an_arrival_of_its_own_the_scatter_joins_it():
     )
     made = posed(by_station, by_station.nominal_observations())
     assert (made.scatter_translation_std, made.scatter_rotation_std) == (3e-7, 2e-6)
-    np.testing.assert_allclose(made.length_std, 9.5e-8)
+    np.testing.assert_allclose(made.length_std, 1.05e-7)
     made = posed(by_target, by_target.nominal_observations())
     assert (made.scatter_translation_std, made.scatter_rotation_std) == (0.0, 0.0)
     arm = np.hypot(0.15, 0.12)
-    np.testing.assert_allclose(made.length_std**2, 9.5e-8**2 + 3e-7**2 + (arm * 2e-6) ** 2)
+    np.testing.assert_allclose(made.length_std**2, 1.05e-7**2 + 3e-7**2 + (arm * 2e-6) ** 2)
 
 
 def distances(made, places_of_targets):
