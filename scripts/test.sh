@@ -23,10 +23,11 @@ run() {
     fi
 }
 
+cores=$(env -u OMP_NUM_THREADS nproc)  # the variable counts there, too
 export OMP_NUM_THREADS=${OMP_NUM_THREADS:-1}
 side_by_side=(--dist loadfile --no-loadscope-reorder)
 run --live never -n auto "${side_by_side[@]}" "$@"
-run --live only -n "${ROTCAL_LIVE_WORKERS:-$(($(nproc) + 1))}" "${side_by_side[@]}" "$@"
+run --live only -n "${ROTCAL_LIVE_WORKERS:-$((cores + 1))}" "${side_by_side[@]}" "$@"
 if [[ -s $ROTCAL_NOT_TRIED ]]; then
     echo "Not tried here (tests, reason):"
     sort "$ROTCAL_NOT_TRIED" | uniq -c

@@ -132,13 +132,14 @@ class Listener:
                 continue
             try:
                 kind = message_type(type_name)
-                self.topics[name] = HeardTopic(described_channel(name, type_name, infos))
+                topic = HeardTopic(described_channel(name, type_name, infos))
             except BagError as error:
                 self.refused[name] = str(error)
                 self._node.get_logger().error(f"{name} cannot be recorded: {error}")
                 continue
             qos = adapted_qos([info.qos_profile for info in infos])
-            self._subscribe(self.topics[name], kind, qos)
+            self._subscribe(topic, kind, qos)
+            self.topics[name] = topic  # not before: a subscription that fails is tried again
 
     def _subscribe(self, topic: HeardTopic, kind: type, qos: QoSProfile) -> None:
         name = topic.channel.topic

@@ -1,6 +1,7 @@
 """How far a recorded stream has come, whatever its type and its clock."""
 
 import struct
+from types import SimpleNamespace
 
 import pytest
 
@@ -9,6 +10,7 @@ pytest.importorskip("rclpy")
 from rotcal_ros.bags import names
 from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.instruments.conventions import Conventions
+from rotcal_ros.nodes import listening
 from rotcal_ros.nodes.heard_topic import HeardTopic
 from rotcal_ros.nodes.recording import Channel
 
@@ -34,3 +36,27 @@ def test_a_stamp_is_read_by_the_common_clock(settings, seconds):
     topic = heard("sensor_msgs/msg/Range", struct.pack("<4xiI", 5, 0))
     taken_ns = topic.taken_ns(names.TRACER_LENGTH, Conventions(settings))
     assert taken_ns == round(seconds * SECOND)
+
+
+def test_a_topic_whose_subscription_fails_is_tried_again(monkeypatch):
+    tried = []
+
+    def subscribe(topic, *_kind):
+        tried.append(topic)
+        if len(tried) == 1:
+            raise RuntimeError("the graph has just changed")
+
+    for name in ("message_type", "adapted_qos", "described_channel"):
+        monkeypatch.setattr(listening, name, lambda *_arguments: SimpleNamespace())
+    monkeypatch.setattr(listening, "_wanted_topics", lambda *_: {"/cell/plan": "a type"})
+    listener = object.__new__(listening.Listener)
+    listener.topics, listener.refused, listener._stop = {}, {}, []
+    publisher = SimpleNamespace(qos_profile=None)
+    listener._node = SimpleNamespace(get_publishers_info_by_topic=lambda _name: [publisher])
+    listener._further, listener._subscribe = list, subscribe
+    with pytest.raises(RuntimeError, match="just changed"):
+        listener._look()
+    listener._look()
+    listener._look()
+    assert len(tried) == 2
+    assert listener.topics == {"/cell/plan": tried[1]}
