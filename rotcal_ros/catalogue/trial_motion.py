@@ -138,19 +138,22 @@ class TrialMotion:
 
     def _seen_s(self) -> float | None:
         """Return when the lengths began to change; None where they do not, or there are none."""
-        before = self.lengths[self.lengths[:, 0] < self.ordered_s, 1]
-        if len(before) < 2 or abs(self._seen_m()) < 10.0 * max(np.ptp(before), 1e-6):
+        before, seen = self.lengths[self.lengths[:, 0] < self.ordered_s, 1], self._seen_m()
+        if seen is None or abs(seen) < 10.0 * max(np.ptp(before), 1e-6):
             return None
         change = np.abs(self.lengths[:, 1] - np.median(before))
-        return _first(self.lengths[:, 0], change, self._seen_m())
+        return _first(self.lengths[:, 0], change, seen)
 
-    def _seen_m(self) -> float:
-        """Return by how much the lengths have changed in the end, m."""
+    def _seen_m(self) -> float | None:
+        """Return by how much the lengths have changed in the end, m.
+
+        None where they were not heard before the order and when the table was at rest again.
+        """
         before = self.lengths[self.lengths[:, 0] < self.ordered_s, 1]
         after = self.lengths[self.lengths[:, 0] > self._rest_s, 1]
-        return (
-            float(np.median(after[-5:]) - np.median(before)) if len(before) and len(after) else 0.0
-        )
+        if len(before) < 2 or not len(after):
+            return None
+        return float(np.median(after[-5:]) - np.median(before))
 
     def _rest(self, settings: CaptureSettings) -> CheckLine:
         """Say whether motion and rest are told as they are."""
@@ -181,7 +184,7 @@ class TrialMotion:
     def _unrest_s(self) -> float:
         """Return how long the lengths went on to change after the table had told rest."""
         whole = self._seen_m()
-        if self._seen_s() is None:
+        if whole is None or self._seen_s() is None:
             return 0.0
         after = self.lengths[self.lengths[:, 0] > self._rest_s]
         moving = np.abs(after[:, 1] - np.median(after[-5:, 1])) > _SETTLED * abs(whole)
@@ -190,17 +193,17 @@ class TrialMotion:
     def _handedness(self, beams: tuple[float, float] | None) -> CheckLine:
         """Say whether the table turns counter-clockwise, as far as an instrument saw it."""
         todo = "look from above: a positive angle is counter-clockwise"
-        if beams is None or abs(beams[0] - beams[1]) < 0.5 * max(map(abs, beams)):
+        seen = self._seen_m()
+        if seen is None or beams is None or abs(beams[0] - beams[1]) < 0.5 * max(map(abs, beams)):
             found = "no instrument tells from here which way round the table turned"
             return CheckLine(PART, "handedness", "open", found, todo)
-        seen, (well, wrong) = self._seen_m(), beams
+        well, wrong = beams
         found = f"the length changed by {seen / MILLIMETRE:+.3f} mm, counter-clockwise makes "
         found += f"{well / MILLIMETRE:+.3f}, clockwise {wrong / MILLIMETRE:+.3f} mm"
-        off, other = abs(seen - well), abs(seen - wrong)
-        near = 0.3 * max(abs(well), abs(wrong))
-        if off < other and off < near:
+        least = 0.1 * max(abs(well), abs(wrong))  # a length that hardly changes proves nothing
+        if abs(seen - well) < 0.3 * max(abs(well), least):
             return CheckLine(PART, "handedness", "good", found)
-        if other < off and other < near:
+        if abs(seen - wrong) < 0.3 * max(abs(wrong), least):
             found += ": it turns clockwise"
             return CheckLine(PART, "handedness", "missing", found, _REVERSE)
         todo = "correct plan.tracer_m, or the unit of the lengths; " + todo

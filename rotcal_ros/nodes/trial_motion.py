@@ -90,6 +90,8 @@ class TrialMotionNode(CellNode):
 
     async def _there(self) -> TrialMotion:
         ready = await until(self._ready, START_S)
+        if ready and self._calibration.place_on_table() is not None:
+            await until(lambda: bool(self._lengths) and self._probe is not None, START_S)
         begun_s = time.monotonic()
         if ready:
             await until(lambda: time.monotonic() > begun_s + BEFORE_S, 2.0 * BEFORE_S)

@@ -90,6 +90,13 @@ def test_the_way_round_is_seen_by_the_lengths_or_by_a_person():
     open_line = told(turn(), None)["handedness"]
     assert open_line.state == "open"
     assert told(turn(), (8e-3, 7e-3))["handedness"].state == "open"  # the two look alike
+    motion = turn(seen=0.0)
+    assert (
+        told(motion, (8e-3, -4e-4))["handedness"].state == "doubt"
+    )  # nothing moved, or clockwise
+    for heard in (motion.lengths[:0], motion.lengths[-10:], motion.lengths[:10]):
+        lines = told(replace(motion, lengths=heard), (8e-3, -4e-4))
+        assert (lines["handedness"].state, lines["lag"].state) == ("open", "note")
     report = CellReport("/cell", "", 5.0, (open_line,))
     for seen, state in (("clockwise", "missing"), ("counter-clockwise", "good")):
         assert handedness_seen(report, seen).lines[0].state == state

@@ -153,7 +153,7 @@ def test_a_small_motion_proves_what_listening_cannot(tmp_path, mistake):
         assert not proven
     elif not name:
         assert list(proven) == ["sign", "lag", "rest", "handedness"]
-        assert {line["state"] for line in proven.values()} == {"good"}
+        assert not [line for line in proven.values() if line["state"] != "good"]
     else:
         assert proven[name]["state"] == state
         assert words in proven[name]["found"]
