@@ -1,8 +1,7 @@
 #!/usr/bin/env bash
 # All tests: first those without live nodes, then the live ones; side by side on all cores, each file
-# in one worker, so that what its tests share is made once. Live tests often wait, so there is one
-# worker more than there are cores; ROTCAL_LIVE_WORKERS=1 runs one cell at a time. At the end it says
-# what could not be tried on this machine, and what to install for it.
+# in one worker, so that what its tests share is made once. ROTCAL_LIVE_WORKERS=1 runs one cell at a
+# time. At the end it says what could not be tried on this machine, and what to install for it.
 #
 # usage: scripts/test.sh [arguments of pytest]
 set -uo pipefail
@@ -23,11 +22,10 @@ run() {
     fi
 }
 
-cores=$(env -u OMP_NUM_THREADS nproc)  # the variable counts there, too
 export OMP_NUM_THREADS=${OMP_NUM_THREADS:-1}
 side_by_side=(--dist loadfile --no-loadscope-reorder)
 run --live never -n auto "${side_by_side[@]}" "$@"
-run --live only -n "${ROTCAL_LIVE_WORKERS:-$((cores + 1))}" "${side_by_side[@]}" "$@"
+run --live only -n "${ROTCAL_LIVE_WORKERS:-auto}" "${side_by_side[@]}" "$@"
 if [[ -s $ROTCAL_NOT_TRIED ]]; then
     echo "Not tried here (tests, reason):"
     sort "$ROTCAL_NOT_TRIED" | uniq -c
