@@ -36,6 +36,10 @@ from rotcal_ros.arrays import Bools, Floats, Ints
 
 SIZES: Final[Floats] = np.array([0.5, 2.0, 8.0, 32.0, 128.0])
 """Standard deviations t of a disturbance, in usual standard deviations of the noise."""
+UNSEEN: Final = -1e-6
+"""Square of a shift, less than rounding makes of zero: adjusted and stated noise differ a little.
+
+No residual tells of such a shift, so what seems to is nothing."""
 OWN: Final = 0.3
 """Of a free subset: what each is off by itself, as a share of what all have in common."""
 MOST_STEPS: Final = 60
@@ -122,10 +126,10 @@ def shifts(group: Group, subsets: Bools) -> Hypotheses:
     e, c = group.residual.shape
     along = part @ group.score
     if c == 1:
-        square = ((part @ group.weight[:, 0, :, 0]) * part).sum(axis=1)
+        square = ((part @ group.weight[:, 0, :, 0]) * part).sum(axis=1)[:, None]
         return Hypotheses(
-            np.maximum(square, 0.0)[:, None],
-            along,
+            np.maximum(square, 0.0),
+            np.where(square < UNSEEN, 0.0, along),
             lambda: (subsets.T * group.relative)[:, :, None],
             group.felt,
         )
@@ -134,7 +138,7 @@ def shifts(group: Group, subsets: Bools) -> Hypotheses:
     values, vectors = np.linalg.eigh(square)
     return Hypotheses(
         np.maximum(values, 0.0),
-        np.einsum("qab,qa->qb", vectors, along),
+        np.where(values < UNSEEN, 0.0, np.einsum("qab,qa->qb", vectors, along)),
         lambda: np.einsum("qe,ea,qab->eaqb", part, group.relative, vectors).reshape(
             e * c, len(part), c
         ),

@@ -1,12 +1,13 @@
 """What is believed of disturbances, against truth and against all explanations enumerated."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
 from linear_worlds import lines, outputs, places_on_a_ring, residuals
 
-from rotcal_ros.adjust.explanations import without
+from rotcal_ros.adjust.explanations import shifts, without
 from rotcal_ros.adjust.groups import Dense
 from rotcal_ros.adjust.judgement import blame, judge
 from rotcal_ros.adjust.subsets import neighbourhoods
@@ -140,3 +141,17 @@ def test_sound_data_whose_noise_was_estimated_are_suspected_no_more_often(e, cou
         found = judge(stations(design, count, e, near, errors)[1], rest=(squares, freedom))
         alarms += found.chance < 0.02
     assert alarms <= 12  # as above
+
+
+def test_a_shift_that_leaves_no_residual_is_not_believed_where_noise_was_scaled_since():
+    """The beams to one face of a cube from its centre: position and zero take up their shift."""
+    corners = np.array(list(product((-1.0, 1.0), repeat=3))) / np.sqrt(3.0)
+    design = np.column_stack([corners, np.ones(8)])
+    faces = (corners @ np.vstack([np.eye(3), -np.eye(3)]).T > 0.0).T
+    left = residuals(design, np.random.default_rng(1).standard_normal(8))
+    view = Dense(design, np.ones((1, 4)), left)
+    sound = view.group("station", "0", np.arange(8), np.arange(8), gathered=faces)
+    leverage = np.eye(8).reshape(8, 1, 8, 1) - sound.cofactor
+    nudged = sound.residual + 0.1 * corners[:, :1]  # what the last step of scaling has left
+    spoiled = replace(sound, cofactor=sound.cofactor - 0.06 * leverage, residual=nudged)
+    assert np.abs(shifts(spoiled, faces).log_bayes()).max() < 1e-9
