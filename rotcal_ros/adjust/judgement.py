@@ -271,7 +271,8 @@ def _drawn(
         along = np.einsum("qe,ecr->rqc", subsets.astype(np.float64), score)
         if form.axes is not None:
             along = np.einsum("rqa,qab->rqb", along, form.axes)
-        mean = _mean_bayes(form.values, along * (form.values > 0.0))
+        along *= form.values > 0.0  # no residual tells of the others, see UNSEEN
+        mean = _mean_bayes(form.values, along)
         found.append((mean, float(np.log(prior.sum())), k > 0))
     return found
 

@@ -136,12 +136,18 @@ class TrialMotion:
         todo = "let the feedback come without delay, or make capture.settle_time_s longer than it"
         return CheckLine(PART, "lag", "doubt", found, todo)
 
+    @cached_property
+    def _before(self) -> Floats:
+        """The lengths before the order, m."""
+        lengths: Floats = self.lengths[self.lengths[:, 0] < self.ordered_s, 1]
+        return lengths
+
     def _seen_s(self) -> float | None:
         """Return when the lengths began to change; None where they do not, or there are none."""
-        before, seen = self.lengths[self.lengths[:, 0] < self.ordered_s, 1], self._seen_m()
-        if seen is None or abs(seen) < 10.0 * max(np.ptp(before), 1e-6):
+        seen = self._seen_m()
+        if seen is None or abs(seen) < 10.0 * max(np.ptp(self._before), 1e-6):
             return None
-        change = np.abs(self.lengths[:, 1] - np.median(before))
+        change = np.abs(self.lengths[:, 1] - np.median(self._before))
         return _first(self.lengths[:, 0], change, seen)
 
     def _seen_m(self) -> float | None:
@@ -149,11 +155,10 @@ class TrialMotion:
 
         None where they were not heard before the order and when the table was at rest again.
         """
-        before = self.lengths[self.lengths[:, 0] < self.ordered_s, 1]
         after = self.lengths[self.lengths[:, 0] > self._rest_s, 1]
-        if len(before) < 2 or not len(after):
+        if len(self._before) < 2 or not len(after):
             return None
-        return float(np.median(after[-5:]) - np.median(before))
+        return float(np.median(after[-5:]) - np.median(self._before))
 
     def _rest(self, settings: CaptureSettings) -> CheckLine:
         """Say whether motion and rest are told as they are."""

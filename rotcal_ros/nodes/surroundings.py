@@ -75,29 +75,27 @@ class Parameters:
 
     def __init__(self, recording: Recording, node: CellNode) -> None:
         self._recording, self._node = recording, node
-        self._found: dict[str, Any] | None = {}
+        self._found: dict[str, Any] = {}
+        self._attached = False
 
     async def ask(self) -> None:
         """Ask all nodes that the graph lists in the cell's namespace, or that beat."""
         node, namespace = self._node, self._node.get_namespace()
         listed = {n for n, space in node.get_node_names_and_namespaces() if space == namespace}
+        others = sorted((listed | node.health.present()) - {node.get_name()})
         own = node.get_parameters_by_prefix("")
-        if self._found is not None:
-            self._found |= dict.fromkeys(sorted(listed | set(node.health.present())))
-            self._found[node.get_name()] = {key: _plain(mine.value) for key, mine in own.items()}
-        for name in list(self._found or ()):
-            if name != node.get_name():
-                answer = await _parameters_of(node, f"{namespace.rstrip('/')}/{name}")
-                if self._found is not None:
-                    self._found[name] = answer
+        self._found = dict.fromkeys(others)
+        self._found[node.get_name()] = {key: _plain(mine.value) for key, mine in own.items()}
+        for name in others:
+            self._found[name] = await _parameters_of(node, f"{namespace.rstrip('/')}/{name}")
         self.attach()
 
     def attach(self) -> None:
         """Put what is known into the bag, once."""
-        if self._found is not None:
+        if not self._attached:
             text = json.dumps(self._found, indent=1, sort_keys=True)
             self._recording.attach(names.PARAMETERS, "application/json", text.encode())
-        self._found = None
+        self._attached = True
 
 
 async def _parameters_of(node: Node, remote: str) -> dict[str, Any] | None:
