@@ -6,7 +6,8 @@ VENV := .venv$(patsubst -kilted,,-$(ROS_DISTRO))
 BIN := $(VENV)/bin
 DEMO := out/demo$(VENV:.venv%=%)
 # For CI, with known truth: a table of ros2_control and a ball plate behind I++ DME at once.
-JAZZY_TESTS := test/nodes/test_two_cells.py test/cli/test_doctor.py
+JAZZY_TESTS := test/nodes/test_two_cells.py test/cli/test_doctor.py \
+	test/nodes/test_table_goals.py test/linuxcnc/test_closed_loop.py
 SEED ?= 1
 SAMPLE ?= 400
 SECONDS ?= 60
@@ -15,7 +16,7 @@ SECONDS ?= 60
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: demo resume test test-aids test-jazzy docs bench power mutants fuzz soak lint release setup clean help
+.PHONY: demo resume test test-all test-aids test-jazzy docs bench power mutants fuzz soak lint release setup clean help
 
 demo: setup  ## calibrate the simulated cell over ROS 2, compensate, measure again; in out/demo
 	@$(BIN)/rotcal verify config/tracer_demo.yaml --output $(DEMO) --keep-previous
@@ -23,8 +24,11 @@ demo: setup  ## calibrate the simulated cell over ROS 2, compensate, measure aga
 resume: setup  ## continue a demo that was interrupted
 	@$(BIN)/rotcal verify --resume $(DEMO)
 
-test: setup  ## run all tests; PYTEST_ARGS="-k plane" selects some
-	@VENV=$(VENV) scripts/test.sh $(PYTEST_ARGS)
+test: setup  ## run the quick tests, minutes; PYTEST_ARGS="-k plane" runs some, quick or slow
+	@VENV=$(VENV) scripts/test.sh $(or $(PYTEST_ARGS),--quick)
+
+test-all: setup  ## run the slow ones, too, as CI does
+	@VENV=$(VENV) scripts/test.sh
 
 test-aids: setup  ## fetch what some tests run: packages of Node.js, NIST's suite for I++ DME
 	@$(BIN)/python test/aids.py

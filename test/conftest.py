@@ -36,6 +36,7 @@ def pytest_addoption(parser):
     parser.addoption(
         "--live", choices=("only", "never"), help="tests that start ROS 2 nodes or LinuxCNC"
     )
+    parser.addoption("--quick", action="store_true", help="without those that are marked slow")
 
 
 def pytest_ignore_collect(collection_path, config):
@@ -53,17 +54,17 @@ def pytest_runtest_setup(item):
 
 
 def pytest_collection_modifyitems(config, items):
-    """Keep the half that ``--live`` asks for; slow files first, or one core waits at the end."""
-    wanted = config.getoption("--live")
-    if wanted is None:
-        return
-    halves = {"only": [], "never": []}
+    """Keep what the options ask for; slow files first, or one core waits at the end."""
+    live, quick = config.getoption("--live"), config.getoption("--quick")
+    kept, left = [], []
     for item in items:
-        live = any(item.get_closest_marker(name) for name in LIVE)
-        halves["only" if live else "never"].append(item)
-    slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items[:] = sorted(halves.pop(wanted), key=lambda item: item.path not in slow)
-    config.hook.pytest_deselected(items=next(iter(halves.values())))
+        is_live = any(item.get_closest_marker(name) for name in LIVE)
+        wanted = live is None or is_live == (live == "only")
+        slow = item.get_closest_marker("slow")
+        (kept if wanted and not (quick and slow) else left).append(item)
+    slow = {item.path for item in kept if item.get_closest_marker("slow")}
+    items[:] = sorted(kept, key=lambda item: item.path not in slow)
+    config.hook.pytest_deselected(items=left)
 
 
 def pytest_terminal_summary(terminalreporter):

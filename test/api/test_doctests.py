@@ -28,6 +28,7 @@ NEEDS_A_GRAPH = {"ros"}
 WITH_EXAMPLE = sorted(set(rc.__all__) - CONSTANTS - NEEDS_A_GRAPH)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WITH_EXAMPLE)
 def test_every_name_has_an_example_that_runs(name, monkeypatch):
     monkeypatch.chdir(ROOT)  # they name the sample data from here

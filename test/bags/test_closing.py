@@ -131,6 +131,7 @@ def test_whoever_dies_while_closing_leaves_it_to_the_next(tmp_path: Path) -> Non
         assert not journal.exists()
 
 
+@pytest.mark.slow
 def test_whichever_call_to_the_disk_fails_the_next_closing_does_it(tmp_path: Path) -> None:
     cut = fill(tmp_path / "bag")[:-300]
     sound = trial(tmp_path / "sound", cut)

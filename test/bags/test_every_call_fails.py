@@ -147,6 +147,7 @@ def go_on(left: Path, receipts: list[int], monkeypatch) -> None:
     assert set(receipts) <= observations(bag)
 
 
+@pytest.mark.slow
 def test_whichever_call_fails_nothing_that_was_confirmed_is_lost(calls, tmp_path, monkeypatch):
     possible = faults(calls)
     chosen = possible if ALL else drawn(possible, calls)

@@ -112,7 +112,9 @@ def many(function, count, first_seed):
         return list(pool.map(function, range(first_seed, first_seed + count)))
 
 
-@pytest.mark.parametrize("batch", range(4))
+@pytest.mark.parametrize(
+    "batch", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in range(1, 4))]
+)
 def test_kill_9_costs_nothing_that_was_confirmed(processes, tmp_path, batch):
     def case(seed):
         death = live(processes, tmp_path / str(seed) / "bag", seed, "KILL")
@@ -122,6 +124,7 @@ def test_kill_9_costs_nothing_that_was_confirmed(processes, tmp_path, batch):
     many(case, KILLS, 1000 * batch)
 
 
+@pytest.mark.slow
 def test_kill_9_between_splits(processes, tmp_path):
     def case(seed):
         death = live(processes, tmp_path / str(seed) / "bag", seed, "KILL", split_bytes=2_000)
@@ -130,6 +133,7 @@ def test_kill_9_between_splits(processes, tmp_path):
     assert max(many(case, KILLS, 5000)) > 1
 
 
+@pytest.mark.slow
 def test_who_goes_on_closes_what_the_first_death_left_open(processes, tmp_path):
     """No whole record changes, and others' readers take the file as they take any."""
 
@@ -161,6 +165,7 @@ def test_who_goes_on_closes_what_the_first_death_left_open(processes, tmp_path):
     many(case, KILLS // 2, 6000)
 
 
+@pytest.mark.slow
 def test_sigterm_closes_the_bag(processes, tmp_path):
     def case(seed):
         death = live(processes, tmp_path / str(seed) / "bag", seed, "TERM")
@@ -172,6 +177,7 @@ def test_sigterm_closes_the_bag(processes, tmp_path):
     many(case, KILLS // 2, 7000)
 
 
+@pytest.mark.slow
 def test_a_jumping_clock_loses_nothing(processes, tmp_path):
     many(
         lambda seed: check(
@@ -182,6 +188,7 @@ def test_a_jumping_clock_loses_nothing(processes, tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_a_disk_that_fills_up_ends_the_bag_behind_a_whole_record(processes, tmp_path):
     """The system allows no larger file (RLIMIT_FSIZE): the write fails like on a full disk."""
 

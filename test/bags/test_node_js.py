@@ -41,6 +41,7 @@ def stamp_ns(value):
     return stamp["sec"] * 10**9 + stamp["nanosec"]
 
 
+@pytest.mark.slow
 def test_every_message_is_read_with_the_same_values(reader, tmp_path):
     run = simulate()
     counts = write_run(tmp_path / "bag", run, WriterSettings(chunk_bytes=20_000, min_free_bytes=0))
@@ -65,6 +66,7 @@ def test_every_message_is_read_with_the_same_values(reader, tmp_path):
     ]
 
 
+@pytest.mark.slow
 def test_a_file_closed_after_an_interruption_is_read_like_any(reader, run_bag, tmp_path):
     data = (run_bag / "run_0.mcap").read_bytes()
     path = tmp_path / "killed_0.mcap"

@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import lz4.frame
+import pytest
 import zstandard
 from click.testing import CliRunner
 from mcap_matrix import MAGIC, record, text
@@ -122,6 +123,7 @@ for path in map(Path, sys.argv[1:]):
 """
 
 
+@pytest.mark.slow
 def test_bombs_take_little_memory_and_are_told(tmp_path: Path) -> None:
     paths = [tmp_path / f"{name}.mcap" for name in BOMBS]
     for path in paths:

@@ -80,6 +80,7 @@ def checked(path: Path) -> tuple[FileVerdict | None, str]:
         return None, str(error)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(SEEDS))
 def test_every_damage_is_answered(seed: int, sound: bytes, tmp_path: Path) -> None:
     path = tmp_path / "bad" / "bag.db3"

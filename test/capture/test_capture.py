@@ -170,6 +170,7 @@ def test_any_interleaving_gives_the_same_bits(seed, burst):
     assert replay(PLAN, records) == EXPECTED
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), size=st.sampled_from([3, 50, 3000]))
 def test_blocks_of_readings_give_the_same_bits(seed, size):
@@ -207,6 +208,7 @@ def test_positions_told_unasked_change_nothing():
     assert replay(PLAN, records) == EXPECTED
 
 
+@pytest.mark.slow
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_asking_for_counts_changes_nothing(seed):

@@ -34,6 +34,7 @@ def test_the_station_goes_into_the_observation(kind):
     assert (observation.kind, observation.station) == (kind, 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("order", list(permutations(range(4))))
 def test_the_order_of_arrival_does_not_matter(kind, order):

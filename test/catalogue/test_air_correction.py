@@ -36,6 +36,7 @@ def measured(request):
     return request.param, rc.simulate_observations(configured(request.param, CIDDOR))
 
 
+@pytest.mark.slow
 def test_corrected_lengths_give_the_truth_and_raw_ones_do_not(measured):
     name, observations = measured
     corrected = configured(name, CIDDOR)
@@ -105,6 +106,7 @@ def test_an_error_common_to_all_is_fully_correlated():
         assert widened.std[name] == pytest.approx(np.hypot(result.std[name], shift), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_an_uncertain_index_makes_the_result_more_uncertain(measured):
     name, observations = measured
     sure = rc.solve(observations, configured(name, CIDDOR, "air.temperature_std_k=0"))

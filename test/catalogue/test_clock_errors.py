@@ -87,6 +87,7 @@ def test_the_sides_of_a_reversal_have_errors_of_their_own():
     assert not found.directions["EXC"].covariance.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["tracer", "tracer_six", "ball_plate", "plane_mirror"])
 def test_a_stated_bound_is_part_of_every_result(name):
     plain = read_configuration(DATA / f"{name}.yaml")
@@ -107,6 +108,7 @@ def test_a_stated_bound_is_part_of_every_result(name):
     assert len(named) == ("budget" in without.details)
 
 
+@pytest.mark.slow
 def test_clocks_that_differ_by_more_than_settling_are_refused_before_and_after():
     plain = read_configuration(CONFIG / "tracer_paper.yaml")
     stated = changed(plain, ["topics.clock_bound_s=0.1"])

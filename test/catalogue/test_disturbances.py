@@ -50,6 +50,7 @@ def test_every_effect_is_there_once_and_none_of_it_is_nothing(name):
         assert np.any(something) != (name == "ball_plate" and d.effect == "refraction"), d.effect
 
 
+@pytest.mark.slow
 @each_method
 def test_noise_follows_the_seed_and_the_undisturbed_result_agrees_with_the_truth(name):
     prepared = calm(name)

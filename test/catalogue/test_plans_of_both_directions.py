@@ -184,6 +184,7 @@ def held(calibration, seeds):
     return np.mean(reversal), np.mean(mean)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("make", "seeds"), [(small, 100), (six, 60)])
 def test_stated_intervals_of_reversal_and_mean_hold_the_truth(make, seeds):
     seeds = seeds if LONG else seeds // 4

@@ -4,6 +4,8 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
+
 from rotcal_ros.catalogue import changed, prepare, read_configuration
 from rotcal_ros.planning.policy.choices import Outcome
 from rotcal_ros.simulation.cell import SimulatedCell
@@ -39,6 +41,7 @@ def observed(cell, capture, step, attempt):
     return found[0]
 
 
+@pytest.mark.slow
 def test_the_reasons_name_a_wrong_length_a_drift_and_the_noise():
     calibration = prepare(changed(read_configuration(PAPER), SHORT))
     cell, capture = SimulatedCell(calibration.configuration.simulation), calibration.capture()

@@ -41,6 +41,7 @@ def place(step):
     return step.table_position, step.target
 
 
+@pytest.mark.slow
 def test_the_plan_that_is_written_is_the_plan_that_is_measured(planned):
     folder, data = planned
     configuration = read_configuration(folder / "check.yaml")
@@ -152,6 +153,7 @@ def test_people_are_shown_what_is_not_covered():
     assert "30 lengths to 5 targets" in ran.stderr
 
 
+@pytest.mark.slow
 def test_a_volume_and_what_stands_in_it_are_those_of_a_tracer_plan():
     box = (-0.6, -0.6, 0.0, -0.3, 0.6, 2.0)
     ran = run(

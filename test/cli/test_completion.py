@@ -70,6 +70,7 @@ def test_it_knows_the_methods_and_no_other():
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "before", ["run", "verify", "solve table.csv --setup", "reprocess bags --setup"]
 )

@@ -221,6 +221,7 @@ def configuration(tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_uncertainty_is_the_same_whatever_the_number_of_workers(configuration):
     """Blocks of 2000: three of them, on one worker and on two."""
     one = run("uncertainty", configuration, "--trials", 6000, "--workers", 1, "--json")
@@ -266,6 +267,7 @@ def test_uncertainty_of_a_plain_table(table, setup):
     assert run("uncertainty", given, "--setup", given).exit_code == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["plane_mirror_demo", "ball_plate_demo", "tracer_paper"])
 def test_uncertainty_of_every_method_before_anything_is_measured(name, tmp_path):
     path = Path(__file__).parents[2] / "config" / f"{name}.yaml"

@@ -42,6 +42,7 @@ def expanded_rms(result):
     return 2.0 * np.sqrt(np.trace(turn @ result.covariance["ECC"] @ turn) / n) / ARCSEC
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", [[], ["repeats=3"]], ids=["each once", "repeated"])
 def test_what_is_planned_is_measured_and_stated(tmp_path, changes, monkeypatch):
     few_runs(monkeypatch, 20)

@@ -61,6 +61,7 @@ def solver_of(folder):
     return yaml.safe_load((folder / "plan.yaml").read_text())["/**"]["ros__parameters"]["solver"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("motion", "confidence"),
     [
@@ -91,6 +92,7 @@ def test_results_of_a_plan_state_what_it_promises(tmp_path, motion, confidence, 
     assert np.median(rms) == pytest.approx(found["expanded_rms_arcsec"], rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("setting", "words"),
     [
@@ -113,6 +115,7 @@ def test_what_a_promise_assumes_is_printed(setting, words):
     assert "%, sound as they are, are not called ok, which no length changes" in result.stdout
 
 
+@pytest.mark.slow
 def test_what_protection_costs_is_told(tmp_path, monkeypatch):
     """Of 2.5 arcsec in 6 angles: the time is that of the lengths, 5 s each, and of 10 s turns."""
     monkeypatch.setattr(ordering, "ordered_design", cache(ordering.ordered_design))

@@ -170,6 +170,7 @@ def test_other_methods_have_no_balls_to_choose(table, setup):
     assert "--balls and --coarser are for the data of a ball plate" in result.stderr
 
 
+@pytest.mark.slow
 def test_each_order_is_told_what_drift_and_knocks_would_do():
     found = plan("plate", "--grid", "36", "--balls", "12", "--min-gap", "2", "--starts", "2")
     orders = found["orders"]

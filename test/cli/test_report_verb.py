@@ -39,6 +39,7 @@ def test_a_report_of_a_bag_is_written_beside_it(session):
     assert "is not overwritten" in again.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("left", "code", "words"),
     [

@@ -61,6 +61,7 @@ def misspelt(path, change):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("change", "nearest"), MISSPELT)
 @pytest.mark.parametrize("words", ["run --set", "run --resume . --set", "verify --set",
                                    "verify --check"])  # fmt: skip

@@ -45,6 +45,7 @@ def loaded_by(*arguments):
     return set(ran.stderr.splitlines()[-1].split())
 
 
+@pytest.mark.slow
 def test_loading_costs_little_beside_what_nobody_can_do_without(tmp_path):
     """The import budget: all of ours together, in times of loading numpy and scipy."""
     command = [sys.executable, "-X", "importtime", "-c", SCRIPT, *solve("tracer")]
@@ -64,6 +65,7 @@ def test_loading_costs_little_beside_what_nobody_can_do_without(tmp_path):
     assert min(found) < BUDGET, found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_a_bag_is_solved_with_its_own_method_alone(method):
     loaded = loaded_by(*solve(method))

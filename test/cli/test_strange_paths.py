@@ -51,6 +51,7 @@ def commands(kind, path, new):
             yield arguments
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "suffix"),
     [(k, s) for k in strange.KINDS for s in (strange.SUFFIXES if LONG else SHORT.get(k, ()))],
@@ -97,6 +98,7 @@ def test_a_folder_that_nobody_may_read_is_answered(tmp_path):
     assert found == str(locked)
 
 
+@pytest.mark.slow
 def test_nothing_is_ever_put_in_the_place_of_a_pipe(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = strange.made("pipe", tmp_path, "")

@@ -27,6 +27,7 @@ def data_of(*arguments):
     return json.loads(done.stdout)
 
 
+@pytest.mark.slow
 def test_the_mirrors_hours_and_uncertainties_are_the_known_ones():
     """6 stations with a reflector: 1.28 arcsec in 1.5 h; more reflectors replace stations.
 

@@ -66,6 +66,7 @@ VERBS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", VERBS)
 def test_a_damaged_bag(verb: str, place: Path, tmp_path: Path) -> None:
     bad = place / "bad" / "bad_0.mcap"

@@ -138,6 +138,7 @@ def test_a_bit_that_differs_is_seen_and_the_old_table_put_back(plc):
     assert same_bits(plc.held(), rows_of(1.0))
 
 
+@pytest.mark.slow
 def test_every_request_may_be_the_last(plc):
     """Killed in the middle of each request: all rows in force, or none; then the old ones."""
     feed = plc.feed(answer_timeout_s=3.0)
@@ -163,6 +164,7 @@ def test_every_request_may_be_the_last(plc):
     assert unknown == 8
 
 
+@pytest.mark.slow
 def test_what_the_array_cannot_hold(plc):
     feed = plc.feed(ads={"capacity": 20})
     with pytest.raises(ControllerError, match="parameter size not correct"):

@@ -64,6 +64,7 @@ def deviation_curves(draw):
     return terms, reversal
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", VARIANTS)
 @settings(max_examples=30 if LONG else 2, deadline=None)
 @given(

@@ -186,6 +186,7 @@ def asking(text):
     return (sys.executable, "-c", text)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "words"),
     [

@@ -61,6 +61,7 @@ def csv_of(scale):
     return feed.offer.export.files[CSV]
 
 
+@pytest.mark.slow
 def test_a_table_goes_over_and_comes_back(machine):
     feed = machine.feed()
     done = applied(feed, table_of())
@@ -91,6 +92,7 @@ def test_several_files_of_many_writes(machine):
     assert files == {n: feed.offer.export.files[n] for n in files}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("said", [0, 1, 10**6])
 def test_the_content_counts_and_not_what_the_server_says_of_its_size(machine, said):
     machine.server.say_size(said)
@@ -127,6 +129,7 @@ def test_two_bridges_on_one_server(machine):
     assert machine.server.files() == {CSV: csv_of(1.0)}
 
 
+@pytest.mark.slow
 def test_a_journal_is_that_of_one_controller(machine):
     feed = machine.feed()
     applied(feed, table_of())
@@ -154,6 +157,7 @@ def tables(machine):
     return {name: text for name, text in files.items() if not name.startswith("new_")}
 
 
+@pytest.mark.slow
 def test_every_step_of_an_application_may_be_the_last(machine):
     """The server is killed in the middle of each call of a method, the next start repairs."""
     feed = machine.feed()
@@ -185,6 +189,7 @@ def test_every_step_of_an_application_may_be_the_last(machine):
     assert step - reading >= 16  # make, write, read, rename four times, read back
 
 
+@pytest.mark.slow
 def test_a_line_that_is_cut_at_every_step_is_taken_up_again(machine):
     """The server lives on: the old table is put back at once."""
     feed = machine.feed()
@@ -206,6 +211,7 @@ def test_a_line_that_is_cut_at_every_step_is_taken_up_again(machine):
     assert machine.server.files() == {CSV: csv_of(1.5)}
 
 
+@pytest.mark.slow
 def test_a_crash_of_the_bridge_while_the_server_goes_away(machine):
     """The next bridge, of another process, finds the journal and brings the old table back."""
     feed = machine.feed()
@@ -226,6 +232,7 @@ def test_a_crash_of_the_bridge_while_the_server_goes_away(machine):
 # Who may talk to whom.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -296,6 +303,7 @@ def test_a_server_that_does_not_answer(machine):
             link.write({CSV: "x"})
 
 
+@pytest.mark.slow
 def test_a_password_that_others_may_read_is_refused(machine):
     path = machine.server.work / "open_password"
     path.write_text(opcua_bench.PASSWORD)

@@ -15,6 +15,8 @@ from test_opcua import CSV, Machine, csv_of
 
 from rotcal_ros.errors import ControllerError
 
+pytestmark = pytest.mark.slow
+
 HERE = Path(__file__).parent / "node"
 
 

@@ -19,6 +19,9 @@ BRIDGE = """
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.settings import load
 import sys
+
+pytestmark = pytest.mark.slow
+
 print(load(BridgeSettings, {"controller": "mydrive", "options": sys.argv[1:]}, "bridge").options)
 """
 

@@ -107,6 +107,7 @@ curves = st.lists(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CONTROLS)
 @settings(max_examples=6, deadline=None)
 @given(

@@ -9,6 +9,8 @@ from rotcal_ros.components import COMPONENTS
 from rotcal_ros.dme.server import DmeServer, serving
 from rotcal_ros.simulation import SimulatedCell
 
+pytestmark = pytest.mark.slow
+
 
 def by_orders(calibration):
     """Return the observations of the same cell, driven by the orders of the suite."""

@@ -49,6 +49,7 @@ def use(client):
     client.touch((0.1, 0.0, 0.0), (0.0, 0.0, 1.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("harmed", "fault"), CASES)
 def test_a_fault_is_a_sentence_that_names_the_command_and_nothing_more_is_sent(
     serve, harmed, fault
@@ -77,6 +78,7 @@ def test_a_fault_is_a_sentence_that_names_the_command_and_nothing_more_is_sent(
     assert server.heard[heard:] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("harmed", STARTING + MEASURING)
 def test_a_late_answer_is_waited_for(serve, harmed):
     client = client_of(serve(harmed, "late"), reply_timeout_s=2.0, motion_timeout_s=2.0)

@@ -33,6 +33,7 @@ def test_gaussian_and_chi_square_give_their_own_figures():
     assert found.high[0] == pytest.approx(chi2.ppf(0.95, 1), rel=0.03)
 
 
+@pytest.mark.slow
 def test_result_does_not_depend_on_the_number_of_workers():
     """The adaptive stop included: the second worker computes blocks that are then not needed."""
     one, two = (

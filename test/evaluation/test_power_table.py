@@ -127,6 +127,7 @@ def test_an_allowance_is_held_against_what_it_is_for(real):
     assert row.misleads
 
 
+@pytest.mark.slow
 def test_the_scale_of_a_tracer_is_noticed_before_it_matters(real):
     (scale,) = (d for d in real.method.disturbances.listed if d.effect == "scale")
     row = Bench(real, runs=4).row(scale)

@@ -371,6 +371,7 @@ def test_too_many_influences_are_left_out_of_the_file():
     assert "influence" not in RawData(("a", "b"), influence=many).to_dict()
 
 
+@pytest.mark.slow
 def test_compare_reads_the_file_of_several_evaluations(tmp_path, warm):
     out = tmp_path / "ways.json"
     table = EXAMPLES / "balls.csv"

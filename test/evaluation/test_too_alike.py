@@ -71,6 +71,7 @@ def accused(found):
     return any("agree better than" in text for text in found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("measure", "pairs"), [(six, 16 if LONG else 6), (one_place, 16)])
 def test_independent_results_with_an_estimated_scatter_are_not_too_alike(measure, pairs):
     """1 % of them by chance, four groups of components together. It was 30 and 5 %."""

@@ -24,6 +24,8 @@ from rotcal_ros.simulation.settings import TableSettings
 from rotcal_ros.simulation.table import SimulatedTable, deviations
 from rotcal_ros.units import ARCSEC, DEGREE
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "own_method"
 DEMO = EXAMPLE / "polygon_demo.yaml"

@@ -11,6 +11,7 @@ SECONDS = float(os.environ.get("ROTCAL_FUZZ_SECONDS", "0"))
 CASES = 8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TARGETS)
 def test_good_input_and_old_findings_are_read(name, tmp_path):
     for data in [*[*TARGETS[name].seeds()][:1], *corpus(name)]:
@@ -18,6 +19,7 @@ def test_good_input_and_old_findings_are_read(name, tmp_path):
         assert finding is None, finding.trace
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TARGETS)
 def test_harmed_input_ends_in_a_value_or_in_one_sentence(name):
     most = 1 << 62 if SECONDS else 1 if name == "report" else CASES

@@ -24,7 +24,7 @@ from rotcal_ros.units import ARCSEC, DEGREE
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
-pytestmark = [pytest.mark.linuxcnc, pytest.mark.ros]
+pytestmark = [pytest.mark.linuxcnc, pytest.mark.ros, pytest.mark.long]  # make test-jazzy runs it
 
 CONFIGURATION = HERE.parents[1] / "config" / "verify_demo.yaml"
 CHANGES = (

@@ -62,7 +62,9 @@ def take(axis, files, file_type=1):
     axis.load(text, file_type)
 
 
-@pytest.mark.parametrize(("file_type", "every"), [(1, 1), (0, 5)])
+@pytest.mark.parametrize(
+    ("file_type", "every"), [pytest.param(1, 1, marks=pytest.mark.slow), (0, 5)]
+)
 def test_the_real_motion_follows_our_model(axis, file_type, every):
     settings = {"first_turn": -1, "turns": 3, "file_type": file_type}
     files = exported(**settings)

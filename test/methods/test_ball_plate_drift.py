@@ -97,6 +97,7 @@ def table_gauge(grid):
     return np.eye(6 * grid) - basis @ basis.T
 
 
+@pytest.mark.slow
 def test_trials_know_an_estimated_drift():
     problem, _ = measured(12, list(range(12)), 0, drift=1)
     trials = plate_trials(problem)(np.random.default_rng(1), 60)

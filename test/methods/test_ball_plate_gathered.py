@@ -28,6 +28,7 @@ def gone(result, problem):
     return set(zip(problem.position[at].tolist(), problem.ball_step[at].tolist(), strict=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stated", [True, False])
 @pytest.mark.parametrize("which", [(3, 7), (0, 12, 27)])
 @pytest.mark.parametrize("size", [1e-6, 5e-6])

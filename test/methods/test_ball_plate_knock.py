@@ -30,6 +30,7 @@ def noisy(problem, rng):
     return problem.centres + SIGMA * rng.normal(size=problem.centres.shape)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ["table_once", "probe_rests"])
 @pytest.mark.parametrize("size", [1e-6, 5e-5])
 def test_one_bad_centre_is_never_called_a_knock(exact, order, size):

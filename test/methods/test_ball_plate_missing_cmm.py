@@ -70,6 +70,7 @@ CASES = [(36, EIGHT, [5]), (36, EIGHT, [5, 22]), (72, PAPER_PLATE, [40])] + [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("grid", "balls", "missing"), CASES)
 def test_result_is_that_of_dense_least_squares(grid, balls, missing):
     whole, _ = simulated(grid, balls, seed=100 + grid + len(missing), noise=SIGMA, sigma=SIGMA)

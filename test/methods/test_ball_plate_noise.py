@@ -44,6 +44,7 @@ def covered(plate, exact, axes, runs, **stated):
     return {name: float(np.mean(inside[name])) for name in COMPONENTS}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axes", [(1, 1, 1), (1, 1, 2), (1, 1, 0.5), (2, 1, 1), (1, 0.5, 2)])
 def test_intervals_hold_for_all_six_components(plate, exact, axes):
     share = covered(plate, exact, axes, RUNS)
@@ -153,6 +154,7 @@ def test_trials_have_the_noise_of_each_axis(exact):
         np.testing.assert_allclose(values.std(axis=0), stated, rtol=0.06)
 
 
+@pytest.mark.slow
 def test_groups_know_their_axes():
     plate = ExactPlate(24, [0, 2, 4, 8, 14, 20], seed=6)
     exact = plate.problem(separate_groups=True)

@@ -205,6 +205,7 @@ def test_a_closure_needs_no_ball_that_was_not_measured_first():
     assert dirty.verdict == "ok"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [0.0, 3e-7])
 def test_the_tables_repeatability_is_estimated_from_its_stops(size):
     """Every stop shifts the table along y by a random amount of its own."""

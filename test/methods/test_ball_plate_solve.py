@@ -85,6 +85,7 @@ def test_whole_solver_keeps_its_intervals_with_the_paper_plate():
     assert rejected <= 3  # one run in a hundred may lose a centre
 
 
+@pytest.mark.slow
 def test_six_of_twelve_balls_stay_within_the_stated_uncertainty():
     problem, _ = simulated(72, PAPER_PLATE, seed=12, sigma=5e-8)
     twelve = solve(problem)
@@ -131,6 +132,7 @@ def test_stated_noise_is_tested_and_the_larger_one_used():
     assert 0.8 < good.std["ECC"][0] / result.std["ECC"][0] < 1.2
 
 
+@pytest.mark.slow
 def test_dirt_is_rejected_and_the_result_stays_right():
     problem, truth = simulated(72, PAPER_PLATE, seed=1)
     centres = problem.centres.copy()

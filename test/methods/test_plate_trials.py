@@ -60,6 +60,7 @@ def test_separate_groups_are_solved_one_by_one():
         np.testing.assert_array_equal(found, stacked(answer.deviations))
 
 
+@pytest.mark.slow
 def test_separate_groups_with_given_deviations():
     """Noise of its own for each coordinate, enlarged by what the residuals of its axis demand."""
     problem, _ = simulated(24, [0, 2, 4, 8, 14, 20], separate_groups=True)

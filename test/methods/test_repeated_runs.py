@@ -140,6 +140,7 @@ def test_a_missing_arrival_is_named():
         runs_of(Result.from_dict(result.to_dict()))
 
 
+@pytest.mark.slow
 def test_trials_of_repeated_runs_scatter_as_stated():
     task = calibration(runs=2)
     seen = measured(task, 3)

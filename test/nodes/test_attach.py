@@ -24,7 +24,7 @@ pytest.importorskip("rotcal_msgs")
 pytestmark = pytest.mark.ros
 
 ROTCAL = (sys.executable, "-m", "rotcal_ros.cli.main")
-SLOW = "simulation.time_scale=2.0"
+SLOW = "simulation.time_scale=5.0"
 ENTER, CTRL_C = b"\n", b"\x03"
 MIRROR = Path(__file__).parents[2] / "config" / "plane_mirror_demo.yaml"
 TWO_STATIONS = (

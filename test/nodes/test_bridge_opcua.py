@@ -40,6 +40,7 @@ def actions(bench):
     return [json.loads(line)["action"] for line in lines]
 
 
+@pytest.mark.slow
 def test_a_table_goes_over_comes_back_and_is_never_half(bench, server):
     from rotcal_msgs.msg import TableInForce
 

@@ -144,6 +144,7 @@ def test_a_header_is_read_in_both_byte_orders_and_where_there_is_none():
     assert read_header(b"") == read_header(b"\0\1\0\0abc") == (0, "")
 
 
+@pytest.mark.slow
 def test_a_configuration_that_cannot_be_used_is_an_error_before_anybody_listens(tmp_path):
     broken = tmp_path / "cell.yaml"
     broken.write_text("/**: {ros__parameters: {method: tracer_multistation, cel: {}}}")

@@ -49,6 +49,7 @@ def cell(tmp_path, monkeypatch):
     relay.close()
 
 
+@pytest.mark.slow
 def test_a_machine_that_stops_goes_on_by_a_person_and_is_aborted_by_a_cancel(cell):
     live, relay = cell
     live.start(*SUITE, "dme_adapter")

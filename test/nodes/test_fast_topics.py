@@ -40,6 +40,7 @@ class Hearer(CellNode):
         return "hearing", {}
 
 
+@pytest.mark.slow
 def test_a_fast_topic_comes_whole_in_few_turns_and_at_once_when_asked_for(monkeypatch):
     for name, value in node_environment().items():
         monkeypatch.setenv(name, value)

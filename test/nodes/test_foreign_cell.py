@@ -84,7 +84,7 @@ def test_the_truth_is_found_and_found_again(foreign, mode):
 
 
 def test_a_type_and_a_unit_that_cannot_be_are_named(foreign):
-    live = foreign("type", configured({}, {}, preflight_timeout_s=6.0))
+    live = foreign("type", configured({}, {}, preflight_timeout_s=2.0))
     failed = live.client().result()
     assert failed["error_code"] == TOPIC_MISSING
     said = failed["error_msg"]

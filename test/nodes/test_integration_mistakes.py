@@ -78,14 +78,17 @@ MOVED = {
     "degrees": ("", "", ""),
 }
 """The same of mistakes that only a motion shows; none is made beside feedback in degrees."""
-QUICK = ("adapter", "adapter, other joint", "adapter, second table", "lengths called mm", "5 Hz")
+QUICK = ("adapter, second table", "lengths called mm")
+SLOW = ("adapter", "adapter, other joint", "clockwise", "5 Hz")
+"""Those that `make test` and those that CI tries; the others are long."""
 UNITS = {"lengths called mm": "length_unit: mm", "probe called mm": "position_unit: mm"}
 
 
-def often(mistakes, *quick):
-    """Return the mistakes as parameters; those that are not ``quick`` take too long for CI."""
-    marks = {mistake: () if mistake in quick else pytest.mark.long for mistake in mistakes}
-    return [pytest.param(mistake, marks=mark, id=mistake) for mistake, mark in marks.items()]
+def marked(mistakes):
+    """Return the mistakes as parameters, each with how often it is tried."""
+    quick, slow = dict.fromkeys(QUICK, ()), dict.fromkeys(SLOW, pytest.mark.slow)
+    marks = dict.fromkeys(mistakes, pytest.mark.long) | slow | quick
+    return [pytest.param(mistake, marks=marks[mistake], id=mistake) for mistake in mistakes]
 
 
 def names_of(mistake):
@@ -128,7 +131,7 @@ def bad_lines(report, *parts):
     return [line for line in lines if line["state"] in ("missing", "doubt")]
 
 
-@pytest.mark.parametrize("mistake", often(TOLD, *QUICK))
+@pytest.mark.parametrize("mistake", marked(TOLD))
 def test_a_mistake_is_told_before_anything_moves(tmp_path, mistake):
     name, state, words = TOLD[mistake]
     report = checked(tmp_path, mistake)
@@ -143,7 +146,7 @@ def test_a_mistake_is_told_before_anything_moves(tmp_path, mistake):
     assert report["todo"]
 
 
-@pytest.mark.parametrize("mistake", often(MOVED, "adapter", "clockwise"))
+@pytest.mark.parametrize("mistake", marked(MOVED))
 def test_a_small_motion_proves_what_listening_cannot(tmp_path, mistake):
     name, state, words = MOVED[mistake]
     report = checked(tmp_path, mistake, "--move")

@@ -23,7 +23,7 @@ def states():
 
 
 def test_a_cell_goes_through_all_states_and_a_dumped_planner_measures_the_same(cell, states):
-    live = cell("simulation.time_scale=8.0")
+    live = cell()
     live.start(*NODES[:-2], "simulated_cell")
     live.start("recorder", arguments=("-p", "autostart:=false"))
     assert states.state("recorder") == "unconfigured"

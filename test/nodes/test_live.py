@@ -20,6 +20,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 from action_msgs.msg import GoalStatus
 from rclpy.action import ActionServer
+from state_client import StateClient
 
 pytestmark = pytest.mark.ros
 
@@ -131,7 +132,7 @@ def test_cancel_leaves_a_valid_bag_and_the_plan_can_be_continued(cell):
 
 
 def test_without_a_cell_the_reason_is_named_a_wrong_configuration_or_what_is_missing(cell):
-    live = cell("planner.preflight_timeout_s=3.0")
+    live = cell("planner.preflight_timeout_s=1.5")
     live.start(*SUITE)
     wrong = live.folder / "wrong.yaml"
     text = live.file.read_text()
@@ -149,7 +150,7 @@ def test_without_a_cell_the_reason_is_named_a_wrong_configuration_or_what_is_mis
 
 
 def test_a_missing_node_is_named(cell):
-    live = cell("planner.preflight_timeout_s=3.0")
+    live = cell("planner.preflight_timeout_s=1.5")
     live.start("planner", "capture", "recorder", "simulated_cell")
     outcome = live.client().result()
     assert outcome["error_code"] == NODE_LOST
@@ -157,9 +158,11 @@ def test_a_missing_node_is_named(cell):
 
 
 def test_two_publishers_on_one_instrument_topic_are_found_and_named(cell):
-    live = cell("planner.preflight_timeout_s=5.0")
-    live.start(*SUITE, "simulated_cell")
+    live = cell("planner.preflight_timeout_s=2.0")
     live.start("simulated_cell", name="other_cell")
+    live.start(*SUITE, "simulated_cell")
+    with StateClient() as states:  # who comes after the start of a goal is not believed in it
+        assert states.state("other_cell") == "active"
     outcome = live.client().result()
     assert outcome["error_code"] == TOPIC_MISSING
     assert (

@@ -160,6 +160,7 @@ def test_a_pause_can_be_canceled_and_nothing_else_can_be_resumed(cell):
     assert [v.state for v in read_recording(live.bag).verdicts] == ["complete"]
 
 
+@pytest.mark.slow
 def test_a_robot_carries_the_tracker_by_what_the_pause_says(cell):
     live, client = cell()
     live.processes.start("robot", [sys.executable, str(ROBOT)], piped=True)

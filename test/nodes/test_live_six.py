@@ -34,6 +34,7 @@ TARGETS = 8
 PER_PLACE = 2 * 3 * TARGETS
 
 
+@pytest.mark.slow
 def test_the_planner_waits_for_the_tracer_at_every_place_and_sees_a_wrong_one(
     tmp_path, monkeypatch
 ):

@@ -119,6 +119,7 @@ def test_stop_asks_first_and_works_without_a_mouse(cell, opened):
     expect(page.locator("#headline")).to_have_text("Stopped")
 
 
+@pytest.mark.slow
 def test_a_killed_node_is_told_large(cell, opened):
     live = cell(SLOW)
     live.start(*SUITE, "simulated_cell", "operator_page")
@@ -132,6 +133,7 @@ def test_a_killed_node_is_told_large(cell, opened):
     expect(page.locator("#now")).to_have_attribute("data-kind", "failed")
 
 
+@pytest.mark.slow
 def test_a_page_without_contact_looks_dead_and_comes_back(cell, opened):
     live = cell()
     live.start("planner", "operator_page")

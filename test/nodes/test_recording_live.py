@@ -73,6 +73,7 @@ def test_a_disk_that_fills_up_costs_nothing_that_was_accepted(cell, mounted):
     assert not verdict.lost
 
 
+@pytest.mark.slow
 def test_recording_stops_in_good_order_before_the_disk_is_full(cell, mounted):
     live = cell("recorder.writer.min_free_bytes=100000")
     live.recordings = mounted("size=400k")
@@ -128,7 +129,7 @@ def test_pressure_and_humidity_are_captured_live_as_offline(cell):
 
 
 def test_a_step_that_a_loss_touches_is_measured_again(cell):
-    live = cell("simulation.time_scale=2.0")
+    live = cell("simulation.time_scale=8.0")
     live.start(*SUITE, "simulated_cell")
     client = live.client()
     # Step 9 is blocked; a loss during its rejected attempts would touch no accepted step.

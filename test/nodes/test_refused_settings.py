@@ -54,6 +54,7 @@ def test_the_configuration_is_refused_with_place_and_nearest_name(name, value, f
     assert finding in str(refusal.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", method_names())
 def test_every_setting_of_every_method_is_known_by_its_exact_name_only(method):
     given = read_configuration(DEMO.with_name({"tracer_multistation": "tracer_paper.yaml"}.get(

@@ -34,8 +34,9 @@ def rotcal(*arguments):
     )
 
 
+@pytest.mark.slow
 def test_other_names_are_heard_recorded_read_again_and_replayed(cell, monkeypatch):
-    live = cell("planner.preflight_timeout_s=5.0")
+    live = cell("planner.preflight_timeout_s=1.5")
     for name, value in live.processes.environment.items():
         if name != "ROTCAL_SUPERVISOR":
             monkeypatch.setenv(name, value)

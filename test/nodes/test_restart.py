@@ -52,8 +52,9 @@ def check(live, outcome, runs, steps):
     return result
 
 
+@pytest.mark.slow
 def test_a_goal_waits_for_nodes_of_the_suite_that_were_killed_and_goes_on(cell):
-    live = cell("simulation.time_scale=8.0")
+    live = cell()
     live.restart_wait_s = 20.0
     live.start(*SUITE, "simulated_cell")
     client = live.client()

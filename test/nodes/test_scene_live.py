@@ -49,9 +49,10 @@ def named(array):
     return {marker.ns: marker for marker in array.markers if marker.action == 0}
 
 
+@pytest.mark.slow
 def test_a_calibration_is_drawn_and_does_not_end_with_its_scene(cell, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
-    live = cell("simulation.time_scale=4.0")
+    live = cell("simulation.time_scale=10.0")
     live.start(*SUITE, "simulated_cell", "scene")
     client = live.client()
     client.wait_for_step(50)

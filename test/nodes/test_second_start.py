@@ -26,7 +26,7 @@ def python(*arguments):
 
 
 def test_strays_are_refused_with_a_sentence_and_the_calibration_ends_as_ever(cell):
-    live = cell("simulation.time_scale=8.0")
+    live = cell()
     live.start(*SUITE, "simulated_cell")
     publisher = python(str(Path(__file__).with_name("plan_publisher.py")))
     live.processes.start("stranger", publisher, piped=True)

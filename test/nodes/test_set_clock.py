@@ -29,6 +29,7 @@ if os.environ.get("ROTCAL_LONG_TESTS"):
     CASES += [(-1.0, ("simulated_cell",)), (-3600.0, ("simulated_cell", "capture"))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("by_s", "where"), CASES, ids=lambda v: v if isinstance(v, float) else f"{len(v)}-{v[0]}"
 )

@@ -78,6 +78,7 @@ def test_the_configuration_gives_the_parameter_to_all_nodes():
         parse_configuration(given.text.replace("use_sim_time: true", "use_sim_time: 'yes'"))
 
 
+@pytest.mark.slow
 @pytest.mark.ros
 def test_a_calibration_follows_a_clock_that_is_slow_fast_and_paused(cell):
     live = cell(
@@ -85,7 +86,7 @@ def test_a_calibration_follows_a_clock_that_is_slow_fast_and_paused(cell):
     )
     live.start(*SUITE, "simulated_cell")
     hurried = live.folder / "hurried.yaml"
-    change = ["planner.preflight_timeout_s=5.0"]
+    change = ["planner.preflight_timeout_s=2.5"]
     hurried.write_text(changed(read_configuration(live.file), change).text)
     failed = live.client("early", configuration=hurried).result()
     assert failed["error_code"] == 602

@@ -76,7 +76,10 @@ def test_a_calibration_through_the_controller_finds_the_truth(adapted, interface
     assert recording.verdicts[0].topics["/cell/joint_states"].messages > 100
 
 
-@pytest.mark.parametrize("name", ["table_adapter", "machine"])
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", [pytest.param("table_adapter", marks=pytest.mark.long), "machine"]
+)
 def test_an_adapter_or_a_machine_that_stands_still_for_a_while_ends_nothing(adapted, name):
     live = adapted(nodes=(*SUITE, "simulated_cell", "table_adapter"))
     client = live.client()

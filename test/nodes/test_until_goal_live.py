@@ -26,6 +26,7 @@ GOAL = (
 )
 
 
+@pytest.mark.slow
 def test_a_killed_run_is_resumed_to_its_goal_and_the_bag_says_why(rotcal, tmp_path):
     folder, log = tmp_path / "out", tmp_path / "first.log"
     first = rotcal("--output", folder, log=log, changes=GOAL)

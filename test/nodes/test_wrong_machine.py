@@ -31,7 +31,10 @@ SENTENCES = {
 }
 
 
-@pytest.mark.parametrize("wrong", SENTENCES if LONG else ["no echo", "degrees"])
+@pytest.mark.parametrize(
+    "wrong",
+    SENTENCES if LONG else ["degrees", pytest.param("no echo", marks=pytest.mark.slow)],
+)
 def test_what_is_wrong_is_said(cell, wrong):
     code, sentence = SENTENCES[wrong]
     preflight_s = 8.0 if code == TOPIC_MISSING and wrong != "degrees" else 20.0

@@ -271,6 +271,7 @@ def test_a_late_viewer_gets_everything_then_changes():
     assert {*State.__slots__} <= data.keys()
 
 
+@pytest.mark.slow
 def test_a_viewer_hears_that_the_page_lives_although_nothing_changes():
     first, second, third = events(Board(), 3)
     assert [first[0], second[0], third[0]] == ["state", "tick", "tick"]

@@ -23,6 +23,8 @@ from rotcal_ros.page.state import (
 
 playwright = pytest.importorskip("playwright.sync_api")
 
+pytestmark = pytest.mark.slow
+
 # What a policy tells in its 67th step of 105 expected ones; the plan holds 2344 pairs.
 MEASURING = {
     "now": Now("measuring", "Measuring", "Table position 5, target 34.", stop=True),

@@ -21,6 +21,7 @@ COARSE = TracerDesignSettings(
 )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("zero", "known"), [("one", 25.8), ("per_station", 25.9)])
 def test_the_bound_is_the_known_one(zero, known):
     """25.8 and 25.9 lengths in this volume, by a multiplicative algorithm on another grid."""
@@ -29,6 +30,7 @@ def test_the_bound_is_the_known_one(zero, known):
     assert row.bound == pytest.approx(known, rel=0.04)
 
 
+@pytest.mark.slow
 def test_more_noise_takes_more_lengths_and_a_larger_circle_fewer():
     radii, sigmas = (0.065, 0.13), (2e-7, 4e-7)
     rows = trade(COARSE, radii, sigmas, time=PAPER)

@@ -90,6 +90,7 @@ def test_an_interrupted_run_and_the_one_that_continues_it_are_made_again(cell):
     assert differences(posed, [*choices, *more], [*observed, *further]) == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("zero", ["per_station", "per_segment"])
 def test_a_run_interrupted_at_any_step_ends_as_if_it_had_not_been(zero):
     posed = calibration(f"solver.zero={zero}")

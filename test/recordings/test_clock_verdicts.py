@@ -79,6 +79,7 @@ def record_live(
     return tuple(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("late_s", "recorded_late_s", "deaf_s"),
     [(1.5, 1.5, 0.0), (1.5, 1.5, 12.0), (1.5, 0.0, 0.0), (-0.8, -0.8, 0.0), (-0.8, 0.0, 0.0)],

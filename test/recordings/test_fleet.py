@@ -54,6 +54,7 @@ def call(folder):
     return outcomes
 
 
+@pytest.mark.slow
 def test_nothing_is_lost_but_the_bag_that_kills(fleet):
     ended = threading.Event()
     killer = threading.Thread(target=kill_one, args=(ended, psutil.Process().children()))

@@ -72,6 +72,7 @@ def foreign(run, tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_bare_numbers_give_the_observations_of_the_full_messages(run, foreign):
     found = read_recording(foreign, configuration=SETUP).observations
     accepted = {o.step: o for o in found if o.accepted}

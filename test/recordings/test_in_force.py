@@ -68,6 +68,7 @@ def announcing_bag(folder, run, states, axes=("C",)):
     return read_recording(folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("states", "expected", "words"),
     [
@@ -92,6 +93,7 @@ def test_what_a_cell_announced_is_read_from_the_bag(
     assert all(words in text for text in about)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("states", "axes", "expected"),
     [

@@ -59,6 +59,7 @@ def by_source(outcomes):
     return sorted(outcomes, key=lambda outcome: outcome.source)
 
 
+@pytest.mark.slow
 def test_bags_are_found_in_folders_globs_and_lists(fleet):
     all_bags = [str(fleet / f"run_{seed}" / "bag") for seed in SEEDS]
     assert list(find_bags([str(fleet)])) == [*all_bags, str(fleet / "torn")]
@@ -72,6 +73,7 @@ def test_bags_are_found_in_folders_globs_and_lists(fleet):
         find_bags([str(fleet / "nothing*")])
 
 
+@pytest.mark.slow
 def test_each_outcome_equals_the_bag_solved_alone_and_one_bad_bag_stops_nobody(jobs):
     outcomes = by_source(on_all_cores(jobs, 2))
     assert [bool(outcome.error) for outcome in outcomes] == [False, False, False, True]
@@ -103,6 +105,7 @@ def test_a_remote_bag_is_fetched_through_fsspec(fleet, jobs, tmp_path):
     assert outcome.result == solve_bag(jobs[0]).result
 
 
+@pytest.mark.slow
 def test_the_verb_writes_table_and_overview(fleet, tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
     arguments = [

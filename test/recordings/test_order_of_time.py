@@ -84,6 +84,7 @@ ARRANGED = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("how", "chunk_size"),
     [*((how, 30_000) for how in ARRANGED), *((how, 1 << 24) for how in list(ARRANGED)[::4])],
@@ -165,6 +166,7 @@ UNNUMBERED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", UNNUMBERED)
 def test_without_numbers_the_stamps_tell(how, expected, tmp_path):
     messages = changed(
@@ -176,6 +178,7 @@ def test_without_numbers_the_stamps_tell(how, expected, tmp_path):
     assert words.endswith("its messages were read by log times")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("numbered", [True, False])
 @pytest.mark.parametrize("of_all", [True, False])
 def test_a_clock_that_was_set_while_some_of_it_came_again(numbered, of_all, tmp_path):

@@ -58,6 +58,7 @@ def expected(tmp_path_factory: pytest.TempPathFactory):
     return read_recording(write_mcap(tmp_path_factory.mktemp("a") / "a.mcap", ours())).observations
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("attached", [CONFIGURATION, ""])
 @pytest.mark.parametrize("order", [mixed, lambda *parts: by_topic(mixed(*parts))])
 def test_the_cell_with_a_plan_is_meant(attached, order, expected, tmp_path):

@@ -64,6 +64,7 @@ def upload(folder, prefix):
             to.write(file.read_bytes())
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("server")
 def test_a_prefix_a_pattern_and_a_file_name_bags(tmp_path):
     for seed in (1, 2):

@@ -279,6 +279,7 @@ def test_attempts_are_kept_apart(simulated_run: Run, tmp_path: Path) -> None:
     assert recording.observations == tuple(run.records)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["noted", "planned", "asked"])
 def test_other_names_are_read_without_arguments(simulated_run, run_bag, tmp_path, how):
     settings = WriterSettings(min_free_bytes=0)

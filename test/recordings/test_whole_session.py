@@ -47,6 +47,7 @@ def part(split: Path, tmp_path: Path) -> Path:
     return tmp_path / "bag"
 
 
+@pytest.mark.slow
 def test_whole_it_is_ok_and_a_part_is_suspect_whoever_asks(
     split: Path, part: Path, tmp_path: Path
 ) -> None:
@@ -78,6 +79,7 @@ def test_whole_it_is_ok_and_a_part_is_suspect_whoever_asks(
     assert MISSING in run("bag", "info", part).output
 
 
+@pytest.mark.slow
 def test_every_warning_on_standard_error_is_in_the_json(part: Path, tmp_path: Path) -> None:
     """All at once: missing, damaged, truncated, lost live, not decodable, repaired before."""
     last = bag_files(part)[-1]

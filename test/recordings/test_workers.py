@@ -24,6 +24,7 @@ def jobs(folder, *sources):
     return [Job(source, None, str(folder)) for source in sources]
 
 
+@pytest.mark.slow
 def test_each_bag_that_kills_its_worker_is_set_aside_and_costs_nobody_else(tmp_path):
     deadly = ["segfault", "exit", "hang", "once", "killed"]
     names = [*(f"good_{n}" for n in range(3)), *deadly, *(f"good_{n}" for n in range(3, 6))]
@@ -62,6 +63,7 @@ def test_jobs_are_taken_as_they_are_needed(tmp_path):
     assert len(taken) <= 10 + 4 * 2
 
 
+@pytest.mark.slow
 def test_a_worker_outlives_neither_its_supervisor_nor_the_bag_that_hangs(tmp_path):
     script = (
         "import deadly_work\n"

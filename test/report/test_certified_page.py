@@ -137,6 +137,7 @@ def test_a_result_in_doubt_shows_it_in_the_number_itself(whole, verdict):
     assert (hatched > 0, plain) == (True, 0)
 
 
+@pytest.mark.slow
 def test_a_band_far_from_the_injected_truth_is_not_valid():
     """The table with a radial harmonic: U 1.2 arcsec beside an error of 8, verdict ok."""
     angles = np.deg2rad(np.arange(12) * 30.0)

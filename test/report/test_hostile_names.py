@@ -72,6 +72,7 @@ def named(name):
     return rc.Result.from_dict(json.loads(json.dumps(data)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [ALL], ids=["all"])
 def test_the_report_shows_it_escaped(tmp_path, name):
     page = tmp_path / "report.html"

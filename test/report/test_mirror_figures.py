@@ -25,6 +25,7 @@ def result() -> Result:
     return solved
 
 
+@pytest.mark.slow
 def test_every_section_is_drawn_from_the_result_and_from_its_json(result: Result) -> None:
     again = Result.from_dict(json.loads(result.to_json()))
     for source in (result, again):
@@ -41,6 +42,7 @@ def test_details_without_mirror_draw_nothing() -> None:
     assert mirror_figures.station_map(tracer) == ""
 
 
+@pytest.mark.slow
 def test_the_page_chooses_the_sections_by_what_the_details_hold(result: Result) -> None:
     page = render_report(ReportInput(result=result, title="Table", method_title="Mirror"))
     for title in TITLES:

@@ -70,6 +70,7 @@ def at_terminal(warm):
     return shown
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", VERBS)
 def test_in_a_pipe_there_is_one_table_of_csv_and_words_elsewhere(verb, warm):
     done = warm.run("rotcal", *VERBS[verb])
@@ -81,6 +82,7 @@ def test_in_a_pipe_there_is_one_table_of_csv_and_words_elsewhere(verb, warm):
     assert not re.search(r"verdict|[│┃━]", done.stdout)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("verb", "width"), [(verb, (40, 60)[n % 2]) for n, verb in enumerate(VERBS)]
 )

@@ -144,6 +144,7 @@ def test_every_link_leads_to_a_page(large):
     assert links >= {page.resolve() for page in pages if page.name.startswith("table-")}
 
 
+@pytest.mark.slow
 def test_a_reader_searches_and_pages_in_a_browser_without_a_request_elsewhere(large):
     playwright = pytest.importorskip("playwright.sync_api")
     with playwright.sync_playwright() as library:

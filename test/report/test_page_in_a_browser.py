@@ -13,6 +13,8 @@ from rotcal_ros.report.page import render_report
 
 playwright = pytest.importorskip("playwright.sync_api")
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def chromium():

@@ -36,6 +36,7 @@ def resumed(folder):
     return resume_session(folder / "configuration.yaml", folder, ())
 
 
+@pytest.mark.slow
 def test_the_second_one_is_refused_when_the_first_one_has_solved_it(folder):
     first, second = resumed(folder), resumed(folder)
     assert calibrate(first, VIEWERS)["verdict"] == "ok"

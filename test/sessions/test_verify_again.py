@@ -66,6 +66,7 @@ def rounds(monkeypatch):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", [(), PLAY])
 def test_the_second_round_is_not_worse_than_the_first(tmp_path, rounds, more):
     folder = tmp_path / "out"

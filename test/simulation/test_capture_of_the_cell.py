@@ -15,6 +15,8 @@ from rotcal_ros.catalogue.tracer.plan import tracer_plan
 from rotcal_ros.catalogue.tracer.settings import TracerPlanSettings
 from rotcal_ros.simulation import SimulatedCell
 
+pytestmark = pytest.mark.slow
+
 CONFIG = Path(__file__).parents[2] / "config"
 ATTEMPTS = 3
 RULES = find_method("tracer_multistation").capture

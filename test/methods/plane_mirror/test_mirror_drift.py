@@ -73,6 +73,7 @@ def test_the_drift_of_every_station_is_reported_with_its_parts():
     assert np.all(spread < 1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("creep", CREEPS)
 def test_95_percent_intervals_hold_the_truth_while_the_tracker_drifts(creep, way):

@@ -63,6 +63,7 @@ def test_the_linear_view_is_that_of_the_solution():
         assert np.abs(caused - response).max() < 1e-3 * np.abs(response).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [12.0, 2000.0])
 @pytest.mark.parametrize("seed", [1, 4])
 def test_a_minority_of_40_percent_at_one_position_is_found(seed, size):
@@ -94,6 +95,7 @@ def test_half_of_a_position_against_the_other_half_is_named(pattern, way):
     assert any(f"position {position} (" in text for text in result.warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pattern", worlds.PATTERNS)
 def test_half_of_the_reflectors_of_a_station_are_left_out_or_inside_u(pattern):
     for seed in range(2 if LONG else 1):
@@ -103,6 +105,7 @@ def test_half_of_the_reflectors_of_a_station_are_left_out_or_inside_u(pattern):
         assert worst(result, world.truth) < 4.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pattern", worlds.PATTERNS)
 def test_reflectors_on_the_table_that_are_off_together_are_named(pattern):
     world = carried_world(4, pattern, 6.0)

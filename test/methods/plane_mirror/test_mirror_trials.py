@@ -29,6 +29,7 @@ def exact_problem_of(way):
     return measure(cell, np.zeros((17, 6)), way=way)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["direct", "stitching", "registration", "joint"])
 def test_trials_scatter_as_the_linear_covariance_says(way):
     problem = problem_of(way)

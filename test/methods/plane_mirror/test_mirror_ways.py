@@ -167,6 +167,7 @@ def covered(error, result):
     return inside.mean(axis=0), np.mean(squares <= chi2.ppf(0.95, 16))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", MIRROR_WAYS)
 def test_95_percent_intervals_hold_the_truth(way, errors):
     intervals, ellipsoid = covered(*errors[way])

@@ -171,6 +171,7 @@ def test_noisy_lengths_are_not_blamed_on_reports_that_hardly_move():
     assert not any("reported places" in text for text in found.warnings)
 
 
+@pytest.mark.slow
 def test_no_other_weight_does_better():
     """Of the errors of the angles, against weights that nobody had to find."""
     errors = {w: [] for w in ("found", 0.0, 1.0)}

@@ -79,6 +79,7 @@ def test_angles_and_circle_are_those_of_whole_matrices(variant):
     assert found[0].likely == pytest.approx(found[1].likely, rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", ["joint", "station"])
 def test_800_positions_take_the_memory_of_their_covariance_a_few_times(variant):
     m = 800

@@ -188,6 +188,7 @@ def test_outliers_are_found_and_a_target_stays_common(variant):
     assert np.mean(inside(result, deviation)) >= 0.8
 
 
+@pytest.mark.slow
 def test_single_lengths_go_alone_where_whole_targets_would_cost_more():
     """An exact machine: nothing has to cancel, and a target is worth keeping."""
     problem, _, off = measured(

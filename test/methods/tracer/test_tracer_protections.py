@@ -125,6 +125,7 @@ def test_response_is_what_the_solver_does(interleaved):
     assert found == pytest.approx(out, abs=2e-2 * np.abs(out).max() + 1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("interleaved", [False, True])
 @pytest.mark.parametrize(
     ("effect", "pattern"),

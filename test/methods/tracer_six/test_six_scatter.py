@@ -83,6 +83,7 @@ def test_counts_of_contrasts(arrivals, n_contrasts):
     assert adjust(SixProblem(**rows)).scatter.n_contrasts == n_contrasts
 
 
+@pytest.mark.slow
 def test_two_arrivals_halve_the_error_of_the_estimate():
     error = {}
     for arrivals in (1, 2):

@@ -113,6 +113,7 @@ def test_what_stays_unseen_of_a_slip_is_in_the_uncertainty():
     assert coverage_of_slips(runs) > 0.9
 
 
+@pytest.mark.slow
 def test_the_allowance_is_what_plain_solves_make_of_slips():
     """Each slip solved whole: what it moves, and by chi-squared how well it can be seen."""
     made, every = scene(np.random.default_rng(1), good_targets()[TWELVE[:6]], m=4), np.arange(72)

@@ -55,6 +55,7 @@ def longer(outcome, by):
     return Outcome(outcome.step, replace(observation, mean=(observation.mean[0] + by,)))
 
 
+@pytest.mark.slow
 def test_what_is_stated_holds_at_any_true_noise_and_costs_little_at_the_planned(of):
     runs = 24 if LONG else 3
     for factor in (0.5, 1.0, 2.0):
@@ -86,6 +87,7 @@ def test_goal_reached_is_what_the_result_states(of, factor):
         assert ("the verdict would not be ok: " in last.reason) == bool(result.doubt)
 
 
+@pytest.mark.slow
 def test_an_error_motion_that_the_solver_estimates_is_paid_for():
     """Nothing is stated of a round table: what the estimate adds is met by further lengths."""
     of = figures.experiment(0.24, error_motion=None)
@@ -98,6 +100,7 @@ def test_an_error_motion_that_the_solver_estimates_is_paid_for():
         assert reached or last.reason.startswith(("the goal is out of reach", "no further step"))
 
 
+@pytest.mark.slow
 def test_an_error_motion_beyond_the_goal_ends_it_soon():
     """3 um at 65 mm are 9 arcsec: no length helps, and it says why."""
     of = figures.experiment(0.24, error_motion=None)
@@ -131,6 +134,7 @@ def test_a_blocked_sector_is_planned_around(of):
         assert any("given up" in reason for reason in run.reasons)
 
 
+@pytest.mark.slow
 def test_the_same_outcomes_give_the_same_choices(of):
     first = measured(UntilGoal(of, Limits(GOAL)), cell_of(of, 5, 2.0))
     fresh = figures.experiment(0.24)
@@ -181,6 +185,7 @@ def test_a_target_that_stays_suspect_gives_way_to_another(of):
     assert {of.position[choice.step] for choice in suspects} == {of.position[wrong]}
 
 
+@pytest.mark.slow
 def test_a_drift_is_closed(joined):
     def drifting(outcome, number):
         observation = outcome.observation
@@ -197,6 +202,7 @@ def test_a_drift_is_closed(joined):
     assert f"closed: step {first.step} by +" in made[-1].reason
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("zero", "taken"), [("of", 20), ("joined", 20), ("of", 68), ("joined", 75)]
 )
@@ -252,6 +258,7 @@ def test_a_broken_beam_costs_a_zero_and_the_solver_states_the_same(of, joined):
     assert stated["one"] < stated["two"] < stated["own"]
 
 
+@pytest.mark.slow
 def test_what_is_stated_holds_with_breaks_of_the_beam(joined):
     found = [
         figures.by_policy(cell_of(joined, seed, factor, break_after=seed))
@@ -261,6 +268,7 @@ def test_what_is_stated_holds_with_breaks_of_the_beam(joined):
     assert LOW < np.mean([run.inside for run in found]) <= HIGH  # 66 angles, 440 in long
 
 
+@pytest.mark.slow
 def test_the_first_sweep_is_short_and_every_length_of_it_is_checked(of, joined):
     for case, most in ((of, 64), (joined, 50)):  # greedy: 70 and more
         sweep = first_sweep(case, GOAL)

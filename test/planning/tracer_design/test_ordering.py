@@ -52,6 +52,7 @@ def _twenty_runs(monkeypatch):
     few_runs(monkeypatch, 20)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("checked", "confidence"), [(True, 0.7), (False, 0.7)], ids=["checked", "plain"]
 )
@@ -78,6 +79,7 @@ def test_the_plan_states_what_the_solver_will(checked, confidence):
     assert not any("one plane" in remark for remark in result.warnings)
 
 
+@pytest.mark.slow
 def test_slips_that_leave_no_room_are_refused(monkeypatch):
     """The first plan is at the goal without slips, and no further search is made."""
     monkeypatch.setattr(ordering, "TRIES", 0)
@@ -85,6 +87,7 @@ def test_slips_that_leave_no_room_are_refused(monkeypatch):
         ordered_design(replace(QUICK, checked=False))
 
 
+@pytest.mark.slow
 def test_a_confidence_that_the_solvers_false_alarms_leave_to_no_plan_is_refused():
     with pytest.raises(PlanError, match=r"not called ok, and no further length changes that"):
         ordered_design(replace(QUICK, confidence=0.99))

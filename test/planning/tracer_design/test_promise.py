@@ -94,6 +94,7 @@ def posed(**options):
     return problem, scene
 
 
+@pytest.mark.slow
 def test_a_stated_error_motion_is_held_and_none_scatters_what_is_stated():
     stated, estimated, circle = (
         promised(*posed(**options), NEVER, 0.5, looks=(60,))
