@@ -29,7 +29,8 @@ from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_graph import ORDERS, CellGraph
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.concerns import show
-from rotcal_ros.nodes.hearing import HEARS, digest
+from rotcal_ros.nodes.hearing import APART, HEARS, digest
+from rotcal_ros.nodes.identity import IDENTITY
 from rotcal_ros.nodes.managed_node import not_active
 from rotcal_ros.nodes.plans import RUN
 from rotcal_ros.nodes.qos import EVENT, LATCHED
@@ -65,9 +66,8 @@ class CellServices:
 
 SPARE: Final = frozenset({"bridge", *VIEWERS.values()})
 """Nodes that may be inactive while a calibration runs."""
-RECORDED: Final = "observation_recorded"
 OWNERS: Final = {
-    names.OBSERVATION: "capture", RECORDED: "recorder",
+    names.OBSERVATION: "capture", names.OBSERVATION_RECORDED: "recorder",
     **dict.fromkeys(ORDERS, "planner"),
 }  # fmt: skip
 """The only node whose messages are believed on each topic of the suite itself."""
@@ -91,7 +91,9 @@ class CellLinks:
         self._probes = node.create_publisher(ProbeTarget, names.PROBE_TARGET, EVENT)
         self._choices = node.create_publisher(StepChoice, names.STEP_CHOICE, EVENT)
         node.listen(ObservationMsg, names.OBSERVATION, self._observed, EVENT, judged=True)
-        node.listen(RecordedObservation, RECORDED, self._recorded, EVENT, judged=True)
+        node.listen(
+            RecordedObservation, names.OBSERVATION_RECORDED, self._recorded, EVENT, judged=True
+        )
         node.listen(DeviationArray, "deviations", self._solved, LATCHED)
         self.services = CellServices(node)
 
@@ -227,11 +229,32 @@ class CellLinks:
         return found + [text for name in called for text in self.graph.crowded(name)]
 
     def missing_ears(self, believed: Believed) -> list[str]:
-        """Return which nodes have not heard yet whom a run believes."""
+        """Return which nodes cannot hear yet whom a run believes, in words."""
+        others = (*PREFLIGHT_NODES, *self._own_machines())
+        beats = {name: self.health.values(name) for name in others}
+        beats[self.node.get_name()] = self.node.hearing.values()
         return [
-            f"node {name} has not heard who is believed in this run"
-            for name in PREFLIGHT_NODES
-            if self.health.values(name).get(HEARS) != digest(believed)
+            f"node {name} cannot hear or be heard yet on {apart}"
+            if (apart := values.get(APART))
+            else f"node {name} has not heard who is believed in this run"
+            for name, values in beats.items()
+            if values.get(HEARS) != digest(believed)
+        ] + self._missing_machines()
+
+    def _own_machines(self) -> list[str]:
+        """Return the machines that obey orders and beat as nodes of the suite do."""
+        obey = {name for topic in ORDERS for name in self.graph.machines(topic)}
+        here = obey & self.health.present()
+        return sorted(name for name in here if IDENTITY in self.health.values(name))
+
+    def _missing_machines(self) -> list[str]:
+        """Return the orders that are not joined yet with all of those who beat and obey them."""
+        publishers = {names.TABLE_ANGLE: self._tables, names.PROBE_TARGET: self._probes}
+        return [
+            f"the planner cannot be heard yet by all who obey {self.resolve(topic)}"
+            for topic, publisher in publishers.items()
+            if publisher.get_subscription_count()
+            < len(self.health.present().intersection(self.graph.listeners(topic)))
         ]
 
     def missing_air(self, expected: Iterable[str]) -> dict[str, str]:

@@ -4,18 +4,31 @@ from __future__ import annotations
 
 import hashlib
 import time
+from contextlib import suppress
 from typing import Any, Final
 
+from rclpy.impl.implementation_singleton import rclpy_implementation
+
+from rotcal_ros.bags import names
 from rotcal_ros.capture.heard import Believed, Intruder, Origin, WhoIsHeard, publisher_of
 from rotcal_ros.nodes.concerns import INTRUDER, show
 from rotcal_ros.nodes.draining import Batch
 
 BELIEVED: Final = "believed"
 """Value in the planner's beat: who is believed on each topic while a goal runs."""
+LISTENERS: Final = {
+    names.TABLE_ANGLE: 2,
+    names.PROBE_TARGET: 2,
+    names.OBSERVATION: 3,
+    names.OBSERVATION_RECORDED: 2,
+}
+"""How many nodes of the suite listen to a topic of the suite, where each message is sent once."""
 UNNAMED: Final = "_NODE_NAME_UNKNOWN_"
 """What rclpy calls a node that discovery has not named yet."""
 HEARS: Final = "hears"
 """Value in the beat of every other node: the hash of what it has heard of that."""
+APART: Final = "apart"
+"""Instead, while the middleware has not joined it yet with all whom it shall hear: the topics."""
 
 
 class Hearing:
@@ -28,6 +41,7 @@ class Hearing:
         self._node, self._quiet = node, quiet
         self._judge = WhoIsHeard()
         self._beat: object = None
+        self._joined = False
         self._words: dict[str, str] = {}
 
     def decide(self, believed: Believed) -> None:
@@ -53,9 +67,33 @@ class Hearing:
         return ours, others
 
     def values(self) -> dict[str, str]:
-        """Return what the beat tells: of whom this node has heard."""
+        """Return what the beat tells: of whom this node has heard, and that it can hear them."""
         self._follow()
-        return {HEARS: digest(self._judge.believed)} if self._judge.believed.publishers else {}
+        if not self._judge.believed.publishers:
+            return {}
+        if apart := self._apart():
+            return {APART: ", ".join(apart)}
+        return {HEARS: digest(self._judge.believed)}
+
+    def _apart(self) -> list[str]:
+        """Return the topics of the run on which this node cannot hear or be heard yet.
+
+        Both ends find each other by themselves, one perhaps seconds after the other, and what is
+        sent once, as an order or an observation, is lost to who is not found yet.
+        """
+        if self._joined:
+            return []
+        node, believed, apart = self._node, self._judge.believed.publishers, set[str]()
+        listeners = {node.resolve_topic_name(role): n for role, n in LISTENERS.items()}
+        with suppress(rclpy_implementation.InvalidHandle):  # one was given up: asked again soon
+            for heard in tuple(node.subscriptions):
+                if heard.get_publisher_count() < len(believed.get(heard.topic_name, ())):
+                    apart.add(heard.topic_name)
+            for sent in tuple(node.publishers):
+                if sent.get_subscription_count() < listeners.get(sent.topic_name, 0):
+                    apart.add(sent.topic_name)
+            self._joined = not apart
+        return sorted(apart)
 
     def _follow(self) -> None:
         """Believe whom the planner says."""
@@ -69,6 +107,7 @@ class Hearing:
     def _believe(self, believed: Believed) -> None:
         if believed != self._judge.believed:
             self._judge.believe(believed)
+            self._joined = False
             self._words.clear()
             self._show("")
 

@@ -31,7 +31,9 @@ class Receipts:
         self._clock, self._called, self._listener = node.get_clock(), called, listener
         self._logger, self._awake = node.get_logger(), node.health.awake
         self._session, self._pending = session, PendingReceipts(answered=False)
-        self._publisher = node.create_publisher(RecordedObservation, "observation_recorded", EVENT)
+        self._publisher = node.create_publisher(
+            RecordedObservation, names.OBSERVATION_RECORDED, EVENT
+        )
 
     def begin(self) -> None:
         """Forget what is still waiting: a bag begins."""

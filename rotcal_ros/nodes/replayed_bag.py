@@ -26,7 +26,7 @@ from rotcal_ros.observations import Observation
 from rotcal_ros.units import NANOSECOND
 
 OUTPUTS: Final = frozenset({
-    names.OBSERVATION, "observation_recorded", "deviations", "compensation_table", "heartbeat",
+    names.OBSERVATION, names.OBSERVATION_RECORDED, "deviations", "compensation_table", "heartbeat",
     "volumetric_correction", "scene", "scene_motion", names.DROPOUTS,
 })  # fmt: skip
 """Last names of what our own nodes make of the streams: live ones shall make it again."""

@@ -8,9 +8,9 @@ pytest.importorskip("rclpy")
 
 from rotcal_ros.capture.heard import Believed
 from rotcal_ros.nodes.concerns import INTRUDER
-from rotcal_ros.nodes.hearing import BELIEVED, HEARS, Hearing, digest, origin_of
+from rotcal_ros.nodes.hearing import APART, BELIEVED, HEARS, Hearing, digest, origin_of
 
-POINTS = "/cell/probe_point"
+POINTS, SENT = "/cell/probe_point", "/cell/observation"
 OURS, STRAY = bytes(range(16)), bytes(range(16, 32))
 RUN = Believed({POINTS: (OURS.hex(),)})
 
@@ -22,6 +22,16 @@ class Node:
         self.said = []
         self.beat({})
         self.there = [("probe", OURS), ("second_probe", STRAY)]
+        self.joined = 1
+        self.subscriptions = [
+            SimpleNamespace(topic_name=POINTS, get_publisher_count=lambda: self.joined)
+        ]
+        self.publishers = [
+            SimpleNamespace(topic_name=SENT, get_subscription_count=lambda: 3 * self.joined)
+        ]
+
+    def resolve_topic_name(self, name):
+        return f"/cell/{name}"
 
     def beat(self, values):
         told = {"planner": object()}
@@ -56,6 +66,18 @@ def test_messages_of_somebody_else_are_split_off_named_once_and_shown():
     assert f"{POINTS}: node second_probe publishes there too" in node.said[0]
     assert node.health.concerns[INTRUDER] == node.said[0]
     assert hearing.values() == {HEARS: digest(RUN)}
+
+
+def test_who_is_known_and_not_joined_yet_is_told_until_he_can_be_heard():
+    node, hearing = during_a_run()
+    node.joined = 0
+    assert hearing.values() == {APART: f"{SENT}, {POINTS}"}
+    node.joined = 1
+    assert hearing.values() == {HEARS: digest(RUN)}
+    node.joined = 0  # who leaves later is lost, which others tell
+    assert hearing.values() == {HEARS: digest(RUN)}
+    node.beat({BELIEVED: Believed({POINTS: (STRAY.hex(),)}).in_a_beat()})
+    assert hearing.values() == {APART: f"{SENT}, {POINTS}"}
 
 
 @pytest.mark.parametrize(

@@ -79,7 +79,7 @@ MOVED = {
 }
 """The same of mistakes that only a motion shows; none is made beside feedback in degrees."""
 QUICK = ("adapter, second table", "lengths called mm")
-SLOW = ("adapter", "adapter, other joint", "clockwise", "5 Hz")
+SLOW = ("adapter, other joint", "clockwise")
 """Those that `make test` and those that CI tries; the others are long."""
 UNITS = {"lengths called mm": "length_unit: mm", "probe called mm": "position_unit: mm"}
 

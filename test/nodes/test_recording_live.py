@@ -73,7 +73,7 @@ def test_a_disk_that_fills_up_costs_nothing_that_was_accepted(cell, mounted):
     assert not verdict.lost
 
 
-@pytest.mark.slow
+@pytest.mark.long  # test_kill_graph.py has a full disk
 def test_recording_stops_in_good_order_before_the_disk_is_full(cell, mounted):
     live = cell("recorder.writer.min_free_bytes=100000")
     live.recordings = mounted("size=400k")

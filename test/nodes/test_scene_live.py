@@ -49,7 +49,7 @@ def named(array):
     return {marker.ns: marker for marker in array.markers if marker.action == 0}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_calibration_is_drawn_and_does_not_end_with_its_scene(cell, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
     live = cell("simulation.time_scale=10.0")

@@ -76,10 +76,8 @@ def test_a_calibration_through_the_controller_finds_the_truth(adapted, interface
     assert recording.verdicts[0].topics["/cell/joint_states"].messages > 100
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", [pytest.param("table_adapter", marks=pytest.mark.long), "machine"]
-)
+@pytest.mark.long  # test_slow_nodes.py stops the suite's nodes
+@pytest.mark.parametrize("name", ["table_adapter", "machine"])
 def test_an_adapter_or_a_machine_that_stands_still_for_a_while_ends_nothing(adapted, name):
     live = adapted(nodes=(*SUITE, "simulated_cell", "table_adapter"))
     client = live.client()
