@@ -16,13 +16,9 @@ from rotcal_ros.nodes.draining import Batch
 
 BELIEVED: Final = "believed"
 """Value in the planner's beat: who is believed on each topic while a goal runs."""
-LISTENERS: Final = {
-    names.TABLE_ANGLE: 2,
-    names.PROBE_TARGET: 2,
-    names.OBSERVATION: 3,
-    names.OBSERVATION_RECORDED: 2,
-}
-"""How many nodes of the suite listen to a topic of the suite, where each message is sent once."""
+LISTENERS: Final = {names.OBSERVATION: 3, names.STEP_CHOICE: 1}
+"""How many nodes of the suite listen to a topic; to others that a run believes in, USUAL ones."""
+USUAL: Final = 2
 UNNAMED: Final = "_NODE_NAME_UNKNOWN_"
 """What rclpy calls a node that discovery has not named yet."""
 HEARS: Final = "hears"
@@ -84,7 +80,8 @@ class Hearing:
         if self._joined:
             return []
         node, believed, apart = self._node, self._judge.believed.publishers, set[str]()
-        listeners = {node.resolve_topic_name(role): n for role, n in LISTENERS.items()}
+        listeners = dict.fromkeys(believed, USUAL)
+        listeners |= {node.resolve_topic_name(role): n for role, n in LISTENERS.items()}
         with suppress(rclpy_implementation.InvalidHandle):  # one was given up: asked again soon
             for heard in tuple(node.subscriptions):
                 if heard.get_publisher_count() < len(believed.get(heard.topic_name, ())):
