@@ -24,8 +24,7 @@ run() {
 
 export OMP_NUM_THREADS=${OMP_NUM_THREADS:-1}
 side_by_side=(--dist loadfile --no-loadscope-reorder)
-# Some of these wait for servers and disks that they start: one worker more than there are cores.
-run --live never -n $(($(nproc) + 1)) "${side_by_side[@]}" "$@"
+run --live never -n auto "${side_by_side[@]}" "$@"
 run --live only -n "${ROTCAL_LIVE_WORKERS:-auto}" "${side_by_side[@]}" "$@"
 if [[ -s $ROTCAL_NOT_TRIED ]]; then
     echo "Not tried here (tests, reason):"

@@ -7,6 +7,8 @@ import pytest
 
 import rotcal_ros as rc
 
+pytestmark = pytest.mark.slow
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 DATA = EXAMPLES / "data"
 KEY_FIGURES = {
@@ -31,9 +33,6 @@ WITH_ROS = {"11_calibrate_from_a_script"}
 SCRIPTS = sorted(path.stem for path in EXAMPLES.glob("[0-9]*.py"))
 NO_ROS_NO_NETWORK = """
 import socket, sys, runpy
-
-pytestmark = pytest.mark.slow
-
 for name in ("rclpy", "rotcal_msgs"):
     sys.modules[name] = None
 def refuse(*_): raise OSError("no network here")

@@ -14,14 +14,13 @@ from warm import WarmServer
 
 from rotcal_ros.units import ARCSEC
 
+pytestmark = pytest.mark.slow
+
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_controller"
 BRIDGE = """
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.settings import load
 import sys
-
-pytestmark = pytest.mark.slow
-
 print(load(BridgeSettings, {"controller": "mydrive", "options": sys.argv[1:]}, "bridge").options)
 """
 
