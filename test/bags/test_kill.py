@@ -113,7 +113,7 @@ def many(function, count, first_seed):
 
 
 @pytest.mark.parametrize(
-    "batch", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in range(1, 4))]
+    "batch", [0, *(pytest.param(n, marks=pytest.mark.long) for n in range(1, 4))]
 )
 def test_kill_9_costs_nothing_that_was_confirmed(processes, tmp_path, batch):
     def case(seed):

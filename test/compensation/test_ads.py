@@ -138,7 +138,7 @@ def test_a_bit_that_differs_is_seen_and_the_old_table_put_back(plc):
     assert same_bits(plc.held(), rows_of(1.0))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_request_may_be_the_last(plc):
     """Killed in the middle of each request: all rows in force, or none; then the old ones."""
     feed = plc.feed(answer_timeout_s=3.0)

@@ -157,7 +157,7 @@ def tables(machine):
     return {name: text for name, text in files.items() if not name.startswith("new_")}
 
 
-@pytest.mark.slow
+@pytest.mark.long  # the line is cut at every step below
 def test_every_step_of_an_application_may_be_the_last(machine):
     """The server is killed in the middle of each call of a method, the next start repairs."""
     feed = machine.feed()

@@ -44,7 +44,7 @@ def covered(plate, exact, axes, runs, **stated):
     return {name: float(np.mean(inside[name])) for name in COMPONENTS}
 
 
-@pytest.mark.slow
+@pytest.mark.long  # statistics
 @pytest.mark.parametrize("axes", [(1, 1, 1), (1, 1, 2), (1, 1, 0.5), (2, 1, 1), (1, 0.5, 2)])
 def test_intervals_hold_for_all_six_components(plate, exact, axes):
     share = covered(plate, exact, axes, RUNS)

@@ -169,7 +169,7 @@ def cluster(tmp_path, monkeypatch):
         process.wait(patient(30))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_dask_cluster_gives_the_same_and_its_death_loses_nothing(cluster, jobs, tmp_path):
     from distributed import Client
 

@@ -104,7 +104,7 @@ def run(case, variant, seed):
     return hits, np.mean(found**2), bare, squares(found[1:], solution.angles.covariance[1:, 1:])
 
 
-@pytest.mark.slow
+@pytest.mark.long  # statistics
 @pytest.mark.parametrize("variant", ["joint", "station"])
 @pytest.mark.parametrize("case", CASES)
 def test_95_percent_intervals_hold_whatever_was_stated(case, variant):

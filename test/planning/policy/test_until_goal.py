@@ -55,7 +55,7 @@ def longer(outcome, by):
     return Outcome(outcome.step, replace(observation, mean=(observation.mean[0] + by,)))
 
 
-@pytest.mark.slow
+@pytest.mark.long  # statistics
 def test_what_is_stated_holds_at_any_true_noise_and_costs_little_at_the_planned(of):
     runs = 24 if LONG else 3
     for factor in (0.5, 1.0, 2.0):
