@@ -86,16 +86,26 @@ class CellLinks:
         self.receipts: dict[Attempt, int] = {}
         self.current_std = math.nan
         self._plan_id = ""
-        self._plans = node.create_publisher(CalibrationPlan, names.PLAN, LATCHED)
-        self._tables = node.create_publisher(TableAngle, names.TABLE_ANGLE, EVENT)
-        self._probes = node.create_publisher(ProbeTarget, names.PROBE_TARGET, EVENT)
-        self._choices = node.create_publisher(StepChoice, names.STEP_CHOICE, EVENT)
+        self._publish()
         node.listen(ObservationMsg, names.OBSERVATION, self._observed, EVENT, judged=True)
         node.listen(
             RecordedObservation, names.OBSERVATION_RECORDED, self._recorded, EVENT, judged=True
         )
         node.listen(DeviationArray, "deviations", self._solved, LATCHED)
         self.services = CellServices(node)
+
+    def _publish(self) -> None:
+        node = self.node
+        self._plans = node.create_publisher(CalibrationPlan, names.PLAN, LATCHED)
+        self._tables = node.create_publisher(TableAngle, names.TABLE_ANGLE, EVENT)
+        self._probes = node.create_publisher(ProbeTarget, names.PROBE_TARGET, EVENT)
+        self._choices = node.create_publisher(StepChoice, names.STEP_CHOICE, EVENT)
+
+    def publish_anew(self) -> None:
+        """Publish as somebody new, whom those may find who have not found this planner."""
+        for publisher in (self._plans, self._tables, self._probes, self._choices):
+            self.node.destroy_publisher(publisher)
+        self._publish()
 
     def forget(self) -> None:
         """Forget what came in for an earlier goal."""

@@ -53,6 +53,7 @@ async def _have_topics(calibration: Calibration, watch: GoalWatch, asking: Askin
     Instruments may be silent meanwhile, and a capture that was started anew has heard nothing.
     """
     missing = partial(_missing, calibration, watch.links)
+    await watch.is_found(lambda: [] if _halted(watch) else missing())
     while True:
         await watch.have(lambda: [] if _halted(watch) else missing(), Codes.TOPIC_MISSING)
         if not _halted(watch):

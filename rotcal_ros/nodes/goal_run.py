@@ -122,16 +122,24 @@ class GoalRun:
 
     async def _believe(self) -> None:
         """Take those who publish now for those of the run, and wait until everybody knows them."""
+        await self._decide()
+        if not await self.watch.is_found(self._missing_ears):
+            await self._decide()
+            await self.watch.have(self._missing_ears, Codes.NODE_LOST)
+
+    async def _decide(self) -> None:
         links, watch = self.watch.links, self.watch
         instruments = self._calibration.method.topics
         await watch.have(lambda: links.unclear(instruments), Codes.TOPIC_MISSING)
         needed, wished = expected_air(self._calibration)
         watch.instruments = {*instruments, *needed, *wished}
         watch.heard = links.offered(watch.instruments)
-        believed = self._believed = links.believed(watch.instruments)
-        links.node.hearing.decide(believed)
+        self._believed = links.believed(watch.instruments)
+        links.node.hearing.decide(self._believed)
         links.health.beat()
-        await watch.have(lambda: links.missing_ears(believed), Codes.NODE_LOST)
+
+    def _missing_ears(self) -> list[str]:
+        return self.watch.links.missing_ears(self._believed)
 
     def _remarks(self, error: GoalError) -> str:
         """Return what the cell says that may be why the goal has ended."""

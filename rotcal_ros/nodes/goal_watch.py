@@ -30,6 +30,8 @@ from rotcal_ros.planning.policy.names import AS_LISTED
 
 ASTRAY_TIMEOUT_S: Final = 5.0
 """So long capture and solver may be without the plan of the goal."""
+FOUND_S: Final = 5.0
+"""So long two ends may take to find each other: lost packets of discovery are repaired in 3 s."""
 HOPELESS_S: Final = 0.5
 """So long the capture has to call it hopeless: late readings may look so for a moment."""
 
@@ -142,6 +144,16 @@ class GoalWatch:
         """Wait until nothing is missing; after the preflight time raise what still is."""
         if not await self.wait(lambda: not missing(), self.patience_s):
             raise GoalError(code, "; ".join(missing()) or "preflight timed out")
+
+    async def is_found(self, missing: Callable[[], list[str]]) -> bool:
+        """Return whether nothing is missing soon; where something is, publish as somebody new.
+
+        The middleware may leave two ends apart for good, and takes up who is new.
+        """
+        if await self.wait(lambda: not missing(), min(FOUND_S, self.patience_s)):
+            return True
+        self.links.publish_anew()
+        return False
 
     async def call(
         self,

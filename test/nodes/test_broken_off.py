@@ -202,6 +202,9 @@ def test_a_later_preflight_has_somebody_resume_before_it_misses_what_is_silent(m
         if missing():
             raise GoalError(code, "; ".join(missing()))
 
+    async def found(missing):
+        return not missing()
+
     class Asking:
         async def have_done(self):
             asked.append(stop.latched)
@@ -211,6 +214,6 @@ def test_a_later_preflight_has_somebody_resume_before_it_misses_what_is_silent(m
         return ["silent"] if stop.latched else []
 
     monkeypatch.setattr(goal_preflight, "_missing", missing)
-    watch = SimpleNamespace(preflight=False, stop=stop, have=have, links=None)
+    watch = SimpleNamespace(preflight=False, stop=stop, have=have, is_found=found, links=None)
     asyncio.run(goal_preflight._have_topics(PLAIN, watch, Asking()))
     assert asked == ["the gate is open"]

@@ -27,7 +27,7 @@ class Cell:
 
     def __init__(self, monkeypatch):
         self.now_s, self.slow, self.values, self.publishers = 100.0, {}, {}, ["tracer"]
-        self.shown, self.logged, self.script = [], [], {}
+        self.shown, self.logged, self.script, self.published_anew = [], [], {}, []
         health = SimpleNamespace(
             slow=self.slow, lost={}, settings=HealthSettings(lost_after_s=30.0), concerns={},
             alarms={}, others={}, missing=lambda _: [],
@@ -39,6 +39,7 @@ class Cell:
             health=health, node=SimpleNamespace(get_logger=lambda: logger),
             instrument=lambda role: f"/cell/{role}", publishers=lambda _: self.publishers,
             idle_nodes=lambda but=(): [], offered=lambda _: {},
+            publish_anew=lambda: self.published_anew.append(self.now_s - 100.0),
         )  # fmt: skip
         crew = Crew(health, 0.0)
         crew.nodes = {"capture", "recorder"}
@@ -103,6 +104,15 @@ def test_the_next_order_waits_until_all_answer(cell):
     cell.script = {8.0: cell.slow.clear}
     asyncio.run(cell.watch.have_all_answer())
     assert cell.now_s - 100.0 == pytest.approx(8.0, abs=0.5)
+
+
+@pytest.mark.parametrize(("joined_s", "anew"), [(3.0, []), (60.0, [goal_watch.FOUND_S])])
+def test_who_has_not_been_found_for_long_is_published_anew_once(cell, joined_s, anew):
+    def missing():
+        return [] if cell.now_s - 100.0 >= joined_s else ["node capture cannot be heard yet"]
+
+    assert asyncio.run(cell.watch.is_found(missing)) == (not anew)
+    assert cell.published_anew == pytest.approx(anew, abs=2 * TURN_S)
 
 
 def test_an_instrument_that_is_silent_and_there_is_waited_for(cell):
