@@ -74,6 +74,7 @@ def rotcal(*arguments, code=0):
     return done
 
 
+@pytest.mark.slow
 def test_a_lost_terminal_does_not_end_a_calibration_and_attach_shows_it_again(tmp_path, terminal):
     folder = tmp_path / "out"
     run = terminal(*running(folder, SLOW))

@@ -57,6 +57,7 @@ def cells(tmp_path, monkeypatch):
         process.wait(patient(10))
 
 
+@pytest.mark.slow
 @pytest.mark.ros
 def test_every_thing_of_a_cell_is_named(cells):
     good = checking("my_cell/own_cell.yaml", "--json", "--time", 4)

@@ -63,6 +63,7 @@ def foreign(tmp_path, monkeypatch):
         live.processes.end()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", MODES if LONG else ["asked"])
 def test_the_truth_is_found_and_found_again(foreign, mode):
     sys.path.append(str(SCRIPT.parent))

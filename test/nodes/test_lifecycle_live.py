@@ -22,6 +22,7 @@ def states():
         yield client
 
 
+@pytest.mark.slow
 def test_a_cell_goes_through_all_states_and_a_dumped_planner_measures_the_same(cell, states):
     live = cell()
     live.start(*NODES[:-2], "simulated_cell")

@@ -68,6 +68,7 @@ def test_a_goal_waits_for_nodes_of_the_suite_that_were_killed_and_goes_on(cell):
     assert len(check(live, outcome, 3, 59).details["joins"]) == 2
 
 
+@pytest.mark.slow
 def test_start_index_joins_what_was_measured_before_an_instrument_was_started_anew(cell):
     live = cell("simulation.time_scale=8.0", "simulation.tracer.zero_shift_um=1000.0")
     live.start(*SUITE, "simulated_cell")

@@ -25,6 +25,7 @@ def python(*arguments):
     return [*LATER, sys.executable, *arguments, *cell]
 
 
+@pytest.mark.slow
 def test_strays_are_refused_with_a_sentence_and_the_calibration_ends_as_ever(cell):
     live = cell()
     live.start(*SUITE, "simulated_cell")
