@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # The tests: first those without live nodes, then the live ones; side by side on all cores, each file
 # in one worker, so that what its tests share is made once. ROTCAL_LIVE_WORKERS=1 runs one cell at a
-# time. At the end it says what could not be tried on this machine, and what to install for it.
+# time; live tests wait much, so one cell more than cores. At the end it says what could not be tried on this machine, and what to install for it.
 #
 # usage: scripts/test.sh [--quick] [arguments of pytest]    --quick: without those marked slow
 set -uo pipefail
@@ -25,7 +25,7 @@ run() {
 export OMP_NUM_THREADS=${OMP_NUM_THREADS:-1}
 side_by_side=(--dist loadfile --no-loadscope-reorder)
 run --live never -n auto "${side_by_side[@]}" "$@"
-run --live only -n "${ROTCAL_LIVE_WORKERS:-auto}" "${side_by_side[@]}" "$@"
+run --live only -n "${ROTCAL_LIVE_WORKERS:-$(($(nproc) + 1))}" "${side_by_side[@]}" "$@"
 if [[ -s $ROTCAL_NOT_TRIED ]]; then
     echo "Not tried here (tests, reason):"
     sort "$ROTCAL_NOT_TRIED" | uniq -c
