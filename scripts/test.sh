@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # The tests: first those without live nodes, then the live ones; side by side on all cores, each file
 # in one worker, so that what its tests share is made once. ROTCAL_LIVE_WORKERS=1 runs one cell at a
-# time; live tests wait much, so one cell more than cores. At the end it says what could not be tried on this machine, and what to install for it.
+# time; live tests wait much, so it is one cell more than cores. At the end it says what could not be
+# tried on this machine, and what to install for it.
 #
 # usage: scripts/test.sh [--quick] [arguments of pytest]    --quick: without those marked slow
 set -uo pipefail
