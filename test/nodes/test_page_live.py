@@ -34,8 +34,11 @@ def test_a_whole_calibration_is_shown_and_a_late_viewer_sees_the_same(cell):
     (ecc,) = shown["deviations"]["curves"]
     assert (ecc["name"], ecc["unit"], len(ecc["values"])) == ("ECC", "arcsec", 5)
     broken = [r for r in shown["rejections"] if "beam broken" in r["reason"]]
-    first, *others = (r["place"] for r in reversed(broken))
-    assert others[:2] == [f"{first} (attempt {number})" for number in (2, 3)]
+    places = [r["place"] for r in reversed(broken)]
+    place = places[0].partition(" (attempt")[0]
+    tries = [place, *(f"{place} (attempt {number})" for number in (2, 3))]
+    # A goal does not wait for who only looks on: the first may be over before the page is found.
+    assert tries in (places[:3], [place, *places[:2]])
     assert {n["name"] for n in shown["nodes"]} == {*SUITE, "simulated_cell"}
     assert shown["recording"]["lost"] == 0
     late = Viewer(viewer.url).wait_for("done")
