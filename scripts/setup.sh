@@ -76,7 +76,7 @@ install_packages() {
     say "2/3 Python packages and ROS 2 wheels (800 MB on disk, a minute or two)"
     local pip=("$VENV/bin/python" -m pip --disable-pip-version-check)
     local wanted=("${PINS[@]/#/-c}" --no-build-isolation -e ".[$EXTRAS]") settings
-    quietly "${pip[@]}" install "${PINS[@]/#/-c}" setuptools wheel uv
+    quietly "${pip[@]}" install "${PINS[@]/#/-c}" setuptools wheel
     # uv takes seconds where pip takes a minute, but knows nothing of a mirror that pip is told of.
     settings=$("${pip[@]}" config list)
     if [[ $settings =~ [.](no-index|index-url)= ]] || ! by_uv "${wanted[@]}"; then
@@ -87,6 +87,8 @@ install_packages() {
 
 by_uv() {
     echo "+ uv pip install $*" >>"$LOG"
+    "$VENV/bin/python" -m pip --disable-pip-version-check install -c constraints.txt uv \
+        >>"$LOG" 2>&1 || return
     env ${PIP_CERT:+SSL_CERT_FILE="$PIP_CERT"} \
         "$VENV/bin/uv" pip install --quiet --python "$VENV/bin/python" "$@" >>"$LOG" 2>&1
 }

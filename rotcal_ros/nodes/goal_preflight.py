@@ -53,6 +53,7 @@ async def _have_topics(calibration: Calibration, watch: GoalWatch, asking: Askin
     Instruments may be silent meanwhile, and a capture that was started anew has heard nothing.
     """
     missing = partial(_missing, calibration, watch.links)
+    # What is missing may be there and not have been found; what is not there is waited for below.
     await watch.is_found(lambda: [] if _halted(watch) else missing())
     while True:
         await watch.have(lambda: [] if _halted(watch) else missing(), Codes.TOPIC_MISSING)

@@ -67,9 +67,8 @@ class Hearing:
         self._follow()
         if not self._judge.believed.publishers:
             return {}
-        if apart := self._apart():
-            return {APART: ", ".join(apart)}
-        return {HEARS: digest(self._judge.believed)}
+        apart = ", ".join(self._apart())
+        return {HEARS: digest(self._judge.believed)} if self._joined else {APART: apart}
 
     def _apart(self) -> list[str]:
         """Return the topics of the run on which this node cannot hear or be heard yet.

@@ -6,6 +6,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from rclpy.impl.implementation_singleton import rclpy_implementation
+
 from rotcal_ros.capture.heard import Believed
 from rotcal_ros.nodes.concerns import INTRUDER
 from rotcal_ros.nodes.hearing import APART, BELIEVED, HEARS, Hearing, digest, origin_of
@@ -22,13 +24,16 @@ class Node:
         self.said = []
         self.beat({})
         self.there = [("probe", OURS), ("second_probe", STRAY)]
-        self.joined = 1
-        self.subscriptions = [
-            SimpleNamespace(topic_name=POINTS, get_publisher_count=lambda: self.joined)
-        ]
+        self.joined, self.given_up = 1, False
+        self.subscriptions = [SimpleNamespace(topic_name=POINTS, get_publisher_count=self.count)]
         self.publishers = [
             SimpleNamespace(topic_name=SENT, get_subscription_count=lambda: 3 * self.joined)
         ]
+
+    def count(self):
+        if self.given_up:
+            raise rclpy_implementation.InvalidHandle
+        return self.joined
 
     def resolve_topic_name(self, name):
         return f"/cell/{name}"
@@ -78,6 +83,14 @@ def test_who_is_known_and_not_joined_yet_is_told_until_he_can_be_heard():
     assert hearing.values() == {HEARS: digest(RUN)}
     node.beat({BELIEVED: Believed({POINTS: (STRAY.hex(),)}).in_a_beat()})
     assert hearing.values() == {APART: f"{SENT}, {POINTS}"}
+
+
+def test_a_subscription_that_is_given_up_meanwhile_proves_nothing():
+    node, hearing = during_a_run()
+    node.given_up = True
+    assert hearing.values() == {APART: ""}
+    node.given_up = False
+    assert hearing.values() == {HEARS: digest(RUN)}
 
 
 @pytest.mark.parametrize(
