@@ -1,8 +1,11 @@
 """Fixtures for all tests."""
 
+import fcntl
 import os
 import signal
 import sys
+import tempfile
+from contextlib import contextmanager
 from pathlib import Path
 
 import hypothesis
@@ -95,17 +98,24 @@ def without_figures(monkeypatch):
 @pytest.fixture(autouse=True)
 def _live(request, monkeypatch):
     """Give each test marked ``ros`` a domain of its own on this machine, and nodes as copies."""
-    if request.node.get_closest_marker("ros"):
-        monkeypatch.setattr(processes, "subprocess", WARM_SUBPROCESS)
-        monkeypatch.setenv("ROS_DOMAIN_ID", str(_domain_of_this_worker()))
-        monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    if not request.node.get_closest_marker("ros"):
+        yield
+        return
+    monkeypatch.setattr(processes, "subprocess", WARM_SUBPROCESS)
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with _domain_of_its_own() as domain:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+        yield
 
 
-def _domain_of_this_worker():
-    """Return a free domain that no other worker of this run takes."""
-    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
-    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
-    while True:
-        domain = free_domain()
-        if domain % workers == worker:
-            return domain
+@contextmanager
+def _domain_of_its_own():
+    """Hold a free domain that no other test takes, before its first node can be seen there."""
+    for domain in iter(free_domain, None):
+        with Path(tempfile.gettempdir(), f"rotcal_domain_{domain}.lock").open("w") as held:
+            try:
+                fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                continue
+            yield domain
+            return
