@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from typing import Any
+from typing import Any, Final
 
 from rotcal_msgs.msg import CalibrationPlan
 from rotcal_msgs.msg import Observation as ObservationMsg
@@ -17,7 +17,6 @@ from rotcal_ros.instruments.steps import Order, StepFinder
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.concerns import CLOCK_DOUBT, COMPLAINT, OFFSET, REJECTED, show
-from rotcal_ros.nodes.health import CALIBRATING
 from rotcal_ros.nodes.instrument_streams import InstrumentStreams
 from rotcal_ros.nodes.latest import HOPELESS, WAITING_FOR
 from rotcal_ros.nodes.length_trigger import PERIOD_S, LengthTrigger
@@ -27,6 +26,9 @@ from rotcal_ros.nodes.qos import EVENT
 from rotcal_ros.nodes.roll_call import LOADING
 from rotcal_ros.nodes.running import run
 from rotcal_ros.observations import Command, Observation
+
+READINGS_S: Final = 0.01
+"""So long readings gather while somebody measures."""
 
 
 class CaptureNews:
@@ -89,9 +91,9 @@ class CaptureNode(CellNode):
         self._orders = self.take_orders(self._take_order)
         self.every(PERIOD_S, self._ask)
 
-    def has_time(self) -> bool:
-        """Return whether no orders have to be answered: the planner measures nothing."""
-        return not self.health.state("planner").startswith(CALIBRATING)
+    def gather_s(self) -> float:
+        """Take readings together: an observation waits for them anyway."""
+        return self.idle_s() or READINGS_S
 
     def deactivated(self) -> None:
         """Feed nothing more: what an instrument says in between is missing from every window."""

@@ -20,7 +20,7 @@ from rotcal_ros.errors import RotcalError
 from rotcal_ros.nodes.aside import done_aside
 from rotcal_ros.nodes.asking import obstacle
 from rotcal_ros.nodes.cell_links import CellLinks
-from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.cell_node import IDLE_S, CellNode
 from rotcal_ros.nodes.conversions import feedback_message
 from rotcal_ros.nodes.crew import Codes, Crew
 from rotcal_ros.nodes.emergency_stop import EmergencyStop
@@ -90,7 +90,11 @@ class Planner(CellNode):
 
     def stopped(self) -> bool:
         """Return whether no goal runs any more."""
-        return self._run is None and not self._preparing
+        return not self.configured or (self._run is None and not self._preparing)
+
+    def gather_s(self) -> float:
+        """Let what comes gather until there is a goal."""
+        return IDLE_S if self.stopped() else 0.0
 
     def _give_up(self, why: str) -> None:
         self._giving_up = self._given_up = why

@@ -16,11 +16,12 @@ from rotcal_ros.errors import BagError, RotcalError
 from rotcal_ros.instruments.interpreter import FAST
 from rotcal_ros.nodes.aside import done_aside
 from rotcal_ros.nodes.bookkeeping import LogTimes, Silences
-from rotcal_ros.nodes.cell_node import CellNode, until
+from rotcal_ros.nodes.cell_node import IDLE_S, CellNode, until
 from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch
 from rotcal_ros.nodes.dropouts import TOGETHER_S, DropoutNotes
 from rotcal_ros.nodes.health import RECORDING_FAILED
 from rotcal_ros.nodes.heard_topic import HeardTopic
+from rotcal_ros.nodes.heartbeat import HEARTBEAT
 from rotcal_ros.nodes.listening import Listener
 from rotcal_ros.nodes.receipts import Receipts
 from rotcal_ros.nodes.recorded_session import RecordedSession
@@ -71,9 +72,9 @@ class RecorderNode(CellNode):
         """Return whether the bag is closed."""
         return self._writing() is None and not self._reading
 
-    def has_time(self) -> bool:
-        """Return whether no bag is open."""
-        return not self.configured or self._writing() is None
+    def gather_s(self) -> float:
+        """Let messages gather while no bag is open."""
+        return IDLE_S if not self.configured or self._writing() is None else 0.0
 
     def _writing(self) -> Recording | None:
         """Return the recording whose bag is open."""
@@ -110,7 +111,7 @@ class RecorderNode(CellNode):
             recording.confirm(receipt)
 
     def _is_fast(self, topic: str) -> bool:
-        return topic in map(self._called.topic, FAST)
+        return topic in map(self._called.topic, (*FAST, HEARTBEAT))
 
     def _clock_jumps(self) -> int:
         """Return how often the clock was set, just now included."""
