@@ -1,30 +1,44 @@
-"""Carrying out one calibration goal, from preflight to result, as one coroutine."""
+"""Carrying out one calibration goal, from preflight to result, as one coroutine.
+
+The bag of a goal: begun, gone on with in another run, and closed, by the recorder.
+
+Before a goal moves anything: all nodes and instruments are there, and fit its configuration.
+"""
 
 from __future__ import annotations
 
 import json
 import math
-from typing import Final
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
 
 from rotcal_msgs.msg import CalibrationPlan
-from rotcal_msgs.srv import FinishCalibration
+from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
+from std_srvs.srv import Trigger
 
 from rotcal_ros.capture.heard import Believed
 from rotcal_ros.capture.rejections import Commonest
-from rotcal_ros.catalogue import Calibration
-from rotcal_ros.catalogue.continuation import Continuation
-from rotcal_ros.errors import RotcalError
+from rotcal_ros.catalogue import Calibration, Configuration
+from rotcal_ros.catalogue.continuation import Continuation, Recorded
+from rotcal_ros.errors import DataError, RotcalError
+from rotcal_ros.files import write_atomically
+from rotcal_ros.instruments.conventions import single_shots
+from rotcal_ros.node_names import PREFLIGHT_NODES, VIEWERS
 from rotcal_ros.nodes import conversions
-from rotcal_ros.nodes.concerns import OF_MACHINES, concerns_told
+from rotcal_ros.nodes.asking import Asking
+from rotcal_ros.nodes.cell_links import CellLinks
+from rotcal_ros.nodes.cell_node import until
+from rotcal_ros.nodes.concerns import OF_MACHINES, PREFLIGHT, concerns_told
 from rotcal_ros.nodes.crew import SOLVER, Codes, GoalError
-from rotcal_ros.nodes.goal_bag import GoalBag
-from rotcal_ros.nodes.goal_preflight import be_ready
 from rotcal_ros.nodes.goal_watch import GoalWatch
 from rotcal_ros.nodes.hearing import BELIEVED
 from rotcal_ros.nodes.measuring import Measuring
 from rotcal_ros.nodes.plans import RUN, run_name
-from rotcal_ros.nodes.preflight import expected_air
-from rotcal_ros.nodes.topic_names import TOPICS, topics_value
+from rotcal_ros.nodes.preflight import doubts, expected_air, faults, without_air
+from rotcal_ros.nodes.sim_clock import unlike_clocks
+from rotcal_ros.nodes.topic_names import TOPICS, names_at_odds, topics_value
+from rotcal_ros.session_folder import SessionFolder
 
 MOST_IN_VAIN: Final = 2
 """So many runs without a newly accepted step follow each other at most, when nodes are lost."""
@@ -202,3 +216,153 @@ class GoalRun:
             more = f"; rejected: {why.in_words()}" if why else ""
             raise GoalError(code, f"no result: {answer.message}{more}")
         return answer
+
+
+BAG_TIMEOUT_S: Final = 10.0
+OPEN_TIMEOUT_S: Final = 120.0
+"""To go on, a recorder reads what the runs before have recorded."""
+LAST_TIMEOUT_S: Final = 2.0
+"""So long the bag stays open for observations that have come here and not yet to the recorder."""
+
+
+class GoalBag:
+    """``folder`` is that of the session, None before there is one."""
+
+    def __init__(self, configuration: Configuration, watch: GoalWatch) -> None:
+        self._configuration = configuration
+        self._watch, self._services = watch, watch.links.services
+        self._is_open = False
+        self.folder: SessionFolder | None = None
+
+    async def open(self, *, goes_on: bool) -> None:
+        """Have the recorder open a bag, of a new session or of the next run of the last one."""
+        self._watch.tell("opening the bag")
+        request = StartRecording.Request(
+            plan_id=self._configuration.plan_id, configuration=self._configuration.text
+        )
+        if not goes_on:
+            await self.close_after_failure()  # of a run that was lost before it had begun
+        client = self._services.continue_recording if goes_on else self._services.start_recording
+        self._is_open = True  # or soon: a cancel does not wait for the answer
+        answer = await self._recorder_did(client, request, OPEN_TIMEOUT_S)
+        self._watch.recording = True
+        self.folder = SessionFolder(Path(answer.folder))
+
+    async def recorded(self) -> Recorded:
+        """Return what the recorder has of the session, its earlier runs too."""
+        asked = self._services.recorded_observations
+        answer = await self._recorder_did(asked, Trigger.Request(), OPEN_TIMEOUT_S)
+        try:
+            return Recorded.from_json(answer.message)
+        except DataError as error:
+            raise GoalError(Codes.RECORDER_FAILED, str(error)) from error
+
+    async def close(self) -> None:
+        """Have the recorder close the bag."""
+        self._watch.tell("closing the bag")
+        await self._have_all_recorded()
+        self._is_open = self._watch.recording = False
+        await self._recorder_did(
+            self._services.stop_recording, StopRecording.Request(), BAG_TIMEOUT_S
+        )
+
+    async def close_after_failure(self) -> None:
+        """Close the bag if the recorder still lives; a dead one left whole chunks behind."""
+        health = self._watch.links.health
+        if self._is_open and not health.missing(["recorder"]):
+            await self._have_all_recorded()
+            future = self._services.stop_recording.call_async(StopRecording.Request())
+            await until(lambda: future.done() or bool(health.missing(["recorder"])), BAG_TIMEOUT_S)
+
+    async def _have_all_recorded(self) -> None:
+        """Let the recorder take the observations of the last steps, rejected ones too."""
+        links = self._watch.links
+        await until(
+            lambda: (
+                links.observations.keys() <= links.receipts.keys()
+                or bool(links.health.missing(["recorder"]))
+            ),
+            LAST_TIMEOUT_S,
+        )
+
+    def keep_result(self, result_json: str) -> str:
+        """Write the result into the session folder and return its path."""
+        assert self.folder is not None
+        path = self.folder.result
+        try:
+            write_atomically(path, result_json)
+        except OSError as error:
+            raise GoalError(Codes.RECORDER_FAILED, f"cannot write {path}: {error}") from error
+        return str(path)
+
+    async def _recorder_did(self, client: Any, request: Any, timeout_s: float) -> Any:
+        """Return the answer of the recorder; GoalError when it could not do it."""
+        answer = await self._watch.call(client, request, timeout_s)
+        if not answer.success:
+            raise GoalError(Codes.RECORDER_FAILED, answer.message)
+        return answer
+
+
+async def be_ready(calibration: Calibration, watch: GoalWatch, asking: Asking) -> None:
+    """Wait for all nodes and topics; GoalError names what is missing after the time for it."""
+    links, configuration = watch.links, calibration.configuration
+    links.forget()
+    if watch.preflight:  # a later one, after a lost node, hears of a stop in between
+        watch.stop.forget()
+    watch.tell("preflight: nodes")
+    await watch.have(links.missing_nodes, Codes.NODE_LOST)
+    nodes = watch.crew.nodes = watch.crew.nodes | _needed(links)
+    watch.tell("preflight: clocks")
+    await watch.have(lambda: unlike_clocks(links.health, configuration), Codes.TOPIC_MISSING)
+    watch.tell("preflight: topics")
+    await _have_topics(calibration, watch, asking)
+    _, wished = expected_air(calibration)
+    unheard = [
+        without_air(role, name, configuration) for role, name in links.missing_air(wished).items()
+    ]
+    links.warn(
+        PREFLIGHT, unheard + doubts(links.health.values("capture"), configuration, calibration)
+    )
+    watch.crew.nodes = nodes | _needed(links)
+    watch.refuse_stop()
+    watch.preflight = False
+
+
+def _needed(links: CellLinks) -> set[str]:
+    """Return the nodes of the suite and those that are here; nobody needs what shows something."""
+    return (links.health.present() | set(PREFLIGHT_NODES)) - {*VIEWERS.values()}
+
+
+async def _have_topics(calibration: Calibration, watch: GoalWatch, asking: Asking) -> None:
+    """Wait for the topics; a stop that has broken the run off is released and resumed first.
+
+    Instruments may be silent meanwhile, and a capture that was started anew has heard nothing.
+    """
+    missing = partial(_missing, calibration, watch.links)
+    # What is missing may be there and not have been found; what is not there is waited for below.
+    await watch.is_found(lambda: [] if _halted(watch) else missing())
+    while True:
+        await watch.have(lambda: [] if _halted(watch) else missing(), Codes.TOPIC_MISSING)
+        if not _halted(watch):
+            return
+        await asking.have_done()
+
+
+def _halted(watch: GoalWatch) -> bool:
+    """Return whether somebody has to resume after an emergency stop: never in the first one."""
+    return not watch.preflight and bool(watch.stop.heed())
+
+
+def _missing(calibration: Calibration, links: CellLinks) -> list[str]:
+    """Return what is missing around the topics, in words."""
+    configuration = calibration.configuration
+    if odd := names_at_odds(links.node, topics_value(configuration)):
+        return odd
+    needed, _ = expected_air(calibration)
+    air = [
+        f"nobody publishes {name}, without which the index of refraction is unknown"
+        for name in links.missing_air(needed).values()
+    ]
+    wrong = faults(links.health.values("capture"), configuration, calibration.plan)
+    silent, stop = single_shots(configuration.topics), configuration.safety.emergency_stop
+    return links.missing_topics(calibration.method.topics, silent, stop) + air + wrong

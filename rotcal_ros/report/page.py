@@ -1,7 +1,11 @@
-"""The HTML report: one self-contained page, a pure function of a result and its inputs."""
+"""The HTML report: one self-contained page, a pure function of a result and its inputs.
+
+The number and the fingerprint by which the pages of one report are known.
+"""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -26,7 +30,6 @@ from rotcal_ros.report import (
     trust,
     verification,
 )
-from rotcal_ros.report.fingerprint import fingerprint, number
 from rotcal_ros.report.template import render
 from rotcal_ros.results import Result
 
@@ -170,3 +173,18 @@ def _short(value: Any) -> str:
     if 0 < len(items) <= 4 and all(isinstance(item, int | float) for item in items):
         return "(" + ", ".join(f"{item:.6g}" for item in items) + ")"
     return ""
+
+
+DIGITS: Final = 10
+SHOWN: Final = 16
+
+
+def fingerprint(result: Result) -> str:
+    """Return the SHA-256 of the result as result.json holds it."""
+    return hashlib.sha256(result.to_json().encode()).hexdigest()
+
+
+def number(result: Result) -> str:
+    """Return the number of the certificate, or one that follows from the fingerprint."""
+    stated = result.circumstances.identity.certificate_number
+    return stated or f"RC-{fingerprint(result)[:DIGITS].upper()}"

@@ -187,12 +187,12 @@ def goals(monkeypatch):
     messages = SimpleNamespace(FollowJointTrajectory=SimpleNamespace(Goal=SimpleNamespace))
     for name in ("control_msgs", "control_msgs.action"):
         monkeypatch.setitem(sys.modules, name, messages)
-    monkeypatch.delitem(sys.modules, "rotcal_ros.nodes.joint_goals", raising=False)
-    module = import_module("rotcal_ros.nodes.joint_goals")
+    monkeypatch.delitem(sys.modules, "rotcal_ros.nodes.joint_controllers", raising=False)
+    module = import_module("rotcal_ros.nodes.joint_controllers")
     monkeypatch.setattr(module, "ActionClient", Client)
     node = SimpleNamespace(health=SimpleNamespace(guarded=lambda work: work))
     yield module.GoalController(node, "/drive", "rotary"), futures
-    sys.modules.pop("rotcal_ros.nodes.joint_goals")
+    sys.modules.pop("rotcal_ros.nodes.joint_controllers")
 
 
 class Goal:
