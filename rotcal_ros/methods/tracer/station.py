@@ -9,7 +9,7 @@ largely cancel in the angle.
 Undamped Gauss-Newton steps for all stations at once, as long as they contract.
 
 From a fair start they converge quadratically, and the damping and line search of the paper
-(:mod:`.station`) only cost time; a station whose steps do not shrink fast is left to them. The
+only cost time; a station whose steps do not shrink fast is left to them. The
 normal equations lose digits of a step, not of the answer: that is where the gradient of the
 residuals vanishes, and each step takes these anew in full precision.
 """

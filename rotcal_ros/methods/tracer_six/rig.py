@@ -4,7 +4,7 @@ A station is R_i q_k + t_i, with the pose (R_i, t_i) of the table's frame at a p
 place q_k in that frame. Scatter from arrival to arrival moves it by e ~ N(0, S) and is
 integrated out, so that the lengths of a station have the covariance D + U S U'; its inverse is
 W = D^-1 - H H' with H (n, 3). Poses, six unknowns each, are eliminated; targets, places and zeros
-are kept. What no length feels is fixed by constraints: see :mod:`.gauge`.
+are kept. What no length feels is fixed by constraints.
 
 What no length feels: frames, and the flex of places on one circle.
 
