@@ -189,7 +189,7 @@ class LinuxCnc(Controller):
         )
 
     def lag(self, rule: Rule, table: CompensationTable) -> Lag:
-        """Return what the trim leaves that does not follow; see :mod:`.linuxcnc_following`."""
+        """Return what the trim leaves that does not follow."""
         if not self.max_acceleration_deg_s2:
             return Lag(notes=(UNKNOWN_LIMITS,))
         following = Following(

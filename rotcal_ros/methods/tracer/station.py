@@ -43,7 +43,7 @@ def locate_stations(
     """Return (X, Y, Z, d) of all stations (m, 4), and which have settled (m,); Eq. 5-17.
 
     ``targets`` (n, 3), ``length`` and ``weights`` (m, n; weight zero for a missing length),
-    ``start`` (m, 4), in metres. Undamped steps (:mod:`.undamped`) where they contract, the paper's
+    ``start`` (m, 4), in metres. Undamped steps where they contract, the paper's
     Levenberg-Marquardt (:func:`locate_damped`) for the other stations; the minimum is the same.
     """
     state, settled = contract(targets, length, weights, start)
