@@ -18,17 +18,17 @@ from rotcal_ros.capture import Capture, Record
 from rotcal_ros.capture.rejections import Rejections, kind_of
 from rotcal_ros.capture.stamp_offsets import StampOffsets
 from rotcal_ros.instruments.steps import Order, StepFinder
-from rotcal_ros.nodes import conversions
-from rotcal_ros.nodes.cell_node import CellNode
-from rotcal_ros.nodes.concerns import CLOCK_DOUBT, COMPLAINT, OFFSET, REJECTED, show
-from rotcal_ros.nodes.health import CALIBRATING
-from rotcal_ros.nodes.instrument_streams import InstrumentStreams
-from rotcal_ros.nodes.latest import HOPELESS, WAITING_FOR
-from rotcal_ros.nodes.planners_plans import PlannersPlans
-from rotcal_ros.nodes.plans import REFUSED, RUN, calibration_of, load_method, run_name
-from rotcal_ros.nodes.qos import EVENT
-from rotcal_ros.nodes.roll_call import LOADING
-from rotcal_ros.nodes.running import run
+from rotcal_ros.nodes.instruments.streams import InstrumentStreams
+from rotcal_ros.nodes.runtime import conversions
+from rotcal_ros.nodes.runtime.cell_node import CellNode
+from rotcal_ros.nodes.runtime.concerns import CLOCK_DOUBT, COMPLAINT, OFFSET, REJECTED, show
+from rotcal_ros.nodes.runtime.health import CALIBRATING
+from rotcal_ros.nodes.runtime.latest import HOPELESS, WAITING_FOR
+from rotcal_ros.nodes.runtime.planners_plans import PlannersPlans
+from rotcal_ros.nodes.runtime.plans import REFUSED, RUN, calibration_of, load_method, run_name
+from rotcal_ros.nodes.runtime.qos import EVENT
+from rotcal_ros.nodes.runtime.roll_call import LOADING
+from rotcal_ros.nodes.runtime.running import run
 from rotcal_ros.observations import Command, Observation
 
 

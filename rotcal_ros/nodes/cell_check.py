@@ -46,34 +46,34 @@ from rotcal_ros.geometry.frames import FrameTree, Pose
 from rotcal_ros.instruments.conventions import Conventions
 from rotcal_ros.middleware import discovery_in_words
 from rotcal_ros.nodes.capture import CaptureNode
-from rotcal_ros.nodes.cell_graph import ORDERS, CellGraph
-from rotcal_ros.nodes.channels import message_type
-from rotcal_ros.nodes.check_adapter import GROUP, AdapterEars, controller_lines
-from rotcal_ros.nodes.check_drivers import brought_line, driver_lines
-from rotcal_ros.nodes.check_heard import Heard
-from rotcal_ros.nodes.check_neighbours import cell_lines
-from rotcal_ros.nodes.check_streams import clock_line, stream_lines
-from rotcal_ros.nodes.concerns import OFFSET
-from rotcal_ros.nodes.frames import StaticFrames
-from rotcal_ros.nodes.header_watch import HeaderWatch, watch_headers
-from rotcal_ros.nodes.instrument_streams import TIMED
-from rotcal_ros.nodes.preflight import frame_doubts
-from rotcal_ros.nodes.qos import LATCHED
-from rotcal_ros.nodes.running import EndRequest, leave_with
-from rotcal_ros.nodes.steady import steady_timer
-from rotcal_ros.nodes.table_feedback import (
+from rotcal_ros.nodes.check.adapter import GROUP, AdapterEars, controller_lines
+from rotcal_ros.nodes.check.drivers import brought_line, driver_lines
+from rotcal_ros.nodes.check.header_watch import HeaderWatch, watch_headers
+from rotcal_ros.nodes.check.heard import Heard
+from rotcal_ros.nodes.check.neighbours import cell_lines
+from rotcal_ros.nodes.check.streams import clock_line, stream_lines
+from rotcal_ros.nodes.goal.preflight import frame_doubts
+from rotcal_ros.nodes.instruments.streams import TIMED
+from rotcal_ros.nodes.instruments.table_feedback import (
     chosen_joint,
     joint_doubts,
     joints,
     table_angle,
 )
-from rotcal_ros.nodes.topic_names import TOPIC
+from rotcal_ros.nodes.runtime.cell_graph import ORDERS, CellGraph
+from rotcal_ros.nodes.runtime.channels import message_type
+from rotcal_ros.nodes.runtime.concerns import OFFSET
+from rotcal_ros.nodes.runtime.frames import StaticFrames
+from rotcal_ros.nodes.runtime.qos import LATCHED
+from rotcal_ros.nodes.runtime.running import EndRequest, leave_with
+from rotcal_ros.nodes.runtime.topic_names import TOPIC
+from rotcal_ros.nodes.runtime.turns import steady_timer
 from rotcal_ros.sessions.domains import domains_in_use
 from rotcal_ros.table_motion import PUBLISH_VELOCITY
 from rotcal_ros.units import DEGREE
 
 if TYPE_CHECKING:
-    from rotcal_ros.nodes.check_heard import Heard
+    from rotcal_ros.nodes.check.heard import Heard
 
 
 NAME: Final = "cell_check"

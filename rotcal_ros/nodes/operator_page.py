@@ -20,14 +20,14 @@ from rclpy.qos import qos_profile_action_status_default
 from rotcal_msgs.action import Calibrate
 from std_srvs.srv import Trigger
 
-from rotcal_ros.nodes import page_sections
-from rotcal_ros.nodes.cell_node import CellNode
-from rotcal_ros.nodes.health import CALIBRATING
-from rotcal_ros.nodes.outcome import Feedback, Outcome
-from rotcal_ros.nodes.page_offer import WaitingTable
-from rotcal_ros.nodes.page_topics import PageTopics, Streams
-from rotcal_ros.nodes.qos import VIEW
-from rotcal_ros.nodes.running import run
+from rotcal_ros.nodes.goal.outcome import Feedback, Outcome
+from rotcal_ros.nodes.page import sections as page_sections
+from rotcal_ros.nodes.page.offer import WaitingTable
+from rotcal_ros.nodes.page.topics import PageTopics, Streams
+from rotcal_ros.nodes.runtime.cell_node import CellNode
+from rotcal_ros.nodes.runtime.health import CALIBRATING
+from rotcal_ros.nodes.runtime.qos import VIEW
+from rotcal_ros.nodes.runtime.running import run
 from rotcal_ros.page.app import Answer
 from rotcal_ros.page.board import Board, Course
 from rotcal_ros.page.headline import Heard, now

@@ -42,16 +42,16 @@ from rotcal_ros.evaluation.marks import marks
 from rotcal_ros.files import write_atomically
 from rotcal_ros.middleware import LOCALHOST
 from rotcal_ros.node_names import NODES, VIEWERS
-from rotcal_ros.nodes.bookkeeping import NEVER_PAUSE
-from rotcal_ros.nodes.channels import importable_type
-from rotcal_ros.nodes.conversions import time_message
-from rotcal_ros.nodes.health import CALIBRATING, Health
-from rotcal_ros.nodes.json_lines import say
-from rotcal_ros.nodes.peer import Peer
-from rotcal_ros.nodes.plans import REFUSED, RUN, run_name
-from rotcal_ros.nodes.qos import EVENT
 from rotcal_ros.nodes.replayed_bag import CLOCK, ReplayedBag, of_attempts
-from rotcal_ros.nodes.running import EndRequest, leave_with
+from rotcal_ros.nodes.runtime.channels import importable_type
+from rotcal_ros.nodes.runtime.conversions import time_message
+from rotcal_ros.nodes.runtime.health import CALIBRATING, Health
+from rotcal_ros.nodes.runtime.json_lines import say
+from rotcal_ros.nodes.runtime.peer import Peer
+from rotcal_ros.nodes.runtime.plans import REFUSED, RUN, run_name
+from rotcal_ros.nodes.runtime.qos import EVENT
+from rotcal_ros.nodes.runtime.running import EndRequest, leave_with
+from rotcal_ros.nodes.writing.bookkeeping import NEVER_PAUSE
 from rotcal_ros.observations import Observation
 from rotcal_ros.results import Result
 from rotcal_ros.units import NANOSECOND

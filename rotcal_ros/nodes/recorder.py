@@ -38,23 +38,28 @@ from rotcal_ros.files import write_atomically
 from rotcal_ros.instruments.forms import OWN
 from rotcal_ros.instruments.interpreter import FAST
 from rotcal_ros.messages import stamp_ns
-from rotcal_ros.nodes.aside import done_aside
-from rotcal_ros.nodes.bookkeeping import NEEDED, LogTimes, PendingReceipts, Silence, Silences
-from rotcal_ros.nodes.cell_node import CellNode, until
-from rotcal_ros.nodes.channels import own_channel
-from rotcal_ros.nodes.conversions import time_message
-from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch
-from rotcal_ros.nodes.health import RECORDING_FAILED
-from rotcal_ros.nodes.heard_topic import HeardTopic
-from rotcal_ros.nodes.listening import Listener
-from rotcal_ros.nodes.qos import EVENT
-from rotcal_ros.nodes.recorded_session import RecordedSession, observations_in
-from rotcal_ros.nodes.recording import Messages, Receipt, Recording
-from rotcal_ros.nodes.roll_call import LOADING
-from rotcal_ros.nodes.running import run
-from rotcal_ros.nodes.surroundings import Parameters, keep_surroundings
-from rotcal_ros.nodes.topic_names import CalledOtherwise
-from rotcal_ros.nodes.waiting import handle_events
+from rotcal_ros.nodes.runtime.cell_node import CellNode, until
+from rotcal_ros.nodes.runtime.channels import own_channel
+from rotcal_ros.nodes.runtime.conversions import time_message
+from rotcal_ros.nodes.runtime.draining import GRAPH_PERIOD_S, Batch
+from rotcal_ros.nodes.runtime.health import RECORDING_FAILED
+from rotcal_ros.nodes.runtime.qos import EVENT
+from rotcal_ros.nodes.runtime.roll_call import LOADING
+from rotcal_ros.nodes.runtime.running import done_aside, run
+from rotcal_ros.nodes.runtime.topic_names import CalledOtherwise
+from rotcal_ros.nodes.runtime.turns import handle_events
+from rotcal_ros.nodes.writing.bookkeeping import (
+    NEEDED,
+    LogTimes,
+    PendingReceipts,
+    Silence,
+    Silences,
+)
+from rotcal_ros.nodes.writing.heard_topic import HeardTopic
+from rotcal_ros.nodes.writing.listening import Listener
+from rotcal_ros.nodes.writing.recorded_session import RecordedSession, observations_in
+from rotcal_ros.nodes.writing.recording import Messages, Receipt, Recording
+from rotcal_ros.nodes.writing.surroundings import Parameters, keep_surroundings
 from rotcal_ros.observations import Observation
 from rotcal_ros.session_folder import SessionFolder
 

@@ -30,12 +30,12 @@ from rotcal_ros.catalogue.continuation import Recorded
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.errors import DataError, RotcalError
 from rotcal_ros.in_force import of_axis
-from rotcal_ros.nodes import conversions
-from rotcal_ros.nodes.cell_node import CellNode, until
-from rotcal_ros.nodes.frames import StaticFrames
-from rotcal_ros.nodes.heartbeat import BEAT_PERIOD_S
-from rotcal_ros.nodes.planners_plans import PlannersPlans
-from rotcal_ros.nodes.plans import (
+from rotcal_ros.nodes.runtime import conversions
+from rotcal_ros.nodes.runtime.cell_node import CellNode, until
+from rotcal_ros.nodes.runtime.frames import StaticFrames
+from rotcal_ros.nodes.runtime.heartbeat import BEAT_PERIOD_S
+from rotcal_ros.nodes.runtime.planners_plans import PlannersPlans
+from rotcal_ros.nodes.runtime.plans import (
     REFUSED,
     RUN,
     calibration_of,
@@ -43,9 +43,9 @@ from rotcal_ros.nodes.plans import (
     read_continuation,
     run_name,
 )
-from rotcal_ros.nodes.qos import EVENT, LATCHED
-from rotcal_ros.nodes.roll_call import LOADING, SOLVING
-from rotcal_ros.nodes.running import run
+from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED
+from rotcal_ros.nodes.runtime.roll_call import LOADING, SOLVING
+from rotcal_ros.nodes.runtime.running import run
 from rotcal_ros.observations import Observation
 from rotcal_ros.plugins import in_words
 from rotcal_ros.results import Result

@@ -12,11 +12,11 @@ pytest.importorskip("rotcal_msgs")
 from rotcal_ros.catalogue import prepare
 from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
 from rotcal_ros.catalogue.continuation import Continuation, Recorded
-from rotcal_ros.nodes import goal_run
-from rotcal_ros.nodes.crew import Codes, GoalError
-from rotcal_ros.nodes.goal_run import GoalBag, GoalRun
-from rotcal_ros.nodes.measuring import Measuring
-from rotcal_ros.nodes.progress import Progress
+from rotcal_ros.nodes.goal import run as goal_run
+from rotcal_ros.nodes.goal.crew import Codes, GoalError
+from rotcal_ros.nodes.goal.measuring import Measuring
+from rotcal_ros.nodes.goal.progress import Progress
+from rotcal_ros.nodes.goal.run import GoalBag, GoalRun
 from rotcal_ros.planning.plan import Pause
 from rotcal_ros.planning.planner_settings import PlannerSettings
 

@@ -9,10 +9,10 @@ pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros.catalogue import changed, prepare, read_configuration
-from rotcal_ros.nodes import goal_run
-from rotcal_ros.nodes.cell_links import CellLinks
-from rotcal_ros.nodes.crew import GoalError
-from rotcal_ros.nodes.goal_watch import GoalWatch
+from rotcal_ros.nodes.goal import run as goal_run
+from rotcal_ros.nodes.goal.cell_links import CellLinks
+from rotcal_ros.nodes.goal.crew import GoalError
+from rotcal_ros.nodes.goal.watch import GoalWatch
 
 STOP = "/safety/estop"
 

@@ -10,8 +10,8 @@ pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros.machine_load import patient
-from rotcal_ros.nodes import running
-from rotcal_ros.nodes.health import CALIBRATING
+from rotcal_ros.nodes.runtime import running
+from rotcal_ros.nodes.runtime.health import CALIBRATING
 
 TURN_S = 0.001
 
@@ -54,8 +54,8 @@ def test_events_are_handled_once_and_no_turn_waits_for_them(monkeypatch):
     from rclpy.qos import QoSProfile, ReliabilityPolicy
     from std_msgs.msg import Bool
 
-    from rotcal_ros.nodes.managed_node import ManagedNode
-    from rotcal_ros.nodes.waiting import handle_events
+    from rotcal_ros.nodes.runtime.managed_node import ManagedNode
+    from rotcal_ros.nodes.runtime.turns import handle_events
     from rotcal_ros.sessions.environment import node_environment
 
     for name, value in node_environment().items():
