@@ -18,18 +18,7 @@ from rotcal_ros.figures import Figure, curves
 from rotcal_ros.figures.residuals import residual_figures
 from rotcal_ros.in_force import UNKNOWN
 from rotcal_ros.observations import Observation
-from rotcal_ros.report import (
-    budget,
-    facts,
-    first_page,
-    goal,
-    harmonics,
-    iso230,
-    reliability,
-    traceability,
-    trust,
-    verification,
-)
+from rotcal_ros.report import facts, first_page, iso230, sections, verification
 from rotcal_ros.report.template import render
 from rotcal_ros.results import Result
 
@@ -85,10 +74,10 @@ def render_report(report: ReportInput) -> str:
         curve=curves.deviations(result, report.truth, valid=not doubt),
         zero=_zero(result),
         values=first_page.value_blocks(result, doubt),
-        traceability=traceability.statement(result),
+        traceability=sections.traceability_statement(result),
         only_this_item=facts.ONLY_THIS_ITEM,
         adjustment=f"See “{verification.TITLE}”." if adjusted else NO_ADJUSTMENT,
-        goal=goal.section(report.goal),
+        goal=sections.goal_standing(report.goal),
         sections=[section for section in _sections(report, doubt) if section[1]],
         rejected=[[r.index, r.why] for r in result.rejected],
         attempts=attempts,
@@ -102,16 +91,16 @@ def _sections(report: ReportInput, doubt: str) -> list[tuple[str, str]]:
     figures = [figure for figure in _figures(report) if figure.svg]
     drawn = {place: _drawings(figures, place) for place in ("set-up", "residuals", "results")}
     return [
-        (budget.TITLE, budget.section(result, doubt)),
-        (trust.TITLE, trust.section(result)),
-        (traceability.TITLE, traceability.section(result)),
+        (sections.BUDGET, sections.budget(result, doubt)),
+        (sections.TRUST, sections.protections(result)),
+        (sections.TRACEABILITY, sections.traceability(result)),
         ("Set-up", drawn["set-up"]),
         *report.extra,
         ("ISO 230-2: positioning of the axis", iso230.section(result)),
-        ("Harmonic content", harmonics.section(result)),
+        ("Harmonic content", sections.harmonics(result)),
         ("Further figures", drawn["results"]),
         ("Residuals", drawn["residuals"]),
-        (reliability.TITLE, reliability.section(result)),
+        (sections.RELIABILITY, sections.reliability_of_observations(result)),
     ]
 
 
