@@ -191,14 +191,12 @@ def goals(monkeypatch):
     messages = SimpleNamespace(FollowJointTrajectory=SimpleNamespace(Goal=SimpleNamespace))
     for name in ("control_msgs", "control_msgs.action"):
         monkeypatch.setitem(sys.modules, name, messages)
-    monkeypatch.delitem(
-        sys.modules, "rotcal_ros.nodes.instruments.joint_controllers", raising=False
-    )
-    module = import_module("rotcal_ros.nodes.instruments.joint_controllers")
+    monkeypatch.delitem(sys.modules, "rotcal_ros.nodes.instruments.joint_goals", raising=False)
+    module = import_module("rotcal_ros.nodes.instruments.joint_goals")
     monkeypatch.setattr(module, "ActionClient", Client)
     node = SimpleNamespace(health=SimpleNamespace(guarded=lambda work: work))
     yield module.GoalController(node, "/drive", "rotary"), futures
-    sys.modules.pop("rotcal_ros.nodes.instruments.joint_controllers")
+    sys.modules.pop("rotcal_ros.nodes.instruments.joint_goals")
 
 
 class Goal:
