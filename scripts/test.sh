@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # The tests: first those without live nodes, then the live ones; side by side on all cores, each file
 # in one worker, so that what its tests share is made once. ROTCAL_LIVE_WORKERS=1 runs one cell at a
-# time; live tests wait much, so it is one cell more than cores. At the end it says what could not be
+# time; live tests wait much, so it is two cells for each core. At the end it says what could not be
 # tried on this machine, and what to install for it.
 #
 # usage: scripts/test.sh [--quick] [arguments of pytest]    --quick: without those marked slow
@@ -23,7 +23,7 @@ run() {
     fi
 }
 
-cells=${ROTCAL_LIVE_WORKERS:-$(($(nproc) + 1))} # before the next line, which nproc heeds
+cells=${ROTCAL_LIVE_WORKERS:-$((2 * $(nproc)))} # before the next line, which nproc heeds
 export OMP_NUM_THREADS=${OMP_NUM_THREADS:-1}
 side_by_side=(--dist loadfile --no-loadscope-reorder)
 run --live never -n auto "${side_by_side[@]}" "$@"

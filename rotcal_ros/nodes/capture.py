@@ -22,7 +22,6 @@ from rotcal_ros.nodes.instruments.streams import InstrumentStreams
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.concerns import CLOCK_DOUBT, COMPLAINT, OFFSET, REJECTED, show
-from rotcal_ros.nodes.runtime.health import CALIBRATING
 from rotcal_ros.nodes.runtime.latest import HOPELESS, WAITING_FOR
 from rotcal_ros.nodes.runtime.planners_plans import PlannersPlans
 from rotcal_ros.nodes.runtime.plans import REFUSED, RUN, calibration_of, load_method, run_name
@@ -30,6 +29,9 @@ from rotcal_ros.nodes.runtime.qos import EVENT
 from rotcal_ros.nodes.runtime.roll_call import LOADING
 from rotcal_ros.nodes.runtime.running import run
 from rotcal_ros.observations import Command, Observation
+
+READINGS_S: Final = 0.01
+"""So long readings gather while somebody measures."""
 
 
 class CaptureNews:
@@ -92,9 +94,9 @@ class CaptureNode(CellNode):
         self._orders = self.take_orders(self._take_order)
         self.every(PERIOD_S, self._ask)
 
-    def has_time(self) -> bool:
-        """Return whether no orders have to be answered: the planner measures nothing."""
-        return not self.health.state("planner").startswith(CALIBRATING)
+    def gather_s(self) -> float:
+        """Take readings together: an observation waits for them anyway."""
+        return self.idle_s() or READINGS_S
 
     def deactivated(self) -> None:
         """Feed nothing more: what an instrument says in between is missing from every window."""

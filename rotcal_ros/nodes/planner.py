@@ -24,7 +24,7 @@ from rotcal_ros.nodes.goal.pauses import Pauses
 from rotcal_ros.nodes.goal.progress import Progress
 from rotcal_ros.nodes.goal.run import GoalRun
 from rotcal_ros.nodes.goal.watch import GoalWatch
-from rotcal_ros.nodes.runtime.cell_node import CellNode
+from rotcal_ros.nodes.runtime.cell_node import IDLE_S, CellNode
 from rotcal_ros.nodes.runtime.conversions import feedback_message
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.health import CALIBRATING
@@ -89,7 +89,11 @@ class Planner(CellNode):
 
     def stopped(self) -> bool:
         """Return whether no goal runs any more."""
-        return self._run is None and not self._preparing
+        return not self.configured or (self._run is None and not self._preparing)
+
+    def gather_s(self) -> float:
+        """Let what comes gather until there is a goal."""
+        return IDLE_S if self.stopped() else 0.0
 
     def _give_up(self, why: str) -> None:
         self._giving_up = self._given_up = why

@@ -38,11 +38,12 @@ from rotcal_ros.files import write_atomically
 from rotcal_ros.instruments.forms import OWN
 from rotcal_ros.instruments.interpreter import FAST
 from rotcal_ros.messages import stamp_ns
-from rotcal_ros.nodes.runtime.cell_node import CellNode, until
+from rotcal_ros.nodes.runtime.cell_node import IDLE_S, CellNode, until
 from rotcal_ros.nodes.runtime.channels import own_channel
 from rotcal_ros.nodes.runtime.conversions import time_message
 from rotcal_ros.nodes.runtime.draining import GRAPH_PERIOD_S, Batch
 from rotcal_ros.nodes.runtime.health import RECORDING_FAILED
+from rotcal_ros.nodes.runtime.heartbeat import HEARTBEAT
 from rotcal_ros.nodes.runtime.qos import EVENT
 from rotcal_ros.nodes.runtime.roll_call import LOADING
 from rotcal_ros.nodes.runtime.running import done_aside, run
@@ -102,9 +103,9 @@ class RecorderNode(CellNode):
         """Return whether the bag is closed."""
         return self._writing() is None and not self._reading
 
-    def has_time(self) -> bool:
-        """Return whether no bag is open."""
-        return not self.configured or self._writing() is None
+    def gather_s(self) -> float:
+        """Let messages gather while no bag is open."""
+        return IDLE_S if not self.configured or self._writing() is None else 0.0
 
     def _writing(self) -> Recording | None:
         """Return the recording whose bag is open."""
@@ -141,7 +142,7 @@ class RecorderNode(CellNode):
             recording.confirm(receipt)
 
     def _is_fast(self, topic: str) -> bool:
-        return topic in map(self._called.topic, FAST)
+        return topic in map(self._called.topic, (*FAST, HEARTBEAT))
 
     def _clock_jumps(self) -> int:
         """Return how often the clock was set, just now included."""

@@ -52,6 +52,8 @@ from rotcal_ros.results import Result
 
 ARRIVAL_TIMEOUT_S = 10.0
 SOLVE_TIMEOUT_S = 3600.0
+OBSERVATIONS_S = 0.04
+"""So long observations gather while somebody measures."""
 
 
 class SolverNode(CellNode):
@@ -89,6 +91,10 @@ class SolverNode(CellNode):
     def begin_stop(self) -> None:
         """Give up what is being solved."""
         self._worker.shutdown(wait=False, cancel_futures=True)
+
+    def gather_s(self) -> float:
+        """Let observations gather: nobody waits for a preliminary result."""
+        return 0.0 if self._answering else self.idle_s() or OBSERVATIONS_S
 
     def _take_plan(self, message: CalibrationPlan) -> None:
         """Start afresh, with what the recorder has of the runs so far, or this node itself."""

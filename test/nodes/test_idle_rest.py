@@ -2,6 +2,7 @@
 
 import sys
 import time
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
@@ -17,9 +18,11 @@ TURN_S = 0.001
 
 
 @pytest.mark.parametrize(
-    ("has_time", "simulated", "share"), [(True, False, 0.25), (False, False, 1), (True, True, 1)]
+    ("gather_s", "simulated", "share"), [(0.04, False, 0.25), (0.0, False, 1), (0.04, True, 1)]
 )
-def test_who_has_time_is_awake_for_a_part_of_it(monkeypatch, has_time, simulated, share):
+def test_who_lets_messages_gather_is_awake_for_a_part_of_it(
+    monkeypatch, gather_s, simulated, share
+):
     now_s, awake_s = 0.0, 0.0
 
     def sleep(seconds):
@@ -29,7 +32,7 @@ def test_who_has_time_is_awake_for_a_part_of_it(monkeypatch, has_time, simulated
     monkeypatch.setattr(running.time, "monotonic", lambda: now_s)
     monkeypatch.setattr(running.time, "sleep", sleep)
     sim = SimpleNamespace(used=simulated)
-    node = SimpleNamespace(has_time=lambda: has_time, health=SimpleNamespace(sim=sim))
+    node = SimpleNamespace(gather_s=lambda: gather_s, health=SimpleNamespace(sim=sim))
     rest = running._Rest()
     while now_s < 2.0:  # a turn of the executor, and the rest behind it
         now_s, awake_s = now_s + TURN_S, awake_s + TURN_S
@@ -39,12 +42,18 @@ def test_who_has_time_is_awake_for_a_part_of_it(monkeypatch, has_time, simulated
     assert awake_s / now_s == pytest.approx(share, abs=0.06)
 
 
-def test_the_capture_has_time_until_the_planner_measures():
-    from rotcal_ros.nodes.capture import CaptureNode
+def test_capture_and_solver_take_their_time_until_the_planner_measures():
+    from rotcal_ros.nodes.cell_node import CellNode
 
-    for state, has_time in (("", True), ("idle", True), (f"{CALIBRATING}: step 3", False)):
-        health = SimpleNamespace(state={"planner": state}.__getitem__)
-        assert CaptureNode.has_time(SimpleNamespace(health=health)) is has_time
+    from rotcal_ros.nodes.capture import CaptureNode
+    from rotcal_ros.nodes.solver import SolverNode
+
+    for kind, at_work_s in ((CaptureNode, 0.01), (SolverNode, 0.04)):
+        for state, gather_s in (("", 0.1), ("ready", 0.1), (f"{CALIBRATING}: step 3", at_work_s)):
+            health = SimpleNamespace(state={"planner": state}.__getitem__)
+            node = SimpleNamespace(health=health, _answering=0)
+            node.idle_s = partial(CellNode.idle_s, node)
+            assert kind.gather_s(node) == gather_s
 
 
 def test_events_are_handled_once_and_no_turn_waits_for_them(monkeypatch):

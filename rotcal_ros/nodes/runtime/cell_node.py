@@ -18,7 +18,7 @@ from rotcal_msgs.msg import ProbeTarget, TableAngle
 from rotcal_ros.bags import names
 from rotcal_ros.capture.orders import Orders
 from rotcal_ros.machine_load import Patience
-from rotcal_ros.nodes.runtime.health import Health, Values
+from rotcal_ros.nodes.runtime.health import CALIBRATING, Health, Values
 from rotcal_ros.nodes.runtime.hearing import Hearing
 from rotcal_ros.nodes.runtime.managed_node import ManagedNode
 from rotcal_ros.nodes.runtime.parameters import declare_settings, given_parameters
@@ -30,6 +30,8 @@ from rotcal_ros.planning.health_settings import HealthSettings
 
 T = TypeVar("T")
 
+IDLE_S: Final = 0.1
+"""So long messages gather while nobody measures."""
 _QUIET: Final = frozenset({"recorder", "solver"})
 """Nodes that leave alone what others have named."""
 
@@ -170,9 +172,14 @@ class CellNode(ManagedNode, ABC):
         listen(ProbeTarget, names.PROBE_TARGET, orders.probe_target)
         return orders
 
-    def has_time(self) -> bool:
-        """Return whether what comes may wait a moment, to be taken together: nobody measures."""
-        return False
+    def gather_s(self) -> float:
+        """Return how long what comes may wait, to be taken together; s."""
+        return 0.0
+
+    def idle_s(self) -> float:
+        """Return :meth:`gather_s` of a node that works in calibrations only."""
+        measuring = self.health.state("planner").startswith(CALIBRATING)
+        return 0.0 if measuring else IDLE_S
 
     def why_not(self) -> str:
         """Return why this node does not do what it is asked; empty: it does."""

@@ -21,16 +21,18 @@ from rclpy.qos import QoSProfile
 from rotcal_ros.machine_load import AwakeClock
 from rotcal_ros.nodes.runtime.clock_news import ClockNews
 from rotcal_ros.nodes.runtime.draining import Batch, DrainedSubscription
-from rotcal_ros.nodes.runtime.heartbeat import BEAT_PERIOD_S, BUSY, LEAVING, Heartbeat
+from rotcal_ros.nodes.runtime.heartbeat import BEAT_PERIOD_S, BUSY, HEARTBEAT, LEAVING, Heartbeat
 from rotcal_ros.nodes.runtime.identity import IDENTITY, Identity, NameHolders, refusal
 from rotcal_ros.nodes.runtime.memory import end_without_memory
 from rotcal_ros.nodes.runtime.processes_here import PROCESS, is_of_here, why_gone
 from rotcal_ros.nodes.runtime.roll_call import RollCall
 from rotcal_ros.nodes.runtime.sim_clock import SimClock
-from rotcal_ros.nodes.runtime.turns import steady_timer
+from rotcal_ros.nodes.runtime.turns import UNWAITED, steady_timer
 from rotcal_ros.planning.health_settings import HealthSettings
 from rotcal_ros.plugins import culprit
 
+HEAR_PERIOD_S: Final = 0.1
+"""So often the beats of the others are heard, all together."""
 DIAGNOSTICS_PERIOD_S: Final = 1.0
 AWARE_S: Final = 0.7
 """So long behind a standstill of its own a node does not know the others as they are now."""
@@ -78,8 +80,10 @@ class Health:
         self._beats = Heartbeat(node, self.identity) if report is not None else None
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 1)
         self._heard = DrainedSubscription(
-            node, DiagnosticStatus, "heartbeat", QoSProfile(depth=100), self.guarded(self._hear)
-        )
+            node, DiagnosticStatus, HEARTBEAT, QoSProfile(depth=100), self.guarded(self._hear),
+            group=UNWAITED,
+        )  # fmt: skip
+        steady_timer(node, HEAR_PERIOD_S, self._heard.drain)
         steady_timer(node, BEAT_PERIOD_S, self.guarded(self._turn))
         steady_timer(node, DIAGNOSTICS_PERIOD_S, self.guarded(self._diagnose))
 
@@ -206,7 +210,7 @@ class Health:
         silent_s = self.awake.now_s() - self._roll.seen[name]
         if silent_s <= self.settings.slow_after_s:
             return ""
-        topic = self._node.resolve_topic_name("heartbeat")
+        topic = self._node.resolve_topic_name(HEARTBEAT)
         here = {info.node_name for info in self._node.get_publishers_info_by_topic(topic)}
         return "" if name in here else "it has left the graph"
 

@@ -16,6 +16,7 @@ from rclpy.qos import QoSProfile
 from rotcal_ros.nodes.runtime.identity import IDENTITY, Identity
 from rotcal_ros.nodes.runtime.processes_here import PROCESS, own_process
 
+HEARTBEAT: Final = "heartbeat"
 BEAT_PERIOD_S: Final = 0.2
 BUSY: Final = "busy_s"
 """Value in a beat: how long ago the node took its last turn, where that is long."""
@@ -31,9 +32,7 @@ class Heartbeat:
     def __init__(self, node: Node, identity: Identity) -> None:
         self._context, self._identity = node.context, identity
         self._process = own_process()
-        self._publisher = node.create_publisher(
-            DiagnosticStatus, "heartbeat", QoSProfile(depth=20)
-        )
+        self._publisher = node.create_publisher(DiagnosticStatus, HEARTBEAT, QoSProfile(depth=20))
         self._lock, self._ended = Lock(), Event()
         self._thread: Thread | None = None
         self._latest = DiagnosticStatus()

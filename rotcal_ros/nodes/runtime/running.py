@@ -34,8 +34,6 @@ SUPERVISOR_VARIABLE: Final = "ROTCAL_SUPERVISOR"
 STOP_TIMEOUT_S: Final = 20.0
 _TURN_S: Final = 0.2
 _AWAKE_S: Final = 0.01
-GATHER_S: Final = 0.04
-"""So long a node that has time lets messages gather: a turn costs as much for one as for many."""
 
 
 def run(make: Callable[[], CellNode], default_range: str = ROS_DEFAULT_RANGE) -> NoReturn:
@@ -108,17 +106,20 @@ class EndRequest:
 
 
 class _Rest:
-    """Lets messages gather where a node has time, after all that had gathered before."""
+    """Lets messages gather as long as a node likes, after all that had gathered before.
+
+    A turn costs as much for one message as for many.
+    """
 
     def __init__(self) -> None:
         self._taken_s = 0.0
 
     def take(self, node: CellNode) -> None:
-        """Rest for a moment, if the node has time and was awake for long enough."""
+        """Rest for a moment, if the node was awake for long enough."""
         if time.monotonic() < self._taken_s + _AWAKE_S:
             return
-        if node.has_time() and not node.health.sim.used:
-            time.sleep(GATHER_S)
+        if not node.health.sim.used:
+            time.sleep(node.gather_s())
         self._taken_s = time.monotonic()
 
 
