@@ -18,7 +18,7 @@ from rotcal_ros.methods.tracer_six import SixProblem
 from rotcal_ros.methods.tracer_six.curves import rotation_vector
 from rotcal_ros.methods.tracer_six.layout import lay_out
 from rotcal_ros.methods.tracer_six.rig import relax
-from rotcal_ros.methods.tracer_six.start import find_start
+from rotcal_ros.methods.tracer_six.solution import find_start
 
 FORCING = {"tr_options": {"atol": 1e-14, "btol": 1e-14, "maxiter": 2000}}
 """With its own tolerance lsmr stops early, and least_squares takes four times as long."""

@@ -24,7 +24,7 @@ from rotcal_msgs.msg import TracerLength
 from rotcal_msgs.srv import StartRecording, StopRecording
 
 from rotcal_ros.bags.reader import bag_files, check_files
-from rotcal_ros.nodes.qos import STREAM, adapted_qos
+from rotcal_ros.nodes.runtime.qos import STREAM, adapted_qos
 from rotcal_ros.sessions.environment import node_environment
 
 TRACER, TABLE = TOPICS = ("tracer_length", "table_stream")

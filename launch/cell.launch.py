@@ -18,7 +18,13 @@ from launch_ros.substitutions import FindPackageShare
 from rotcal_ros.catalogue import read_configuration
 from rotcal_ros.catalogue.configuration import SIMULATION, node_parameters
 from rotcal_ros.node_names import NODES, VIEWERS
-from rotcal_ros.nodes.machine_nodes import AS_CONFIGURED, OWN, PROBES, TABLES, machine_nodes
+from rotcal_ros.nodes.runtime.machine_nodes import (
+    AS_CONFIGURED,
+    OWN,
+    PROBES,
+    TABLES,
+    machine_nodes,
+)
 
 CLOSING_S = "25"
 RESPAWN_S = 2.0

@@ -4,6 +4,6 @@ It works with a live graph of nodes only: examples/11_calibrate_from_a_script.py
 """
 
 from rotcal_ros.nodes.calibrator import Calibrator, CalibratorError, GoalRefusedError
-from rotcal_ros.nodes.outcome import Feedback, Outcome
+from rotcal_ros.nodes.goal.outcome import Feedback, Outcome
 
 __all__ = ["Calibrator", "CalibratorError", "Feedback", "GoalRefusedError", "Outcome"]

@@ -30,7 +30,6 @@ from rotcal_ros.methods.tracer import TracerProblem, solve
 from rotcal_ros.observations import Approach, Observation, PointKind
 from rotcal_ros.planning.plan import Plan, Step
 from rotcal_ros.planning.policy.choices import Outcome, Standing
-from rotcal_ros.planning.policy.first_sweep import first_sweep
 from rotcal_ros.planning.policy.lengths import Costs, LengthExperiment
 from rotcal_ros.planning.policy.stated import Stated
 from rotcal_ros.planning.policy.until_goal import (
@@ -38,6 +37,7 @@ from rotcal_ros.planning.policy.until_goal import (
     RESERVE_PER_SEGMENT,
     Limits,
     UntilGoal,
+    first_sweep,
 )
 from rotcal_ros.planning.sequence_forecast import OrderForecast
 from rotcal_ros.planning.tracer_design.optimum import ideal_plan

@@ -4,21 +4,47 @@ The bytes of a torn last record, which no reader can use, stay in the file as an
 file as the interruption left it is its first ``interrupted_at_byte`` bytes and that attachment.
 While a file is being closed a journal stands beside it; whoever dies meanwhile leaves what the
 next one needs to do it again.
+
+The index at the end of an MCAP file, made again from the records before it.
 """
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+import struct
+import time
+import zlib
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Final
+from typing import BinaryIO, Final
 
-from mcap.records import Metadata
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    MessageIndex,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.mcap_file import LIBRARY
-from rotcal_ros.bags.mcap_tail import Contents
+from rotcal_ros.bags.mcap_records import MAGIC, parse
 from rotcal_ros.bags.reader import bag_files, file_info, read_blocks
 from rotcal_ros.bags.rosbag2_metadata import FileInfo
 from rotcal_ros.bags.session_identity import file_head
@@ -152,3 +178,203 @@ def _begun(journal: Path) -> tuple[int, bytes] | None:
         return None
     head, _, torn = journal.read_bytes().partition(b"\n")
     return int(json.loads(head)["end"]), torn
+
+
+PROFILE: Final = "ros2"
+_HEAD: Final = struct.Struct("<BQ")
+_MESSAGE: Final = struct.Struct("<HIQ")
+_INDEX: Final = struct.Struct("<HI")
+
+
+def _taken(builder: RecordBuilder) -> bytes:
+    data: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return data
+
+
+def _inner(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield opcode, begin and length of the content of every record in an unpacked chunk."""
+    position, unpack = 0, _HEAD.unpack_from
+    while position < len(data):
+        opcode, length = unpack(data, position)
+        yield opcode, position + _HEAD.size, length
+        position += _HEAD.size + length
+
+
+@dataclass
+class Contents:
+    """What the index at the end of a file says: collected from its records, in one pass.
+
+    For files of our recorder whose records are known to be sound: messages stand in chunks.
+    """
+
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    chunks: list[ChunkIndex] = field(default_factory=list)
+    attachments: list[AttachmentIndex] = field(default_factory=list)
+    metadata: list[MetadataIndex] = field(default_factory=list)
+    counts: Counter[int] = field(default_factory=Counter)
+    end: int = 0
+    header: bool = False
+    plain: bool = True
+    _crc: int = 0
+    _last: bytes = b""
+
+    @classmethod
+    def of(cls, file: BinaryIO, end: int) -> Contents:
+        """Collect from the data section of ``file``; its whole records end at byte ``end``.
+
+        ``plain`` is False for a file that was not written like ours.
+        """
+        found = cls()
+        file.seek(0)
+        found._crc = zlib.crc32(file.read(min(end, len(MAGIC))))
+        found.end = min(end, len(MAGIC))
+        while found.end + _HEAD.size <= end:
+            head = file.read(_HEAD.size)
+            opcode, length = _HEAD.unpack(head)
+            if opcode == Opcode.DATA_END:
+                break
+            content = file.read(length)
+            found._crc = zlib.crc32(content, zlib.crc32(head, found._crc))
+            found._take(opcode, content)
+            found.end += _HEAD.size + length
+        return found
+
+    def _take(self, opcode: int, content: bytes) -> None:
+        """Take in one record of the data section, which begins at ``end``."""
+        length = _HEAD.size + len(content)
+        if opcode == Opcode.CHUNK:
+            self._chunk(parse(Chunk, content)[0], length)
+        elif opcode == Opcode.MESSAGE_INDEX and self.chunks:
+            channel, size = _INDEX.unpack_from(content)
+            self.counts[channel] += size // 16
+            self.chunks[-1].message_index_offsets[channel] = self.end
+            self.chunks[-1].message_index_length += length
+        elif opcode == Opcode.ATTACHMENT:
+            self._attachment(self.end, length, parse(Attachment, content)[0])
+        elif opcode == Opcode.METADATA:
+            name = parse(Metadata, content)[0].name
+            self.metadata.append(MetadataIndex(self.end, length, name))
+        elif opcode == Opcode.HEADER:
+            self.header = True
+        else:
+            self.plain = False
+
+    def tail(self, note: Metadata, torn: bytes, library: str) -> bytes:
+        """Return all that stands behind byte ``end`` of the closed file; call it once."""
+        end, data = self.end, RecordBuilder()
+        if end < len(MAGIC):
+            data.write(MAGIC)
+        if not self.header:
+            Header(PROFILE, library).write(data)
+        self._missing_indexes(data)
+        begin = end + data.count
+        note.write(data)
+        self.metadata.append(MetadataIndex(begin, end + data.count - begin, note.name))
+        if torn:
+            now_ns = time.time_ns()
+            attachment = Attachment(now_ns, now_ns, names.TORN, "application/octet-stream", torn)
+            begin = end + data.count
+            attachment.write(data)
+            self._attachment(begin, end + data.count - begin, attachment)
+        written = _taken(data)
+        DataEnd(zlib.crc32(written, self._crc)).write(data)
+        return written + (ended := _taken(data)) + self._summary(end + len(written) + len(ended))
+
+    def _chunk(self, chunk: Chunk, length: int) -> None:
+        packed = chunk.compression == "zstd"
+        self.plain &= packed or not chunk.compression
+        self._last = chunk.data
+        if packed:
+            self._last = zstandard.decompress(chunk.data, chunk.uncompressed_size)
+        for opcode, begin, size in _inner(self._last):
+            if opcode == Opcode.SCHEMA:
+                schema = parse(Schema, self._last[begin : begin + size])[0]
+                self.schemas.setdefault(schema.id, schema)
+            elif opcode == Opcode.CHANNEL:
+                channel = parse(Channel, self._last[begin : begin + size])[0]
+                self.channels.setdefault(channel.id, channel)
+        self.chunks.append(
+            ChunkIndex(
+                message_start_time=chunk.message_start_time,
+                message_end_time=chunk.message_end_time,
+                chunk_start_offset=self.end,
+                chunk_length=length,
+                message_index_offsets={},
+                message_index_length=0,
+                compression=chunk.compression,
+                compressed_size=len(chunk.data),
+                uncompressed_size=chunk.uncompressed_size,
+            )
+        )
+
+    def _attachment(self, offset: int, length: int, attachment: Attachment) -> None:
+        self.attachments.append(
+            AttachmentIndex(
+                offset=offset,
+                length=length,
+                create_time=attachment.create_time,
+                log_time=attachment.log_time,
+                data_size=len(attachment.data),
+                name=attachment.name,
+                media_type=attachment.media_type,
+            )
+        )
+
+    def _missing_indexes(self, data: RecordBuilder) -> None:
+        """Write the message indexes that the interruption kept from following the last chunk."""
+        if not self.chunks:
+            return
+        index = self.chunks[-1]
+        if index.chunk_start_offset + index.chunk_length + index.message_index_length != self.end:
+            return
+        missing: dict[int, list[tuple[int, int]]] = {}
+        for opcode, begin, _ in _inner(self._last):
+            if opcode == Opcode.MESSAGE:
+                channel, _, log_time = _MESSAGE.unpack_from(self._last, begin)
+                if channel not in index.message_index_offsets:
+                    missing.setdefault(channel, []).append((log_time, begin - _HEAD.size))
+        for channel, entries in missing.items():
+            index.message_index_offsets[channel] = self.end + data.count
+            MessageIndex(channel, entries).write(data)
+            self.counts[channel] += len(entries)
+        index.message_index_length += data.count
+
+    def _summary(self, start: int) -> bytes:
+        """Return summary, summary offsets, footer and magic of a file whose data end at start."""
+        groups: tuple[tuple[Opcode, list[McapRecord]], ...] = (
+            (Opcode.SCHEMA, [*self.schemas.values()]),
+            (Opcode.CHANNEL, [*self.channels.values()]),
+            (Opcode.STATISTICS, [self._statistics()]),
+            (Opcode.CHUNK_INDEX, [*self.chunks]),
+            (Opcode.ATTACHMENT_INDEX, [*self.attachments]),
+            (Opcode.METADATA_INDEX, [*self.metadata]),
+        )
+        summary, offsets = RecordBuilder(), []
+        for opcode, records in groups:
+            begin = summary.count
+            for record in records:
+                record.write(summary)
+            if records:
+                offsets.append(SummaryOffset(opcode, start + begin, summary.count - begin))
+        offsets_start = start + summary.count
+        for offset in offsets:
+            offset.write(summary)
+        text = _taken(summary)
+        Footer(start, offsets_start, 0).write(summary)
+        footer = _taken(summary)[:-4]
+        crc = zlib.crc32(footer, zlib.crc32(text))
+        return text + footer + crc.to_bytes(4, "little") + MAGIC
+
+    def _statistics(self) -> Statistics:
+        return Statistics(
+            attachment_count=len(self.attachments),
+            channel_count=len(self.channels),
+            channel_message_counts=dict(self.counts),
+            chunk_count=len(self.chunks),
+            message_count=sum(self.counts.values()),
+            message_start_time=min((c.message_start_time for c in self.chunks), default=0),
+            message_end_time=max((c.message_end_time for c in self.chunks), default=0),
+            metadata_count=len(self.metadata),
+            schema_count=len(self.schemas),
+        )

@@ -2,16 +2,23 @@
 
 The recorder writes them as ``diagnostic_msgs/DiagnosticArray``, which every tool shows: stamped
 with the last good moment, one status per message, whose name is the topic.
+
+Finding the dropouts that the recorder wrote among the messages of a bag.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timezone
 from typing import Any, Final
 
 from rotcal_ros.bags import names
+from rotcal_ros.bags.blocks import Block
+from rotcal_ros.bags.decode import Decoder
+from rotcal_ros.bags.definitions import ChannelDefinition
+from rotcal_ros.errors import BagError
 
 _LARGEST: Final = 1 << 64
 """Beyond what log times and counts in a bag can be."""
@@ -105,3 +112,41 @@ _COUNTER: Final = {
     SILENCE: names.SILENT,
     UNHEARD: names.UNHEARD,
 }
+
+
+class DropoutReader:
+    """Finds the dropouts in the blocks of one file; what is not as we write it is none."""
+
+    def __init__(self) -> None:
+        self.found: list[Dropout] = []
+        self._decoders: dict[ChannelDefinition, Decoder | None] = {}
+
+    def take(self, block: Block, channels: Mapping[int, ChannelDefinition]) -> None:
+        """Look through a block."""
+        for number in block.counts():
+            channel = channels[number]
+            if channel.topic.rpartition("/")[2] != names.DROPOUTS:
+                continue
+            if channel.type_name == MESSAGE_TYPE:
+                chosen = block.select(block.headers["channel"] == number)
+                self.found += self._decoded(chosen, channel)
+
+    def _decoded(self, block: Block, channel: ChannelDefinition) -> Iterator[Dropout]:
+        if channel not in self._decoders:
+            self._decoders[channel] = _decoder(channel)
+        decoder = self._decoders[channel]
+        for row in range(len(block) if decoder else 0):
+            assert decoder is not None
+            message = decoder.message(block.payload(row))
+            with suppress(AttributeError, TypeError):  # its definition may be anybody's
+                for status in () if message is None else message.status:
+                    dropout = of_status({value.key: value.value for value in status.values})
+                    if dropout is not None:
+                        yield dropout
+
+
+def _decoder(channel: ChannelDefinition) -> Decoder | None:
+    try:
+        return Decoder(channel)
+    except BagError:
+        return None

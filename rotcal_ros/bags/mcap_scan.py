@@ -1,12 +1,23 @@
-"""Reading one MCAP file from begin to end, tolerantly: blocks of messages and a verdict."""
+"""Reading one MCAP file from begin to end, tolerantly: blocks of messages and a verdict.
+
+Yielding small blocks together: a small one costs as much as a large one.
+
+What may be kept of a file in memory while it is read.
+
+The schemas and channels of an MCAP file, each from the place that is to be trusted most.
+
+The definitions in the summary of an MCAP file, read before its data.
+"""
 
 from __future__ import annotations
 
 import re
-from collections import Counter
-from collections.abc import Iterator
+import zlib
+from collections import Counter, defaultdict
+from collections.abc import Hashable, Iterator, Mapping
+from enum import IntEnum
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import BinaryIO, Final, TypeVar
 
 import numpy as np
 from mcap.records import (
@@ -24,13 +35,11 @@ from mcap.records import (
 
 from rotcal_ros.bags import mcap_records as mcap
 from rotcal_ros.bags import names
-from rotcal_ros.bags.blocks import Block, Others, block_of_contents, split_chunk
-from rotcal_ros.bags.definitions import parse_definitions
+from rotcal_ros.bags.blocks import Block, Others, block_of_contents, joined, split_chunk
+from rotcal_ros.bags.definitions import ChannelDefinition, parse_definitions, schema_text
 from rotcal_ros.bags.framing import Framing, Record
-from rotcal_ros.bags.held import Held
 from rotcal_ros.bags.index_check import IndexCheck
-from rotcal_ros.bags.keeping import Keeping, cost_of_texts
-from rotcal_ros.bags.mcap_definitions import Definitions, Trust
+from rotcal_ros.bags.mcap_records import DamagedRecord
 from rotcal_ros.bags.message_compression import (
     declared_compression,
     decompressor,
@@ -39,7 +48,6 @@ from rotcal_ros.bags.message_compression import (
 )
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits, refusal
 from rotcal_ros.bags.scan import Item, Scan
-from rotcal_ros.bags.summary_section import summary_definitions
 from rotcal_ros.bags.unpacking import Unpacker
 from rotcal_ros.bags.verdict import Damage, FileVerdict, State
 from rotcal_ros.bags.whole_file import opened
@@ -407,3 +415,223 @@ class McapScan(Scan):
 
 def _integers(texts: dict[str, str]) -> dict[str, int]:
     return {name: int(text) for name, text in texts.items() if _WHOLE.fullmatch(text)}
+
+
+_JOINED_BYTES: Final = 1 << 20
+"""Blocks are joined up to this size."""
+
+
+class Held:
+    """Blocks that wait for more; what is released keeps their order."""
+
+    def __init__(self) -> None:
+        self._blocks: list[Block] = []
+        self._room = 0  # the first block goes at once: who wants no more need not wait
+
+    def grown(self, block: Block) -> tuple[Block, ...]:
+        """Take ``block``; return what has become large enough."""
+        if len(block.data) >= _JOINED_BYTES:  # never copied
+            return (*self.released(), *((block,) if len(block) else ()))
+        self._blocks.append(block)
+        self._room -= len(block.data)
+        return () if self._room > 0 else self.released()
+
+    def released(self) -> tuple[Block, ...]:
+        """Return what is held as one block, if anything is."""
+        if not self._blocks:
+            return ()
+        blocks, self._blocks, self._room = self._blocks, [], _JOINED_BYTES
+        return (joined(blocks),)
+
+
+_OVERHEAD: Final = 1000
+"""Bytes that an entry takes beside its content, at most."""
+_TEXT_OVERHEAD: Final = 150
+_PARSED: Final = 4
+"""Times the size of a record that it may take while it is parsed."""
+
+
+class Keeping:
+    """Counts the bytes of all entries; one of a known key takes the place of the earlier one."""
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._total = 0
+        self._costs: dict[Hashable, int] = {}
+
+    def admit(self, content: bytes) -> None:
+        """Refuse a record that may take more memory than is allowed while it is parsed."""
+        if len(content) > self._limit // _PARSED:
+            what = f"definitions or metadata have {len(content)} bytes"
+            raise DamagedRecord(refusal(what, "kept_bytes", _PARSED * len(content)))
+
+    def has_room(self, key: Hashable, size: int) -> bool:
+        """Count ``size`` bytes as kept under ``key``, unless that is too much."""
+        cost = size + _OVERHEAD
+        total = self._total + cost - self._costs.get(key, 0)
+        if total > self._limit:
+            return False
+        self._total, self._costs[key] = total, cost
+        return True
+
+    def add(self, key: Hashable, size: int) -> None:
+        """Count ``size`` bytes as kept under ``key``; raises DamagedRecord beyond the limit."""
+        if not self.has_room(key, size):
+            what = "definitions and metadata take too much memory"
+            raise DamagedRecord(refusal(what, "kept_bytes", 2 * (self._total + size)))
+
+
+def cost_of_texts(texts: Mapping[str, str]) -> int:
+    """Return about how many bytes of memory ``texts`` take."""
+    return sum(len(key) + len(value) + _TEXT_OVERHEAD for key, value in texts.items())
+
+
+T = TypeVar("T", Schema, Channel)
+
+_QOS: Final = "offered_qos_profiles"
+_HASH: Final = "topic_type_hash"
+_NO_SCHEMA: Final = Schema(id=0, data=b"", encoding="", name="")
+
+
+class Trust(IntEnum):
+    """Where a definition stands: data outrank the index, what has a checksum what has none."""
+
+    PLAIN_INDEX = 0
+    PLAIN_DATA = 1
+    CHECKED_INDEX = 2
+    CHECKED_DATA = 3
+
+
+class Definitions:
+    """Schemas and channels by id; ``channels`` holds those that the data define.
+
+    What only the index or another copy knows is held back until :meth:`recover` needs it.
+    """
+
+    def __init__(self) -> None:
+        self.channels: dict[int, ChannelDefinition] = {}
+        self.schema_ids: set[int] = set()
+        """Of the schemas that the data define."""
+        self.from_data: set[int] = set()
+        """Ids of the channels that the data define."""
+        self._schemas: dict[int, tuple[Trust, Schema]] = {}
+        self._records: dict[int, tuple[Trust, Channel]] = {}
+        self._copies: dict[int, ChannelDefinition] = {}
+        self._users: defaultdict[int, set[int]] = defaultdict(set)
+
+    def add(self, record: Schema | Channel, trust: Trust) -> str:
+        """Take a schema or channel; returns what is wrong with it, or an empty text."""
+        if isinstance(record, Schema):
+            return self._add_schema(record, trust)
+        return self._add_channel(record, trust)
+
+    def add_copy(self, channel: ChannelDefinition) -> None:
+        """Take a channel from a copy with a checksum of its own."""
+        self._copies.setdefault(channel.channel_id, channel)
+
+    def recover(self, number: int) -> bool:
+        """Take a channel that the data do not define from elsewhere; False when nobody does."""
+        trust, record = self._records.get(number, (Trust.PLAIN_INDEX, None))
+        if number in self._copies and trust < Trust.CHECKED_INDEX:
+            self.channels[number] = self._copies[number]
+        elif record is not None:
+            self.channels[number] = self._resolved(record)
+        return number in self.channels
+
+    def recover_all(self, *, trusted: bool) -> None:
+        """Take all channels that the data do not define; ``trusted``: with a checksum only."""
+        for number, (trust, _) in self._records.items():
+            if number not in self.channels and (trust >= Trust.CHECKED_INDEX or not trusted):
+                self.recover(number)
+        for number in self._copies.keys() - self.channels.keys():
+            self.recover(number)
+
+    def with_index(self) -> tuple[int, int]:
+        """Return how many schemas and channels there are, those of the index among them."""
+        return len(self._schemas), len(self._records)
+
+    def _add_schema(self, schema: Schema, trust: Trust) -> str:
+        if schema.id == 0:
+            return "a schema has the id 0, which means none"
+        if trust in (Trust.PLAIN_DATA, Trust.CHECKED_DATA):
+            self.schema_ids.add(schema.id)
+        fault = _take(self._schemas, schema, trust)
+        for number in self._users[schema.id] & self.channels.keys():
+            self.channels[number] = self._resolved(self._records[number][1])
+        if not schema.encoding and schema.data:
+            return fault or f"schema {schema.name!r} has no encoding"
+        return fault
+
+    def _add_channel(self, channel: Channel, trust: Trust) -> str:
+        in_data = trust in (Trust.PLAIN_DATA, Trust.CHECKED_DATA)
+        fault = _take(self._records, channel, trust)
+        self._users[channel.schema_id].add(channel.id)
+        if in_data:
+            self.from_data.add(channel.id)
+        if in_data or channel.id in self.channels:
+            self.channels[channel.id] = self._resolved(self._records[channel.id][1])
+        if in_data and channel.schema_id and channel.schema_id not in self.schema_ids:
+            return fault or f"channel {channel.id} refers to a schema that is not there"
+        return fault
+
+    def _resolved(self, channel: Channel) -> ChannelDefinition:
+        _, schema = self._schemas.get(channel.schema_id, (None, _NO_SCHEMA))
+        copy = self._copies.get(channel.id)
+        if schema is _NO_SCHEMA and channel.schema_id and copy and copy.topic == channel.topic:
+            return copy  # the record of its schema is damaged
+        known = {_QOS: "", _HASH: ""} | channel.metadata
+        return ChannelDefinition(
+            channel.id,
+            channel.topic,
+            schema.name,
+            schema.encoding,
+            schema_text(schema.data),
+            type_hash=known.pop(_HASH),
+            offered_qos=known.pop(_QOS),
+            message_encoding=channel.message_encoding,
+            metadata=tuple(known.items()),
+        )
+
+
+def _take(known: dict[int, tuple[Trust, T]], record: T, trust: Trust) -> str:
+    """Keep ``record`` if none of its id is to be trusted more; say if they disagree."""
+    before = known.get(record.id)
+    if before is None or before[0] < trust:
+        known[record.id] = trust, record
+    if before is None or before[1] == record:
+        return ""
+    return f"two definitions of {type(record).__name__.lower()} {record.id} disagree"
+
+
+_TAIL: Final = mcap.HEADER_SIZE + mcap.FOOTER_CONTENT + len(mcap.MAGIC)
+_CRC_SIZE: Final = 4
+
+
+def summary_definitions(file: BinaryIO, size: int, largest: int) -> Iterator[tuple[Record, bool]]:
+    """Yield the schemas and channels of the summary, and whether a checksum covers them.
+
+    A summary with a wrong checksum, or one of more than ``largest`` bytes, yields none.
+    """
+    if size < _TAIL:
+        return
+    file.seek(size - _TAIL)
+    footer = file.read(_TAIL)
+    start = int.from_bytes(footer[mcap.HEADER_SIZE : mcap.HEADER_SIZE + 8], "little")
+    end = size - _TAIL
+    sound = footer[0] == mcap.FOOTER and footer.endswith(mcap.MAGIC)
+    if not sound or not 0 < start < end or end - start > largest:
+        return
+    file.seek(start)
+    summary = file.read(end - start)
+    fields = footer[: -len(mcap.MAGIC)]
+    stated = int.from_bytes(fields[-_CRC_SIZE:], "little")
+    if stated and stated != zlib.crc32(fields[:-_CRC_SIZE], zlib.crc32(summary)):
+        return
+    position = 0
+    while position + mcap.HEADER_SIZE <= len(summary):
+        opcode, length = mcap.record_header.unpack_from(summary, position)
+        begin = position + mcap.HEADER_SIZE
+        if opcode in (mcap.SCHEMA, mcap.CHANNEL):
+            content = summary[begin : begin + length]
+            yield Record(start + position, opcode, content, start + begin + length), stated != 0
+        position = begin + length

@@ -12,7 +12,7 @@ from mcap.records import Attachment, Metadata
 
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.definitions import ChannelDefinition
-from rotcal_ros.bags.dropout_reader import DropoutReader
+from rotcal_ros.bags.dropouts import DropoutReader
 from rotcal_ros.bags.verdict import FileVerdict, TopicCount
 from rotcal_ros.errors import BagError
 from rotcal_ros.untrusted import require_plain, why

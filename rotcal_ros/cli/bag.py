@@ -1,4 +1,7 @@
-"""``rotcal bag``: describe, check and repair recorded bags."""
+"""``rotcal bag``: describe, check and repair recorded bags.
+
+``--set reading.NAME=VALUE``: what a bag may ask for while it is read.
+"""
 
 from __future__ import annotations
 
@@ -10,15 +13,30 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotcal_ros.bags.reading_limits import ReadingLimits
+from rotcal_ros.bags.reading_limits import ReadingLimits, changed_limits
 from rotcal_ros.circumstances import NOTHING_MEASURED
 from rotcal_ros.cli.bag_parquet import command as parquet
 from rotcal_ros.cli.console import json_option, path_type, print_json
-from rotcal_ros.cli.reading_options import limits_option
 from rotcal_ros.report.terminal.console import progress, say, tell
 
 if TYPE_CHECKING:
     from rotcal_ros.recordings.dropouts import PlacedDropout
+
+
+def _limits(
+    context: click.Context, option: click.Parameter, changes: tuple[str, ...]
+) -> ReadingLimits:
+    return changed_limits(changes)
+
+
+limits_option = click.option(
+    "--set",
+    "limits",
+    multiple=True,
+    callback=_limits,
+    metavar="reading.NAME=VALUE",
+    help="Change a limit of reading; docs/settings.md has them.",
+)
 
 
 @click.group()

@@ -152,5 +152,5 @@ class Controller(ABC):
 
     @property
     def busy_command(self) -> tuple[str, ...]:
-        """Command that tells whether the machine is at work; see :mod:`.busy`; empty: none."""
+        """Command that tells whether the machine is at work; see :mod:`.feed`; empty: none."""
         return ()

@@ -1,23 +1,32 @@
-"""Feeding a controller: on confirmation only, the old table kept, the new one read back."""
+"""Feeding a controller: on confirmation only, the old table kept, the new one read back.
+
+How far two sets of controller files differ: the largest change of the correction.
+
+Whether a machine is at work, asked of a program that can tell.
+
+Changing the files of a controller: noted before and after, read back, never two halves.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import subprocess
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import cast
+from typing import Final, cast
 
+import numpy as np
+
+from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.adding import Combination, combined
 from rotcal_ros.compensation.agreement import NO_MACHINE, Machine, agreeing
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
-from rotcal_ros.compensation.busy import work_of
-from rotcal_ros.compensation.change import largest_change
+from rotcal_ros.compensation.controller import Controller
 from rotcal_ros.compensation.controller_folder import STATE_FOLDER
 from rotcal_ros.compensation.controller_store import ControllerStore
 from rotcal_ros.compensation.controllers import make_controller
-from rotcal_ros.compensation.exchange import Exchange
-from rotcal_ros.compensation.export import default_stem
+from rotcal_ros.compensation.export import FIRST_ANGLE_DEG, LAST_ANGLE_DEG, default_stem
 from rotcal_ros.compensation.held import HeldTable, held_table, in_force_of, machine_of
 from rotcal_ros.compensation.journal import (
     Action,
@@ -29,11 +38,13 @@ from rotcal_ros.compensation.journal import (
 )
 from rotcal_ros.compensation.network_store import make_store
 from rotcal_ros.compensation.offer import Offer, make_offer
-from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
 from rotcal_ros.compensation.writing import PROVENANCE, of_the_controller
 from rotcal_ros.errors import ControllerError, DataError, RotcalError
 from rotcal_ros.in_force import NONE, UNKNOWN, known_hash
-from rotcal_ros.units import ARCSEC, NANOSECOND
+from rotcal_ros.observations import Approach
+from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
+from rotcal_ros.untrusted import load_json
 
 
 @dataclass(frozen=True)
@@ -371,3 +382,173 @@ class Feed:
 def _utc(time_ns: int) -> str:
     time = datetime.fromtimestamp(time_ns * NANOSECOND, timezone.utc)
     return time.isoformat(timespec="seconds")
+
+
+GRID_STEP: Final = 0.25 * DEGREE
+"""Angles (rad) at which two corrections are compared."""
+
+
+def largest_change(
+    controller: Controller, old: Mapping[str, str], new: Mapping[str, str], *rows: Floats
+) -> float:
+    """Return the largest difference (rad) of what the controller makes of both.
+
+    Both directions are compared over the whole travel, over the span of both tables, which may lie
+    outside of it, and at further angles ``rows`` (rad). Raises ControllerError when files cannot
+    be read.
+    """
+    first, last = controller.travel
+    count = round((last - first) / GRID_STEP) + 1
+    spans = [(first, last), *_spans(old), *_spans(new)]
+    grid = np.concatenate([*(np.linspace(*span, count) for span in spans), *rows])
+    differences = [
+        np.abs(_correction(controller, new, grid, a) - _correction(controller, old, grid, a))
+        for a in DIRECTIONS
+    ]
+    return float(np.max(differences))
+
+
+def _spans(files: Mapping[str, str]) -> list[tuple[float, float]]:
+    """Return first and last angle (rad) of our own tables; of others they are not known."""
+    sides = (text for name, text in files.items() if name.endswith(PROVENANCE))
+    return [span for text in sides if (span := _span(text)) is not None]
+
+
+def _span(provenance: str) -> tuple[float, float] | None:
+    try:
+        side = load_json(provenance)
+        return side[FIRST_ANGLE_DEG] * DEGREE, side[LAST_ANGLE_DEG] * DEGREE
+    except (ValueError, TypeError, KeyError):
+        return None  # written by hand
+
+
+def _correction(
+    controller: Controller, files: Mapping[str, str], grid: Floats, approach: Approach
+) -> Floats:
+    tables = of_the_controller(files)
+    if not tables:
+        return np.zeros_like(grid)
+    try:
+        rule = controller.read(tables)
+    except RotcalError as error:
+        raise ControllerError(
+            f"the table that the controller holds cannot be read, so that the change is not "
+            f"known ({error}): look at it and move it away by hand; nothing was changed"
+        ) from error
+    return rule.correction(grid, approach)
+
+
+def work_of(command: Sequence[str], timeout_s: float) -> str:
+    """Return what the machine is doing in words, empty when it rests or nobody can tell.
+
+    ``command`` ends with exit code 0 when the machine rests, and with 1 and a line that says why
+    when it does not; an empty command: nobody can tell. Raises ControllerError when there is no
+    answer within ``timeout_s`` or any other one: what is not known is no rest.
+    """
+    if not command:
+        return ""
+    name = " ".join(command)
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=timeout_s, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise ControllerError(
+            f"it is not known whether the machine is at work ({name}: {error}): nothing was "
+            "changed"
+        ) from error
+    last = (done.stdout.strip() or done.stderr.strip()).rpartition("\n")[2]
+    if done.returncode not in (0, 1):
+        raise ControllerError(
+            f"it is not known whether the machine is at work ({name} ended with code "
+            f"{done.returncode}: {last}): nothing was changed"
+        )
+    return (last or f"{name} says so") if done.returncode else ""
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """Changes the files in ``store`` and notes it in ``journal``; ``now_ns`` since 1970."""
+
+    store: ControllerStore
+    journal: Journal
+    now_ns: Callable[[], int]
+
+    def make(
+        self, words: tuple[Action, Action], held: Mapping[str, str], wanted: Contents, table: str
+    ) -> Entry:
+        """Keep what is ``held``, write what is ``wanted``, and note both ends of it.
+
+        ``words`` name begin and end, ``table`` is the hash of the table. Returns what was noted at
+        the begin. Raises ControllerError when the old files had to be put back, or could not be.
+        """
+        before: Contents = {name: held.get(name) for name in wanted}
+        now_ns = self.now_ns()
+        if now_ns < self.journal.last_ns():
+            raise ControllerError(
+                "the clock is behind the last change in the journal, so that nobody could tell "
+                "which table was measured before it: set the clock; nothing was changed"
+            )
+        kept = self.journal.keep(before, now_ns)
+        hashes = contents_hash(before), contents_hash(wanted)
+        entry = Entry(words[0], now_ns, table, kept, *hashes)
+        self.journal.note(entry)
+        try:
+            self._write(held, wanted)
+        except ControllerError as error:
+            done = self._put_back(before, entry, error)
+            raise ControllerError(f"{error}; {done}") from error
+        self._end(entry, words[1], wanted)
+        return entry
+
+    def _put_back(self, before: Contents, entry: Entry, error: ControllerError) -> str:
+        """Bring back what was there before, and return in words what had to be done."""
+        try:
+            found = self.store.read(before)
+            self._write(found, before)
+            self._end(entry, "rolled_back", before)
+            if found == texts_of(before):
+                return "the controller holds what it held before, nothing had to be put back"
+            return "the old table was put back"
+        except (ControllerError, OSError) as second:
+            raise ControllerError(
+                f"{error}; putting the old table back failed too ({second}): it is not known "
+                f"what the controller holds. The old table is in "
+                f"{self.journal.folder / entry.backup}; restore it before the axis moves"
+            ) from second
+
+    def _end(self, entry: Entry, action: Action, contents: Contents) -> None:
+        """Note how a change ended, and what the controller holds since."""
+        in_force = in_force_of(texts_of(contents))
+        self.journal.note(replace(entry, action=action, time_ns=self.now_ns(), in_force=in_force))
+
+    def _write(self, held: Mapping[str, str], wanted: Contents) -> None:
+        """Write step by step and compare; ControllerError when anything else is there then."""
+        for step in write_steps(held, wanted):
+            self.store.write(step)
+        found = self.store.read(wanted)
+        wrong = sorted(name for name, text in wanted.items() if found.get(name) != text)
+        if wrong:
+            raise ControllerError(
+                f"read back, the controller's {', '.join(wrong)} differ from what was written"
+            )
+
+
+def write_steps(held: Mapping[str, str], wanted: Contents) -> list[dict[str, str | None]]:
+    """Return what has to be written, one after the other, to get from ``held`` to ``wanted``.
+
+    The first of the ``wanted`` files is the table, those after it say how it is read. A table
+    alone is replaced in one step. When one of the others changes, the table is away meanwhile: a
+    crash between two steps leaves no table, never rows that are read by another's rule.
+    """
+    changed = {name: text for name, text in wanted.items() if held.get(name) != text}
+    table = next(iter(wanted))
+    if not of_the_controller({n: "" for n in changed if n != table}):
+        return [changed] if changed else []
+    others = {name: text for name, text in changed.items() if name != table}
+    steps: list[dict[str, str | None]] = [others]
+    if table in held:
+        steps.insert(0, {table: None})
+    if wanted[table] is not None:
+        steps.append({table: wanted[table]})
+    return steps

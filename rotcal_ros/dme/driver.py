@@ -1,20 +1,31 @@
-"""The thread that drives a machine behind I++ DME: orders in, feedback and points out."""
+"""The thread that drives a machine behind I++ DME: orders in, feedback and points out.
+
+An order of the cell, carried out by a machine behind I++ DME: from a command to its points.
+
+The way of a tip around a ball: from above, beside it, against it, and up again.
+
+No part of the way leads through the ball, whichever points of its upper half are touched in
+whichever order; between the balls the tip travels at the height of clearance.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from dataclasses import dataclass, field
+from itertools import count
+from math import cos, pi, sin, sqrt
 from queue import Empty, SimpleQueue
 from threading import Thread
+from typing import Final
 
 from rotcal_ros.dme.client import DmeClient
 from rotcal_ros.dme.faults import DmeError, Fault
-from rotcal_ros.dme.measuring import Measuring
 from rotcal_ros.dme.settings import DmeSettings
-from rotcal_ros.observations import Command, ProbeSample, TableSample
+from rotcal_ros.observations import Approach, Command, PointKind, ProbeSample, TableSample
 from rotcal_ros.planning.plan import Point, Step
+from rotcal_ros.units import MICROMETRE
 
 _Order = tuple[Command, Step]
 
@@ -180,3 +191,137 @@ class Driver:
     def _warned(self, fault: Fault) -> None:
         self.warnings += 1
         self._complain(f"the machine tells: {fault}")
+
+
+NO_ORDER: Final = Command(0, 0, 0.0, Approach.UNKNOWN, PointKind.UNKNOWN, 0, (0.0, 0.0, 0.0))
+"""Of a point that nobody ordered: its kind says so."""
+
+
+class Measuring:
+    """Carries out orders one after the other; its points count up from 0."""
+
+    def __init__(self, client: DmeClient, now_ns: Callable[[], int]) -> None:
+        self._client, self._now_ns = client, now_ns
+        self._numbers = count()
+
+    def carry_out(
+        self, order: Command, step: Step, given_up: Callable[[], bool]
+    ) -> Iterator[ProbeSample]:
+        """Turn the table, go to the target of ``order`` and yield its points as they are made.
+
+        ``step`` says how often which ball is touched. ``given_up`` is asked before every motion,
+        whether somebody has: then it ends early. Raises DmeError.
+        """
+        if order.kind == PointKind.SURFACE:
+            return self._touches(order, step, given_up)
+        if order.kind == PointKind.REFLECTOR:
+            return self._stands(order, given_up)
+        raise DmeError(
+            f"step {order.step} asks for a point of kind {order.kind.name}: through I++ DME there "
+            "are touch points (plan.measure: surface) and positions of a reflector"
+        )
+
+    def unasked(self, position: Point) -> ProbeSample:
+        """Return where the machine stands (m) as a point that nobody ordered."""
+        return self._sample(NO_ORDER, self._now_ns(), position)
+
+    def _touches(
+        self, order: Command, step: Step, given_up: Callable[[], bool]
+    ) -> Iterator[ProbeSample]:
+        client, s = self._client, self._client.settings
+        tip, ball = client.tip_radius, 0.5 * step.ball_diameter
+        height = order.position[2] + ball + tip + max(s.clearance_m, s.approach_m)
+        if client.where().position[2] < height:
+            if given_up():
+                return
+            client.go(None, None, height)
+        if not client.turn(order.table_angle, order.approach, given_up):
+            return
+        client.settle()
+        number = count()
+        moves = around_ball(
+            order.position, step.ball_diameter, step.n_points, tip, s.approach_m, height
+        )
+        for move in moves:
+            if given_up():
+                return
+            match move:
+                case Go(x, y, z):
+                    client.go(x, y, z)
+                case Touch(nominal, direction):
+                    stamp_ns, position = client.touch(nominal, direction)
+                    yield self._sample(order, stamp_ns, position, next(number), tip)
+
+    def _stands(self, order: Command, given_up: Callable[[], bool]) -> Iterator[ProbeSample]:
+        """Yield the one position of a reflector, at rest at its target."""
+        client = self._client
+        if not client.turn(order.table_angle, order.approach, given_up) or given_up():
+            return
+        client.go(*order.position)
+        client.settle()
+        position = client.where().position
+        yield self._sample(order, self._now_ns(), position)
+
+    def _sample(
+        self,
+        order: Command,
+        stamp_ns: int,
+        position: Point,
+        number: int = 0,
+        tip_radius: float = 0.0,
+    ) -> ProbeSample:
+        std = self._client.settings.point_std_um * MICROMETRE
+        return order.answered(
+            stamp_ns, next(self._numbers), position, (std, std, std), number, tip_radius
+        )
+
+
+_GOLDEN: Final = pi * (3.0 - sqrt(5.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Go:
+    """Move the tip in a straight line; what is None stays as it is. Metres."""
+
+    x: float | None
+    y: float | None
+    z: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """Touch the surface at ``nominal`` (m) against ``direction``, which leads away from it."""
+
+    nominal: Point
+    direction: Point
+
+
+def upper_half(count: int) -> Iterator[Point]:
+    """Yield ``count`` directions that cover the upper half of a ball evenly, unit vectors."""
+    for number in range(count):
+        height = (number + 0.5) / count
+        flat = sqrt(1.0 - height * height)
+        yield flat * cos(number * _GOLDEN), flat * sin(number * _GOLDEN), height
+
+
+def around_ball(
+    centre: Point, diameter: float, count: int, tip_radius: float, approach: float, height: float
+) -> Iterator[Go | Touch]:
+    """Yield the moves that touch a ball ``count`` times, from ``height`` (z, m) back to it.
+
+    ``approach`` (m) is the distance from the surface at which a probing motion begins.
+    """
+    radius = 0.5 * diameter
+    beside = radius + tip_radius + approach
+    for direction in upper_half(count):
+        nominal = _along(centre, direction, radius)
+        start = _along(centre, direction, beside)
+        yield Go(start[0], start[1], height)
+        yield Go(None, None, start[2])
+        yield Touch(nominal, direction)
+        yield Go(None, None, height)
+
+
+def _along(centre: Point, direction: Point, distance: float) -> Point:
+    x, y, z = (c + distance * d for c, d in zip(centre, direction, strict=True))
+    return x, y, z

@@ -3,6 +3,11 @@
 Generalised least squares with the full covariance of every input, whose zeros are unknown. Inputs
 that rest on the same observations vary together, see :mod:`.shared_data`; all others are taken
 for independent.
+
+What is done about each effect when several results are combined: the weakest of them counts.
+
+An error that one input cannot see keeps its weight in the combination. Nothing is protected that
+is not protected in every input.
 """
 
 from __future__ import annotations
@@ -11,6 +16,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import reduce
 from itertools import combinations
+from math import hypot
 from typing import Any, Final
 
 import numpy as np
@@ -32,9 +38,8 @@ from rotcal_ros.evaluation.component_groups import (
     combine_group,
 )
 from rotcal_ros.evaluation.joined_angles import Joined, union
-from rotcal_ros.evaluation.joined_protection import join_protections
 from rotcal_ros.in_force import UNKNOWN, agreed
-from rotcal_ros.protection import Protection
+from rotcal_ros.protection import ALL_EFFECTS, PARTICULAR, Effect, Protection, Treatment
 from rotcal_ros.raw_data import RawData
 from rotcal_ros.results import FreeDirection, Result, Verdict, Zeros
 
@@ -350,3 +355,63 @@ def _details(groups: Sequence[Group], inputs: Sequence[CombinationInput]) -> dic
             if not group.consistent
         },
     }
+
+
+WEAKEST_FIRST: Final[tuple[Treatment, ...]] = (
+    "not protected",
+    "tested",
+    "bounded",
+    "estimated",
+    "harmless",
+)
+LASTING: Final[frozenset[Effect]] = frozenset(
+    ("error motion", "refraction", "scale", "tilt", "gauge", "tangential motion")
+)
+"""Effects of instrument, table or room: every campaign may have the same one, with one sign."""
+
+
+def join_protections(
+    inputs: Mapping[str, Sequence[Protection]], shares: Mapping[str, float]
+) -> tuple[Protection, ...]:
+    """Return the protections of a combination; empty when no input states any.
+
+    ``inputs`` are those of each input by name, ``shares`` (0 to 1) its largest part of any
+    standard uncertainty of the combination. An input that states nothing counts as not
+    protected. An error that stays unseen in an input, in its own standard uncertainties, is
+    worth the share of it in those of the combination; lasting effects add up, those of one
+    campaign add as squares.
+    """
+    if not any(inputs.values()):
+        return ()
+    named = {p.effect for protections in inputs.values() for p in protections}
+    return tuple(
+        _joined(effect, _concerned(effect, inputs), shares)
+        for effect in ALL_EFFECTS
+        if effect in named or effect not in PARTICULAR
+    )
+
+
+def _concerned(
+    effect: Effect, inputs: Mapping[str, Sequence[Protection]]
+) -> Mapping[str, Sequence[Protection]]:
+    """Return the inputs that may have ``effect``: of a particular one, those that speak of it."""
+    if effect not in PARTICULAR:
+        return inputs
+    return {n: ps for n, ps in inputs.items() if any(p.effect == effect for p in ps)}
+
+
+def _joined(
+    effect: Effect, inputs: Mapping[str, Sequence[Protection]], shares: Mapping[str, float]
+) -> Protection:
+    silent = Protection(effect, "not protected", "not stated")
+    stated = {
+        name: next((p for p in protections if p.effect == effect), silent)
+        for name, protections in inputs.items()
+    }
+    rank = WEAKEST_FIRST.index
+    weakest = min((p.treatment for p in stated.values()), key=rank)
+    named = {name: p for name, p in stated.items() if p.treatment == weakest}
+    errors = [shares[name] * p.error for name, p in stated.items() if p.error is not None]
+    error = sum(errors) if effect in LASTING else hypot(*errors)
+    why = "; ".join(f"{name}: {p.why}" for name, p in sorted(named.items()))
+    return Protection(effect, weakest, why, error if errors else None)

@@ -26,10 +26,10 @@ from std_srvs.srv import Trigger
 from rotcal_ros.catalogue import Configuration
 from rotcal_ros.errors import RotcalError
 from rotcal_ros.machine_load import patient
-from rotcal_ros.nodes.health import Health
-from rotcal_ros.nodes.outcome import Feedback, Outcome, planner_lost, text_of
-from rotcal_ros.nodes.peer import Peer
-from rotcal_ros.nodes.running import use_middleware
+from rotcal_ros.nodes.goal.outcome import Feedback, Outcome, planner_lost, text_of
+from rotcal_ros.nodes.runtime.health import Health
+from rotcal_ros.nodes.runtime.peer import Peer
+from rotcal_ros.nodes.runtime.running import use_middleware
 
 CANCEL_TIMEOUT_S: Final = 15.0
 ANSWER_TIMEOUT_S: Final = 10.0

@@ -1,4 +1,7 @@
-"""The capture node: streams in, observations out."""
+"""The capture node: streams in, observations out.
+
+Asking an instrument for a length, where it wants to be asked (std_srvs/Trigger).
+"""
 
 from __future__ import annotations
 
@@ -8,23 +11,23 @@ from typing import Any, Final
 
 from rotcal_msgs.msg import CalibrationPlan
 from rotcal_msgs.msg import Observation as ObservationMsg
+from std_srvs.srv import Trigger
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture import Capture, Record
 from rotcal_ros.capture.rejections import Rejections, kind_of
 from rotcal_ros.capture.stamp_offsets import StampOffsets
 from rotcal_ros.instruments.steps import Order, StepFinder
-from rotcal_ros.nodes import conversions
-from rotcal_ros.nodes.cell_node import CellNode
-from rotcal_ros.nodes.concerns import CLOCK_DOUBT, COMPLAINT, OFFSET, REJECTED, show
-from rotcal_ros.nodes.instrument_streams import InstrumentStreams
-from rotcal_ros.nodes.latest import HOPELESS, WAITING_FOR
-from rotcal_ros.nodes.length_trigger import PERIOD_S, LengthTrigger
-from rotcal_ros.nodes.planners_plans import PlannersPlans
-from rotcal_ros.nodes.plans import REFUSED, RUN, calibration_of, load_method, run_name
-from rotcal_ros.nodes.qos import EVENT
-from rotcal_ros.nodes.roll_call import LOADING
-from rotcal_ros.nodes.running import run
+from rotcal_ros.nodes.instruments.streams import InstrumentStreams
+from rotcal_ros.nodes.runtime import conversions
+from rotcal_ros.nodes.runtime.cell_node import CellNode
+from rotcal_ros.nodes.runtime.concerns import CLOCK_DOUBT, COMPLAINT, OFFSET, REJECTED, show
+from rotcal_ros.nodes.runtime.latest import HOPELESS, WAITING_FOR
+from rotcal_ros.nodes.runtime.planners_plans import PlannersPlans
+from rotcal_ros.nodes.runtime.plans import REFUSED, RUN, calibration_of, load_method, run_name
+from rotcal_ros.nodes.runtime.qos import EVENT
+from rotcal_ros.nodes.runtime.roll_call import LOADING
+from rotcal_ros.nodes.runtime.running import run
 from rotcal_ros.observations import Command, Observation
 
 READINGS_S: Final = 0.01
@@ -167,6 +170,70 @@ class CaptureNode(CellNode):
             for remark in self._capture.remarks():
                 self.get_logger().warning(remark, throttle_duration_sec=1.0)
         return self._state, values
+
+
+PERIOD_S: Final = 0.02
+"""How often it is looked whether a length is wanted."""
+PATIENCE_S: Final = 2.0
+"""So long after an answer the reading may take to come before it is asked for again."""
+ANSWER_S: Final = 30.0
+"""So long an instrument may take to answer."""
+
+
+class LengthTrigger:
+    """Calls the service ``name`` whenever ``wanted`` tells a new number of readings wanted.
+
+    ``complaint`` says what the instrument answered when it could not measure, or that it does not.
+    """
+
+    def __init__(self, node: CellNode) -> None:
+        self._node = node
+        self._client: Any = None
+        self._call: Any = None
+        self._since_s, self._asked = 0.0, -1
+        self.complaint = ""
+
+    def serve(self, name: str) -> None:
+        """Ask this service from now on; empty: none."""
+        if self._client is not None:
+            self._node.destroy_client(self._client)
+        self._client = self._node.create_client(Trigger, name) if name else None
+        self._call = None
+        self._asked, self.complaint = -1, ""
+
+    def look(self, received: int, *, wanted: bool) -> None:
+        """Ask for a length where one is ``wanted``; ``received`` counts the readings so far."""
+        if self._client is None or not self._is_free() or not wanted:
+            return
+        late = time.monotonic() - self._since_s > PATIENCE_S
+        if received == self._asked and not late:
+            return
+        if not self._client.service_is_ready():
+            self.complaint = f"nobody offers the service {self._client.srv_name} (length_trigger)"
+            return
+        self._asked, self._since_s = received, time.monotonic()
+        self._call = self._client.call_async(Trigger.Request())
+
+    def _is_free(self) -> bool:
+        """Return whether no answer is awaited any more; hear the one that came."""
+        if self._call is None:
+            return True
+        if not self._call.done():
+            if time.monotonic() - self._since_s <= ANSWER_S:
+                return False
+            silent = f"no answer to {self._client.srv_name} in {ANSWER_S:g} s"
+            self.complaint = f"the instrument took no length: {silent} (length_trigger)"
+            self._client.remove_pending_request(self._call)
+            self._call = None
+            return True
+        answer, self._call = self._call.result(), None
+        self._since_s = time.monotonic()
+        self.complaint = (
+            ""
+            if answer.success
+            else (f"the instrument took no length ({self._client.srv_name}): {answer.message}")
+        )
+        return True
 
 
 def main() -> None:

@@ -3,6 +3,12 @@
 Prints what was found as JSON, see :class:`~rotcal_ros.catalogue.check_lines.CellReport`. The
 suite's own capture listens, under a hidden name and with what it says kept to itself, and the
 planner's preflight judges: what is good here is good there.
+
+The frames of a cell: what headers name, and what /tf_static says.
+
+Who stops the cell, as far as the graph shows it; whether a stop is on is the preflight's.
+
+The machine of a cell: the joint of its table, and who obeys the two orders.
 """
 
 from __future__ import annotations
@@ -15,8 +21,9 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
+from math import isfinite
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -34,27 +41,40 @@ from rotcal_ros.catalogue.configuration import changed, parse_configuration, rea
 from rotcal_ros.catalogue.dry_run import DryRun
 from rotcal_ros.catalogue.method import DEFAULT
 from rotcal_ros.errors import BagError
+from rotcal_ros.escapes import printable
+from rotcal_ros.geometry.frames import FrameTree, Pose
 from rotcal_ros.instruments.conventions import Conventions
 from rotcal_ros.middleware import discovery_in_words
 from rotcal_ros.nodes.capture import CaptureNode
-from rotcal_ros.nodes.cell_graph import CellGraph
-from rotcal_ros.nodes.channels import message_type
-from rotcal_ros.nodes.check_adapter import GROUP, AdapterEars
-from rotcal_ros.nodes.check_drivers import driver_lines
-from rotcal_ros.nodes.check_frames import FramesHeard
-from rotcal_ros.nodes.check_heard import Heard
-from rotcal_ros.nodes.check_neighbours import cell_lines
-from rotcal_ros.nodes.check_safety import safety_lines
-from rotcal_ros.nodes.check_streams import clock_line, stream_lines
-from rotcal_ros.nodes.check_table import machine_lines, table_start
-from rotcal_ros.nodes.concerns import OFFSET
-from rotcal_ros.nodes.header_watch import HeaderWatch, watch_headers
-from rotcal_ros.nodes.instrument_streams import TIMED
-from rotcal_ros.nodes.qos import LATCHED
-from rotcal_ros.nodes.running import EndRequest, leave_with
-from rotcal_ros.nodes.steady import steady_timer
-from rotcal_ros.nodes.topic_names import TOPIC
+from rotcal_ros.nodes.check.adapter import GROUP, AdapterEars, controller_lines
+from rotcal_ros.nodes.check.drivers import brought_line, driver_lines
+from rotcal_ros.nodes.check.header_watch import HeaderWatch, watch_headers
+from rotcal_ros.nodes.check.heard import Heard
+from rotcal_ros.nodes.check.neighbours import cell_lines
+from rotcal_ros.nodes.check.streams import clock_line, stream_lines
+from rotcal_ros.nodes.goal.preflight import frame_doubts
+from rotcal_ros.nodes.instruments.streams import TIMED
+from rotcal_ros.nodes.instruments.table_feedback import (
+    chosen_joint,
+    joint_doubts,
+    joints,
+    table_angle,
+)
+from rotcal_ros.nodes.runtime.cell_graph import ORDERS, CellGraph
+from rotcal_ros.nodes.runtime.channels import message_type
+from rotcal_ros.nodes.runtime.concerns import OFFSET
+from rotcal_ros.nodes.runtime.frames import StaticFrames
+from rotcal_ros.nodes.runtime.qos import LATCHED
+from rotcal_ros.nodes.runtime.running import EndRequest, leave_with
+from rotcal_ros.nodes.runtime.topic_names import TOPIC
+from rotcal_ros.nodes.runtime.turns import steady_timer
 from rotcal_ros.sessions.domains import domains_in_use
+from rotcal_ros.table_motion import PUBLISH_VELOCITY
+from rotcal_ros.units import DEGREE
+
+if TYPE_CHECKING:
+    from rotcal_ros.nodes.check.heard import Heard
+
 
 NAME: Final = "cell_check"
 EARS: Final = "_cell_check_ears"
@@ -193,6 +213,161 @@ def _work() -> None:
     )
     sys.stdout.write(json.dumps(asdict(report)) + "\n")
     sys.stdout.flush()
+
+
+_TODO: Final = "publish the points in the machine frame, or set cell.machine_frame to its name"
+
+
+class FramesHeard:
+    """What is heard of frames from now on."""
+
+    def __init__(self, node: Node) -> None:
+        self._static = StaticFrames(node)
+
+    def lines(self, heard: Heard) -> Iterator[CheckLine]:
+        """Yield which frames the headers name, and what is static among them."""
+        cell, named = heard.configuration.cell, _by_frame(heard)
+        if named:
+            words = (f"{frame or 'no frame_id'} in {', '.join(t)}" for frame, t in named.items())
+            yield CheckLine("frames", "headers", "note", "; ".join(words))
+        for doubt in frame_doubts(heard.values, heard.configuration):
+            yield CheckLine("frames", "probe_point", "doubt", doubt, _TODO)
+        if not self._static.heard:
+            found = "not heard: tf2_msgs is not installed here (a ROS installation has it)"
+            yield CheckLine("frames", "tf_static", "note", found)
+            return
+        tree = FrameTree(self._static.frames)
+        for frame in (cell.table_frame, cell.tracer_frame):
+            pose = tree.pose(frame, cell.machine_frame)
+            where = "not joined" if pose is None else _words(pose)
+            yield CheckLine("frames", f"tf {frame}", "note", f"in {cell.machine_frame}: {where}")
+
+
+def _by_frame(heard: Heard) -> dict[str, list[str]]:
+    """Return frame -> topics that are stamped with it."""
+    named: dict[str, list[str]] = {}
+    for topic, watch in sorted(heard.headers.items()):
+        for frame in watch.frames:
+            named.setdefault(frame, []).append(topic)
+    return named
+
+
+def _words(pose: Pose) -> str:
+    origin, z = (", ".join(f"{x:.4f}" for x in v) for v in (pose.origin, pose.axes[:, 2]))
+    return f"at ({origin}) m, z along ({z})"
+
+
+_TYPE: Final = "std_msgs/msg/Bool"
+
+
+def safety_lines(heard: Heard) -> Iterator[CheckLine]:
+    """Yield what stops the cell: a topic, names on /diagnostics, or nothing."""
+    settings = heard.configuration.safety
+    if settings.emergency_stop:
+        yield _topic_line(heard)
+    if settings.stop_on_diagnostics:
+        found = f"an ERROR of {', '.join(settings.stop_on_diagnostics)} stops the cell"
+        yield CheckLine("safety", "/diagnostics", "note", found)
+
+
+def _topic_line(heard: Heard) -> CheckLine:
+    """Say whether somebody publishes the emergency stop, in the type that is understood."""
+    settings = heard.configuration.safety
+    name = heard.graph.resolve(settings.emergency_stop)
+    offers = heard.graph.offers(settings.emergency_stop)
+    others = sorted({info.topic_type for info in offers} - {_TYPE})
+    if others:
+        found = f"{name} is of type {', '.join(others)}, which no node understands as a stop"
+        todo = f"publish the stop as {_TYPE}, or correct safety.emergency_stop"
+        return CheckLine("safety", "emergency_stop", "missing", found, todo)
+    if offers:
+        nodes = ", ".join(sorted({info.node_name for info in offers}))
+        return CheckLine("safety", "emergency_stop", "good", f"node {nodes} publishes {name}")
+    todo = "start the safety controller's node, or correct safety.emergency_stop"
+    if settings.silent_s:
+        found = f"nobody publishes {name}, and its silence stops the cell (safety.silent_s)"
+        return CheckLine("safety", "emergency_stop", "missing", found, todo)
+    if "safety.emergency_stop" in heard.configuration.given:
+        return CheckLine("safety", "emergency_stop", "doubt", f"nobody publishes {name}", todo)
+    return CheckLine("safety", "emergency_stop", "note", f"nobody publishes {name}")
+
+
+_PARTS: Final = {names.TABLE_ANGLE: "table", names.PROBE_TARGET: "probe"}
+_TYPES: Final = {
+    names.TABLE_ANGLE: "rotcal_msgs/msg/TableAngle",
+    names.PROBE_TARGET: "rotcal_msgs/msg/ProbeTarget",
+}
+
+
+def machine_lines(heard: Heard) -> Iterator[CheckLine]:
+    """Yield a line for the joint and for every order."""
+    if heard.adapter is not None:
+        yield from _adapter_lines(heard)
+    elif joints(heard.values):
+        yield _joint_line(heard)
+    for order in ORDERS:
+        yield from _order_lines(heard, order)
+
+
+def table_start(heard: Heard) -> float:
+    """Return where the table stands (rad), as far as it was heard."""
+    angle = table_angle(heard.values, heard.configuration)
+    return angle if isfinite(angle) and not next(_doubts(heard), "") else 0.0
+
+
+def _doubts(heard: Heard) -> Iterator[str]:
+    return joint_doubts(heard.values, heard.configuration)
+
+
+def _joint_line(heard: Heard) -> CheckLine:
+    joint = heard.configuration.cell.joint
+    chosen = chosen_joint(heard.values, joint)
+    if fault := next(heard.joint_faults(), ""):
+        there = ", ".join(map(printable, joints(heard.values)))
+        todo = f"cell.joint: one of {there}"
+        if chosen in joints(heard.values):
+            todo = f"velocity of the joint: {PUBLISH_VELOCITY}"
+        return CheckLine("table", "joint", "missing", fault, todo)
+    angle, speed = joints(heard.values)[chosen]
+    found = f"{chosen} at {angle:.6g} rad = {angle / DEGREE:.4f}°, {speed / DEGREE:.3g}°/s"
+    if doubt := next(_doubts(heard), ""):
+        return CheckLine("table", "joint", "doubt", doubt, "publish the feedback in radians")
+    return CheckLine("table", "joint", "good", found)
+
+
+def _order_lines(heard: Heard, order: str) -> Iterator[CheckLine]:
+    """Yield who obeys an order, and who else than the planner gives it."""
+    part, graph = _PARTS[order], heard.graph
+    name, machines = graph.resolve(order), graph.machines(order)
+    if line := brought_line(heard, part, order, "obeys it"):
+        yield line
+    elif heard.started_by_us and not machines:
+        yield CheckLine(part, order, "note", "simulated: rotcal run starts who obeys it")
+    elif why := list(graph.without_machine(order)):
+        todo = f"let your machine's node subscribe to {name} ({_TYPES[order]}), volatile"
+        yield CheckLine(part, order, "missing", "; ".join(why), todo)
+    else:
+        yield CheckLine(part, order, "good", f"node {', '.join(machines)} obeys it")
+    strangers = sorted(set(graph.publishers(order)) - {"planner"})
+    if strangers:
+        found = f"node {', '.join(strangers)} gives orders on {name}, too"
+        todo = f"the planner alone may order motion: stop what else publishes on {name}"
+        yield CheckLine(part, order, "doubt", found, todo)
+
+
+def _adapter_lines(heard: Heard) -> Iterator[CheckLine]:
+    """Yield what the adapter would say of its joint, and whether its controller is there."""
+    assert heard.adapter is not None
+    wrong, todo = heard.adapter.wrong()
+    if wrong:
+        yield CheckLine("table", "joint", "missing", wrong, todo)
+    elif outside := heard.adapter.outside():
+        todo = "publish the joint in rad, or correct table_adapter.lower_deg and upper_deg"
+        yield CheckLine("table", "joint", "doubt", outside, todo)
+    elif joints(heard.values):
+        yield _joint_line(heard)
+    if not heard.started_by_us:
+        yield from controller_lines(heard)
 
 
 def main() -> None:

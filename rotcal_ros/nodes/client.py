@@ -23,12 +23,12 @@ from rotcal_msgs.action import Calibrate
 from rotcal_ros.capture.rejections import kind_of
 from rotcal_ros.machine_load import Patience, in_words
 from rotcal_ros.nodes.calibrator import Calibrator, CalibratorError, GoalRefusedError
-from rotcal_ros.nodes.clock_news import jumps_in_words
-from rotcal_ros.nodes.concerns import concerns_told
-from rotcal_ros.nodes.identity import other_session
-from rotcal_ros.nodes.json_lines import say
-from rotcal_ros.nodes.outcome import Feedback, Outcome
-from rotcal_ros.nodes.running import EndRequest, leave_with
+from rotcal_ros.nodes.goal.outcome import Feedback, Outcome
+from rotcal_ros.nodes.runtime.clock_news import jumps_in_words
+from rotcal_ros.nodes.runtime.concerns import concerns_told
+from rotcal_ros.nodes.runtime.identity import other_session
+from rotcal_ros.nodes.runtime.json_lines import say
+from rotcal_ros.nodes.runtime.running import EndRequest, leave_with
 
 PERIOD_S: Final = 0.1
 ALIVE_PERIOD_S: Final = 1.0

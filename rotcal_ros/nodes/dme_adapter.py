@@ -19,15 +19,15 @@ from rotcal_ros.dme.client import NOT_STARTED
 from rotcal_ros.dme.driver import Driver
 from rotcal_ros.dme.faults import DmeError
 from rotcal_ros.dme.settings import DmeSettings
-from rotcal_ros.nodes import conversions
-from rotcal_ros.nodes.cell_node import CellNode
-from rotcal_ros.nodes.concerns import BLOCKED, show
-from rotcal_ros.nodes.emergency_stop import EmergencyStop
-from rotcal_ros.nodes.planners_plans import PlannersPlans
-from rotcal_ros.nodes.plans import RUN, calibration_of, load_method, run_name
-from rotcal_ros.nodes.qos import EVENT, STREAM
-from rotcal_ros.nodes.roll_call import LOADING
-from rotcal_ros.nodes.running import run
+from rotcal_ros.nodes.runtime import conversions
+from rotcal_ros.nodes.runtime.cell_node import CellNode
+from rotcal_ros.nodes.runtime.concerns import BLOCKED, show
+from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
+from rotcal_ros.nodes.runtime.planners_plans import PlannersPlans
+from rotcal_ros.nodes.runtime.plans import RUN, calibration_of, load_method, run_name
+from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
+from rotcal_ros.nodes.runtime.roll_call import LOADING
+from rotcal_ros.nodes.runtime.running import run
 from rotcal_ros.observations import Command, ProbeSample, TableSample
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.plan import Plan

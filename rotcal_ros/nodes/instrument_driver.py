@@ -17,13 +17,13 @@ from rotcal_ros.instrument_plugins.instrument import InstrumentError, Tracer, Tr
 from rotcal_ros.instrument_plugins.settings import InstrumentSettings
 from rotcal_ros.instrument_plugins.table_rest import TableRest
 from rotcal_ros.instruments.interpreter import Interpreter
-from rotcal_ros.nodes import conversions
-from rotcal_ros.nodes.cell_node import CellNode
-from rotcal_ros.nodes.concerns import COMPLAINT, show
-from rotcal_ros.nodes.draining import Batch, sent_ns
-from rotcal_ros.nodes.instrument_topics import InstrumentTopics
-from rotcal_ros.nodes.qos import EVENT, STREAM
-from rotcal_ros.nodes.running import run
+from rotcal_ros.nodes.instruments.topics import InstrumentTopics
+from rotcal_ros.nodes.runtime import conversions
+from rotcal_ros.nodes.runtime.cell_node import CellNode
+from rotcal_ros.nodes.runtime.concerns import COMPLAINT, show
+from rotcal_ros.nodes.runtime.draining import Batch, sent_ns
+from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
+from rotcal_ros.nodes.runtime.running import run
 from rotcal_ros.observations import Command, ProbeSample, TracerSample
 from rotcal_ros.planning.cell_settings import CellSettings
 

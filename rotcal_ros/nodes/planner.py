@@ -17,21 +17,20 @@ from rotcal_msgs.action import Calibrate
 
 from rotcal_ros.catalogue import prepare_to_measure
 from rotcal_ros.errors import RotcalError
-from rotcal_ros.nodes.aside import done_aside
-from rotcal_ros.nodes.asking import obstacle
-from rotcal_ros.nodes.cell_links import CellLinks
-from rotcal_ros.nodes.cell_node import IDLE_S, CellNode
-from rotcal_ros.nodes.conversions import feedback_message
-from rotcal_ros.nodes.crew import Codes, Crew
-from rotcal_ros.nodes.emergency_stop import EmergencyStop
-from rotcal_ros.nodes.goal_run import GoalRun
-from rotcal_ros.nodes.goal_watch import GoalWatch
-from rotcal_ros.nodes.health import CALIBRATING
-from rotcal_ros.nodes.pauses import Pauses
-from rotcal_ros.nodes.plans import PlannerParameters, read_continuation
-from rotcal_ros.nodes.progress import Progress
-from rotcal_ros.nodes.qos import EVENT
-from rotcal_ros.nodes.running import run
+from rotcal_ros.nodes.goal.asking import obstacle
+from rotcal_ros.nodes.goal.cell_links import CellLinks
+from rotcal_ros.nodes.goal.crew import Codes, Crew
+from rotcal_ros.nodes.goal.pauses import Pauses
+from rotcal_ros.nodes.goal.progress import Progress
+from rotcal_ros.nodes.goal.run import GoalRun
+from rotcal_ros.nodes.goal.watch import GoalWatch
+from rotcal_ros.nodes.runtime.cell_node import IDLE_S, CellNode
+from rotcal_ros.nodes.runtime.conversions import feedback_message
+from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
+from rotcal_ros.nodes.runtime.health import CALIBRATING
+from rotcal_ros.nodes.runtime.plans import PlannerParameters, read_continuation
+from rotcal_ros.nodes.runtime.qos import EVENT
+from rotcal_ros.nodes.runtime.running import done_aside, run
 from rotcal_ros.plugins import in_words
 
 RESULT_TIMEOUT_S: Final = 3600

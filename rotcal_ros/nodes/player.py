@@ -2,14 +2,20 @@
 
 It speaks JSON lines, for ``rotcal replay``: ``reading``, ``left_out``, ``note``, ``playing``,
 ``solving``, ``result``. SIGINT or SIGTERM ends it.
+
+Company in which no bag is replayed: a machine that would move, a second source of a topic.
+
+What live nodes made of a replayed bag, held against what was recorded.
 """
 
 from __future__ import annotations
 
+import json
 import sys
 import time
 from argparse import ArgumentParser, Namespace
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -22,24 +28,32 @@ from rclpy.serialization import deserialize_message
 from rclpy.utilities import remove_ros_args
 from rosgraph_msgs.msg import Clock
 from rotcal_msgs.msg import CalibrationPlan
+from rotcal_msgs.msg import Observation as ObservationMsg
+from rotcal_msgs.srv import FinishCalibration
 
+from rotcal_ros import messages
 from rotcal_ros.bags import names
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import read_blocks
 from rotcal_ros.bags.rosbag2_metadata import INFINITE_NS, qos_profiles
 from rotcal_ros.bags.unread import unread
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.evaluation.marks import marks
+from rotcal_ros.files import write_atomically
 from rotcal_ros.middleware import LOCALHOST
-from rotcal_ros.nodes.channels import importable_type
-from rotcal_ros.nodes.conversions import time_message
-from rotcal_ros.nodes.health import Health
-from rotcal_ros.nodes.json_lines import say
-from rotcal_ros.nodes.peer import Peer
-from rotcal_ros.nodes.plans import REFUSED, RUN, run_name
-from rotcal_ros.nodes.replay_guard import ORDERS, ReplayGuard
-from rotcal_ros.nodes.replay_outcome import ReplayOutcome
-from rotcal_ros.nodes.replayed_bag import CLOCK, ReplayedBag
-from rotcal_ros.nodes.running import EndRequest, leave_with
+from rotcal_ros.node_names import NODES, VIEWERS
+from rotcal_ros.nodes.replayed_bag import CLOCK, ReplayedBag, of_attempts
+from rotcal_ros.nodes.runtime.channels import importable_type
+from rotcal_ros.nodes.runtime.conversions import time_message
+from rotcal_ros.nodes.runtime.health import CALIBRATING, Health
+from rotcal_ros.nodes.runtime.json_lines import say
+from rotcal_ros.nodes.runtime.peer import Peer
+from rotcal_ros.nodes.runtime.plans import REFUSED, RUN, run_name
+from rotcal_ros.nodes.runtime.qos import EVENT
+from rotcal_ros.nodes.runtime.running import EndRequest, leave_with
+from rotcal_ros.nodes.writing.bookkeeping import NEVER_PAUSE
+from rotcal_ros.observations import Observation
+from rotcal_ros.results import Result
 from rotcal_ros.units import NANOSECOND
 
 VOLATILE_DEPTH: Final = 5000
@@ -272,6 +286,241 @@ def _work() -> None:
             peer.close()
     except Ended:
         say("interrupted")
+
+
+WATCHERS: Final = frozenset({
+    *NODES, *VIEWERS.values(), "player", "foxglove_bridge", "rosbridge_websocket",
+    "rosbag2_recorder", "rviz", "rviz2", "rqt_gui_py_node",
+})  # fmt: skip
+"""Nodes that listen to orders without obeying them."""
+ORDERS: Final = (names.TABLE_ANGLE, names.PROBE_TARGET)
+"""Roles that move machines."""
+_COMMAND_LINE: Final = "_ros2cli"
+_OF_THE_PLANNER: Final = (
+    names.PLAN, names.TABLE_ANGLE, names.PROBE_TARGET, names.STEP_CHOICE
+)  # fmt: skip
+"""Roles that an idle planner is known to publish."""
+_NAMELESS: Final = "_NODE_NAME_UNKNOWN_"
+"""What the middleware calls a node whose topics it hears of before its name."""
+_NAMES_S, _PERIOD_S = 10.0, 1.0
+Wait = Callable[[Callable[[], bool], float], object]
+
+
+class ReplayGuard:
+    """Looks around again and again; ``wait`` waits while the recording stands still.
+
+    A node is known by its topics before it is by its name: each gets some time to tell it.
+    """
+
+    def __init__(
+        self, node: Node, health: Health, bag: ReplayedBag, given: Namespace, wait: Wait
+    ) -> None:
+        self._node, self._health, self._bag, self._given = node, health, bag, given
+        self._wait = wait
+        self._looked_s = 0.0
+        self._had_time = set[bytes]()
+
+    def is_due(self) -> bool:
+        """Return whether the last look was long ago."""
+        return time.monotonic() - self._looked_s > _PERIOD_S
+
+    def look(self, *topics: str) -> None:
+        """Raise ConfigurationError when a machine, or another source, of ``topics`` is there."""
+        self._wait(lambda: not self._nameless(topics), _NAMES_S)
+        self._had_time |= self._nameless(topics)
+        self._looked_s = time.monotonic()
+        if found := conflicts(self._node, self._health, self._bag, topics, self._given):
+            raise ConfigurationError("; ".join(found))
+
+    def _nameless(self, topics: Iterable[str]) -> set[bytes]:
+        """Return publishers of ``topics`` and listeners to orders without a name, by their gid."""
+        publishers, listeners = (
+            self._node.get_publishers_info_by_topic,
+            self._node.get_subscriptions_info_by_topic,
+        )
+        ends = [info for topic in topics for info in publishers(topic)]
+        orders = [topic for topic in topics if self._bag.called.role(topic) in ORDERS]
+        ends += [info for topic in orders for info in listeners(topic)]
+        found = {bytes(info.endpoint_gid) for info in ends if info.node_name == _NAMELESS}
+        return found - self._had_time
+
+
+def conflicts(
+    node: Node, health: Health, bag: ReplayedBag, topics: Iterable[str], given: Namespace
+) -> list[str]:
+    """Return why these topics must not be published here, in words."""
+    if not given.everything and health.state("planner").startswith(CALIBRATING):
+        return ["a calibration is running here (node planner): nothing is replayed into it"]
+    found = [*_moved(node, bag, topics, given.watchers), *_sources(node, bag, topics)]
+    if given.clock and (others := _publishers(node, CLOCK)):
+        found.append(f"{', '.join(others)} publishes {CLOCK} already: leave --clock out")
+    return found
+
+
+def _moved(
+    node: Node, bag: ReplayedBag, topics: Iterable[str], watchers: Iterable[str]
+) -> Iterator[str]:
+    """Yield which machines would obey the recorded orders."""
+    harmless = WATCHERS | {*watchers}
+    for topic in topics:
+        if bag.called.role(topic) not in ORDERS:
+            continue
+        listening = {info.node_name for info in node.get_subscriptions_info_by_topic(topic)}
+        for name in sorted(listening - harmless):
+            if not name.startswith(_COMMAND_LINE):
+                yield (
+                    f"node {name} listens to {topic}: replayed orders would move its machine; end "
+                    f"it, use another ROS_DOMAIN_ID, or say that it only looks: --watcher {name}"
+                )
+
+
+def _sources(node: Node, bag: ReplayedBag, topics: Iterable[str]) -> Iterator[str]:
+    """Yield which topics come from somebody else already."""
+    for topic in topics:
+        others = _publishers(node, topic)
+        if bag.called.role(topic) in _OF_THE_PLANNER:
+            others = [name for name in others if name != "planner"]
+        if others and not topic.startswith(("/rosout", "/diagnostics")):
+            yield (
+                f"{', '.join(others)} publishes {topic} already: end it, use another "
+                "ROS_DOMAIN_ID" + (", or leave --all out" if topic in bag.outputs else "")
+            )
+
+
+def _publishers(node: Node, topic: str) -> list[str]:
+    found = {info.node_name for info in node.get_publishers_info_by_topic(topic)}
+    return sorted(found - {node.get_name()})
+
+
+ARRIVAL_S: Final = 10.0
+"""So long the last observations may take behind the last message."""
+SOLVE_S: Final = 3600.0
+_SHOWN: Final = 3
+
+
+class ReplayOutcome:
+    """Hears what the live capture observes, and has the live solver finish."""
+
+    needed: Final = {
+        "capture": (
+            names.PLAN, names.TABLE_ANGLE, names.PROBE_TARGET, names.PROBE_POINT, *NEVER_PAUSE
+        ),
+        "solver": (names.PLAN, names.TABLE_IN_FORCE),
+    }  # fmt: skip
+    """The roles that a node has to listen to before anything is published."""
+
+    def __init__(
+        self, peer: Peer, bag: ReplayedBag, health: Health, end: EndRequest, *, everything: bool
+    ) -> None:
+        self._peer, self._bag, self._health, self._end = peer, bag, health, end
+        self._everything = everything
+        self._observed: list[Observation] = []
+        topic = bag.called.topic(names.OBSERVATION)
+        peer.node.create_subscription(ObservationMsg, topic, self._hear, EVENT)
+        self._finish = peer.node.create_client(FinishCalibration, "finish_calibration")
+
+    def live(self) -> set[str]:
+        """Return which of the nodes that make the result again are here, not replayed."""
+        return set() if self._everything else self._health.present() & self.needed.keys()
+
+    def unheard(self, published: Mapping[str, Publisher], *, with_plan: bool) -> set[str]:
+        """Return the ``published`` topics to which live nodes do not listen yet that need them.
+
+        Those of another name they know ``with_plan`` only.
+        """
+        found = set()
+        for node in self.live():
+            for topic in published.keys() & {*self._bag.roles(*self.needed[node])}:
+                listening = self._peer.node.get_subscriptions_info_by_topic(topic)
+                matched = published[topic].get_subscription_count() >= len(listening)
+                known = with_plan or topic not in self._bag.called.topics.values()
+                if known and not (matched and node in {info.node_name for info in listening}):
+                    found.add(topic)
+        return found
+
+    def notes(self, clock: bool) -> Iterator[str]:
+        """Yield what the user should know before it begins."""
+        if not self._bag.plan_id:
+            yield "the bag holds no plan: capture and solver do not begin"
+        elif (missing := sorted(self.needed.keys() - self.live())) and not self._everything:
+            yield (
+                f"not here: {', '.join(missing)}; messages go to whoever listens (start nodes "
+                "first, such as: ros2 run rotcal_ros capture --ros-args -r "
+                f"__ns:={self._bag.namespace})"
+            )
+        if remappings := self._bag.remappings():
+            yield (
+                "some topics were called otherwise; nodes hear them with the configuration in the "
+                f"bag, or --ros-args {' '.join(remappings)}"
+            )
+        if anew := self._bag.taken_when_sent():
+            yield (
+                f"warning: {', '.join(anew)}: taken when they are sent (no header, or "
+                "topics.*_clock: sent), which is now; observations are not the recorded ones, and "
+                "beside streams with stamps of then there are none: rotcal solve reads the bag"
+            )
+        if clock:
+            yield "nodes follow /clock where they have use_sim_time: true"
+
+    def tell(self, result: Path | None, *, finish: bool) -> None:
+        """Say what became of it, and keep the result where that is asked for."""
+        found: dict[str, object] = {}
+        if "capture" in self.live() and self._bag.plan_id:
+            found = self._compared()
+        if finish and "solver" in self.live() and self._bag.plan_id:
+            found |= self._solved(result)
+        elif result is not None:
+            raise ConfigurationError(f"no result for {result}: no solver was asked for one")
+        say("result", **found)
+
+    def _hear(self, message: ObservationMsg) -> None:
+        self._observed.append(messages.observation(message))
+
+    def _compared(self) -> dict[str, object]:
+        """Return how the observations compare with those of the recording."""
+        recorded = self._bag.accepted
+        self._wait(lambda: recorded.keys() <= of_attempts(self._observed).keys(), ARRIVAL_S)
+        live = of_attempts(self._observed)
+        different = sorted(
+            attempt for attempt in recorded.keys() | live.keys()
+            if live.get(attempt) != recorded.get(attempt)
+        )  # fmt: skip
+        first = (f"step {step} (attempt {number})" for _, step, number in different[:_SHOWN])
+        return {
+            "observed": len(live),
+            "recorded": len(recorded),
+            "different": len(different),
+            "first_different": ", ".join(first),
+        }
+
+    def _solved(self, path: Path | None) -> dict[str, object]:
+        """Have the solver finish, as a planner does; DataError when it gives no result."""
+        say("solving")
+        if not self._wait(self._finish.service_is_ready, ARRIVAL_S):
+            raise DataError("node solver does not offer finish_calibration")
+        request = FinishCalibration.Request(plan_id=self._bag.plan_id, steps=self._bag.steps)
+        future = self._finish.call_async(request)
+        if not self._wait(future.done, SOLVE_S):
+            raise DataError("the solver gave no answer")
+        answer = future.result()
+        if not answer.success:
+            raise DataError(f"no result: {answer.message}")
+        if path is not None:
+            try:
+                write_atomically(path, answer.result_json)
+            except OSError as error:
+                raise ConfigurationError(f"cannot write {path}: {error}") from error
+        result = Result.from_dict(json.loads(answer.result_json))
+        return {
+            "verdict": answer.verdict,
+            "verdict_line": result.verdict_line,
+            "marks": [asdict(mark) for mark in marks(result)],
+        }
+
+    def _wait(self, condition: object, timeout_s: float) -> bool:
+        assert callable(condition)
+        self._peer.work_until(lambda: bool(self._end) or condition(), timeout_s)
+        return bool(condition())
 
 
 def main() -> None:

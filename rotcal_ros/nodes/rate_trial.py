@@ -26,13 +26,13 @@ from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.instruments.forms import OWN
 from rotcal_ros.instruments.interpreter import Interpreter
 from rotcal_ros.machine_load import Patience
-from rotcal_ros.nodes import conversions
-from rotcal_ros.nodes.channels import own_channel
-from rotcal_ros.nodes.draining import Batch, DrainedSubscription, sent_ns
-from rotcal_ros.nodes.peer import Peer
-from rotcal_ros.nodes.qos import LISTENING_DEPTH, STREAM
-from rotcal_ros.nodes.recording import Messages, Recording
-from rotcal_ros.nodes.running import use_middleware
+from rotcal_ros.nodes.runtime import conversions
+from rotcal_ros.nodes.runtime.channels import own_channel
+from rotcal_ros.nodes.runtime.draining import Batch, DrainedSubscription, sent_ns
+from rotcal_ros.nodes.runtime.peer import Peer
+from rotcal_ros.nodes.runtime.qos import LISTENING_DEPTH, STREAM
+from rotcal_ros.nodes.runtime.running import use_middleware
+from rotcal_ros.nodes.writing.recording import Messages, Recording
 from rotcal_ros.planning.health_settings import HealthSettings
 
 RATE_HZ: Final = 1000

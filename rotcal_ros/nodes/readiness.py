@@ -11,10 +11,10 @@ import time
 from collections.abc import Collection
 from typing import Final
 
-from rotcal_ros.nodes.health import Health
-from rotcal_ros.nodes.managed_node import not_active
-from rotcal_ros.nodes.peer import Peer
-from rotcal_ros.nodes.running import EndRequest, leave_with
+from rotcal_ros.nodes.runtime.health import Health
+from rotcal_ros.nodes.runtime.managed_node import not_active
+from rotcal_ros.nodes.runtime.peer import Peer
+from rotcal_ros.nodes.runtime.running import EndRequest, leave_with
 
 REMIND_S: Final = 15.0
 _TURN_S: Final = 0.2

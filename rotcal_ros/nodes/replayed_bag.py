@@ -21,7 +21,7 @@ from rotcal_ros.bags.session_identity import require_one_session
 from rotcal_ros.catalogue.configuration import read_topics
 from rotcal_ros.errors import BagError
 from rotcal_ros.instruments.conventions import Conventions
-from rotcal_ros.nodes.topic_names import CalledOtherwise
+from rotcal_ros.nodes.runtime.topic_names import CalledOtherwise
 from rotcal_ros.observations import Observation
 from rotcal_ros.units import NANOSECOND
 

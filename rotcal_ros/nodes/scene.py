@@ -23,12 +23,12 @@ from visualization_msgs.msg import Marker, MarkerArray
 from rotcal_ros import messages
 from rotcal_ros.arrays import Floats
 from rotcal_ros.bags import names
-from rotcal_ros.nodes.cell_node import CellNode
-from rotcal_ros.nodes.conversions import header
-from rotcal_ros.nodes.plans import calibration_of
-from rotcal_ros.nodes.qos import EVENT, LATCHED
-from rotcal_ros.nodes.roll_call import LOADING
-from rotcal_ros.nodes.running import run
+from rotcal_ros.nodes.runtime.cell_node import CellNode
+from rotcal_ros.nodes.runtime.conversions import header
+from rotcal_ros.nodes.runtime.plans import calibration_of
+from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED
+from rotcal_ros.nodes.runtime.roll_call import LOADING
+from rotcal_ros.nodes.runtime.running import run
 from rotcal_ros.scene.drawing import (
     Errors,
     draw_moving,

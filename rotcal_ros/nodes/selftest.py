@@ -13,8 +13,8 @@ from typing import Final
 from rclpy.utilities import get_rmw_implementation_identifier
 from rotcal_msgs.msg import TableAngle
 
-from rotcal_ros.nodes.peer import Peer
-from rotcal_ros.nodes.qos import LATCHED
+from rotcal_ros.nodes.runtime.peer import Peer
+from rotcal_ros.nodes.runtime.qos import LATCHED
 
 DEADLINE_S: Final = 10.0
 TURN_S: Final = 0.02

@@ -14,11 +14,11 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.catalogue.method import DEFAULT, find_method
 from rotcal_ros.in_force import NONE, UNKNOWN
-from rotcal_ros.nodes import conversions
-from rotcal_ros.nodes.cell_node import CellNode
-from rotcal_ros.nodes.emergency_stop import EmergencyStop
-from rotcal_ros.nodes.qos import EVENT, LATCHED, STREAM
-from rotcal_ros.nodes.running import run
+from rotcal_ros.nodes.runtime import conversions
+from rotcal_ros.nodes.runtime.cell_node import CellNode
+from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
+from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED, STREAM
+from rotcal_ros.nodes.runtime.running import run
 from rotcal_ros.observations import Command, HumiditySample, PressureSample
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.safety_settings import SafetySettings

@@ -15,15 +15,15 @@ from rotcal_ros import messages
 from rotcal_ros.bags import names
 from rotcal_ros.capture.rejections import kind_of
 from rotcal_ros.errors import ConfigurationError, DataError
-from rotcal_ros.nodes import conversions
-from rotcal_ros.nodes.cell_node import CellNode
-from rotcal_ros.nodes.concerns import COMPLAINT, show
-from rotcal_ros.nodes.draining import Batch, InstrumentSubscription
-from rotcal_ros.nodes.emergency_stop import EmergencyStop
-from rotcal_ros.nodes.health import CALIBRATING
-from rotcal_ros.nodes.joint_controllers import joint_controller
-from rotcal_ros.nodes.qos import EVENT, STREAM
-from rotcal_ros.nodes.running import run
+from rotcal_ros.nodes.instruments.joint_controllers import joint_controller
+from rotcal_ros.nodes.runtime import conversions
+from rotcal_ros.nodes.runtime.cell_node import CellNode
+from rotcal_ros.nodes.runtime.concerns import COMPLAINT, show
+from rotcal_ros.nodes.runtime.draining import Batch, InstrumentSubscription
+from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
+from rotcal_ros.nodes.runtime.health import CALIBRATING
+from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
+from rotcal_ros.nodes.runtime.running import run
 from rotcal_ros.observations import Approach
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.safety_settings import SafetySettings

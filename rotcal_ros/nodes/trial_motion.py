@@ -20,13 +20,13 @@ from rotcal_ros.bags import names
 from rotcal_ros.catalogue.calibration import prepare_to_measure
 from rotcal_ros.catalogue.configuration import read_configuration
 from rotcal_ros.catalogue.trial_motion import TRIAL_DEG, TrialMotion, beams_of
-from rotcal_ros.nodes.cell_graph import CellGraph
-from rotcal_ros.nodes.cell_node import CellNode, until
-from rotcal_ros.nodes.emergency_stop import EmergencyStop
-from rotcal_ros.nodes.health import CALIBRATING
-from rotcal_ros.nodes.instrument_streams import InstrumentStreams
-from rotcal_ros.nodes.qos import EVENT
-from rotcal_ros.nodes.running import run
+from rotcal_ros.nodes.instruments.streams import InstrumentStreams
+from rotcal_ros.nodes.runtime.cell_graph import CellGraph
+from rotcal_ros.nodes.runtime.cell_node import CellNode, until
+from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
+from rotcal_ros.nodes.runtime.health import CALIBRATING
+from rotcal_ros.nodes.runtime.qos import EVENT
+from rotcal_ros.nodes.runtime.running import run
 from rotcal_ros.observations import ProbeSample, TableSample, TracerSample
 from rotcal_ros.planning.safety_settings import SafetySettings
 from rotcal_ros.table_motion import is_near

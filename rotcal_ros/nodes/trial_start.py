@@ -21,8 +21,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import QoSProfile
 
 from rotcal_ros.node_names import NODES
-from rotcal_ros.nodes.peer import Peer
-from rotcal_ros.nodes.running import SUPERVISOR_VARIABLE
+from rotcal_ros.nodes.runtime.peer import Peer
+from rotcal_ros.nodes.runtime.running import SUPERVISOR_VARIABLE
 
 START_S: Final = 40.0
 END_S: Final = 5.0

@@ -1,4 +1,21 @@
-"""Solving a bag offline: the same capture and the same solver as live, hence the same result."""
+"""Solving a bag offline: the same capture and the same solver as live, hence the same result.
+
+Why each step was measured: the choices in a bag, and the same policy asked again.
+
+Which observations are spoilt by clocks that differ: what the live capture said of it counts.
+
+Its estimate hangs on when messages came to it, which no recorder knows; its verdicts are in the
+bag.
+
+How the clock of a bag's recorder went: what it noted of jumps, and the order of log times.
+
+Why a bag yields no observation: what its reader can do something about, in one sentence.
+
+What a run knew of the runs before it, where the nodes themselves went on.
+
+They went on from the observations that were recorded. The streams tell more where a node died
+between a reading and its observation: that step was measured again, and counts once.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +24,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Final, Literal
+
+from threadpoolctl import threadpool_limits
 
 from rotcal_ros import catalogue
 from rotcal_ros import messages as records
@@ -23,25 +42,25 @@ from rotcal_ros.bags.time_order import TimeOrder, TimeOrders, sorted_blocks
 from rotcal_ros.bags.unread import note_unread
 from rotcal_ros.bags.verdict import FileVerdict, losses_in_words, session_losses, unread_losses
 from rotcal_ros.capture.attempt import nanoseconds
-from rotcal_ros.capture.stamp_offsets import OffsetLimits
+from rotcal_ros.capture.rejections import Commonest
+from rotcal_ros.capture.stamp_offsets import OffsetLimits, is_of_clocks, rejected_for
 from rotcal_ros.catalogue.configuration import (
     Configuration,
     parse_configuration,
     read_policy,
 )
+from rotcal_ros.catalogue.continuation import Continuation
 from rotcal_ros.catalogue.goal import GoalStanding, goal_standing
 from rotcal_ros.catalogue.method import Trials
+from rotcal_ros.clock_jumps import read_note
 from rotcal_ros.errors import BagError, DataError, RotcalError
 from rotcal_ros.geometry.frames import StaticFrame
 from rotcal_ros.in_force import contradiction, of_axis
 from rotcal_ros.instruments.steps import StepFinder
 from rotcal_ros.observations import Observation
-from rotcal_ros.planning.policy.names import UNTIL_GOAL
-from rotcal_ros.recordings.choices import RecordedChoice, differences
-from rotcal_ros.recordings.clock_verdicts import judged_as_live, same_limit
+from rotcal_ros.planning.policy.choices import Choice, Outcome, Standing
+from rotcal_ros.planning.policy.names import AS_LISTED, UNTIL_GOAL
 from rotcal_ros.recordings.dropouts import PlacedDropout, placed_in, sentences
-from rotcal_ros.recordings.log_times import clock_in_words
-from rotcal_ros.recordings.nothing_captured import doubtful, why_nothing
 from rotcal_ros.recordings.recorded_setup import (
     Decoders,
     as_recorded,
@@ -53,7 +72,6 @@ from rotcal_ros.recordings.recorded_setup import (
 )
 from rotcal_ros.recordings.streams import SLICE_NS, TIMED, StreamFeeder
 from rotcal_ros.recordings.topics import Part, Topics, of_one_cell
-from rotcal_ros.recordings.went_on import known_then
 from rotcal_ros.results import Result
 
 Source = Literal["streams", "observations"]
@@ -410,3 +428,267 @@ def _read(
         if feeder is not None:
             feeder.feed(block, parts)
     return found
+
+
+ENDLESS: Final = 2**62
+
+
+@dataclass(frozen=True)
+class RecordedChoice:
+    """One choice of a run; ``attempt`` is the first one that belongs to it."""
+
+    run: int
+    number: int
+    attempt: int
+    choice: Choice
+
+    @classmethod
+    def of(cls, message: Any) -> RecordedChoice:
+        """Return what a rotcal_msgs/StepChoice says."""
+        standing = Standing(message.left, message.uncertainty, message.goal)
+        step = None if message.stop else message.step
+        choice = Choice(step, message.reason, standing)
+        return cls(message.run, message.number, message.attempt, choice)
+
+
+def differences(
+    calibration: catalogue.Calibration,
+    choices: Sequence[RecordedChoice],
+    observations: Iterable[Observation],
+) -> tuple[str, ...]:
+    """Return where the policy, given the recorded observations, chooses otherwise than it did.
+
+    ``calibration`` has the settings of the planner. The policy as_listed has nothing to choose.
+    """
+    if calibration.configuration.planner.policy == AS_LISTED:
+        return ()
+    every = tuple(observations)
+    found = []
+    for run in sorted({recorded.run for recorded in choices}):
+        mine = sorted((c for c in choices if c.run == run), key=lambda c: c.number)
+        continuation = _begun(calibration, run, [o for o in every if o.run < run])
+        with threadpool_limits(1, "blas"):  # as the planner
+            text = _first_difference(
+                calibration, continuation, mine, [o for o in every if o.run == run]
+            )
+        if text:
+            found.append(text)
+    return tuple(found)
+
+
+def _begun(
+    calibration: catalogue.Calibration, run: int, earlier: Sequence[Observation]
+) -> Continuation:
+    """Return what a run was begun with."""
+    if run == 0:
+        return calibration.from_the_start()
+    return calibration.continued(run, earlier)
+
+
+def _first_difference(
+    calibration: catalogue.Calibration,
+    continuation: Continuation,
+    choices: Sequence[RecordedChoice],
+    observations: Sequence[Observation],
+) -> str:
+    policy = calibration.policy(continuation)
+    for place, recorded in enumerate(choices):
+        again = policy.choose()
+        if recorded.number != place or not again.same_as(recorded.choice):
+            return (
+                f"run {recorded.run}, choice {place}: the planner chose "
+                f"{_in_words(recorded.choice)}, with what was recorded the policy chooses "
+                f"{_in_words(again)}"
+            )
+        if recorded.choice.step is not None:
+            policy.note(_outcome(recorded, choices[place + 1 :], observations))
+    return ""
+
+
+def _outcome(
+    recorded: RecordedChoice,
+    later: Sequence[RecordedChoice],
+    observations: Sequence[Observation],
+) -> Outcome:
+    """Return how the step of a choice went: the last accepted attempt of those it has."""
+    step = recorded.choice.step
+    assert step is not None
+    behind = min((c.attempt for c in later if c.choice.step == step), default=ENDLESS)
+    accepted = [
+        o
+        for o in observations
+        if o.step == step and o.accepted and recorded.attempt <= o.attempt < behind
+    ]
+    return Outcome(step, max(accepted, key=lambda o: o.attempt, default=None))
+
+
+def _in_words(choice: Choice) -> str:
+    step = "to stop" if choice.step is None else f"step {choice.step}"
+    return f"{step} ({choice.reason}; {choice.standing.left} left)"
+
+
+def judged_as_live(
+    observations: Iterable[Observation], estimates: Sequence[str], recorded: Iterable[Observation]
+) -> tuple[Observation, ...]:
+    """Return the observations, rejected where the clocks of their streams differ.
+
+    That is what was ``recorded`` of the same attempt; where nothing was (foreign bags, nodes that
+    were killed) it is the estimate from the bag at each observation, empty: they are alike.
+    """
+    live = {_attempt(o): o.reason for o in recorded if o.accepted or is_of_clocks(o.reason)}
+    return tuple(
+        rejected_for(live.get(_attempt(observation), own), observation)
+        for observation, own in zip(observations, estimates, strict=True)
+    )
+
+
+def same_limit(configuration: Configuration, recorded: Iterable[Configuration]) -> bool:
+    """Return whether the clocks may differ as much as when it was ``recorded``."""
+    allowed = OffsetLimits.of(configuration.capture)
+    return all(OffsetLimits.of(known.capture) == allowed for known in recorded)
+
+
+def _attempt(observation: Observation) -> tuple[int, int, int]:
+    return observation.run, observation.step, observation.attempt
+
+
+_SHOWN: Final = 5
+
+
+def clock_in_words(scans: Sequence[Scan], order: TimeOrder) -> tuple[str, ...]:
+    """Return how the clock jumped, a line for each jump that the recorder noted, and the order.
+
+    Log times that go back are explained where jumps were noted.
+    """
+    jumps = [j for scan in scans for j in read_note(scan.metadata.get(names.CLOCK_JUMPS, {}))]
+    jumps = sorted(set(jumps), key=lambda jump: (not jump.named, jump.at_ns))
+    texts = [jump.in_words() for jump in jumps[:_SHOWN]]
+    if len(jumps) > _SHOWN:
+        texts.append(f"the system clock jumped {len(jumps) - _SHOWN} times more")
+    if not (jumps and order.back):
+        texts += order.in_words()
+    return tuple(texts)
+
+
+_TOPICS: Final = {
+    "tracer": names.TRACER_LENGTH,
+    "table": names.JOINT_STATES,
+    "probe": names.PROBE_POINT,
+    "temperature": names.TEMPERATURE,
+    "command": f"{names.TABLE_ANGLE} or {names.PROBE_TARGET}",
+}
+"""What delivers each stream of the capture."""
+_MAX_NAMED: Final = 8
+_FEW: Final = 0.1
+"""Share of steps without an accepted observation that needs no word."""
+
+
+def why_nothing(
+    observations: Sequence[Observation],
+    counts: Mapping[str, Mapping[str, int]],
+    unreadable: Mapping[str, str],
+    broken: Mapping[str, int],
+    topics: Iterable[str],
+) -> str:
+    """Return why none of ``observations`` was accepted.
+
+    ``counts`` is what the capture counted per stream, empty when the recorded observations were
+    taken; ``unreadable`` names topics without a usable definition and ``broken`` those whose
+    messages could not be decoded; ``topics`` are all of the bag.
+    """
+    reasons = list(unreadable.values())
+    reasons += [f"{topic}: {count} messages cannot be decoded" for topic, count in broken.items()]
+    silent = [
+        _TOPICS[stream]
+        for stream, counted in counts.items()
+        if not counted.get("received") and stream in _TOPICS
+    ]
+    if observations:
+        reasons.insert(0, _rejections(observations))
+    elif not counts:
+        reasons.append(f"it holds none on a topic {names.OBSERVATION}; solve its streams instead")
+    elif silent:
+        reasons.append(f"nothing was read on {', '.join(silent)}; {_present(topics)}")
+    elif counts.get("command", {}).get("unanswered"):
+        reasons.append(unanswered(counts["command"]))
+    else:
+        reasons.append("its streams hold no step of the plan that came to its end")
+    return "; ".join(reasons)
+
+
+def _rejections(observations: Sequence[Observation]) -> str:
+    """Return how many were rejected, and the commonest reason."""
+    found = Commonest.of(o.reason for o in observations)
+    assert found is not None
+    return f"all {found.total} were rejected, {found.in_words()}"
+
+
+def doubtful(
+    observations: Sequence[Observation], counts: Mapping[str, Mapping[str, int]]
+) -> tuple[str, ...]:
+    """Return what a reader should know of attempts that failed, though not all did.
+
+    And how many messages contradict others: nobody can say which of them are true.
+    """
+    texts = []
+    rejected = [o.reason for o in observations if not o.accepted]
+    found = Commonest.of(rejected)
+    if found and 2 * found.total > len(observations):
+        texts.append(
+            f"{found.total} of {len(observations)} attempts were rejected, {found.in_words()}"
+        )
+    elif without := _without(observations):
+        texts.append(without)
+    texts += [
+        f"{n} messages on {_TOPICS[stream]} say something else than another one of the same time "
+        "or order: two publishers, or stamps that are too coarse; the first one counts"
+        for stream in ("tracer", "table", "probe")
+        if (n := counts.get(stream, {}).get("contradicting", 0))
+    ]
+    commands = counts.get("command", {})
+    if 2 * commands.get("unanswered", 0) > commands.get("received", 0):
+        texts.append(unanswered(commands))
+    return tuple(texts)
+
+
+def _without(observations: Sequence[Observation]) -> str:
+    """Return how many steps were tried in vain, and why; empty: few, a beam that is blocked."""
+    done = {o.step for o in observations if o.accepted}
+    vain = [o for o in observations if o.step not in done]
+    found, steps = Commonest.of(o.reason for o in vain), len({o.step for o in vain})
+    if found is None or steps <= _FEW * (len(done) + steps):
+        return ""
+    return f"{steps} of {len(done) + steps} steps were tried in vain, {found.in_words()}"
+
+
+def unanswered(commands: Mapping[str, int]) -> str:
+    """Say that the machine did not echo its orders."""
+    return (
+        f"{commands['unanswered']} of {commands['received']} orders have no answer: a point on "
+        f"{names.PROBE_POINT} must echo step and attempt of its order"
+    )
+
+
+def _present(topics: Iterable[str]) -> str:
+    found = sorted(topics)
+    if not found:
+        return "it has no topics at all"
+    more = f" and {len(found) - _MAX_NAMED} more" if len(found) > _MAX_NAMED else ""
+    return (
+        f"its topics are {', '.join(found[:_MAX_NAMED])}{more} (see --namespace, and the group "
+        "topics of the set-up for other names)"
+    )
+
+
+def known_then(
+    captured: Iterable[Observation], recorded: Iterable[Observation], scans: Iterable[Scan]
+) -> tuple[Observation, ...]:
+    """Return the observations without those that no later run of the nodes has known."""
+    went_on = (
+        scan.metadata
+        for scan in scans
+        if scan.metadata.get(names.RUN, {}).get("earlier") == names.RECORDED
+    )
+    last = max(map(run_number, went_on), default=0)
+    known = {(o.run, o.step, o.attempt) for o in recorded}
+    return tuple(o for o in captured if o.run >= last or (o.run, o.step, o.attempt) in known)

@@ -1,7 +1,11 @@
-"""The HTML report: one self-contained page, a pure function of a result and its inputs."""
+"""The HTML report: one self-contained page, a pure function of a result and its inputs.
+
+The number and the fingerprint by which the pages of one report are known.
+"""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -14,19 +18,7 @@ from rotcal_ros.figures import Figure, curves
 from rotcal_ros.figures.residuals import residual_figures
 from rotcal_ros.in_force import UNKNOWN
 from rotcal_ros.observations import Observation
-from rotcal_ros.report import (
-    budget,
-    facts,
-    first_page,
-    goal,
-    harmonics,
-    iso230,
-    reliability,
-    traceability,
-    trust,
-    verification,
-)
-from rotcal_ros.report.fingerprint import fingerprint, number
+from rotcal_ros.report import facts, first_page, iso230, sections, verification
 from rotcal_ros.report.template import render
 from rotcal_ros.results import Result
 
@@ -82,10 +74,10 @@ def render_report(report: ReportInput) -> str:
         curve=curves.deviations(result, report.truth, valid=not doubt),
         zero=_zero(result),
         values=first_page.value_blocks(result, doubt),
-        traceability=traceability.statement(result),
+        traceability=sections.traceability_statement(result),
         only_this_item=facts.ONLY_THIS_ITEM,
         adjustment=f"See “{verification.TITLE}”." if adjusted else NO_ADJUSTMENT,
-        goal=goal.section(report.goal),
+        goal=sections.goal_standing(report.goal),
         sections=[section for section in _sections(report, doubt) if section[1]],
         rejected=[[r.index, r.why] for r in result.rejected],
         attempts=attempts,
@@ -99,16 +91,16 @@ def _sections(report: ReportInput, doubt: str) -> list[tuple[str, str]]:
     figures = [figure for figure in _figures(report) if figure.svg]
     drawn = {place: _drawings(figures, place) for place in ("set-up", "residuals", "results")}
     return [
-        (budget.TITLE, budget.section(result, doubt)),
-        (trust.TITLE, trust.section(result)),
-        (traceability.TITLE, traceability.section(result)),
+        (sections.BUDGET, sections.budget(result, doubt)),
+        (sections.TRUST, sections.protections(result)),
+        (sections.TRACEABILITY, sections.traceability(result)),
         ("Set-up", drawn["set-up"]),
         *report.extra,
         ("ISO 230-2: positioning of the axis", iso230.section(result)),
-        ("Harmonic content", harmonics.section(result)),
+        ("Harmonic content", sections.harmonics(result)),
         ("Further figures", drawn["results"]),
         ("Residuals", drawn["residuals"]),
-        (reliability.TITLE, reliability.section(result)),
+        (sections.RELIABILITY, sections.reliability_of_observations(result)),
     ]
 
 
@@ -170,3 +162,18 @@ def _short(value: Any) -> str:
     if 0 < len(items) <= 4 and all(isinstance(item, int | float) for item in items):
         return "(" + ", ".join(f"{item:.6g}" for item in items) + ")"
     return ""
+
+
+DIGITS: Final = 10
+SHOWN: Final = 16
+
+
+def fingerprint(result: Result) -> str:
+    """Return the SHA-256 of the result as result.json holds it."""
+    return hashlib.sha256(result.to_json().encode()).hexdigest()
+
+
+def number(result: Result) -> str:
+    """Return the number of the certificate, or one that follows from the fingerprint."""
+    stated = result.circumstances.identity.certificate_number
+    return stated or f"RC-{fingerprint(result)[:DIGITS].upper()}"

@@ -17,7 +17,7 @@ from typing import Any
 from rotcal_ros.bags.closing import InterruptedSession
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
-from rotcal_ros.nodes.recording import Channel, Messages, Receipt, Recording
+from rotcal_ros.nodes.writing.recording import Channel, Messages, Receipt, Recording
 
 DEFINITION = "uint64 number\nuint64 stamp_ns\n"
 READING = struct.Struct("<4xQQ")

@@ -22,7 +22,7 @@ from rotcal_ros.bags.session_verdict import judge_session
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.errors import BagError
-from rotcal_ros.nodes.recording import Channel, Messages, Receipt, Recording
+from rotcal_ros.nodes.writing.recording import Channel, Messages, Receipt, Recording
 
 ALL = bool(os.environ.get("ROTCAL_LONG_TESTS"))
 SAMPLE = 80

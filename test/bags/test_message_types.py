@@ -8,9 +8,8 @@ import struct
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from rotcal_ros.bags.decode import Decoder
+from rotcal_ros.bags.decode import MAX_DEFINITION, Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
-from rotcal_ros.bags.message_types import MAX_DEFINITION
 from rotcal_ros.errors import BagError
 
 LINE = "=" * 80 + "\n"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rotcal_ros.bags.blocks import HEADER_TYPE, Block
-from rotcal_ros.bags.sorting import Sorting
+from rotcal_ros.bags.time_order import Sorting
 
 
 def blocks_of(keys, payloads, per_block):

@@ -5,7 +5,7 @@ from dataclasses import replace
 from capture_scenes import MS, RULES, SECOND, SETTINGS, make_plan, make_scene, probe_sample
 
 from rotcal_ros.capture import Capture
-from rotcal_ros.capture.answers import Answers
+from rotcal_ros.capture.capture import Answers
 from rotcal_ros.observations import PointKind
 
 PLAN = make_plan()

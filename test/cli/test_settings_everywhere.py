@@ -7,7 +7,7 @@ import yaml
 from click.testing import CliRunner
 
 from rotcal_ros.cli.main import rotcal
-from rotcal_ros.sessions import environment, running
+from rotcal_ros.sessions import environment, following
 
 CONFIG = Path(__file__).parents[2] / "config"
 MISSPELT = [
@@ -35,7 +35,7 @@ def refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     # Neither is ROS needed for the answer nor does any process start.
     monkeypatch.setattr(environment, "require_ros", lambda: None)
-    monkeypatch.setattr(running, "Processes", None)
+    monkeypatch.setattr(following, "Processes", None)
 
     def run(*arguments):
         before = sorted(tmp_path.rglob("*"))

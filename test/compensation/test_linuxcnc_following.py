@@ -9,7 +9,7 @@ from compensation_examples import TAU, even, result_of, wavy
 
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.export import prepare_export
-from rotcal_ros.compensation.linuxcnc_following import Following
+from rotcal_ros.compensation.linuxcnc import Following
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.units import ARCSEC, DEGREE
 

@@ -7,7 +7,7 @@ from threading import Lock
 from rotcal_ros.catalogue import changed, prepare
 from rotcal_ros.catalogue.configuration import read_configuration
 from rotcal_ros.dme.client import DmeClient
-from rotcal_ros.dme.measuring import Measuring
+from rotcal_ros.dme.driver import Measuring
 from rotcal_ros.dme.settings import DmeSettings
 
 DEMO = Path(__file__).parents[2] / "config" / "ball_plate_demo.yaml"

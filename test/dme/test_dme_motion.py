@@ -5,11 +5,10 @@ from math import pi, radians
 import numpy as np
 import pytest
 
+from rotcal_ros.dme.client import TableAxis, standing_of, way_to_turn
+from rotcal_ros.dme.driver import Go, Touch, around_ball
 from rotcal_ros.dme.faults import DmeError, ProtocolError
-from rotcal_ros.dme.feedback import standing_of
 from rotcal_ros.dme.settings import DmeSettings
-from rotcal_ros.dme.table_axis import TableAxis, way_to_turn
-from rotcal_ros.dme.touching import Go, Touch, around_ball
 from rotcal_ros.observations import Approach
 from rotcal_ros.table_motion import TableSpeed
 

@@ -15,7 +15,7 @@ from dme_plates import settings, small
 from rotcal_ros.catalogue import changed, prepare
 from rotcal_ros.catalogue.configuration import read_configuration
 from rotcal_ros.dme.client import DmeClient
-from rotcal_ros.dme.measuring import Measuring
+from rotcal_ros.dme.driver import Measuring
 from rotcal_ros.dme.server import DmeServer, serving
 from rotcal_ros.observations import LengthStatus, PointKind, TracerSample
 

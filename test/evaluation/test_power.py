@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rotcal_ros.evaluation.power import Trial, search
+from rotcal_ros.evaluation.power_table import Trial, search
 
 ALPHA = 0.001
 

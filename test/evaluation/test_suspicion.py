@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rotcal_ros.evaluation.suspicion import suspicion
+from rotcal_ros.evaluation.compare import suspicion
 
 ANGLES = np.arange(24) * 2 * np.pi / 24
 CURVE = 3.0 * np.sin(ANGLES) + np.cos(3 * ANGLES) + 0.5 * np.sin(2 * ANGLES + 1.0)

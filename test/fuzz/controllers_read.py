@@ -84,9 +84,9 @@ def side_files() -> Iterable[bytes]:
 
 
 def read_side_file(path: Path) -> None:
-    from rotcal_ros.compensation.change import _span
     from rotcal_ros.compensation.controllers import make_controller
     from rotcal_ros.compensation.earlier import read_earlier
+    from rotcal_ros.compensation.feed import _span
     from rotcal_ros.compensation.held import held_table
 
     text = path.read_bytes().decode(errors="replace")

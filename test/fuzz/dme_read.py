@@ -132,9 +132,9 @@ def read_orders(path: Path) -> None:
 
 
 async def _converse(data: bytes) -> list[bytes]:
-    from rotcal_ros.dme.conversation import Conversation
     from rotcal_ros.dme.machine import SimulatedMachine
     from rotcal_ros.dme.methods import Methods
+    from rotcal_ros.dme.server import Conversation
 
     said: list[bytes] = []
     failed: list[dict[str, Any]] = []

@@ -6,8 +6,8 @@ import subprocess
 import pytest
 from real_linuxcnc import HERE
 
-from rotcal_ros.compensation.busy import work_of
 from rotcal_ros.compensation.controllers import make_controller
+from rotcal_ros.compensation.feed import work_of
 from rotcal_ros.compensation.linuxcnc_machine import AGENT
 from rotcal_ros.machine_load import patient
 

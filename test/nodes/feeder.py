@@ -27,9 +27,9 @@ from rotcal_msgs.msg import Observation, RecordedObservation, TracerLength
 from rotcal_msgs.srv import StartRecording
 from std_msgs.msg import String
 
-from rotcal_ros.nodes.conversions import time_message
-from rotcal_ros.nodes.health import RECORDING_FAILED
-from rotcal_ros.nodes.qos import EVENT, STREAM, VIEW
+from rotcal_ros.nodes.runtime.conversions import time_message
+from rotcal_ros.nodes.runtime.health import RECORDING_FAILED
+from rotcal_ros.nodes.runtime.qos import EVENT, STREAM, VIEW
 
 PERIOD_S = 0.005
 READINGS = 5

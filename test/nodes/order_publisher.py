@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rotcal_msgs.msg import TableAngle
 from sensor_msgs.msg import JointState
 
-from rotcal_ros.nodes.qos import EVENT, STREAM
+from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
 
 APART_S = 0.5
 

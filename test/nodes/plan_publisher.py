@@ -7,7 +7,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rotcal_msgs.msg import CalibrationPlan
 
-from rotcal_ros.nodes.qos import LATCHED
+from rotcal_ros.nodes.runtime.qos import LATCHED
 
 if __name__ == "__main__":
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # a signal ends it

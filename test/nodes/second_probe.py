@@ -7,7 +7,7 @@ from rclpy.node import Node
 from rotcal_msgs.msg import Observation, ProbePoint
 from sensor_msgs.msg import JointState
 
-from rotcal_ros.nodes.qos import EVENT, STREAM
+from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
 
 OFF_M = 15e-6
 MARK = "second"

@@ -52,7 +52,7 @@ class Bench:
         from rclpy.executors import SingleThreadedExecutor
         from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
 
-        from rotcal_ros.nodes.qos import LATCHED
+        from rotcal_ros.nodes.runtime.qos import LATCHED
 
         self.live = cell()
         self.controller = tmp_path / "controller"
@@ -88,7 +88,7 @@ class Bench:
 
     def publish(self, table, table_hash=None, **changes):
         """Publish a table, with other numbers than those of its hash if they are given."""
-        from rotcal_ros.nodes.conversions import compensation_message
+        from rotcal_ros.nodes.runtime.conversions import compensation_message
 
         now_ns = self.node.get_clock().now().nanoseconds
         message = compensation_message(table, "p", now_ns)

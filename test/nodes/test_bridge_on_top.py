@@ -19,7 +19,7 @@ def bench(cell, tmp_path):
 def test_the_cell_hears_what_is_in_force_and_what_it_leaves_is_added(bench):
     from rotcal_msgs.msg import TableInForce
 
-    from rotcal_ros.nodes.qos import LATCHED
+    from rotcal_ros.nodes.runtime.qos import LATCHED
 
     heard = []
     bench.node.create_subscription(

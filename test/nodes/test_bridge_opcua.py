@@ -44,7 +44,7 @@ def actions(bench):
 def test_a_table_goes_over_comes_back_and_is_never_half(bench, server):
     from rotcal_msgs.msg import TableInForce
 
-    from rotcal_ros.nodes.qos import LATCHED
+    from rotcal_ros.nodes.runtime.qos import LATCHED
 
     heard = []
     bench.node.create_subscription(

@@ -12,12 +12,11 @@ pytest.importorskip("rotcal_msgs")
 from rotcal_ros.catalogue import prepare
 from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
 from rotcal_ros.catalogue.continuation import Continuation, Recorded
-from rotcal_ros.nodes import goal_preflight, goal_run
-from rotcal_ros.nodes.crew import Codes, GoalError
-from rotcal_ros.nodes.goal_bag import GoalBag
-from rotcal_ros.nodes.goal_run import GoalRun
-from rotcal_ros.nodes.measuring import Measuring
-from rotcal_ros.nodes.progress import Progress
+from rotcal_ros.nodes.goal import run as goal_run
+from rotcal_ros.nodes.goal.crew import Codes, GoalError
+from rotcal_ros.nodes.goal.measuring import Measuring
+from rotcal_ros.nodes.goal.progress import Progress
+from rotcal_ros.nodes.goal.run import GoalBag, GoalRun
 from rotcal_ros.planning.plan import Pause
 from rotcal_ros.planning.planner_settings import PlannerSettings
 
@@ -213,7 +212,7 @@ def test_a_later_preflight_has_somebody_resume_before_it_misses_what_is_silent(m
     def missing(*_):
         return ["silent"] if stop.latched else []
 
-    monkeypatch.setattr(goal_preflight, "_missing", missing)
+    monkeypatch.setattr(goal_run, "_missing", missing)
     watch = SimpleNamespace(preflight=False, stop=stop, have=have, is_found=found, links=None)
-    asyncio.run(goal_preflight._have_topics(PLAIN, watch, Asking()))
+    asyncio.run(goal_run._have_topics(PLAIN, watch, Asking()))
     assert asked == ["the gate is open"]

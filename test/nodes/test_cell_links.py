@@ -9,10 +9,10 @@ pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros.catalogue import changed, prepare, read_configuration
-from rotcal_ros.nodes import goal_preflight
-from rotcal_ros.nodes.cell_links import CellLinks
-from rotcal_ros.nodes.crew import GoalError
-from rotcal_ros.nodes.goal_watch import GoalWatch
+from rotcal_ros.nodes.goal import run as goal_run
+from rotcal_ros.nodes.goal.cell_links import CellLinks
+from rotcal_ros.nodes.goal.crew import GoalError
+from rotcal_ros.nodes.goal.watch import GoalWatch
 
 STOP = "/safety/estop"
 
@@ -57,14 +57,14 @@ def test_why_a_recorder_never_listens_is_told():
 def test_the_preflight_asks_for_the_stop_of_its_goal(monkeypatch):
     file = Path(__file__).parents[2] / "config" / "tracer.yaml"
     calibration = prepare(changed(read_configuration(file), [f"safety.emergency_stop={STOP}"]))
-    monkeypatch.setattr(goal_preflight, "names_at_odds", lambda *_: [])
+    monkeypatch.setattr(goal_run, "names_at_odds", lambda *_: [])
     asked = SimpleNamespace(
         node=None,
         health=SimpleNamespace(values=lambda _: {}),
         missing_air=lambda _: {},
         missing_topics=lambda _topics, _silent, stop: [f"asked for {stop}"],
     )
-    assert goal_preflight._missing(calibration, asked) == [f"asked for {STOP}"]
+    assert goal_run._missing(calibration, asked) == [f"asked for {STOP}"]
 
 
 OURS, NEW = [1] * 16, [2] * 16

@@ -7,8 +7,8 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
-from rotcal_ros.nodes import joint_controllers
-from rotcal_ros.nodes.check_adapter import controller_lines
+from rotcal_ros.nodes.check.adapter import controller_lines
+from rotcal_ros.nodes.instruments import joint_controllers
 from rotcal_ros.ros2_control.settings import TableAdapterSettings
 
 STATUS = "/drive/follow_joint_trajectory/_action/status"

@@ -11,8 +11,8 @@ pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros.catalogue.configuration import changed, read_configuration
 from rotcal_ros.instrument_plugins.instrument import Tracer, Tracker
-from rotcal_ros.nodes import check_drivers
-from rotcal_ros.nodes.check_drivers import brought, brought_line, driver_lines
+from rotcal_ros.nodes.check import drivers as check_drivers
+from rotcal_ros.nodes.check.drivers import brought, brought_line, driver_lines
 
 CONFIG = Path(__file__).parents[2] / "config"
 DME = read_configuration(CONFIG / "ball_plate_dme.yaml")

@@ -20,7 +20,7 @@ from rotcal_ros import messages  # noqa: E402
 from rotcal_ros.compensation.table import check_verdict, table_from_result  # noqa: E402
 from rotcal_ros.errors import DataError  # noqa: E402
 from rotcal_ros.methods.ball_plate import solve  # noqa: E402
-from rotcal_ros.nodes import conversions  # noqa: E402
+from rotcal_ros.nodes.runtime import conversions  # noqa: E402
 from rotcal_ros.observations import (  # noqa: E402
     Approach,
     Command,

@@ -7,9 +7,9 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
-from rotcal_ros.nodes import crew
-from rotcal_ros.nodes.crew import Crew, GoalError
-from rotcal_ros.nodes.identity import IDENTITY
+from rotcal_ros.nodes.goal import crew
+from rotcal_ros.nodes.goal.crew import Crew, GoalError
+from rotcal_ros.nodes.runtime.identity import IDENTITY
 
 SUITE = ("capture", "recorder", "solver")
 

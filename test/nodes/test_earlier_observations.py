@@ -10,9 +10,9 @@ pytest.importorskip("rotcal_msgs")
 from rotcal_msgs.msg import CalibrationPlan
 
 from rotcal_ros.catalogue.continuation import Recorded
-from rotcal_ros.nodes import earlier_observations
-from rotcal_ros.nodes.earlier_observations import NO_GOAL_S, PATIENCE_S, EarlierObservations
-from rotcal_ros.nodes.plans import RUN, run_name
+from rotcal_ros.nodes import solver
+from rotcal_ros.nodes.runtime.plans import RUN, run_name
+from rotcal_ros.nodes.solver import NO_GOAL_S, PATIENCE_S, EarlierObservations
 from rotcal_ros.observations import Approach, PointKind
 from rotcal_ros.planning.plan import Step
 
@@ -52,7 +52,7 @@ class Node(SimpleNamespace):
 @pytest.fixture
 def clock(monkeypatch):
     clock = SimpleNamespace(now_s=100.0)
-    monkeypatch.setattr(earlier_observations.time, "monotonic", lambda: clock.now_s)
+    monkeypatch.setattr(solver.time, "monotonic", lambda: clock.now_s)
     return clock
 
 

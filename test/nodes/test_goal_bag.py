@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
-from rotcal_ros.nodes.goal_bag import GoalBag
+from rotcal_ros.nodes.goal.run import GoalBag
 
 
 class Service:

@@ -10,11 +10,12 @@ pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros import machine_load
-from rotcal_ros.nodes import cell_node, goal_watch
-from rotcal_ros.nodes.crew import Codes, Crew, GoalError
-from rotcal_ros.nodes.goal_watch import GoalWatch
-from rotcal_ros.nodes.latest import HOPELESS, SILENT
-from rotcal_ros.nodes.progress import Progress
+from rotcal_ros.nodes.goal import watch as goal_watch
+from rotcal_ros.nodes.goal.crew import Codes, Crew, GoalError
+from rotcal_ros.nodes.goal.progress import Progress
+from rotcal_ros.nodes.goal.watch import GoalWatch
+from rotcal_ros.nodes.runtime import cell_node
+from rotcal_ros.nodes.runtime.latest import HOPELESS, SILENT
 from rotcal_ros.planning.health_settings import HealthSettings
 from rotcal_ros.planning.planner_settings import PlannerSettings
 

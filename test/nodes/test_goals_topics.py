@@ -10,10 +10,10 @@ pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.topic_settings import TopicSettings
-from rotcal_ros.nodes import instrument_topics
-from rotcal_ros.nodes.instrument_topics import InstrumentTopics
-from rotcal_ros.nodes.latest import REFUSED
-from rotcal_ros.nodes.topic_names import TOPICS
+from rotcal_ros.nodes.instruments import topics as instrument_topics
+from rotcal_ros.nodes.instruments.topics import InstrumentTopics
+from rotcal_ros.nodes.runtime.latest import REFUSED
+from rotcal_ros.nodes.runtime.topic_names import TOPICS
 
 
 def heard(own, goal):

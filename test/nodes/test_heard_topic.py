@@ -10,9 +10,9 @@ pytest.importorskip("rclpy")
 from rotcal_ros.bags import names
 from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.instruments.conventions import Conventions
-from rotcal_ros.nodes import listening
-from rotcal_ros.nodes.heard_topic import HeardTopic
-from rotcal_ros.nodes.recording import Channel
+from rotcal_ros.nodes.writing import listening
+from rotcal_ros.nodes.writing.heard_topic import HeardTopic
+from rotcal_ros.nodes.writing.recording import Channel
 
 SECOND = 1_000_000_000
 

@@ -9,10 +9,10 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from live_cell import wait_until
 from rclpy.executors import SingleThreadedExecutor
 
-from rotcal_ros.nodes.heartbeat import BUSY
-from rotcal_ros.nodes.peer import Peer
-from rotcal_ros.nodes.processes_here import PROCESS, own_process
-from rotcal_ros.nodes.running import default_context
+from rotcal_ros.nodes.runtime.heartbeat import BUSY
+from rotcal_ros.nodes.runtime.peer import Peer
+from rotcal_ros.nodes.runtime.processes_here import PROCESS, own_process
+from rotcal_ros.nodes.runtime.running import default_context
 from rotcal_ros.nodes.solver import SolverNode
 
 pytestmark = pytest.mark.ros

@@ -11,8 +11,8 @@ pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros.machine_load import patient
-from rotcal_ros.nodes import running
-from rotcal_ros.nodes.health import CALIBRATING
+from rotcal_ros.nodes.runtime import running
+from rotcal_ros.nodes.runtime.health import CALIBRATING
 
 TURN_S = 0.001
 
@@ -43,8 +43,9 @@ def test_who_lets_messages_gather_is_awake_for_a_part_of_it(
 
 
 def test_capture_and_solver_take_their_time_until_the_planner_measures():
+    from rotcal_ros.nodes.runtime.cell_node import CellNode
+
     from rotcal_ros.nodes.capture import CaptureNode
-    from rotcal_ros.nodes.cell_node import CellNode
     from rotcal_ros.nodes.solver import SolverNode
 
     for kind, at_work_s in ((CaptureNode, 0.01), (SolverNode, 0.04)):
@@ -62,8 +63,8 @@ def test_events_are_handled_once_and_no_turn_waits_for_them(monkeypatch):
     from rclpy.qos import QoSProfile, ReliabilityPolicy
     from std_msgs.msg import Bool
 
-    from rotcal_ros.nodes.managed_node import ManagedNode
-    from rotcal_ros.nodes.waiting import handle_events
+    from rotcal_ros.nodes.runtime.managed_node import ManagedNode
+    from rotcal_ros.nodes.runtime.turns import handle_events
     from rotcal_ros.sessions.environment import node_environment
 
     for name, value in node_environment().items():

@@ -7,8 +7,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from rotcal_ros.nodes import length_trigger
-from rotcal_ros.nodes.length_trigger import ANSWER_S, LengthTrigger
+from rotcal_ros.nodes import capture
+from rotcal_ros.nodes.capture import ANSWER_S, LengthTrigger
 
 
 class Client:
@@ -32,7 +32,7 @@ class Client:
 
 def test_an_instrument_that_never_answers_is_named_and_asked_again(monkeypatch):
     now = [100.0]
-    monkeypatch.setattr(length_trigger, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr(capture, "time", SimpleNamespace(monotonic=lambda: now[0]))
     client = Client()
     trigger = LengthTrigger(SimpleNamespace(create_client=lambda *_: client))
     trigger.serve("/distance/measure")

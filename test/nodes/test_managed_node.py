@@ -12,8 +12,8 @@ from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 from rotcal_ros.errors import ConfigurationError  # noqa: E402
-from rotcal_ros.nodes.cell_node import CellNode  # noqa: E402
-from rotcal_ros.nodes.qos import EVENT, LATCHED  # noqa: E402
+from rotcal_ros.nodes.runtime.cell_node import CellNode  # noqa: E402
+from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED  # noqa: E402
 
 pytestmark = pytest.mark.ros
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE

@@ -12,10 +12,10 @@ pytest.importorskip("rotcal_msgs")
 from rotcal_ros.catalogue import prepare
 from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
 from rotcal_ros.catalogue.continuation import Continuation
-from rotcal_ros.nodes.cell_links import CellLinks
-from rotcal_ros.nodes.goal_watch import Codes, GoalError
-from rotcal_ros.nodes.measuring import Measuring
-from rotcal_ros.nodes.progress import Progress
+from rotcal_ros.nodes.goal.cell_links import CellLinks
+from rotcal_ros.nodes.goal.measuring import Measuring
+from rotcal_ros.nodes.goal.progress import Progress
+from rotcal_ros.nodes.goal.watch import Codes, GoalError
 from rotcal_ros.planning.planner_settings import PlannerSettings
 
 PLAN = {"table_step_deg": 60.0, "table_positions": 4, "box_points": [2, 2, 2]}

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rotcal_ros.nodes.identity import Identity, NameHolders, other_session, refusal
+from rotcal_ros.nodes.runtime.identity import Identity, NameHolders, other_session, refusal
 
 FIRST = Identity("one", "a", -100.0)
 SECOND = Identity("two", "b", -50.0)

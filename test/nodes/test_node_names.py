@@ -56,7 +56,7 @@ def test_every_node_reports_its_state(name):
     pytest.importorskip("rclpy")
     pytest.importorskip("rotcal_msgs")
     module = import_module(f"rotcal_ros.nodes.{name}")
-    base = import_module("rotcal_ros.nodes.cell_node").CellNode
+    base = import_module("rotcal_ros.nodes.runtime.cell_node").CellNode
     classes = [c for c in vars(module).values() if isclass(c) and issubclass(c, base)]
     (node,) = (c for c in classes if c is not base)
     assert not isabstract(node)

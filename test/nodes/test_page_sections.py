@@ -21,7 +21,7 @@ def solution(**changes):
 
 def shown(message, tolerance_arcsec=0.0):
     from rotcal_ros.identity import Identity
-    from rotcal_ros.nodes import page_sections
+    from rotcal_ros.nodes.page import sections as page_sections
 
     return page_sections.deviations(message, Identity(tolerance_arcsec=tolerance_arcsec))
 

@@ -12,10 +12,10 @@ from rotcal_msgs.msg import CalibrationPlan
 
 from rotcal_ros.capture.heard import PATIENCE_S
 from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.nodes import planners_plans
-from rotcal_ros.nodes.concerns import FOREIGN_PLAN
-from rotcal_ros.nodes.planners_plans import PlannersPlans
-from rotcal_ros.nodes.plans import RUN, run_name
+from rotcal_ros.nodes.runtime import planners_plans
+from rotcal_ros.nodes.runtime.concerns import FOREIGN_PLAN
+from rotcal_ros.nodes.runtime.planners_plans import PlannersPlans
+from rotcal_ros.nodes.runtime.plans import RUN, run_name
 
 
 class Node(SimpleNamespace):

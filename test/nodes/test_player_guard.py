@@ -9,8 +9,7 @@ pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros.bags import names
 from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.nodes.player import Player
-from rotcal_ros.nodes.replay_guard import ReplayGuard
+from rotcal_ros.nodes.player import Player, ReplayGuard
 
 NAMELESS = "_NODE_NAME_UNKNOWN_"
 TOPICS = [f"/cell/{role}" for role in (names.TABLE_ANGLE, names.PROBE_TARGET, "joint_states")]

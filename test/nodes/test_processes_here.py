@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from rotcal_ros.nodes.processes_here import is_of_here, machine, own_process, why_gone
+from rotcal_ros.nodes.runtime.processes_here import is_of_here, machine, own_process, why_gone
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
-from rotcal_ros.nodes.cell_links import CellLinks
+from rotcal_ros.nodes.goal.cell_links import CellLinks
 from rotcal_ros.nodes.readiness import waiting_for, what_next
 
 IDLE = "inactive: ros2 lifecycle set /cell/capture activate"

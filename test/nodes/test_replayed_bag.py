@@ -20,10 +20,10 @@ from rotcal_ros.bags.rosbag2_metadata import OfferedQos, qos_text
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.errors import BagError
-from rotcal_ros.nodes.channels import importable_type
 from rotcal_ros.nodes.player import offered_qos
 from rotcal_ros.nodes.replayed_bag import ReplayedBag
-from rotcal_ros.nodes.topic_names import CalledOtherwise, at_odds
+from rotcal_ros.nodes.runtime.channels import importable_type
+from rotcal_ros.nodes.runtime.topic_names import CalledOtherwise, at_odds
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "tracer" / "bag"
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rotcal_ros.nodes.roll_call import OVER_S, Overload, RollCall
+from rotcal_ros.nodes.runtime.roll_call import OVER_S, Overload, RollCall
 from rotcal_ros.planning.health_settings import HealthSettings
 
 TURN_S = 0.2

@@ -11,7 +11,7 @@ from live_cell import SUITE, Client, wait_until
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 from rotcal_ros.nodes import client as client_module
-from rotcal_ros.nodes.identity import Identity
+from rotcal_ros.nodes.runtime.identity import Identity
 
 pytestmark = pytest.mark.ros
 

@@ -19,7 +19,7 @@ from rotcal_ros.catalogue.configuration import (
     read_configuration,
 )
 from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.nodes.sim_clock import SimClock
+from rotcal_ros.nodes.runtime.sim_clock import SimClock
 from rotcal_ros.recordings.replay import read_recording
 
 

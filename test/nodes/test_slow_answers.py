@@ -12,10 +12,10 @@ from live_cell import wait_until
 from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import Trigger
 
-from rotcal_ros.nodes.cell_node import CellNode, until
 from rotcal_ros.nodes.planner import Planner
 from rotcal_ros.nodes.recorder import RecorderNode
-from rotcal_ros.nodes.running import default_context
+from rotcal_ros.nodes.runtime.cell_node import CellNode, until
+from rotcal_ros.nodes.runtime.running import default_context
 from rotcal_ros.nodes.solver import SolverNode
 
 pytestmark = pytest.mark.ros

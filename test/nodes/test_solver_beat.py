@@ -14,8 +14,8 @@ from live_cell import wait_until
 from rclpy.executors import SingleThreadedExecutor
 
 from rotcal_ros.errors import DataError
-from rotcal_ros.nodes.roll_call import SOLVING
-from rotcal_ros.nodes.running import default_context
+from rotcal_ros.nodes.runtime.roll_call import SOLVING
+from rotcal_ros.nodes.runtime.running import default_context
 from rotcal_ros.nodes.solver import SolverNode
 
 pytestmark = pytest.mark.ros

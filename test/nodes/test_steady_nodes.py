@@ -12,8 +12,8 @@ WAITING = re.compile(r"\.create_timer\(|create_rate|time\.time\(\) *[<>-]|sleep_
 
 
 def test_timers_are_those_of_the_steady_clock():
-    found = {path.name for path in NODES.glob("*.py") if WAITING.search(path.read_text())}
-    assert found == {"steady.py"}
+    found = {path.name for path in NODES.rglob("*.py") if WAITING.search(path.read_text())}
+    assert found == {"turns.py"}
 
 
 @pytest.mark.parametrize(
@@ -25,7 +25,9 @@ def test_timers_are_those_of_the_steady_clock():
     ],
 )
 def test_a_process_without_memory_ends_with_the_reason(error, code):
-    program = f"from rotcal_ros.nodes.memory import *; end_without_memory({error}, 'capture')"
+    program = (
+        f"from rotcal_ros.nodes.runtime.memory import *; end_without_memory({error}, 'capture')"
+    )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.returncode == code
     assert done.stderr == ("out of memory (capture)\n" if code else "")

@@ -11,8 +11,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 
-from rotcal_ros.nodes import emergency_stop
-from rotcal_ros.nodes.emergency_stop import EmergencyStop
+from rotcal_ros.nodes.runtime import emergency_stop
+from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.planning.safety_settings import SafetySettings
 
 TOPIC, DIAGNOSTICS = "/safety/estop", "/diagnostics"

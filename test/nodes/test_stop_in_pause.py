@@ -9,8 +9,8 @@ pytest.importorskip("rotcal_msgs")
 
 from std_srvs.srv import Trigger
 
-from rotcal_ros.nodes.asking import obstacle
-from rotcal_ros.nodes.pauses import Pauses
+from rotcal_ros.nodes.goal.asking import obstacle
+from rotcal_ros.nodes.goal.pauses import Pauses
 
 BETWEEN = "not resumed: an emergency stop came in between: look, then resume again"
 

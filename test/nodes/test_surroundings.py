@@ -13,7 +13,7 @@ CONFIG = Path(__file__).parents[2] / "config"
 
 @pytest.mark.parametrize(("name", "simulated"), [("tracer", "false"), ("tracer_demo", "true")])
 def test_a_bag_says_what_was_measured_and_whether_anything_was(name, simulated):
-    from rotcal_ros.nodes.surroundings import subject
+    from rotcal_ros.nodes.writing.surroundings import subject
 
     found = subject((CONFIG / f"{name}.yaml").read_text())
     assert found["simulated"] == simulated
@@ -50,7 +50,7 @@ class Never:
 
 
 def test_a_bag_that_is_closed_early_says_which_nodes_had_not_answered(monkeypatch):
-    from rotcal_ros.nodes import surroundings
+    from rotcal_ros.nodes.writing import surroundings
 
     async def answer(_node, remote):
         if remote != "/cell/planner":

@@ -14,8 +14,12 @@ pytest.importorskip("rotcal_msgs")
 from rotcal_msgs.msg import TableAngle
 
 from rotcal_ros.machine_load import AwakeClock
-from rotcal_ros.nodes import joint_controllers
-from rotcal_ros.nodes.joint_controllers import PositionController, TrajectoryController, Word
+from rotcal_ros.nodes.instruments import joint_controllers
+from rotcal_ros.nodes.instruments.joint_controllers import (
+    PositionController,
+    TrajectoryController,
+    Word,
+)
 from rotcal_ros.nodes.table_adapter import TableAdapter
 from rotcal_ros.observations import Approach, TableSample
 from rotcal_ros.ros2_control.obeyed import JointWatch
@@ -187,12 +191,12 @@ def goals(monkeypatch):
     messages = SimpleNamespace(FollowJointTrajectory=SimpleNamespace(Goal=SimpleNamespace))
     for name in ("control_msgs", "control_msgs.action"):
         monkeypatch.setitem(sys.modules, name, messages)
-    monkeypatch.delitem(sys.modules, "rotcal_ros.nodes.joint_goals", raising=False)
-    module = import_module("rotcal_ros.nodes.joint_goals")
+    monkeypatch.delitem(sys.modules, "rotcal_ros.nodes.instruments.joint_goals", raising=False)
+    module = import_module("rotcal_ros.nodes.instruments.joint_goals")
     monkeypatch.setattr(module, "ActionClient", Client)
     node = SimpleNamespace(health=SimpleNamespace(guarded=lambda work: work))
     yield module.GoalController(node, "/drive", "rotary"), futures
-    sys.modules.pop("rotcal_ros.nodes.joint_goals")
+    sys.modules.pop("rotcal_ros.nodes.instruments.joint_goals")
 
 
 class Goal:

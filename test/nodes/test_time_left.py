@@ -2,8 +2,8 @@
 
 import pytest
 
-from rotcal_ros.nodes import progress as module
-from rotcal_ros.nodes.progress import Progress
+from rotcal_ros.nodes.goal import progress as module
+from rotcal_ros.nodes.goal.progress import Progress
 
 
 def test_a_pause_neither_lengthens_nor_shortens_it(monkeypatch):

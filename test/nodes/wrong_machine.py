@@ -13,8 +13,8 @@ from rclpy.qos import QoSProfile
 from rotcal_msgs.msg import ProbePoint, ProbeTarget, TableAngle, TracerLength
 from sensor_msgs.msg import JointState, Temperature
 
-from rotcal_ros.nodes.conversions import header
-from rotcal_ros.nodes.qos import EVENT, LATCHED, STREAM
+from rotcal_ros.nodes.runtime.conversions import header
+from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED, STREAM
 
 OFF_NS = 4_000_000_000
 

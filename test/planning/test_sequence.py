@@ -12,8 +12,14 @@ from rotcal_ros.catalogue import changed, prepare, read_configuration
 from rotcal_ros.catalogue.tracer.calibration import problem
 from rotcal_ros.errors import PlanError
 from rotcal_ros.methods import tracer
-from rotcal_ros.planning.sequence import improved, nearest_next, shortest_possible
-from rotcal_ros.planning.sequence_choice import MeasuringOrder, best_order, measuring_orders
+from rotcal_ros.planning.sequence_choice import (
+    MeasuringOrder,
+    best_order,
+    improved,
+    measuring_orders,
+    nearest_next,
+    shortest_possible,
+)
 from rotcal_ros.planning.sequence_forecast import Forecast, OrderForecast
 from rotcal_ros.planning.sequence_time import PAPER, Drive, TimeModel, duration
 

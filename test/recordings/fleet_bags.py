@@ -12,9 +12,8 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.decode import Decoder
+from rotcal_ros.bags.decode import Decoder, work_out_layout
 from rotcal_ros.bags.definitions import ChannelDefinition
-from rotcal_ros.bags.layout import work_out_layout
 from rotcal_ros.bags.reader import bag_files, read_blocks
 
 RECORDING = Path(__file__).parents[2] / "examples" / "data" / "ball_plate_bag"

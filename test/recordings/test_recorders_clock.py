@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.time_order import TimeOrder
-from rotcal_ros.recordings.log_times import clock_in_words
+from rotcal_ros.recordings.replay import clock_in_words
 
 SECOND = 1_000_000_000
 NOON_NS = 1_700_000_000 * SECOND  # 2023-11-14T22:13:20Z

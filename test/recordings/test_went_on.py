@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 from rotcal_ros.bags import names
 from rotcal_ros.observations import Observation, PointKind
-from rotcal_ros.recordings.went_on import known_then
+from rotcal_ros.recordings.replay import known_then
 
 OBSERVED = Observation(
     step=0, attempt=0, table_position=0, table_angle=0.1, target=0, station=0,

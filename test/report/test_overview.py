@@ -13,7 +13,7 @@ import pyarrow.parquet as parquet
 from browser import launched
 
 from rotcal_ros.recordings.results_dataset import _schema
-from rotcal_ros.report import trend
+from rotcal_ros.report import overview
 from rotcal_ros.report.fleet_queries import asked, bags_by_table
 from rotcal_ros.report.overview import PAGE, write_overview
 
@@ -86,8 +86,8 @@ def test_bad_bags_and_bad_verdicts_are_alarms(tmp_path):
 
 
 def test_a_trend_is_drawn_to_scale_and_thinned():
-    points = [trend.Point(n * DAY_NS, 1.0 + (n == 500), 0.0) for n in range(3000)]
-    drawing = trend.drawn(points, "ECC")
+    points = [overview.Point(n * DAY_NS, 1.0 + (n == 500), 0.0) for n in range(3000)]
+    drawing = overview.drawn(points, "ECC")
     heights = [float(y) for y in re.findall(r'cy="([\d.]+)"', drawing)]
     assert len(heights) == 600
     floor, top = (float(re.findall(r"M70 ([\d.]+)H", drawing)[i]) for i in (0, 2))

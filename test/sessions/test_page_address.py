@@ -9,8 +9,8 @@ from rotcal_ros.machine_load import patient
 from rotcal_ros.node_names import VIEWERS
 from rotcal_ros.sessions import environment
 from rotcal_ros.sessions.commands import CLIENT
+from rotcal_ros.sessions.following import RunningSession
 from rotcal_ros.sessions.processes import Processes
-from rotcal_ros.sessions.running import RunningSession
 
 PAGE = VIEWERS["page"]
 DEADLINE_S = 30.0

@@ -1,4 +1,10 @@
-"""What each of the four ways makes of a screened problem: deviations, covariance, fit."""
+"""What each of the four ways makes of a screened problem: deviations, covariance, fit.
+
+From the tracker's noise to the covariance of the angle readings, in closed form.
+
+The mirror ways feel two movements of each normal: tau along t (rotation) and eta along b (tilt),
+in that order 2 G numbers; the direct way feels tangential, radial and axial movements.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +13,20 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.methods.plane_mirror import cone, joint, stitching
-from rotcal_ros.methods.plane_mirror import uncertainty as unc
 from rotcal_ros.methods.plane_mirror.direct import direct_readings, direct_response, local_axes
-from rotcal_ros.methods.plane_mirror.layout import Pairs
+from rotcal_ros.methods.plane_mirror.joint import plane_weight
+from rotcal_ros.methods.plane_mirror.layout import Pairs, Reflectors
 from rotcal_ros.methods.plane_mirror.nest_tests import NestFit, nest_fit
-from rotcal_ros.methods.plane_mirror.normals import Normals, condition_jacobian, tangent_basis
+from rotcal_ros.methods.plane_mirror.normals import (
+    Normals,
+    condition_jacobian,
+    tangent_basis,
+    tangent_frame,
+)
 from rotcal_ros.methods.plane_mirror.prepare import (
     Prepared,
     PreparedJoint,
@@ -24,7 +36,7 @@ from rotcal_ros.methods.plane_mirror.prepare import (
     registered_readings,
 )
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
-from rotcal_ros.methods.plane_mirror.registration import nest_equations
+from rotcal_ros.methods.plane_mirror.registration import Poses, nest_equations, station_columns
 from rotcal_ros.methods.plane_mirror_settings import STITCHING
 from rotcal_ros.results import Residuals
 
@@ -100,7 +112,7 @@ def _stitched(prepared: PreparedNormals, residuals: Residuals) -> Outcome:
     pairs, angles = prepared.pairs, prepared.angles
     normals, groups = _groups(prepared, residuals)
     axes, height = stitching.station_cones(normals.normal, pairs, angles)
-    covariance = unc.stitched_covariance(normals, pairs, axes, prepared.problem.tilt_std)
+    covariance = stitched_covariance(normals, pairs, axes, prepared.problem.tilt_std)
     _, zero = np.unique(pairs.station, return_inverse=True)
     cones = _Cones(normals.normal, axes, zero, covariance, float(height))
     readings = stitching.stitch(normals.normal, pairs, angles)
@@ -116,13 +128,13 @@ def _registered(prepared: PreparedNormals, residuals: Residuals) -> Outcome:
     nests = _nests(prepared, residuals)
     placed = poses.turned(normals.normal, pairs.station)
     axis, height = cone.fit_cone(placed, angles[pairs.position])
-    covariance = unc.normal_covariance(
+    covariance = normal_covariance(
         normals, pairs, poses, axis, _pose_covariance(prepared), prepared.problem.tilt_std
     )
     axes, zero = np.broadcast_to(axis, placed.shape), np.zeros_like(pairs.station)
     cones = _Cones(placed, axes, zero, covariance, float(height))
     readings = registered_readings(placed, pairs, angles)
-    response = unc.registered_response(pairs, angles, float(height))
+    response = registered_response(pairs, angles, float(height))
     details = {"axis": axis, "lean_rad": float(np.arcsin(height)), **nests.details}
     rest = _Fit(nests.chi_square, nests.dof, details)
     return _of_readings(prepared, readings, response, cones, groups, rest)
@@ -141,7 +153,7 @@ def _joined(prepared: PreparedJoint, residuals: Residuals) -> Outcome:
     n_known = len(pairs.direct) + len(prepared.nests.row) - prepared.nests.n_points
     return Outcome(
         deviations=cone.deviation(mirror.psi, prepared.angles),
-        covariance=covariance + unc.tilt_crosstalk(problem, float(np.sin(mirror.beta)), n),
+        covariance=covariance + tilt_crosstalk(problem, float(np.sin(mirror.beta)), n),
         chi_square=float(equations.chi_square) + groups.chi_square,
         dof=3 * n_known - equations.shared.shape[0] - 2 * n - taken,
         details={
@@ -159,7 +171,7 @@ def _direct(prepared: PreparedPoints, residuals: Residuals) -> Outcome:
     nests = _nests(prepared, residuals)
     placed = prepared.poses.placed(problem.xyz[reflectors.row], reflectors.station)
     axes, radii, off_circle = local_axes(placed, reflectors, angles)
-    covariance = unc.point_covariance(
+    covariance = point_covariance(
         problem, reflectors, prepared.poses, axes, _pose_covariance(prepared)
     )
     m = len(radii)
@@ -192,7 +204,7 @@ def _of_readings(
     reading_covariance = response @ cones.covariance @ response.T
     # Fewer than three normals have no plane of their own that they could leave.
     known = np.isin(zero, np.flatnonzero(np.bincount(zero) >= 3))
-    about_cones = unc.cone_misfit(
+    about_cones = cone_misfit(
         cones.normals[known],
         cones.axes[known],
         zero[known],
@@ -202,9 +214,9 @@ def _of_readings(
     design = np.zeros((n, len(angles) + zero.max() + 1))
     design[np.arange(n), pairs.position] = 1.0
     design[np.arange(n), len(angles) + zero] = 1.0
-    overlaps = unc.misfit(readings, design, reading_covariance)
+    overlaps = misfit(readings, design, reading_covariance)
     gain = prepared.joining
-    crosstalk = unc.tilt_crosstalk(prepared.problem, cones.height, len(angles))
+    crosstalk = tilt_crosstalk(prepared.problem, cones.height, len(angles))
     return Outcome(
         deviations=gain @ readings,
         covariance=gain @ reading_covariance @ gain.T + crosstalk,
@@ -224,7 +236,7 @@ def _circles(
     m, reflectors = len(off_circle), prepared.reflectors
     design = cone.circle_design(prepared.angles[reflectors.position], reflectors.reflector)
     both = np.asarray(np.kron(np.eye(2), design), dtype=np.float64)
-    chi_square, dof = unc.misfit(off_circle.T.ravel(), both, covariance)
+    chi_square, dof = misfit(off_circle.T.ravel(), both, covariance)
     leverage: Floats = np.einsum("ij,ji->i", design, np.linalg.pinv(design))
     spread = np.diag(covariance).reshape(2, m).T * (1.0 - leverage)[:, None]
     test = np.sqrt((off_circle**2 / np.maximum(spread, _CERTAIN)).mean(axis=1))
@@ -319,3 +331,122 @@ def _enter_pairs(
         length = np.linalg.norm(np.einsum("pij,pj->pi", covariance @ factor, pull), axis=1)
         own = np.trace(spread @ cofactor @ weight @ factor, axis1=1, axis2=2) / 3.0
         _enter(residuals, rows, length, own, test)
+
+
+def normal_covariance(
+    normals: Normals,
+    pairs: Pairs,
+    poses: Poses,
+    axes: Floats,
+    pose_covariance: Floats,
+    tilt_std: float,
+) -> Floats:
+    """Return the covariance (2 G, 2 G) in rad^2 of all tau, then all eta.
+
+    ``axes`` (3,) or (G, 3) is the table axis along the common axes of ``poses``;
+    ``pose_covariance`` (p, p) is zero where stations are not brought together.
+    """
+    n = pairs.n_groups
+    t, b = tangent_frame(poses.turned(normals.normal, pairs.station), axes)
+    own = np.linalg.inv(plane_weight(normals, pairs, poses, t, b))[:, :2, :2]
+    total = _independent(own)
+    same = pairs.position[:, None] == pairs.position[None, :]
+    total[1, :, 1, :] += tilt_std**2 * same
+    by_pose = np.zeros((2, n, len(pose_covariance)))
+    movable, columns = station_columns(pairs.station)
+    by_pose[0, movable[:, None], columns[:, :3]] = b[movable]
+    by_pose[1, movable[:, None], columns[:, :3]] = -t[movable]
+    flat = by_pose.reshape(2 * n, -1)
+    covariance: Floats = total.reshape(2 * n, 2 * n) + flat @ pose_covariance @ flat.T
+    return covariance
+
+
+def registered_response(pairs: Pairs, angles: Floats, height: float) -> Floats:
+    """Return the derivative (G, 2 G) of angles about one common axis by tau and eta."""
+    azimuth = angles[pairs.position]
+    cos_beta = float(np.sqrt(1.0 - height**2))
+    turn = cone.azimuth_response(azimuth, height / cos_beta)
+    by_eta = turn @ cone.axis_response(azimuth)[:2]
+    return np.hstack([np.eye(len(azimuth)) / cos_beta, by_eta])
+
+
+def point_covariance(
+    problem: PlaneMirrorProblem,
+    reflectors: Reflectors,
+    poses: Poses,
+    axes: Floats,
+    pose_covariance: Floats,
+) -> Floats:
+    """Return the covariance (3 M, 3 M) in m^2: all tangential, all radial, all axial movements.
+
+    ``axes`` (M, 3, 3) are the local directions as rows.
+    """
+    n = len(reflectors.row)
+    points = problem.xyz[reflectors.row]
+    local = axes @ poses.rotation[reflectors.station]
+    own = local @ problem.noise.covariance(points) @ np.swapaxes(local, 1, 2)
+    total = _independent(own)
+    arm = poses.turned(points, reflectors.station)
+    by_pose = np.zeros((3, n, len(pose_covariance)))
+    movable, columns = station_columns(reflectors.station)
+    for k in range(3):
+        direction = axes[movable, k]
+        by_pose[k, movable[:, None], columns[:, :3]] = np.cross(arm[movable], direction)
+        by_pose[k, movable[:, None], columns[:, 3:]] = direction
+    flat = by_pose.reshape(3 * n, -1)
+    covariance: Floats = total.reshape(3 * n, 3 * n) + flat @ pose_covariance @ flat.T
+    return covariance
+
+
+def _independent(own: ArrayLike) -> Floats:
+    """Return the covariance (k, n, k, n) of n independent places with their ``own`` (n, k, k)."""
+    n, k, _ = np.shape(own)
+    total = np.zeros((k, n, k, n))
+    total[:, np.arange(n), :, np.arange(n)] = own
+    return total
+
+
+def tilt_crosstalk(problem: PlaneMirrorProblem, height: float, n: int) -> Floats:
+    """Return the covariance (n, n): a tilt about the normal's own direction turns it by sin(beta).
+
+    Relative to the first position.
+    """
+    lean = height**2 / (1.0 - height**2)
+    contrast = np.eye(n)
+    contrast[:, 0] -= 1.0
+    covariance: Floats = lean * problem.tilt_std**2 * contrast @ contrast.T
+    return covariance
+
+
+def misfit(values: Floats, design: Floats, covariance: Floats) -> tuple[float, int]:
+    """Return the chi square and its degrees of freedom of ``values`` (m,) about a fit.
+
+    ``design`` (m, k) spans what the unweighted fit takes away, ``covariance`` (m, m) is that of
+    the values before. The statistic weighs the remainder by its own covariance, so that it is
+    chi-square distributed although the fit is not weighted.
+    """
+    basis, size, _ = np.linalg.svd(design, full_matrices=True)
+    rank = int((size > 1e-9 * size.max()).sum())
+    rest = basis[:, rank:]
+    if rest.shape[1] == 0:
+        return 0.0, 0
+    part = rest.T @ values
+    chi_square = part @ np.linalg.solve(rest.T @ covariance @ rest, part)
+    return float(chi_square), rest.shape[1]
+
+
+def cone_misfit(
+    normals: Floats, axes: Floats, zero: Ints, azimuth: Floats, covariance: Floats
+) -> tuple[float, int]:
+    """Return chi square and dof of the normals (G, 3) about their cones, one per set ``zero``."""
+    values = np.einsum("gi,gi->g", normals, axes)
+    values = values / np.sqrt(1.0 - values.mean() ** 2)
+    return misfit(values, cone.circle_design(azimuth, zero), covariance)
+
+
+def stitched_covariance(normals: Normals, pairs: Pairs, axes: Floats, tilt_std: float) -> Floats:
+    """Return the covariance (2 G, 2 G) of the normals in their stations; ``axes`` (G, 3)."""
+    n_stations = int(pairs.station.max()) + 1
+    own = Poses(np.tile(np.eye(3), (n_stations, 1, 1)), np.zeros((n_stations, 3)))
+    none = np.zeros((6 * (n_stations - 1),) * 2)
+    return normal_covariance(normals, pairs, own, axes, none, tilt_std)

@@ -2,6 +2,10 @@
 
 Drift, knock, scale and refraction are worked out for the measurement at hand: what each does to
 the deviations, and at which size a test would turn the verdict (:mod:`.response`).
+
+What could go wrong while a tracer measures, as errors of its lengths per unit of size.
+
+Each pattern has shape (p, n), m per unit; see :class:`Timing` for when a length was taken.
 """
 
 from __future__ import annotations
@@ -13,9 +17,11 @@ import numpy as np
 
 from rotcal_ros.adjust.distributions import chi2_isf
 from rotcal_ros.adjust.low_rank import LowRank
-from rotcal_ros.arrays import Floats
+from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.components import HALF_OF_95_PERCENT
-from rotcal_ros.methods.tracer import disturbances, gathering
+from rotcal_ros.geometry.rotations import cross_matrix
+from rotcal_ros.methods.tracer import gathering
+from rotcal_ros.methods.tracer.adjustment import ranges
 from rotcal_ros.methods.tracer.angles import bearing_slopes
 from rotcal_ros.methods.tracer.error_motion import circle_tested, error_motion_spread
 from rotcal_ros.methods.tracer.response import Worst, respond
@@ -34,12 +40,11 @@ HARMLESS: Final = 0.1
 
 def protections(solution: TracerSolution) -> tuple[Protection, ...]:
     """Return a statement about every effect, in the fixed order."""
-    when = disturbances.timing(solution)
+    when = timing(solution)
     moving = _moving(solution, when)
     worst = _worst(
         solution,
-        moving
-        | {"scale": disturbances.scale(solution), "refraction": disturbances.refraction(solution)},
+        moving | {"scale": scale(solution), "refraction": refraction(solution)},
     )
     return ordered(
         (
@@ -65,18 +70,16 @@ def protections(solution: TracerSolution) -> tuple[Protection, ...]:
 
 def of_the_order(solution: TracerSolution) -> tuple[Protection, Protection]:
     """Return the statements about drift and knock, which depend on the order of measuring."""
-    return _of_the_order(
-        solution, _worst(solution, _moving(solution, disturbances.timing(solution)))
-    )
+    return _of_the_order(solution, _worst(solution, _moving(solution, timing(solution))))
 
 
-def _moving(solution: TracerSolution, when: disturbances.Timing) -> dict[str, Floats]:
+def _moving(solution: TracerSolution, when: Timing) -> dict[str, Floats]:
     """Return the patterns (p, m, n) of what moves while it is measured."""
     reach = float(np.linalg.norm(solution.fit.targets - solution.motion.centre, axis=1).max())
     return {
-        "drift": disturbances.drifts(solution, when),
-        "turn": disturbances.turning(solution, when) / reach,
-        "knock": disturbances.knocks(solution, when),
+        "drift": drifts(solution, when),
+        "turn": turning(solution, when) / reach,
+        "knock": knocks(solution, when),
     }
 
 
@@ -308,3 +311,71 @@ def _repeatability(solution: TracerSolution, arrivals: int) -> Protection:
         "joins the scatter of the lengths",
         float(_hidden_noise(solution)[0]),
     )
+
+
+KNOCKED_AT: Final = (0.25, 0.5, 0.75)
+"""Shares of the run after which a knock is tried."""
+
+
+@dataclass(frozen=True, eq=False)
+class Timing:
+    """When the lengths were taken: ``share`` (m, n) of the run that had gone, 0 to 1.
+
+    ``arrivals`` (m,): how often the table came to each position.
+    """
+
+    share: Floats
+    arrivals: Ints
+
+
+def timing(solution: TracerSolution) -> Timing:
+    """Return when the lengths of ``solution`` were taken; see TracerProblem.order."""
+    problem, row = solution.problem, solution.grid.row
+    first = np.argsort(problem.measuring_order, kind="stable")
+    rank = np.empty(len(first))
+    rank[first] = np.linspace(0.0, 1.0, len(first))
+    at = problem.position[first]
+    come = np.append(True, np.diff(at) != 0)
+    arrivals = np.bincount(at[come], minlength=len(problem.table_angles))
+    return Timing(np.where(row >= 0, rank[row], 0.0), arrivals[solution.positions])
+
+
+def drifts(solution: TracerSolution, when: Timing) -> Floats:
+    """Return the frame of the machine drifting linearly by a metre along x, y, z: (3, m, n)."""
+    _, unit = ranges(solution.fit.standing, solution.fit.targets)
+    return np.asarray(-when.share * unit.transpose(2, 0, 1), dtype=np.float64)
+
+
+def turning(solution: TracerSolution, when: Timing) -> Floats:
+    """Return the frame of the machine turning about the table's axis by a radian: (1, m, n)."""
+    motion, fit = solution.motion, solution.fit
+    _, unit = ranges(fit.standing, fit.targets)
+    arms = cross_matrix(motion.plane.normal[None])[0] @ (fit.targets - motion.centre).T
+    return np.asarray(-when.share * np.einsum("jia,ai->ji", unit, arms), dtype=np.float64)[None]
+
+
+def knocks(solution: TracerSolution, when: Timing) -> Floats:
+    """Return the tracer shifted on the table by a metre: out, along, up; (9, m, n)."""
+    motion = solution.motion
+    _, unit = ranges(solution.fit.standing, solution.fit.targets)
+    basis, station = motion.plane.basis(), solution.grid.station
+    out = motion.in_plane / np.linalg.norm(motion.in_plane, axis=1)[:, None]
+    along = np.column_stack([-out[:, 1], out[:, 0]])
+    up = np.broadcast_to(motion.plane.normal, (len(out), 3))
+    shifts = np.stack([out @ basis, along @ basis, up])
+    felt = np.einsum("sja,jia->sji", shifts[:, station], unit)
+    later: list[Bools] = [when.share >= share for share in KNOCKED_AT]
+    return np.concatenate([felt * late for late in later])
+
+
+def scale(solution: TracerSolution) -> Floats:
+    """Return lengths that are too long by their own size: (1, m, n)."""
+    return ranges(solution.fit.standing, solution.fit.targets)[0][None]
+
+
+def refraction(solution: TracerSolution) -> Floats:
+    """Return an index of the air that grows by one per metre of height: (1, m, n)."""
+    fit = solution.fit
+    distance, _ = ranges(fit.standing, fit.targets)
+    height = 0.5 * (fit.standing[:, None, 2] + fit.targets[:, 2])
+    return np.asarray(distance * (height - height.mean()))[None]

@@ -14,6 +14,20 @@ is the set that reaches the goal with the planned noise. What is not known is le
   steps follow. The goal is reached when both do: the U of the result is the one that is told.
 
 Where all steps together would miss the goal with the noise as it is, it ends at once.
+
+Closing a sweep that drifts: two of its lengths are measured again, and tell by how much.
+
+The first sweep: few steps that reach an uncertainty, in an order that hides little.
+
+With known noise this is all that there is to plan. The fewest steps are found by exchange; they
+are then shared among sweeps there and back, so that neither a drift of the machine nor a knock of
+the tracer is mistaken for a deviation (:mod:`rotcal_ros.planning.sequence_choice`).
+
+How probably each beam is free: what hides a target hides its neighbours as well.
+
+Whether the goal is within reach of all steps: hours of lengths might lead to nothing.
+
+Lengths that do not agree with the others: measured again, or replaced by another target.
 """
 
 from __future__ import annotations
@@ -21,22 +35,28 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
+
+import numpy as np
 
 from rotcal_ros.adjust.distributions import normal_isf
+from rotcal_ros.arrays import Bools, Floats
+from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.policy.choices import Choice, Outcome, Standing
-from rotcal_ros.planning.policy.closing import Closing
-from rotcal_ros.planning.policy.first_sweep import first_sweep
-from rotcal_ros.planning.policy.free_beams import FreeBeams
 from rotcal_ros.planning.policy.further import MOST_AT_ONCE, Wish, as_sweep, best_at, pick
 from rotcal_ros.planning.policy.lengths import LengthExperiment
+from rotcal_ros.planning.policy.measured import Measured
 from rotcal_ros.planning.policy.noise import LengthNoise, student_factor
-from rotcal_ros.planning.policy.reach import Reach
 from rotcal_ros.planning.policy.stated import Allowance, Stated
-from rotcal_ros.planning.policy.suspects import Suspects
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.planning.sequence_choice import least_hidden, measuring_orders
+from rotcal_ros.planning.sequence_forecast import OrderForecast
+from rotcal_ros.planning.sequence_time import stated_time
+from rotcal_ros.planning.tracer_design.exchange import fewest_lengths
+from rotcal_ros.planning.tracer_design.penalty import Demands
+from rotcal_ros.protection import TOLERABLE
+from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE
 
 PLANNED_FACTOR: Final = student_factor(math.inf)
 RESERVE: Final = 0.75
@@ -342,3 +362,253 @@ class UntilGoal:
 
 def _in_words(uncertainty: float) -> str:
     return f"U {uncertainty / ARCSEC:.3f} arcsec rms"  # the largest U of a curve is another figure
+
+
+class Closing:
+    """The steps that close the sweep, if it drifts, and by how much their lengths have changed."""
+
+    def __init__(self) -> None:
+        self._changes: dict[int, float] = {}
+
+    @property
+    def begun(self) -> bool:
+        """Whether there are such steps: a sweep is closed once."""
+        return bool(self._changes)
+
+    def begin(self, measured: Measured) -> tuple[int, int]:
+        """Return the first and the middle step of what was measured."""
+        by_time = [measured.observations[row] for row in measured.time_order().argsort()]
+        steps = by_time[0].step, by_time[len(by_time) // 2].step
+        self._changes = dict.fromkeys(steps, math.nan)
+        return steps
+
+    def note(self, observation: Observation, measured: Measured) -> None:
+        """Take notice of a length, before it is ``measured``: one that closes is compared."""
+        step = observation.step
+        if not math.isnan(self._changes.get(step, 0.0)):
+            return
+        before = measured.last_of(step)
+        if before is None or not measured.of_one_zero(before, observation):
+            self._changes[step] = math.inf
+        else:
+            self._changes[step] = observation.mean[0] - before.mean[0]
+
+    def in_words(self) -> str:
+        """Return by how much lengths have changed, to end a sentence with; empty: none closed."""
+        known = {s: change for s, change in self._changes.items() if not math.isnan(change)}
+        if not known:
+            return ""
+        return "; closed: step " + ", ".join(f"{s} {_by(change)}" for s, change in known.items())
+
+
+def _by(change: float) -> str:
+    """Return a change of a length (m) in words; infinite: the zero is another one."""
+    return f"by {change / MICROMETRE:+.2f} um" if math.isfinite(change) else "with another zero"
+
+
+EXCHANGES: Final = 300
+CHECKED_EXCHANGES: Final = 40
+"""So long the first sweep is sought by exchange, before anything moves: about a second."""
+LEAST_REDUNDANCY: Final = 0.02
+"""Of each length of the first sweep: an error of 33 standard deviations shows."""
+HIDDEN: Final = 0.9 * TOLERABLE
+"""What a drift or knock may do unseen (std); below the limit, as the noise is not known yet."""
+NEARLY_HIDDEN: Final = 0.95 * TOLERABLE
+"""No larger set is measured for what is nearly as little."""
+SHARES: Final = (1.0, 0.93)
+"""Of the uncertainty that is wanted: some lengths more may need a sweep less to be protected, and
+the quickest of both is taken."""
+TRIES: Final = 3
+"""Times that a smaller uncertainty is tried, to make room for what the solver allows for slips."""
+
+
+def first_sweep(of: LengthExperiment, uncertainty: float) -> list[int]:
+    """Return the steps that reach ``uncertainty`` (rad) with the planned noise, in their order.
+
+    Takes some seconds, once for each uncertainty.
+    """
+    if uncertainty not in of.sweeps:
+        ways = [_reaching(of, share * uncertainty) for share in SHARES]
+        best = min(ways, key=lambda way: (max(way.unseen, NEARLY_HIDDEN), way.seconds))
+        of.sweeps[uncertainty] = best.steps
+    return list(of.sweeps[uncertainty])
+
+
+class Sweep(NamedTuple):
+    """``steps`` in their order, their time (s), and what drift or knock may do unseen (std)."""
+
+    steps: tuple[int, ...]
+    seconds: float
+    unseen: float
+
+
+def _reaching(of: LengthExperiment, uncertainty: float) -> Sweep:
+    """Return the fewest steps that reach ``uncertainty`` (rad), in their order."""
+    aim = uncertainty
+    for _ in range(TRIES):
+        steps = _fewest(of, aim)
+        found = of.uncertainty(of.nothing, 1.0, COVERAGE_FACTOR, steps)
+        if not uncertainty < found < np.inf:
+            break
+        aim *= uncertainty / found
+    return protected(of, steps)
+
+
+def protected(of: LengthExperiment, steps: list[int]) -> Sweep:
+    """Return ``steps`` in the quickest order that shows drift and knock in time, or most of it."""
+    if not of.solvable(of.nothing, steps):
+        return Sweep(tuple(as_sweep(of, steps, None)), np.inf, np.inf)
+    rows = np.array(as_sweep(of, steps, None))
+    position, target = of.position[rows], of.target[rows]
+    time = stated_time(of.costs.turn_s, of.costs.step_s)
+    costs = time.costs(of.scene.table_angles, of.scene.targets, position, target)
+    forecast = OrderForecast(of.posed(of.nothing, 1.0, rows))
+    # whole sweeps only: what is added later has to find each position early and late alike
+    ways = measuring_orders(position, target, costs, forecast, limit=HIDDEN, sparse=())
+    best = least_hidden(ways, HIDDEN)
+    unseen = np.inf if best.forecast is None else best.forecast.worst
+    return Sweep(tuple(rows[best.order].tolist()), best.seconds, unseen)
+
+
+def _fewest(of: LengthExperiment, uncertainty: float) -> list[int]:
+    every = np.ones(len(of.plan.steps), dtype=np.bool_)
+    wish = Wish(uncertainty, 1.0, COVERAGE_FACTOR)
+    steps = pick(of, of.nothing, every, np.ones(len(every)), wish, sweep=True)
+    return _exchanged(of, steps, uncertainty)
+
+
+def _exchanged(of: LengthExperiment, steps: list[int], uncertainty: float) -> list[int]:
+    """Return fewer steps that reach as much, all stations being visited anyway.
+
+    The fewest are nearly the same with and without a check, and sooner found without.
+    """
+    plain = Demands(
+        mean=(uncertainty / COVERAGE_FACTOR) ** 2,
+        largest=np.inf,
+        redundancy=LEAST_REDUNDANCY,
+        share=np.inf,
+        per_station=of.minimum,
+        checked=False,
+    )
+    every = of.lengths(range(len(of.plan.steps)), of.nothing)
+    near = np.flatnonzero(np.isin(every.target, every.target[steps]))
+    pool, best = every[near], np.searchsorted(near, np.sort(steps))
+    zeros = 1 if of.per_segment else of.stations
+    for demands, exchanges in (
+        (plain, EXCHANGES),
+        (replace(plain, checked=True), CHECKED_EXCHANGES),
+    ):
+        found = fewest_lengths(of.scene, pool, zeros, demands, best, exchanges=exchanges)
+        best = best if found is None else found
+    return [int(step) for step in near[best]]
+
+
+BLOCKED_WIDTH: Final = 15.0 * DEGREE
+"""A beam so near to a blocked one is as likely blocked as free."""
+TINY: Final = 1e-6
+
+
+class FreeBeams:
+    """Beams along ``directions`` (k, 3), unit vectors; ``allowed`` (k,): not found blocked."""
+
+    def __init__(self, directions: Floats) -> None:
+        count = len(directions)
+        self._directions = directions
+        self.allowed = np.ones(count, dtype=np.bool_)
+        self._from_blocked, self._from_free = np.full(count, np.pi), np.full(count, np.pi)
+        """Angles (k,) of every beam to the nearest that was blocked, and free, rad."""
+        self._free: list[int] = []
+        """Beams that were found free, and are not yet in the angles."""
+
+    def note_free(self, number: int) -> None:
+        """Note that a beam was free."""
+        self._free.append(number)
+
+    def note_blocked(self, number: int) -> None:
+        """Note that a beam was blocked: it is not allowed any more."""
+        self._from_blocked = np.minimum(self._from_blocked, self._angles_from(number))
+        self.allowed[number] = False
+
+    @property
+    def chance(self) -> Floats:
+        """How probably each beam (k,) is free: less near a blocked one, more near free ones."""
+        if not (self._from_blocked < np.pi).any():
+            return np.ones(len(self._from_blocked))
+        while self._free:
+            self._from_free = np.minimum(self._from_free, self._angles_from(self._free.pop()))
+        blocked = np.maximum(self._from_blocked, TINY)
+        near = 0.5 ** ((blocked / BLOCKED_WIDTH) ** 2)
+        return np.asarray(1.0 - near * np.minimum(1.0, self._from_free / blocked))
+
+    def _angles_from(self, number: int) -> Floats:
+        cosine = np.clip(self._directions @ self._directions[number], -1.0, 1.0)
+        return np.asarray(np.arccos(cosine), dtype=np.float64)
+
+
+class Reach:
+    """The uncertainty (rad) that all steps would give with one ``noise`` and coverage factor.
+
+    It is worked out once, and only where it is doubted that the goal can be had.
+    """
+
+    def __init__(self, noise: float, coverage_factor: float) -> None:
+        self._stated = noise, coverage_factor
+        self._doubted = False
+        self._best: float | None = None
+
+    def doubt(self) -> None:
+        """Have it worked out when it is asked for next: many further lengths are lacking."""
+        self._doubted = True
+
+    def best(
+        self, of: LengthExperiment, measured: Measured, allowed: Bools, allowance: Allowance
+    ) -> float:
+        """Return what would be stated of the ``measured`` and all ``allowed`` steps.
+
+        0 while nobody doubts, but never less than what no length lowers.
+        """
+        if not self._doubted:
+            return allowance.floor
+        if self._best is None:
+            left = np.setdiff1d(np.flatnonzero(allowed), list(measured.steps))
+            self._best = of.planned(measured, *self._stated, left)
+        return allowance.stated(self._best)
+
+
+FEW_SUSPECTS: Final = 4
+SUSPECT_SHARE: Final = 0.1
+"""When more lengths than either are suspect, that is no error of single lengths but noise."""
+
+
+class Suspects:
+    """The steps whose lengths were suspect, and how far that has been followed."""
+
+    def __init__(self) -> None:
+        self._steps: set[int] = set()
+        self._gone_over: set[int] = set()
+        """Suspect steps that were measured again, and table positions where all were."""
+
+    def single(self, measured: Measured) -> bool:
+        """Whether so few lengths were suspect that each may be an error of its own."""
+        return len(self._steps) < max(FEW_SUSPECTS, round(SUSPECT_SHARE * len(measured.steps)))
+
+    def again(
+        self, suspect: Observation, value: float, measured: Measured
+    ) -> tuple[list[int], str]:
+        """Return the steps to measure again, and why: the suspect one, then all of its station.
+
+        Where few lengths check each other a wrong one makes others look wrong. Without any, that
+        was in vain, and another target has to take its place. ``value``: of the test, in standard
+        deviations.
+        """
+        step, place = suspect.step, suspect.table_position
+        why = f"the length of step {step} is suspect ({value:+.1f} standard deviations)"
+        if step not in self._steps:
+            self._steps.add(step)
+            return [step], f"{why}: measured again"
+        here = {o.step for o in measured.observations if o.table_position == place}
+        others = sorted(here - self._steps)
+        if others and place not in self._gone_over:
+            self._gone_over.add(place)
+            return others, f"{why} once more: measured again with all of its station"
+        return [], f"{why} again and again: another target in its place"

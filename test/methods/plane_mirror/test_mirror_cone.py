@@ -5,13 +5,13 @@ from rotcal_ros.geometry.rotations import rotation_from_vector
 from rotcal_ros.methods.plane_mirror import cone
 from rotcal_ros.methods.plane_mirror.layout import Pairs
 from rotcal_ros.methods.plane_mirror.normals import tangent_frame
+from rotcal_ros.methods.plane_mirror.outcomes import registered_response
 from rotcal_ros.methods.plane_mirror.stitching import (
     islands,
     joining_map,
     stitch,
     stitch_response,
 )
-from rotcal_ros.methods.plane_mirror.uncertainty import registered_response
 
 POSE = rotation_from_vector([0.4, -0.9, 1.7])
 AXIS = POSE[:, 2]

@@ -7,7 +7,7 @@ import pytest
 from chances import LONG, most
 
 from rotcal_ros.methods.tracer import TracerProblem, solve
-from rotcal_ros.methods.tracer import disturbances as patterns
+from rotcal_ros.methods.tracer import protections as patterns
 from rotcal_ros.methods.tracer.response import respond
 from rotcal_ros.methods.tracer.solution import adjust
 from rotcal_ros.protection import EFFECTS

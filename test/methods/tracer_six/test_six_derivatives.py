@@ -15,7 +15,7 @@ from rotcal_ros.methods.tracer_six.curves import (
 )
 from rotcal_ros.methods.tracer_six.layout import lay_out
 from rotcal_ros.methods.tracer_six.rig import relax, slopes
-from rotcal_ros.methods.tracer_six.start import find_start
+from rotcal_ros.methods.tracer_six.solution import find_start
 
 
 def turn(vectors):

@@ -8,8 +8,7 @@ from rotcal_ros.components import COMPONENTS
 from rotcal_ros.methods.tracer_six import SixProblem
 from rotcal_ros.methods.tracer_six.layout import lay_out
 from rotcal_ros.methods.tracer_six.rig import relax
-from rotcal_ros.methods.tracer_six.solution import adjust
-from rotcal_ros.methods.tracer_six.start import find_start
+from rotcal_ros.methods.tracer_six.solution import adjust, find_start
 
 
 def free(rng, places, **options):

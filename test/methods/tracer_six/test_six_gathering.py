@@ -9,8 +9,7 @@ from six_scene import scene
 
 from rotcal_ros.components import COMPONENTS
 from rotcal_ros.methods.tracer_six import SixProblem, solve
-from rotcal_ros.methods.tracer_six.gathering import groups_of
-from rotcal_ros.methods.tracer_six.solution import PLACE, adjust
+from rotcal_ros.methods.tracer_six.solution import PLACE, adjust, groups_of
 from rotcal_ros.methods.tracer_six.timing import taken
 
 sys.path.insert(0, str(Path(__file__).parents[1]))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rotcal_ros.planning.policy.free_beams import FreeBeams
+from rotcal_ros.planning.policy.until_goal import FreeBeams
 
 
 def beams(*degrees):

@@ -13,9 +13,8 @@ from rotcal_ros.methods.tracer.protections import protections
 from rotcal_ros.methods.tracer.solution import adjust
 from rotcal_ros.planning.policy.as_listed import AsListed
 from rotcal_ros.planning.policy.choices import Outcome
-from rotcal_ros.planning.policy.first_sweep import first_sweep
 from rotcal_ros.planning.policy.stated import Allowance
-from rotcal_ros.planning.policy.until_goal import Limits, UntilGoal
+from rotcal_ros.planning.policy.until_goal import Limits, UntilGoal, first_sweep
 from rotcal_ros.protection import TOLERABLE
 from rotcal_ros.units import ARCSEC
 

@@ -1,0 +1,1 @@
+"""What ``rotcal cell check`` looks at."""

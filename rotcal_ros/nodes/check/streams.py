@@ -1,0 +1,191 @@
+"""The streams of a cell, one line each: who publishes, how often, what it says, what is wrong."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
+
+from rotcal_ros.bags import names
+from rotcal_ros.capture.stamp_offsets import DOUBT_S
+from rotcal_ros.catalogue.check_lines import CheckLine, State
+from rotcal_ros.instruments.conventions import single_shots
+from rotcal_ros.instruments.interpreter import FAST
+from rotcal_ros.nodes.check.drivers import brought_line
+from rotcal_ros.nodes.check.header_watch import HeaderWatch
+from rotcal_ros.nodes.check.heard import Heard
+from rotcal_ros.nodes.check.neighbours import namesakes
+from rotcal_ros.nodes.goal.preflight import (
+    air_doubts,
+    expected_air,
+    length_faults,
+    probe_faults,
+    rate_faults,
+    size_doubts,
+    slow_table,
+    without_air,
+)
+from rotcal_ros.nodes.runtime.concerns import CLOCK_DOUBT, OFFSET
+from rotcal_ros.nodes.runtime.latest import NOW, REFUSED
+from rotcal_ros.nodes.runtime.topic_names import name_in
+
+KINDS: Final[Mapping[str, tuple[str, str]]] = {
+    names.JOINT_STATES: ("table", "sensor_msgs/msg/JointState"),
+    names.PROBE_POINT: ("probe", "rotcal_msgs/msg/ProbePoint"),
+    names.TRACER_LENGTH: ("tracer", "rotcal_msgs/msg/TracerLength"),
+    names.TEMPERATURE: ("air", "sensor_msgs/msg/Temperature"),
+    names.AIR_PRESSURE: ("air", "sensor_msgs/msg/FluidPressure"),
+    names.RELATIVE_HUMIDITY: ("air", "sensor_msgs/msg/RelativeHumidity"),
+}
+"""The streams: topic -> part of the cell, type."""
+_CLOCKS: Final = (
+    "set the clocks of all machines alike (chrony, ptp), and stamp when it is measured"
+)
+_UNITS: Final[Mapping[str, str]] = {
+    names.PROBE_POINT: "m", names.TRACER_LENGTH: "m", names.TEMPERATURE: "°C",
+    names.AIR_PRESSURE: "Pa", names.RELATIVE_HUMIDITY: "of 1",
+}  # fmt: skip
+
+_IN_WORDS: Final[Mapping[str, str]] = {
+    names.TEMPERATURE: "degrees Celsius", names.AIR_PRESSURE: "pascal",
+    names.RELATIVE_HUMIDITY: "shares from 0 to 1",
+}  # fmt: skip
+
+
+def stream_lines(heard: Heard) -> Iterator[CheckLine]:
+    """Yield a line for every stream."""
+    for topic in KINDS:
+        yield _line(heard, topic)
+
+
+def clock_line(heard: Heard) -> CheckLine:
+    """Say whether the clocks of the streams agree, by the times of arrival."""
+    if OFFSET in heard.values:
+        return CheckLine("clocks", "stamps", "missing", heard.values[OFFSET], _CLOCKS)
+    if doubt := heard.values.get(CLOCK_DOUBT):
+        return CheckLine("clocks", "stamps", "doubt", doubt, _CLOCKS)
+    if not heard.compared:
+        return CheckLine("clocks", "stamps", "note", "too few stamped streams to compare")
+    found = f"{', '.join(heard.compared)} and joint_states agree within {DOUBT_S:g} s"
+    return CheckLine("clocks", "stamps", "good", found)
+
+
+def _line(heard: Heard, topic: str) -> CheckLine:
+    part, _ = KINDS[topic]
+    offers, watch = heard.graph.offers(heard.name(topic)), heard.headers.get(topic, HeaderWatch())
+    if not offers:
+        return _absent(heard, topic)
+    problem, todo = _problem(heard, topic, offers, watch)
+    doubt, advice = _doubt(heard, topic, watch)
+    state: State = "missing" if problem else "doubt" if doubt else "good"
+    if problem and topic not in heard.topics:
+        state = "doubt"
+    return CheckLine(
+        part, topic, state, "; ".join(filter(None, [problem, doubt, _seen(heard, topic, offers)])),
+        todo or advice, watch.rate_hz, watch.ahead_s,
+    )  # fmt: skip
+
+
+def _absent(heard: Heard, topic: str) -> CheckLine:
+    """Return the line of a stream that nobody publishes."""
+    part, kind = KINDS[topic]
+    name = heard.name(topic)
+    if heard.started_by_us:
+        return CheckLine(part, topic, "note", "simulated: rotcal run starts it")
+    if line := brought_line(heard, part, topic, "tells it"):
+        return line
+    air = ([], []) if heard.calibration is None else expected_air(heard.calibration)
+    required, wished = air
+    if topic in heard.topics or topic in required:
+        why = heard.unusable(topic)
+        todo = namesakes(heard.graph, topic, name, kind) or f"publish {kind} on {name}"
+        return CheckLine(part, topic, "missing", why, todo)
+    if topic in wished:
+        why = without_air(topic, name, heard.configuration)
+        return CheckLine(part, topic, "doubt", f"nobody publishes {name}", why)
+    return CheckLine(part, topic, "note", "nobody publishes it, and nobody needs it")
+
+
+def _problem(heard: Heard, topic: str, offers: list[Any], watch: HeaderWatch) -> tuple[str, str]:
+    """Return why nothing can be measured with a stream, and what to do; empty: it can be."""
+    _, kind = KINDS[topic]
+    name, limit_s = heard.name(topic), heard.configuration.planner.stream_timeout_s
+    if text := heard.values.get(REFUSED + topic):
+        return text, f"publish {kind} on {name}"
+    bad_joint = topic == names.JOINT_STATES and any(heard.joint_faults())  # its line tells it
+    if not bad_joint and (why := heard.unusable(topic)):
+        many = f"stop all publishers of {name} but one" if len(offers) > 1 else ""
+        if topic == names.JOINT_STATES and heard.adapter is not None:
+            many = heard.adapter.wrong()[1]
+        return why, many or _silent(watch, name)
+    if wrong := next(_faults(heard, topic), ""):
+        return wrong, f"publish {name} as expected, or set what its line names"
+    if watch.unstamped and watch.unstamped == watch.count:
+        return "its messages bear no stamp", f"fill header.stamp of {name}: when it was measured"
+    silence_s = time.monotonic() - watch.heard_s
+    steady = topic in FAST and topic not in single_shots(heard.configuration.topics)
+    if steady and silence_s > limit_s:
+        todo = f"let {name} stream without a pause, or raise planner.stream_timeout_s"
+        return f"silent for {silence_s:.1f} s (planner.stream_timeout_s {limit_s:g})", todo
+    return "", ""
+
+
+def _faults(heard: Heard, topic: str) -> Iterator[str]:
+    """Yield what the preflight has against the numbers of a stream."""
+    values, configuration = heard.values, heard.configuration
+    if topic == names.TRACER_LENGTH:
+        yield from length_faults(values, configuration)
+    if topic == names.PROBE_POINT and heard.calibration is not None:
+        yield from probe_faults(values, configuration, heard.calibration.plan)
+    called = name_in(values, topic)
+    yield from (text for text in rate_faults(values, configuration) if text.startswith(called))
+
+
+def _silent(watch: HeaderWatch, name: str) -> str:
+    if not watch.count:
+        return f"let its node publish on {name} before it is asked, at least once a second"
+    return f"{name} delivers nothing usable: see its status, and whether its numbers are finite"
+
+
+def _doubt(heard: Heard, topic: str, watch: HeaderWatch) -> tuple[str, str]:
+    """Return what looks wrong about a stream though it can be measured with, and what to do."""
+    limit_s = heard.configuration.capture.stamp_offset_s
+    planned, is_table = heard.calibration, topic == names.JOINT_STATES
+    if planned and (small := next(size_doubts(heard.values, planned, topic), "")):
+        return small, f"publish {heard.name(topic)} in the unit that the group topics states"
+    if is_table and (slow := next(slow_table(heard.values, heard.configuration), "")):
+        return slow, f"publish {heard.name(topic)} more often"
+    text = next(air_doubts(heard.values, topic), "") if topic in _IN_WORDS else ""
+    if text:
+        return text, f"publish {heard.name(topic)} in {_IN_WORDS[topic]}"
+    fast = heard.configuration.simulated  # a simulation may run by a time of its own
+    if watch.ahead_s is not None and abs(watch.ahead_s) > limit_s and not fast:
+        way = "ahead of" if watch.ahead_s > 0 else "behind"
+        text = f"stamps {abs(watch.ahead_s):.2f} s {way} this machine's clock"
+        return text, _CLOCKS
+    if watch.set_back:
+        text = f"{watch.set_back} stamps go back"
+        return text, f"let the stamps of {heard.name(topic)} ascend"
+    return "", ""
+
+
+def _seen(heard: Heard, topic: str, offers: list[Any]) -> str:
+    """Return what there is to see of a stream that somebody publishes."""
+    nodes = ", ".join(sorted({info.node_name for info in offers}))
+    profile = offers[0].qos_profile
+    words = [f"node {nodes}"]
+    now = heard.values.get(NOW + topic, "")
+    if topic in _UNITS and now:
+        words.append(_reading(now, topic))
+    words.append(profile.reliability.name.lower().replace("_", " "))
+    if profile.durability.name == "TRANSIENT_LOCAL":
+        words.append("latched")
+    return " · ".join(words)
+
+
+def _reading(now: str, topic: str) -> str:
+    """Return a reading of the capture's beat with its unit."""
+    if topic == names.PROBE_POINT:
+        return f"({', '.join(f'{float(x):.4f}' for x in now.split())}) m"
+    value, *rest = now.split()
+    return " ".join([value, _UNITS[topic], *rest])

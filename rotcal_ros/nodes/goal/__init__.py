@@ -1,0 +1,1 @@
+"""The planner's work: one goal, from preflight to result."""

@@ -1,0 +1,292 @@
+"""The planner's links to the cell: what goes out, what comes in, and what is missing."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Collection, Iterable, Sequence
+from typing import Final
+
+from rotcal_msgs.msg import (
+    CalibrationPlan,
+    DeviationArray,
+    ProbeTarget,
+    RecordedObservation,
+    StepChoice,
+    TableAngle,
+)
+from rotcal_msgs.msg import Observation as ObservationMsg
+from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
+from std_srvs.srv import Trigger
+
+from rotcal_ros import messages
+from rotcal_ros.bags import names
+from rotcal_ros.capture.heard import Believed, Offers, publisher_of
+from rotcal_ros.evaluation.withheld import withheld_by
+from rotcal_ros.middleware import discovery_in_words
+from rotcal_ros.node_names import PREFLIGHT_NODES, VIEWERS
+from rotcal_ros.nodes.runtime import conversions
+from rotcal_ros.nodes.runtime.cell_graph import ORDERS, CellGraph
+from rotcal_ros.nodes.runtime.cell_node import CellNode
+from rotcal_ros.nodes.runtime.concerns import show
+from rotcal_ros.nodes.runtime.hearing import APART, HEARS, digest
+from rotcal_ros.nodes.runtime.identity import IDENTITY
+from rotcal_ros.nodes.runtime.managed_node import not_active
+from rotcal_ros.nodes.runtime.plans import RUN
+from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED
+from rotcal_ros.nodes.runtime.topic_names import TOPIC, plain_name
+from rotcal_ros.observations import Command, Observation
+
+
+class CellServices:
+    """One client for each service."""
+
+    def __init__(self, node: CellNode) -> None:
+        self.start_recording = node.create_client(StartRecording, "start_recording")
+        self.continue_recording = node.create_client(StartRecording, "continue_recording")
+        self.recorded_observations = node.create_client(Trigger, "recorded_observations")
+        self.stop_recording = node.create_client(StopRecording, "stop_recording")
+        self.finish_calibration = node.create_client(FinishCalibration, "finish_calibration")
+
+    def missing(self) -> list[str]:
+        """Return which services are not offered, in words."""
+        of_recorder = (
+            self.start_recording,
+            self.continue_recording,
+            self.recorded_observations,
+            self.stop_recording,
+        )
+        needed = [("recorder", client) for client in of_recorder]
+        return [
+            f"node {node} does not offer {client.srv_name}"
+            for node, client in (*needed, ("solver", self.finish_calibration))
+            if not client.service_is_ready()
+        ]
+
+
+SPARE: Final = frozenset({"bridge", *VIEWERS.values()})
+"""Nodes that may be inactive while a calibration runs."""
+OWNERS: Final = {
+    names.OBSERVATION: "capture", names.OBSERVATION_RECORDED: "recorder",
+    **dict.fromkeys(ORDERS, "planner"),
+}  # fmt: skip
+"""The only node whose messages are believed on each topic of the suite itself."""
+Attempt = tuple[int, int]
+"""Step and attempt."""
+
+
+class CellLinks:
+    """Publishers, subscriptions and clients, and what came in for the steps so far."""
+
+    def __init__(self, node: CellNode) -> None:
+        self.node = node
+        self.health = node.health
+        self.graph = CellGraph(node)
+        self.observations: dict[Attempt, Observation] = {}
+        self.receipts: dict[Attempt, int] = {}
+        self.current_std = math.nan
+        self._plan_id = ""
+        self._publish()
+        node.listen(ObservationMsg, names.OBSERVATION, self._observed, EVENT, judged=True)
+        node.listen(
+            RecordedObservation, names.OBSERVATION_RECORDED, self._recorded, EVENT, judged=True
+        )
+        node.listen(DeviationArray, "deviations", self._solved, LATCHED)
+        self.services = CellServices(node)
+
+    def _publish(self) -> None:
+        node = self.node
+        self._plans = node.create_publisher(CalibrationPlan, names.PLAN, LATCHED)
+        self._tables = node.create_publisher(TableAngle, names.TABLE_ANGLE, EVENT)
+        self._probes = node.create_publisher(ProbeTarget, names.PROBE_TARGET, EVENT)
+        self._choices = node.create_publisher(StepChoice, names.STEP_CHOICE, EVENT)
+
+    def publish_anew(self) -> None:
+        """Publish as somebody new, whom those may find who have not found this planner."""
+        for publisher in (self._plans, self._tables, self._probes, self._choices):
+            self.node.destroy_publisher(publisher)
+        self._publish()
+
+    def forget(self) -> None:
+        """Forget what came in for an earlier goal."""
+        self.observations.clear()
+        self.receipts.clear()
+        self.current_std = math.nan
+
+    def last_accepted(self, attempts: Iterable[Attempt]) -> Observation | None:
+        """Return the accepted observation of the last of these attempts that has any."""
+        came = (self.observations.get(attempt) for attempt in attempts)
+        return max(
+            (o for o in came if o is not None and o.accepted),
+            key=lambda o: o.attempt,
+            default=None,
+        )
+
+    def announce(self, plan: CalibrationPlan) -> None:
+        """Publish the plan."""
+        self._plan_id = plan.plan_id
+        self._plans.publish(plan)
+
+    def tell_choice(self, choice: StepChoice) -> None:
+        """Publish what is measured next, and why."""
+        self._choices.publish(choice)
+
+    def order(self, command: Command) -> None:
+        """Order the table to its angle and the probe to its target."""
+        table, probe = conversions.command_messages(command, self.node.now_ns())
+        self._tables.publish(table)
+        self._probes.publish(probe)
+
+    def warn(self, key: str, texts: Sequence[str]) -> None:
+        """Tell people what looks wrong, and that it is over when there is nothing."""
+        for text in texts:
+            self.node.get_logger().warning(text)
+        show(self.health, key, "; ".join(texts))
+
+    def publishers(self, topic: str) -> list[str]:
+        """Return the names of the nodes that publish ``topic``."""
+        return self.graph.publishers(topic)
+
+    def resolve(self, topic: str) -> str:
+        """Return the absolute name of a topic of the cell."""
+        return self.graph.resolve(topic)
+
+    def instrument(self, role: str) -> str:
+        """Return the absolute name of an instrument's topic, as the capture knows it."""
+        plain = plain_name(self.node.get_namespace(), role)
+        return self.health.values("capture").get(TOPIC + role, plain)
+
+    def missing_nodes(self) -> list[str]:
+        """Return what keeps the nodes of the suite from working together, in words."""
+        lost = [f"node {name} does not beat" for name in self.health.missing(PREFLIGHT_NODES)]
+        lost += self.idle_nodes()
+        return lost or self.services.missing()[:1]
+
+    def idle_nodes(self, but: Collection[str] = ()) -> list[str]:
+        """Return which nodes of the calibration are there and not active, in words."""
+        return not_active(self.health.state, sorted(self.health.present() - SPARE - {*but}))
+
+    def missing_topics(
+        self, topics: Sequence[str], silent: Collection[str] = (), stop: str = ""
+    ) -> list[str]:
+        """Return what is missing around the instrument topics and the orders, in words.
+
+        Those that are ``silent`` before the first order need deliver nothing yet, and nobody need
+        publish the emergency ``stop``.
+        """
+        graph, heard = self.graph, self.health.values("capture")
+        measured = [self.instrument(topic) for topic in topics]
+        found = [
+            text
+            for topic, name in zip(topics, measured, strict=True)
+            for text in graph.without_instrument(
+                name, topic in silent or heard.get(f"valid.{topic}", "0") != "0"
+            )
+        ]
+        here = [] if all(map(self.publishers, measured)) else [discovery_in_words(os.environ)]
+        found += [text for topic in ORDERS for text in graph.without_machine(topic)]
+        stops = [stop] if stop and self.publishers(stop) else []
+        recorded = (*measured, *ORDERS, names.PLAN, names.OBSERVATION, names.STEP_CHOICE, *stops)
+        unheard = (topic for topic in recorded if "recorder" not in graph.listeners(topic))
+        return found + here + [self._unrecorded(self.resolve(topic)) for topic in unheard]
+
+    def _unrecorded(self, name: str) -> str:
+        """Say that the recorder does not listen to a topic yet, or why it never will."""
+        why = self.health.values("recorder").get(name, "")
+        return f"the recorder does not listen to {name}{': ' + why if why else ' yet'}"
+
+    def believed(self, instruments: Collection[str]) -> Believed:
+        """Return who publishes now what a run believes: the suite's nodes and ``instruments``."""
+        place = self.node.get_namespace()
+        found = {
+            self.instrument(role): self.graph.offers(self.instrument(role)) for role in instruments
+        }
+        for topic, owner in OWNERS.items():
+            offers = self.graph.offers(topic)
+            own = [i for i in offers if (i.node_name, i.node_namespace) == (owner, place)]
+            found[self.resolve(topic)] = own
+        return Believed({
+            topic: tuple(sorted(publisher_of(info.endpoint_gid) for info in infos))
+            for topic, infos in found.items()
+            if infos
+        })  # fmt: skip
+
+    def offered(self, roles: Collection[str]) -> Offers:
+        """Return who publishes the topics of these instruments now."""
+        return {
+            (name := self.instrument(role)): {
+                publisher_of(
+                    info.endpoint_gid
+                ): f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+                for info in self.graph.offers(name)
+            }
+            for role in roles
+        }
+
+    def unclear(self, instruments: Collection[str]) -> list[str]:
+        """Return in words on which topics it is not clear whom to believe."""
+        believed, found = self.believed(()).publishers, list[str]()
+        for topic, owner in OWNERS.items():
+            name = self.resolve(topic)
+            count = len(believed.get(name, ()))
+            if count > 1:
+                found.append(
+                    f"{count} nodes are called {owner} and publish {name}: end the others"
+                )
+            elif not count:
+                found.append(f"node {owner} does not publish {name} yet")
+        called = (self.instrument(role) for role in instruments)
+        return found + [text for name in called for text in self.graph.crowded(name)]
+
+    def missing_ears(self, believed: Believed) -> list[str]:
+        """Return which nodes cannot hear yet whom a run believes, in words."""
+        others = (*PREFLIGHT_NODES, *self._own_machines())
+        beats = {name: self.health.values(name) for name in others}
+        beats[self.node.get_name()] = self.node.hearing.values()
+        return [
+            f"node {name} cannot hear or be heard yet on {apart}"
+            if (apart := values.get(APART))
+            else f"node {name} has not heard who is believed in this run"
+            for name, values in beats.items()
+            if values.get(HEARS) != digest(believed)
+        ] + self._missing_machines()
+
+    def _own_machines(self) -> list[str]:
+        """Return the machines that obey orders and beat as nodes of the suite do."""
+        obey = {name for topic in ORDERS for name in self.graph.machines(topic)}
+        here = obey & self.health.present()
+        return sorted(name for name in here if IDENTITY in self.health.values(name))
+
+    def _missing_machines(self) -> list[str]:
+        """Return the orders that are not joined yet with all of those who beat and obey them."""
+        publishers = {names.TABLE_ANGLE: self._tables, names.PROBE_TARGET: self._probes}
+        return [
+            f"the planner cannot be heard yet by all who obey {self.resolve(topic)}"
+            for topic, publisher in publishers.items()
+            if publisher.get_subscription_count()
+            < len(self.health.present().intersection(self.graph.listeners(topic)))
+        ]
+
+    def missing_air(self, expected: Iterable[str]) -> dict[str, str]:
+        """Return role -> absolute name of those ``expected`` topics that nobody publishes."""
+        called = {role: self.instrument(role) for role in expected}
+        return {role: name for role, name in called.items() if not self.publishers(name)}
+
+    def missing_plan(self, run: str, nodes: Sequence[str] = ("capture", "solver")) -> list[str]:
+        """Return which nodes have not taken the plan of this run, with their reason."""
+        return [
+            f"node {name} has not taken the plan ({self.health.state(name) or 'silent'})"
+            for name in nodes
+            if self.health.values(name).get(RUN) != run
+        ]
+
+    def _observed(self, message: ObservationMsg) -> None:
+        self.observations[message.step, message.attempt] = messages.observation(message)
+
+    def _recorded(self, message: RecordedObservation) -> None:
+        self.receipts[message.step, message.attempt] = int(message.lost)
+
+    def _solved(self, message: DeviationArray) -> None:
+        if message.plan_id == self._plan_id and message.ecc_std:
+            doubtful = message.final and withheld_by(message.verdict, message.warnings)
+            self.current_std = math.nan if doubtful else max(message.ecc_std)

@@ -1,0 +1,200 @@
+"""Measuring what is left of a plan, step by step, with a person where it needs one."""
+
+from __future__ import annotations
+
+from itertools import count
+from typing import Final
+
+from rotcal_ros.capture.failed_steps import FailedSteps
+from rotcal_ros.catalogue import Calibration
+from rotcal_ros.catalogue.continuation import ATTEMPTS_PER_RUN, Continuation
+from rotcal_ros.errors import DataError
+from rotcal_ros.nodes.goal.asking import Asking
+from rotcal_ros.nodes.goal.cell_links import Attempt
+from rotcal_ros.nodes.goal.crew import Codes, GoalError
+from rotcal_ros.nodes.goal.watch import GoalWatch, HaltedError
+from rotcal_ros.nodes.runtime import conversions
+from rotcal_ros.nodes.runtime.latest import WAITING_FOR
+from rotcal_ros.planning.plan import Pause
+from rotcal_ros.planning.policy.choices import Choice, Outcome, Standing
+from rotcal_ros.planning.policy.names import AS_LISTED
+
+SETTLING_S: Final = 1.2
+"""So long after a clock was set the capture takes nothing (1 s), once it has noticed."""
+
+
+class Measuring:
+    """Measures the steps of one goal; no attempt at a step has a number twice.
+
+    ``reasons`` says why attempts were rejected, or came to nothing; ``asking`` asks a person.
+    """
+
+    def __init__(
+        self, calibration: Calibration, continuation: Continuation, watch: GoalWatch
+    ) -> None:
+        self._calibration = calibration
+        self._continuation = continuation
+        self._watch = watch
+        self.asking = Asking(watch, calibration.configuration.plan_id, continuation.run)
+        self._policy = calibration.policy(continuation)
+        self._chosen = 0
+        self._next_attempt: dict[int, int] = {}
+        self._failed = FailedSteps(watch.settings.max_failed_steps)
+        self.reasons: list[str] = []
+
+    async def measure_all(self) -> None:
+        """Measure what the policy chooses, until it stops."""
+        progress = self._watch.progress
+        progress.begin()
+        made_up = self._watch.owed
+        if made_up:
+            await self._have_done(*made_up)
+        choice = self._policy.choose()
+        while choice.step is not None:
+            progress.left = choice.standing.left
+            progress.uncertainty, progress.goal = choice.standing.uncertainty, choice.standing.goal
+            pause = self._calibration.plan.pause_before(choice.step)
+            if made_up and pause is made_up[0]:
+                pause = None
+            if pause is not None:
+                work = pause.instruction if pause.again_from is None else ""
+                await self._have_done(pause, work, pause.first)
+            if pause is None or pause.last < pause.first:
+                self._failed.note(choice.step, await self._measure(choice.step, choice))
+            choice = self._policy.choose()
+            self._give_up(at_the_end=choice.step is None)
+        self._tell(choice, 0)
+        progress.uncertainty, progress.left = choice.standing.uncertainty, 0
+        progress.step = progress.total
+
+    def accepted(self) -> list[int]:
+        """Return the steps that were accepted in this run."""
+        return [step for step in self._watch.progress.accepted if step in self._next_attempt]
+
+    def _give_up(self, *, at_the_end: bool) -> None:
+        """Raise GoalError where too many steps failed; at the end what there is is solved."""
+        text = self._failed.why_give_up()
+        solvable = self._watch.progress.accepted or self._continuation.observations
+        if text and not (at_the_end and solvable):
+            raise GoalError(Codes.TOO_FEW_OBSERVATIONS, text)
+
+    def _tell(self, choice: Choice, attempt: int) -> None:
+        """Publish a choice, for people and for the bag."""
+        links, plan_id = self._watch.links, self._calibration.configuration.plan_id
+        chosen = choice, plan_id, self._continuation.run, self._chosen, attempt
+        links.tell_choice(conversions.choice_message(*chosen, links.node.now_ns()))
+        self._chosen += 1
+
+    async def _have_done(self, pause: Pause, work: str, begin: int) -> None:
+        """Have the ``work`` of a pause done and check it, again and again until it is good.
+
+        The check begins with step ``begin``. What the method can live with is asked for
+        ``max_attempts`` times, what makes a result impossible until the goal is canceled. What is
+        broken off is still owed: the next run begins with it.
+        """
+        for asked in count(1):
+            self._watch.owed = pause, work, begin
+            if work:
+                self._place(pause.first)
+                await self.asking.have_done(work, pause.move)
+            self._watch.owed = pause, "", begin
+            for index in range(begin, pause.last + 1):
+                shows = Choice(index, f"shows {pause.instruction}", Standing(1))
+                await self._measure(index, shows)
+            begin = pause.first if pause.again_from is None else pause.again_from
+            found, hopeless = self._complaints()
+            if not found or (asked >= self._watch.settings.max_attempts and not hopeless):
+                self._watch.owed = None
+                return
+            work = f"not as it should be: {found}; put it right ({pause.instruction})"
+
+    def _complaints(self) -> tuple[str, bool]:
+        """Return what the observations so far say against the work; hopeless or not."""
+        earlier, now = self._continuation.observations, self._watch.links.observations
+        try:
+            return "; ".join(self._calibration.check([*earlier, *now.values()])), False
+        except DataError as error:
+            return str(error), True
+
+    async def _measure(self, index: int, choice: Choice) -> list[str]:
+        """Attempt a step; when an emergency stop breaks it off, again after somebody resumed.
+
+        Return why it failed, once for every attempt; nothing when it was captured.
+        """
+        try:
+            return await self._attempt(index, choice)
+        except HaltedError as halted:
+            self.reasons.append(str(halted))
+        self._watch.progress.rejected += 1
+        await self.asking.have_done()
+        return await self._measure(index, choice)
+
+    async def _attempt(self, index: int, choice: Choice) -> list[str]:
+        """Attempt a step until it is captured without a loss, or attempts are used up."""
+        progress, limit = self._watch.progress, self._watch.settings.max_attempts
+        self._place(index)
+        first = self._next_attempt.get(index, self._continuation.run * ATTEMPTS_PER_RUN)
+        self._next_attempt[index] = first + limit
+        self._tell(choice, first)
+        captured, reasons = False, list[str]()
+        for number in range(limit):
+            key = (index, first + number)
+            jumps = self._watch.clock_jumps()
+            observed = await self._observed(key, number)
+            if self._watch.clock_jumps() != jumps:
+                await self._watch.wait(lambda: False, SETTLING_S)
+                reasons.append("a clock was set meanwhile")
+            elif observed:
+                captured = True
+                if not await self._lost(key):
+                    break
+            else:
+                reasons.append(self._why_not(key))
+            progress.rejected += 1
+        progress.note(index, accepted=captured)
+        attempts = ((index, first + number) for number in range(limit))
+        self._policy.note(Outcome(index, self._watch.links.last_accepted(attempts)))
+        self.reasons += reasons
+        return [] if captured else reasons
+
+    def _why_not(self, key: Attempt) -> str:
+        """Return why an attempt is not captured: its rejection, or what the capture waits for."""
+        links, limit_s = self._watch.links, self._watch.settings.step_timeout_s
+        if key in links.observations:
+            return links.observations[key].reason
+        heard = links.health.values("capture").get(WAITING_FOR) or "the capture says nothing"
+        return f"no observation within {limit_s:g} s of the order: {heard}"
+
+    def _place(self, index: int) -> None:
+        """Show how far the goal is: the step of a list, or how many steps of those expected."""
+        progress = self._watch.progress
+        if self._watch.settings.policy == AS_LISTED:
+            progress.step = index
+        else:
+            progress.step, progress.total = progress.done, progress.done + progress.left
+
+    async def _observed(self, key: Attempt, number: int) -> bool:
+        """Order an attempt; return whether an observation came and is accepted."""
+        index, attempt = key
+        step = self._calibration.plan.steps[index]
+        links = self._watch.links
+        await self._watch.have_all_answer()
+        self._watch.tell(step.in_words(number))
+        self._watch.heed_stop()
+        links.order(step.command(attempt))
+        limit_s = self._watch.settings.step_timeout_s
+        arrived = await self._watch.wait_for_machine(lambda: key in links.observations, limit_s)
+        return arrived and links.observations[key].accepted
+
+    async def _lost(self, key: Attempt) -> int:
+        """Wait for the receipt of an observation; return how many messages were lost."""
+        receipts = self._watch.links.receipts
+        limit_s = self._watch.settings.receipt_timeout_s
+        if not await self._watch.wait(lambda: key in receipts, limit_s):
+            reason = self._watch.links.health.state("recorder") or "silent"
+            place = self._calibration.plan.steps[key[0]].in_words()
+            raise GoalError(
+                Codes.RECORDER_FAILED,
+                f"{place}: no receipt from the recorder within {limit_s:g} s ({reason})",
+            )
+        return receipts[key]

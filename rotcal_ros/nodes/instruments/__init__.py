@@ -1,0 +1,1 @@
+"""How the nodes hear instruments and move a table."""

@@ -1,0 +1,173 @@
+"""How controllers of ros2_control take where a joint shall go: by topics, or by goals."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Final, Protocol
+
+from builtin_interfaces.msg import Duration
+from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.nodes.runtime.cell_node import CellNode
+from rotcal_ros.nodes.runtime.qos import EVENT
+from rotcal_ros.ros2_control.settings import TableAdapterSettings
+from rotcal_ros.ros2_control.travel import Way
+from rotcal_ros.units import NANOSECOND
+
+SETPOINT_PERIOD_S: Final = 0.02
+LATEST_S: Final = 1.5 * SETPOINT_PERIOD_S
+"""Time made up for in one step at most: a machine that is busy goes slower, it never jumps."""
+
+
+@dataclass(frozen=True, slots=True)
+class Word:
+    """What a controller says: ``trouble`` why it does not go, ``done`` that it has arrived."""
+
+    trouble: str = ""
+    done: bool = False
+
+
+class JointController(Protocol):
+    """Takes ways; a new one takes the place of the one under way."""
+
+    def heard(self) -> bool:
+        """Return whether anybody listens to it."""
+
+    def setpoint(self) -> tuple[float, float] | None:
+        """Return where (rad) and how fast (rad/s) it was sent last on its way, if known."""
+
+    def send(self, way: Way) -> None:
+        """Let the joint go that way from now on."""
+
+    def forget(self) -> None:
+        """Send nothing more of the way under way."""
+
+    def halt(self) -> str:
+        """End the way under way though nobody knows where it is; return what was done."""
+
+    def word(self) -> Word:
+        """Return what the controller says of the latest way."""
+
+
+def joint_controller(
+    node: CellNode, settings: TableAdapterSettings, joint: str
+) -> JointController:
+    """Return the controller that the settings name; ConfigurationError as :func:`interface_of`."""
+    interface = interface_of(settings)
+    if interface == "goals":
+        from rotcal_ros.nodes.instruments.joint_goals import GoalController
+
+        return GoalController(node, settings.controller, joint)
+    kind = PositionController if interface == "positions" else TrajectoryController
+    return kind(node, settings.controller, joint)
+
+
+def interface_of(settings: TableAdapterSettings) -> str:
+    """Return goals, trajectory or positions, whichever it is here.
+
+    Raises ConfigurationError for goals where nobody knows their messages.
+    """
+    interface, with_goals = settings.interface, find_spec("control_msgs") is not None
+    if interface == "goals" and not with_goals:
+        raise ConfigurationError(
+            "table_adapter.interface: goals need the package control_msgs, which is not installed "
+            "here; install it, or set trajectory, which needs nothing"
+        )
+    if interface == "auto":
+        return "goals" if with_goals else "trajectory"
+    return interface
+
+
+def trajectory_message(joint: str, way: Way) -> JointTrajectory:
+    """Return a way as a trajectory that begins when it arrives: its stamp is zero."""
+    points = [
+        JointTrajectoryPoint(positions=[angle], velocities=[0.0], time_from_start=_lasting(at))
+        for angle, at in zip(way.angles, way.times_s, strict=True)
+    ]
+    return JointTrajectory(joint_names=[joint], points=points)
+
+
+class TrajectoryController:
+    """joint_trajectory_controller: all stops at once, each with time and no velocity."""
+
+    def __init__(self, node: CellNode, controller: str, joint: str) -> None:
+        self._joint = joint
+        self._publisher = node.create_publisher(
+            JointTrajectory, f"{controller}/joint_trajectory", EVENT
+        )
+
+    def heard(self) -> bool:
+        """Return whether anybody listens to it."""
+        return bool(self._publisher.get_subscription_count())
+
+    def setpoint(self) -> None:
+        """Return None: the controller goes over from one trajectory to the next by itself."""
+
+    def send(self, way: Way) -> None:
+        """Publish it."""
+        self._publisher.publish(trajectory_message(self._joint, way))
+
+    def word(self) -> Word:
+        """Return nothing: a topic has no answer."""
+        return Word()
+
+    def forget(self) -> None:
+        """Do nothing: the controller has the whole trajectory, and ends it by itself."""
+
+    def halt(self) -> str:
+        """Do nothing: only a place takes that of the way, an empty trajectory is refused."""
+        return "a trajectory sent by topic cannot be taken back, it goes on to its end"
+
+
+class PositionController:
+    """A controller that passes positions on at once: it gets the way in small steps."""
+
+    def __init__(self, node: CellNode, controller: str, joint: str) -> None:
+        self._publisher = node.create_publisher(Float64MultiArray, f"{controller}/commands", EVENT)
+        self._way: Way | None = None
+        self._elapsed_s = self._stepped_s = 0.0
+        node.every(SETPOINT_PERIOD_S, self._step)
+
+    def heard(self) -> bool:
+        """Return whether anybody listens to it."""
+        return bool(self._publisher.get_subscription_count())
+
+    def setpoint(self) -> tuple[float, float] | None:
+        """Return where the joint was sent last: a new way begins there, not where it lags."""
+        return None if self._way is None else self._way.at(self._elapsed_s)
+
+    def send(self, way: Way) -> None:
+        """Begin to go that way."""
+        self._way, self._elapsed_s, self._stepped_s = way, 0.0, time.monotonic()
+
+    def forget(self) -> None:
+        """Leave the joint where it was sent last."""
+        self._way = None
+
+    def halt(self) -> str:
+        """Leave the joint where it was sent last."""
+        self.forget()
+        return "it is sent no more positions"
+
+    def word(self) -> Word:
+        """Return nothing: a topic has no answer."""
+        return Word()
+
+    def _step(self) -> None:
+        """Publish where the joint shall be now; the last position once."""
+        if self._way is None:
+            return
+        before, self._stepped_s = self._stepped_s, time.monotonic()
+        self._elapsed_s += min(self._stepped_s - before, LATEST_S)
+        self._publisher.publish(Float64MultiArray(data=[self._way.at(self._elapsed_s)[0]]))
+        if self._elapsed_s >= self._way.times_s[-1]:
+            self._way = None
+
+
+def _lasting(seconds: float) -> Duration:
+    whole, rest = divmod(round(seconds / NANOSECOND), 1_000_000_000)
+    return Duration(sec=whole, nanosec=rest)

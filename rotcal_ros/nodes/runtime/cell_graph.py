@@ -1,0 +1,130 @@
+"""Who publishes and who listens in a cell, and what keeps them from hearing each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any, Final
+
+from rclpy.duration import Infinite
+from rclpy.node import Node
+from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
+
+from rotcal_ros.bags import names
+from rotcal_ros.node_names import VIEWERS
+from rotcal_ros.nodes.runtime.qos import EVENT
+
+ORDERS: Final = (names.TABLE_ANGLE, names.PROBE_TARGET)
+NO_MACHINE: Final = frozenset({"capture", "recorder", *VIEWERS.values()})
+"""Nodes that listen to orders without obeying them."""
+_AS_THE_GRAPH_SHOWS_IT: Final = QoSProfile(
+    depth=EVENT.depth,
+    reliability=EVENT.reliability,
+    durability=EVENT.durability,
+    deadline=Infinite,
+    lifespan=Infinite,
+    liveliness_lease_duration=Infinite,
+)
+
+
+@dataclass(frozen=True)
+class Offer:
+    """A publisher that is still to come."""
+
+    node_name: str
+    qos_profile: QoSProfile
+
+
+PLANNERS: Final = Offer("planner", _AS_THE_GRAPH_SHOWS_IT)
+"""What the planner offers, for as long as there is none."""
+
+
+class CellGraph:
+    """The graph as ``node`` sees it; topics are named as in its cell."""
+
+    def __init__(self, node: Node) -> None:
+        self.node = node
+
+    def resolve(self, topic: str) -> str:
+        """Return the absolute name of a topic of the cell."""
+        name: str = self.node.resolve_topic_name(topic)
+        return name
+
+    def publishers(self, topic: str) -> list[str]:
+        """Return the names of the nodes that publish ``topic``."""
+        return sorted(info.node_name for info in self.offers(topic))
+
+    def listeners(self, topic: str) -> list[str]:
+        """Return the names of the nodes that subscribe to ``topic``."""
+        return sorted(info.node_name for info in self.wants(topic))
+
+    def nodes(self) -> list[tuple[str, str]]:
+        """Return name and namespace of all nodes of the domain."""
+        return [*self.node.get_node_names_and_namespaces()]
+
+    def machines(self, topic: str) -> list[str]:
+        """Return the names of the nodes that obey the order ``topic``."""
+        return sorted(set(self.listeners(topic)) - NO_MACHINE)
+
+    def offers(self, topic: str) -> list[Any]:
+        """Return what rclpy knows of the publishers of ``topic``."""
+        return list(self.node.get_publishers_info_by_topic(self.resolve(topic)))
+
+    def wants(self, topic: str) -> list[Any]:
+        """Return what rclpy knows of the subscribers of ``topic``."""
+        return list(self.node.get_subscriptions_info_by_topic(self.resolve(topic)))
+
+    def without_instrument(self, topic: str, has_delivered: bool) -> Iterator[str]:
+        """Yield in words why an instrument's ``topic`` is of no use to the cell."""
+        name, publishers = self.resolve(topic), self.publishers(topic)
+        if not publishers:
+            yield f"nobody publishes {name}: start its instrument"
+        elif len(publishers) > 1:
+            yield from self.crowded(topic)
+        elif not has_delivered:
+            yield f"{name} has not delivered a valid message (node {publishers[0]})"
+        yield from deaf_listeners(self.node, name, {"capture", "recorder"}.__contains__)
+
+    def crowded(self, topic: str) -> Iterator[str]:
+        """Yield in words that an instrument's ``topic`` has several publishers."""
+        publishers = self.publishers(topic)
+        if len(publishers) > 1:
+            yield (
+                f"{len(publishers)} publishers on {self.resolve(topic)} (nodes "
+                f"{', '.join(publishers)}): one instrument topic has one publisher; stop the "
+                "others"
+            )
+
+    def without_machine(self, topic: str) -> Iterator[str]:
+        """Yield in words why nobody obeys the order ``topic``.
+
+        A machine that cannot hear it is let be beside another one that can.
+        """
+        machines = self.machines(topic)
+        if not machines:
+            yield f"nobody obeys {self.resolve(topic)}: start the machine's node"
+        planners = () if self.publishers(topic) else (PLANNERS,)
+        name = self.resolve(topic)
+        deaf = list(deaf_listeners(self.node, name, set(machines).__contains__, planners))
+        if len(deaf) >= len(machines):
+            yield from deaf
+
+
+def deaf_listeners(
+    node: Node, topic: str, counts: Callable[[str], bool], to_come: Iterable[Offer] = ()
+) -> Iterator[str]:
+    """Yield in words which subscribers of an absolute ``topic`` get nothing of a publisher.
+
+    ``counts`` says by its name whether a subscriber matters.
+    """
+    for source in (*node.get_publishers_info_by_topic(topic), *to_come):
+        for reader in node.get_subscriptions_info_by_topic(topic):
+            if not counts(reader.node_name):
+                continue
+            verdict, why = qos_check_compatible(source.qos_profile, reader.qos_profile)
+            if verdict == QoSCompatibility.ERROR:
+                yield (
+                    f"node {reader.node_name} hears nothing on {topic} of node "
+                    f"{source.node_name}: their qualities of service do not match "
+                    f"({why.strip(' ;')})"
+                )

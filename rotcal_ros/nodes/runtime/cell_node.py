@@ -1,0 +1,233 @@
+"""What all nodes of a cell share: they beat, take their parameters, and end in good order."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Awaitable, Callable, Generator
+from concurrent.futures import Future
+from inspect import isawaitable
+from types import coroutine
+from typing import Any, Final, TypeVar
+
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rotcal_msgs.msg import ProbeTarget, TableAngle
+
+from rotcal_ros.bags import names
+from rotcal_ros.capture.orders import Orders
+from rotcal_ros.machine_load import Patience
+from rotcal_ros.nodes.runtime.health import CALIBRATING, Health, Values
+from rotcal_ros.nodes.runtime.hearing import Hearing
+from rotcal_ros.nodes.runtime.managed_node import ManagedNode
+from rotcal_ros.nodes.runtime.parameters import declare_settings, given_parameters
+from rotcal_ros.nodes.runtime.qos import EVENT
+from rotcal_ros.nodes.runtime.topic_names import other_names
+from rotcal_ros.nodes.runtime.turns import steady_timer
+from rotcal_ros.observations import Command
+from rotcal_ros.planning.health_settings import HealthSettings
+
+T = TypeVar("T")
+
+IDLE_S: Final = 0.1
+"""So long messages gather while nobody measures."""
+_QUIET: Final = frozenset({"recorder", "solver"})
+"""Nodes that leave alone what others have named."""
+
+
+@coroutine
+def _next_turn() -> Generator[None, None, None]:
+    """Let the executor work, until its next event.
+
+    The heartbeat's timer bounds the pause, so that time-outs are noticed too.
+    """
+    yield
+
+
+async def until(
+    condition: Callable[[], bool],
+    timeout_s: float,
+    check: Callable[[], None] | None = None,
+    pausing: Callable[[], bool] = lambda: False,
+) -> bool:
+    """Wait until ``condition``; False after ``timeout_s``. ``check`` may raise to give up.
+
+    The time does not run while somebody is waited for (``pausing``), or while this process stands.
+    """
+    patience = Patience(timeout_s)
+    while not condition():
+        if check is not None:
+            check()
+        if patience.is_over(pausing=pausing()):
+            return False
+        await _next_turn()
+    return True
+
+
+class CellNode(ManagedNode, ABC):
+    """A node of the cell. ``given`` holds the parameters it was started with, in groups.
+
+    What it listens to, does regularly and offers begins and ends with its being active; a latched
+    message that comes earlier waits. It beats in every state.
+    """
+
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
+        self.given = given_parameters(self)
+        self._latched: dict[Callable[[Any], None], Any] = {}
+        self._left_alone: set[str] = set()
+        self._answering = 0
+        self._answers = MutuallyExclusiveCallbackGroup()
+        self._names: Values = other_names(self.get_namespace(), self.resolve_topic_name)
+        self.hearing = Hearing(self, quiet=name in _QUIET)
+        settings = self.settings("health", HealthSettings)
+        self.health = Health(self, self._beat_values, self._missed, settings=settings)
+
+    def settings(self, group: str, cls: type[T], *, read_only: bool = True) -> T:
+        """Declare a group of settings as parameters and return their values."""
+        return declare_settings(self, self.given, group, cls, read_only=read_only)
+
+    def listen(
+        self,
+        kind: type,
+        topic: str,
+        handle: Callable[[Any], None],
+        qos: QoSProfile | int,
+        *,
+        judged: bool = False,
+    ) -> None:
+        """Subscribe to a topic; an exception in ``handle`` is counted and logged.
+
+        ``judged``: while a goal runs only those are heard whom the run believes.
+        """
+        handle = self.health.guarded(handle)
+        latched = getattr(qos, "durability", None) == DurabilityPolicy.TRANSIENT_LOCAL
+
+        def take(message: Any, info: Any) -> None:
+            if judged and not self.hearing.hears(self.resolve_topic_name(topic), info):
+                return
+            if self.active:
+                handle(message)
+            elif latched:
+                self._latched[handle] = message
+            elif topic not in self._left_alone:
+                self._left_alone.add(topic)
+                self.get_logger().warning(f"{topic} is left alone: {self.why_not()}")
+
+        self.create_subscription(kind, topic, take, qos)
+
+    def every(self, period_s: float, work: Callable[[], None]) -> None:
+        """Do ``work`` regularly; an exception in it is counted and logged."""
+        work = self.health.guarded(work)
+        steady_timer(self, period_s, lambda: work() if self.active else None)
+
+    def offer(
+        self, kind: type, name: str, handle: Callable[[Any, Any], Any], *, always: bool = False
+    ) -> None:
+        """Offer a service, whose response has a ``message`` that says why it was refused.
+
+        ``always``: it is not refused while the node is inactive. An answer that takes its time
+        holds up other services, but neither what the node hears nor its beat.
+        """
+
+        async def answer(request: Any, response: Any) -> Any:
+            if not (self.active or always):
+                response.message = self.why_not()
+                return response
+            self._answering += 1
+            try:
+                answered = handle(request, response)
+                return await answered if isawaitable(answered) else answered
+            finally:
+                self._answering -= 1
+
+        self.create_service(kind, name, answer, callback_group=self._answers)
+
+    def begin(self, work: Callable[..., Awaitable[None]], *arguments: Any) -> None:
+        """Do ``work`` in the executor's turns; it is given up when the node is cleaned up."""
+
+        async def do() -> None:
+            try:
+                await work(*arguments)
+            except rclpy_implementation.InvalidHandle:
+                self.get_logger().info(f"given up: {work.__name__.strip('_')}")
+            except Exception as error:
+                self.health.note_error(work.__name__, error)
+
+        self.executor.create_task(do)
+
+    def take_orders(self, obey: Callable[[Command], None]) -> Orders:
+        """Call ``obey`` with every complete order; return what waits for its other half."""
+        orders = Orders()
+
+        def listen(kind: type, topic: str, take: Callable[[Any], Command | None]) -> None:
+            def handle(message: Any) -> None:
+                if (command := take(message)) is not None:
+                    obey(command)
+
+            self.listen(kind, topic, handle, EVENT, judged=True)
+
+        listen(TableAngle, names.TABLE_ANGLE, orders.table_angle)
+        listen(ProbeTarget, names.PROBE_TARGET, orders.probe_target)
+        return orders
+
+    def gather_s(self) -> float:
+        """Return how long what comes may wait, to be taken together; s."""
+        return 0.0
+
+    def idle_s(self) -> float:
+        """Return :meth:`gather_s` of a node that works in calibrations only."""
+        measuring = self.health.state("planner").startswith(CALIBRATING)
+        return 0.0 if measuring else IDLE_S
+
+    def why_not(self) -> str:
+        """Return why this node does not do what it is asked; empty: it does."""
+        return "" if self.active else f"node {self.get_name()} is {self.standing()}"
+
+    def over(self) -> bool:
+        """Return whether the node has to end: by a transition, by its work, or for another."""
+        done = self.configured and self.finished()
+        return self.shut_down or done or bool(self.health.refused)
+
+    def at_rest(self) -> bool:
+        """Return whether nothing is under way that a clean-up would break."""
+        return self._answering == 0 and self.stopped()
+
+    def now_ns(self) -> int:
+        """Return the time of the node's clock."""
+        nanoseconds: int = self.get_clock().now().nanoseconds
+        return nanoseconds
+
+    async def answer_of(self, future: Future[T], timeout_s: float) -> T:
+        """Return what a thread of this node works out, and let the node beat meanwhile."""
+        future.add_done_callback(lambda _: self.executor.wake())
+        await until(future.done, timeout_s)
+        return future.result(timeout=0.0)
+
+    @abstractmethod
+    def _report(self) -> tuple[str, Values]:
+        """Return the state in words and values; asked for every beat."""
+
+    def _node_lost(self, name: str) -> None:
+        """Hear that another node is lost."""
+
+    def _beat_values(self) -> tuple[str, Values]:
+        """Return what the beat tells in every state: the report, and other names of topics."""
+        words, values = self._report() if self.configured else ("", {})
+        return self.standing() or words, {**self._names, **self.hearing.values(), **values}
+
+    def _missed(self, name: str) -> None:
+        if self.configured:
+            self._node_lost(name)
+
+    def _entered(self, success: bool) -> TransitionCallbackReturn:
+        """Handle what waited for the node to be active, and tell the others how it stands."""
+        if self.active:
+            for handle, message in self._latched.items():
+                handle(message)
+        if self.active or not self.configured:
+            self._latched.clear()
+        self._left_alone.clear()
+        self.health.beat()
+        return super()._entered(success)

@@ -1,0 +1,295 @@
+"""Dataclasses into messages; the way back is rotcal_ros.messages, as for the replay of bags."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any, Final
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from rotcal_msgs.action import Calibrate
+from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
+from rotcal_msgs.msg import (
+    DeviationArray,
+    DirectionalCurve,
+    FreeDirection,
+    ProbePoint,
+    ProbeTarget,
+    StepChoice,
+    TableAngle,
+    TableInForce,
+    TracerLength,
+    VolumetricCorrection,
+)
+from rotcal_msgs.msg import Observation as ObservationMsg
+from sensor_msgs.msg import FluidPressure, JointState, RelativeHumidity, Temperature
+from std_msgs.msg import Header
+
+from rotcal_ros import messages
+from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.components import COVERAGE_FACTOR, unit_of
+from rotcal_ros.errors import DataError
+from rotcal_ros.in_force import UNKNOWN
+from rotcal_ros.nodes.goal.progress import Progress
+from rotcal_ros.observations import (
+    Command,
+    HumiditySample,
+    Observation,
+    PressureSample,
+    ProbeSample,
+    TableSample,
+    TemperatureSample,
+    TracerSample,
+)
+from rotcal_ros.planning.plan import MACHINE_FRAME
+from rotcal_ros.planning.policy.choices import Choice
+from rotcal_ros.results import FreeDirection as OpenZero
+from rotcal_ros.results import Result
+
+TABLE: Final = "table_base"
+MACHINE: Final = MACHINE_FRAME
+TRACER: Final = "tracer"
+"""The frames that messages of the cell are stamped with."""
+_WRAPS: Final = 0xFFFFFFFF
+MOST_ANGLES: Final = 200
+"""Of a message that holds covariances: 2 MB for all six; result.json has those of more."""
+
+
+def time_message(nanoseconds: int) -> Time:
+    """Return integer nanoseconds as a stamp."""
+    seconds, rest = divmod(nanoseconds, 1_000_000_000)
+    return Time(sec=seconds, nanosec=rest)
+
+
+def header(nanoseconds: int, frame: str = TABLE) -> Header:
+    """Return a header."""
+    return Header(stamp=time_message(nanoseconds), frame_id=frame)
+
+
+def tracer_message(sample: TracerSample) -> TracerLength:
+    """Return the message of a tracer reading."""
+    sequence = sample.sequence & _WRAPS
+    return _filled(TracerLength, sample, sample.stamp_ns, TRACER, sequence=sequence)
+
+
+def table_message(sample: TableSample, joint: str) -> JointState:
+    """Return the message of table feedback."""
+    return JointState(
+        header=header(sample.stamp_ns),
+        name=[joint],
+        position=[sample.angle],
+        velocity=[sample.velocity],
+    )
+
+
+def probe_message(sample: ProbeSample, frame: str) -> ProbePoint:
+    """Return the message of a probe point."""
+    sequence = sample.sequence & _WRAPS
+    return _filled(ProbePoint, sample, sample.stamp_ns, frame, sequence=sequence)
+
+
+def temperature_message(sample: TemperatureSample) -> Temperature:
+    """Return the message of a temperature; the variance is unknown."""
+    head = header(sample.stamp_ns, sample.sensor)
+    return Temperature(header=head, temperature=sample.temperature_c)
+
+
+def air_message(sample: PressureSample | HumiditySample) -> FluidPressure | RelativeHumidity:
+    """Return the message of a pressure or a humidity; the variance is unknown."""
+    head = header(sample.stamp_ns, sample.sensor)
+    if isinstance(sample, PressureSample):
+        return FluidPressure(header=head, fluid_pressure=sample.pressure_pa)
+    return RelativeHumidity(header=head, relative_humidity=sample.humidity)
+
+
+def command_messages(order: Command, now_ns: int) -> tuple[TableAngle, ProbeTarget]:
+    """Return the two messages that give an order."""
+    table = _filled(TableAngle, order, now_ns, angle=order.table_angle)
+    # The table's side of approach is an enumeration, the probe's a direction, here any.
+    return table, _filled(ProbeTarget, order, now_ns, MACHINE, approach=(0.0, 0.0, 0.0))
+
+
+def observation_message(captured: Observation) -> ObservationMsg:
+    """Return the message of a captured step."""
+    return _filled(
+        ObservationMsg,
+        captured,
+        captured.window_end_ns,
+        TRACER,
+        table_index=captured.table_position,
+        temperature=_or_nan(captured.temperature_c),
+        pressure=_or_nan(captured.pressure_pa),
+        humidity=_or_nan(captured.humidity),
+        window_start=time_message(captured.window_start_ns),
+        window_end=time_message(captured.window_end_ns),
+    )
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def choice_message(
+    choice: Choice, plan_id: str, run: int, number: int, attempt: int, now_ns: int
+) -> StepChoice:
+    """Return the message of what the planner chose."""
+    standing = choice.standing
+    return StepChoice(
+        header=header(now_ns),
+        plan_id=plan_id,
+        run=run,
+        number=number,
+        stop=choice.step is None,
+        step=choice.step or 0,
+        attempt=attempt,
+        reason=choice.reason,
+        uncertainty=standing.uncertainty,
+        goal=standing.goal,
+        left=standing.left,
+    )
+
+
+def deviations_message(
+    result: Result, plan_id: str, now_ns: int, *, final: bool
+) -> DeviationArray:
+    """Return the deviations of a result; components that were not measured stay empty."""
+    whole = final and len(result.angles) <= MOST_ANGLES
+    steps, steps_std = result.adjacent_deviations, result.adjacent_std
+    others = _columns(result, 1.0)
+    if whole:
+        others |= {f"{n.lower()}_covariance": c.ravel() for n, c in result.covariance.items()}
+    others |= {
+        "plan_id": plan_id,
+        "final": final,
+        "free_directions": [_free(direction) for direction in result.zeros.free],
+        "adjacent_deviations": () if steps is None else steps,
+        "adjacent_std": () if steps_std is None else steps_std,
+        "directions": _directions(result, 1.0, covariance=whole),
+        "n_rejected": len(result.rejected),
+        "not_protected": result.unprotected,
+    }
+    return _filled(DeviationArray, result, now_ns, **others)
+
+
+def correction_message(
+    result: Result, axis: str, plan_id: str, now_ns: int
+) -> VolumetricCorrection:
+    """Return the correction of all deviations that were measured: -(actual - commanded)."""
+    measured_on = "" if result.measured_on == UNKNOWN else result.measured_on
+    others = _columns(result, -1.0) | {
+        "axis": axis,
+        "plan_id": plan_id,
+        "open_zeros": result.zeros.in_words(),
+        "directions": _directions(result, -1.0, covariance=len(result.angles) <= MOST_ANGLES),
+        "measured_on": measured_on,
+        "item": result.circumstances.identity.title,
+    }
+    return _filled(VolumetricCorrection, result, now_ns, **others)
+
+
+def _columns(result: Result, sign: float) -> dict[str, Any]:
+    """Return the values of all components times ``sign``, their uncertainties and their zero."""
+    columns: dict[str, Any] = {"counts_from": result.zeros.counts_from}
+    columns |= {n.lower(): sign * values for n, values in result.deviations.items()}
+    return columns | {f"{n.lower()}_std": std for n, std in result.std.items()}
+
+
+def _free(direction: OpenZero) -> FreeDirection:
+    return FreeDirection(
+        name=direction.name,
+        components=list(direction.columns),
+        columns=np.concatenate([*direction.columns.values()]),
+    )
+
+
+def _directions(result: Result, sign: float, *, covariance: bool) -> list[DirectionalCurve]:
+    return [
+        DirectionalCurve(
+            component=name,
+            angles=both.angles,
+            forward=sign * both.forward,
+            reverse=sign * both.reverse,
+            covariance=both.covariance.ravel() if covariance else (),
+        )
+        for name, both in result.directions.items()
+    ]
+
+
+def compensation_message(
+    table: CompensationTable, plan_id: str, now_ns: int
+) -> CompensationTableMsg:
+    """Return the message of a compensation table."""
+    own: Any = () if table.std_reverse is None else table.std_reverse
+    return _filled(
+        CompensationTableMsg,
+        table,
+        now_ns,
+        plan_id=plan_id,
+        std_reverse=own,
+        measured_from=time_message(table.measured_from_ns),
+        measured_until=time_message(table.measured_until_ns),
+    )
+
+
+def compensation_table(message: CompensationTableMsg) -> CompensationTable:
+    """Return the table in a message; DataError when its hash is not that of its numbers."""
+    times = {
+        f"{name}_ns": messages.stamp_ns(getattr(message, name))
+        for name in ("measured_from", "measured_until")
+    }
+    sent = message.get_fields_and_field_types().keys()
+    names = sent & {f.name for f in dataclasses.fields(CompensationTable)}
+    same: dict[str, Any] = {name: getattr(message, name) for name in names}
+    own = same["std_reverse"] if len(same["std_reverse"]) else None
+    table = CompensationTable(**{**same, **times, "std_reverse": own})
+    if table.table_hash != message.table_hash:
+        raise DataError(
+            f"the table of axis {message.axis} carries the hash {message.table_hash or 'none'}, "
+            f"its numbers have {table.table_hash}: it was changed on its way"
+        )
+    return table
+
+
+def result_values(result: Result) -> dict[str, str]:
+    """Return a result in words, as values of a diagnostic status: for who has no message of ours.
+
+    Of every deviation its range and its largest expanded uncertainty (k = 2).
+    """
+    values = {"verdict": result.verdict_line}
+    for name, curve in result.deviations.items():
+        factor, unit = unit_of(name)
+        expanded = COVERAGE_FACTOR * np.max(result.std[name])
+        values[name] = (
+            f"range {np.ptp(curve) / factor:.3g} {unit}, U (k = {COVERAGE_FACTOR:g}) "
+            f"{expanded / factor:.2g} {unit}"
+        )
+    return values
+
+
+def in_force_message(axis: str, in_force: str, now_ns: int) -> TableInForce:
+    """Return the message that announces what the controller of ``axis`` holds."""
+    return TableInForce(header=header(now_ns), axis=axis, in_force=in_force)
+
+
+def _filled(kind: Any, record: object, stamp_ns: int, frame: str = TABLE, **others: Any) -> Any:
+    """Return a message with the fields that its record has under the same name, and others."""
+    names = kind.get_fields_and_field_types()
+    same = {name: getattr(record, name) for name in names if hasattr(record, name)}
+    return kind(**{**same, **others, "header": header(stamp_ns, frame)})
+
+
+def feedback_message(progress: Progress, current_std: float) -> Calibrate.Feedback:
+    """Return how far a goal has come; ``current_std`` in rad."""
+    return Calibrate.Feedback(
+        step=progress.step,
+        total=progress.total,
+        activity=progress.activity,
+        time_left=progress.time_left(),
+        current_std=current_std,
+        n_accepted=len(progress.accepted),
+        n_rejected=progress.rejected,
+        left=progress.left,
+        uncertainty=progress.uncertainty,
+        goal=progress.goal,
+    )

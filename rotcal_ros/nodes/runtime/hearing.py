@@ -1,0 +1,151 @@
+"""Who is heard by a node: what the planner says of a run, held against every message."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from contextlib import suppress
+from typing import Any, Final
+
+from rclpy.impl.implementation_singleton import rclpy_implementation
+
+from rotcal_ros.bags import names
+from rotcal_ros.capture.heard import Believed, Intruder, Origin, WhoIsHeard, publisher_of
+from rotcal_ros.nodes.runtime.concerns import INTRUDER, show
+from rotcal_ros.nodes.runtime.draining import Batch
+
+BELIEVED: Final = "believed"
+"""Value in the planner's beat: who is believed on each topic while a goal runs."""
+LISTENERS: Final = {names.OBSERVATION: 3, names.STEP_CHOICE: 1}
+"""How many nodes of the suite listen to a topic; to others that a run believes in, USUAL ones."""
+USUAL: Final = 2
+UNNAMED: Final = "_NODE_NAME_UNKNOWN_"
+"""What rclpy calls a node that discovery has not named yet."""
+HEARS: Final = "hears"
+"""Value in the beat of every other node: the hash of what it has heard of that."""
+APART: Final = "apart"
+"""Instead, while the middleware has not joined it yet with all whom it shall hear: the topics."""
+
+
+class Hearing:
+    """What a node makes of the messages of a run; it names whom it leaves alone.
+
+    ``quiet``: another node says that already.
+    """
+
+    def __init__(self, node: Any, *, quiet: bool = False) -> None:
+        self._node, self._quiet = node, quiet
+        self._judge = WhoIsHeard()
+        self._beat: object = None
+        self._joined = False
+        self._words: dict[str, str] = {}
+
+    def decide(self, believed: Believed) -> None:
+        """Believe these, as the planner that decides it; nobody in particular: everybody."""
+        self._believe(believed)
+
+    def hears(self, topic: str, info: Any) -> bool:
+        """Return whether a message of a topic (absolute name) counts, by its message info."""
+        self._follow()
+        if self._judge.hears(topic, origin_of(info), time.monotonic()):
+            return True
+        self._tell()
+        return False
+
+    def split(self, topic: str, batch: Batch) -> tuple[Batch, Batch]:
+        """Return the messages that count, and those that are left alone."""
+        self._follow()
+        if topic not in self._judge.believed.publishers:
+            return batch, ()
+        ours, others = list[tuple[Any, Any]](), list[tuple[Any, Any]]()
+        for pair in batch:
+            (ours if self.hears(topic, pair[1]) else others).append(pair)
+        return ours, others
+
+    def values(self) -> dict[str, str]:
+        """Return what the beat tells: of whom this node has heard, and that it can hear them."""
+        self._follow()
+        if not self._judge.believed.publishers:
+            return {}
+        apart = ", ".join(self._apart())
+        return {HEARS: digest(self._judge.believed)} if self._joined else {APART: apart}
+
+    def _apart(self) -> list[str]:
+        """Return the topics of the run on which this node cannot hear or be heard yet.
+
+        Both ends find each other by themselves, one perhaps seconds after the other, and what is
+        sent once, as an order or an observation, is lost to who is not found yet.
+        """
+        if self._joined:
+            return []
+        node, believed, apart = self._node, self._judge.believed.publishers, set[str]()
+        listeners = dict.fromkeys(believed, USUAL)
+        listeners |= {node.resolve_topic_name(role): n for role, n in LISTENERS.items()}
+        with suppress(rclpy_implementation.InvalidHandle):  # one was given up: asked again soon
+            for heard in tuple(node.subscriptions):
+                if heard.get_publisher_count() < len(believed.get(heard.topic_name, ())):
+                    apart.add(heard.topic_name)
+            for sent in tuple(node.publishers):
+                if sent.get_subscription_count() < listeners.get(sent.topic_name, 0):
+                    apart.add(sent.topic_name)
+            self._joined = not apart
+        return sorted(apart)
+
+    def _follow(self) -> None:
+        """Believe whom the planner says."""
+        beat = self._node.health.others.get("planner")
+        if beat is self._beat:
+            return
+        self._beat = beat
+        if beat is not None:
+            self._believe(Believed.read(self._node.health.values("planner").get(BELIEVED, "")))
+
+    def _believe(self, believed: Believed) -> None:
+        if believed != self._judge.believed:
+            self._judge.believe(believed)
+            self._joined = False
+            self._words.clear()
+            self._show("")
+
+    def _tell(self) -> None:
+        """Name those who are left alone, each once on the console."""
+        texts = []
+        for intruder in self._judge.met():
+            known = self._words.get(intruder.publisher)
+            words = known or self._in_words(intruder)
+            if not words:
+                continue  # its next message names it
+            self._words[intruder.publisher] = words
+            texts.append(words)
+            if known is None and not self._quiet:
+                self._node.get_logger().warning(words)
+        self._show("; ".join(texts))
+
+    def _in_words(self, intruder: Intruder) -> str:
+        """Say who it is; empty while the middleware has found a node whose name it lacks."""
+        infos = self._node.get_publishers_info_by_topic(intruder.topic)
+        known = self._judge.believed.publishers[intruder.topic]
+        there = {publisher_of(i.endpoint_gid): i.node_name for i in infos}
+        if UNNAMED in there.values():
+            return ""
+        heard = [there[gid] for gid in known if gid in there]
+        others = sorted(name for gid, name in there.items() if gid not in known)
+        name = there.get(intruder.publisher, "") if intruder.publisher else ", ".join(others)
+        anew = bool(name) and (not heard or name in heard)
+        return intruder.in_words(name, anew=anew)
+
+    def _show(self, text: str) -> None:
+        if not self._quiet:
+            show(self._node.health, INTRUDER, text)
+
+
+def origin_of(info: Any) -> Origin:
+    """Return where a message comes from, by its message info; not every ROS 2 tells it."""
+    publisher, number = info.get("publisher_gid"), info.get("publication_sequence_number")
+    identity = publisher_of(publisher["data"]) if publisher else ""
+    return Origin(identity, None if number is None else int(number))
+
+
+def digest(believed: Believed) -> str:
+    """Return a short name of what is believed."""
+    return hashlib.sha256(believed.in_a_beat().encode()).hexdigest()[:12]

@@ -1,0 +1,114 @@
+"""``/clock`` as a node with ``use_sim_time`` sees it: how fast it runs, whether it stands."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any, Final
+
+from rotcal_ros.catalogue import Configuration
+from rotcal_ros.node_names import PREFLIGHT_NODES
+from rotcal_ros.nodes.runtime.concerns import SIM_CLOCK
+from rotcal_ros.units import NANOSECOND
+
+SIM_TIME: Final = "sim_time_s"
+"""Value in a beat: the time of ``/clock`` in s; only of nodes that follow it."""
+STILL_S: Final = 1.5
+"""So long ``/clock`` may stand before people are told."""
+_SETTLING_S: Final = 2.0
+"""So long the streams may take to come again once it goes on."""
+_PACE_S: Final = 2.0
+"""The pace is that of so long at least."""
+
+
+class SimClock:
+    """The clock of a node, looked at regularly; without ``use_sim_time`` there is nothing to say.
+
+    ``now`` and ``steady`` (monotonic, s) are read for the time.
+    """
+
+    def __init__(self, node_clock: Any, steady: Any = time.monotonic) -> None:
+        self._clock, self._steady = node_clock, steady
+        self._now_ns = 0
+        self._moved_s = self._from_s = steady()
+        self._from_ns = 0
+        self._pace: float | None = None
+        self._went_on_s = -math.inf
+
+    @property
+    def used(self) -> bool:
+        """Whether the node follows ``/clock``."""
+        return bool(self._clock.ros_time_is_active)
+
+    def look(self) -> None:
+        """Look at both clocks."""
+        now_ns, now_s = self._clock.now().nanoseconds, self._steady()
+        if now_ns == self._now_ns:
+            return
+        if self._still_s() > STILL_S or now_ns < self._now_ns:
+            self._from_s, self._from_ns, self._pace = now_s, now_ns, None
+            self._went_on_s = now_s
+        elif now_s - self._from_s > _PACE_S:
+            self._pace = (now_ns - self._from_ns) * NANOSECOND / (now_s - self._from_s)
+            self._from_s, self._from_ns = now_s, now_ns
+        self._now_ns, self._moved_s = now_ns, now_s
+
+    def values(self) -> dict[str, str]:
+        """Return what goes into every beat."""
+        return {SIM_TIME: f"{self._now_ns * NANOSECOND:.3f}"} if self.used else {}
+
+    def concerns(self) -> dict[str, str]:
+        """Return what people should look at."""
+        text = self.in_words()
+        return {SIM_CLOCK: text} if text else {}
+
+    def stands(self) -> bool:
+        """Return whether the node waits for ``/clock`` to go on, or to come at all."""
+        return self.used and self._still_s() > STILL_S
+
+    def is_settled(self) -> bool:
+        """Return whether streams must come: the clock runs, and not only since just now."""
+        return not self.stands() and self._steady() > self._went_on_s + _SETTLING_S
+
+    def in_words(self) -> str:
+        """Say that the clock stands; empty: it runs, or nobody follows it."""
+        if not self.stands():
+            return ""
+        if not self._now_ns:
+            return (
+                "use_sim_time is set, and no time came on /clock: start the simulation, or leave "
+                "use_sim_time out"
+            )
+        return (
+            f"/clock stands still at {self._now_ns * NANOSECOND:.3f} s: is the simulation paused?"
+        )
+
+    def remark(self) -> str:
+        """Return what an error has to add where a time-out may be the clock's matter."""
+        if not self.used:
+            return ""
+        words = self.in_words()
+        if not words and self._pace is not None:
+            words = f"/clock runs at {self._pace:.2g} of it"
+        return f"; time-outs are wall time{words and f', {words}'}"
+
+    def _still_s(self) -> float:
+        return float(self._steady() - self._moved_s)
+
+
+def unlike_clocks(health: Any, configuration: Configuration) -> list[str]:
+    """Return why the nodes have no common time, in words."""
+    own = health.sim.used
+    other = [name for name in PREFLIGHT_NODES if (SIM_TIME in health.values(name)) != own]
+    found = [health.sim.in_words()] if health.sim.stands() else []
+    if other:
+        found.append(
+            f"use_sim_time is {str(own).lower()} for node planner, not so for {', '.join(other)}: "
+            "set it alike for all nodes of the cell"
+        )
+    elif configuration.use_sim_time and not own:
+        found.append(
+            "the configuration says use_sim_time: true, the nodes run without: start them with "
+            "--ros-args -p use_sim_time:=true"
+        )
+    return found

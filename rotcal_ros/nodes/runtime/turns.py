@@ -1,0 +1,85 @@
+"""What a node does by the clock, whatever becomes of the system's: timers and waking up.
+
+rclpy's timers run by the clock of the node, which is the system's: set back by an hour, they are
+still for an hour.
+
+What an executor waits for in every turn: a turn costs as much as it waits for things.
+
+rclpy gives every publisher and subscription two handlers of events or more, as of a lost message,
+and builds them into the set of every wait: most of what a node with many topics costs.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from threading import Thread
+from typing import Any, Final
+
+from rclpy.callback_groups import CallbackGroup
+from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import EventHandler
+from rclpy.executors import Executor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+
+from rotcal_ros.clock_jumps import ClockWatch
+
+_LOOK_S: Final = 0.1
+
+
+def steady_timer(node: Node, period_s: float, work: Callable[[], Any]) -> Any:
+    """Do ``work`` regularly, by the monotonic clock; return the timer."""
+    return node.create_timer(period_s, work, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+
+def wake_after_jumps(executor: Executor) -> None:
+    """Wake an executor when the system clock has jumped.
+
+    A middleware may wait until a time of the system clock, which moves away when that is set back.
+    """
+
+    def watch() -> None:
+        clock = ClockWatch()
+        while executor.context.ok():
+            time.sleep(_LOOK_S)
+            if clock.look() is not None:
+                with suppress(rclpy_implementation.InvalidHandle):  # it was shut down meanwhile
+                    executor.wake()
+
+    Thread(target=watch, name="clock watch", daemon=True).start()
+
+
+class Unwaited(CallbackGroup):
+    """What no executor waits for: somebody looks after it regularly."""
+
+    def can_execute(self, entity: Any) -> bool:
+        """Return that none of it is work of a turn."""
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        """Return that none of it begins."""
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        """Leave it: none of it has begun."""
+
+
+UNWAITED: Final = Unwaited()
+
+
+def with_unwaited_events(entity: Any) -> Any:
+    """Return a publisher or subscription whose events :func:`handle_events` looks for."""
+    for handler in entity.event_handlers:
+        handler.callback_group = UNWAITED
+    return entity
+
+
+def handle_events(node: Node) -> None:
+    """Call those who want to know of the events since the last time; the middleware keeps them."""
+    for handler in [each for each in node.waitables if isinstance(each, EventHandler)]:
+        handler._ready_to_take_data = True
+        event = handler.take_data()
+        if event is not None and event.total_count_change:
+            handler.callback(event)

@@ -1,0 +1,1 @@
+"""The recorder's work: hearing all topics, and keeping them."""
