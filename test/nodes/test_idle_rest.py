@@ -43,9 +43,8 @@ def test_who_lets_messages_gather_is_awake_for_a_part_of_it(
 
 
 def test_capture_and_solver_take_their_time_until_the_planner_measures():
-    from rotcal_ros.nodes.runtime.cell_node import CellNode
-
     from rotcal_ros.nodes.capture import CaptureNode
+    from rotcal_ros.nodes.runtime.cell_node import CellNode
     from rotcal_ros.nodes.solver import SolverNode
 
     for kind, at_work_s in ((CaptureNode, 0.01), (SolverNode, 0.04)):
