@@ -20,6 +20,7 @@ from typing import Any, Final
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import QoSProfile
 
+from rotcal_ros.machine_load import patient
 from rotcal_ros.node_names import NODES
 from rotcal_ros.nodes.runtime.peer import Peer
 from rotcal_ros.nodes.runtime.running import SUPERVISOR_VARIABLE
@@ -54,9 +55,9 @@ class TrialNode:
     def end(self) -> str:
         """Wait until it ended; return what went wrong, empty: nothing."""
         try:
-            code = self._process.wait(END_S)
-        except subprocess.TimeoutExpired:
-            return f"{self.name} did not end within {END_S:g} s"
+            code = self._process.wait(patient(END_S))
+        except subprocess.TimeoutExpired as late:
+            return f"{self.name} did not end within {late.timeout:.0f} s"
         return self.last_words() if code else ""
 
     def last_words(self) -> str:
@@ -89,7 +90,8 @@ def trial() -> tuple[float, str]:
             nodes.append(node := TrialNode(name))
             stack.callback(node.close)
         peer.work_until(
-            lambda: beating >= set(NODES) or not all(node.running() for node in nodes), START_S
+            lambda: beating >= set(NODES) or not all(node.running() for node in nodes),
+            patient(START_S),
         )
         took = time.monotonic() - start
         dead = [node.last_words() for node in nodes if not node.running()]

@@ -14,6 +14,7 @@ from typing import Any, Final, NoReturn
 from rotcal_ros.catalogue import read_configuration
 from rotcal_ros.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.files import FolderLock
+from rotcal_ros.machine_load import patient
 from rotcal_ros.report.terminal.console import progress_bar, say
 from rotcal_ros.session_folder import MEETING_POINT, SessionFolder
 from rotcal_ros.sessions.display import NO_MACHINE, Display
@@ -101,7 +102,7 @@ def _raise_gone(folder: SessionFolder) -> NoReturn:
 def _person(folder: SessionFolder, session: Attachment) -> Person:
     """Return the person who watches; how their work counts as done, the session says first."""
     try:
-        greeting = session.events.get(timeout=GREETING_TIMEOUT_S)
+        greeting = session.events.get(timeout=patient(GREETING_TIMEOUT_S))
     except Empty:
         raise DataError(f"the calibration in {folder.path} does not answer") from None
     if greeting["event"] == "gone":

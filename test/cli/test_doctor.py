@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+import subprocess
 from collections import namedtuple
 from importlib import metadata, util
 from types import SimpleNamespace
@@ -135,6 +136,22 @@ def test_a_node_that_cannot_start_is_seen(monkeypatch):
     _, wrong = trial_start.trial()
     assert wrong.startswith("no_such_node ended with 1: ")
     assert "No module named rotcal_ros.nodes.no_such_node" in wrong
+
+
+@pytest.mark.ros
+def test_on_a_busy_machine_a_node_is_given_more_time_to_end(monkeypatch):
+    trial_start = pytest.importorskip("rotcal_ros.nodes.trial_start")
+    monkeypatch.setattr(trial_start, "patient", lambda seconds: 4.0 * seconds)
+    waited = []
+
+    class Process:
+        def wait(self, timeout):
+            waited.append(timeout)
+            raise subprocess.TimeoutExpired("planner", timeout)
+
+    monkeypatch.setattr(trial_start.subprocess, "Popen", lambda *_, **__: Process())
+    assert trial_start.TrialNode("planner").end() == "planner did not end within 20 s"
+    assert waited == [20.0]
 
 
 @pytest.mark.ros
