@@ -162,7 +162,7 @@ def test_two_publishers_on_one_instrument_topic_are_found_and_named(cell):
     live.start("simulated_cell", name="other_cell")
     live.start(*SUITE, "simulated_cell")
     with StateClient() as states:  # who comes after the start of a goal is not believed in it
-        assert states.state("other_cell") == "active"
+        assert [states.state(n) for n in ("other_cell", "simulated_cell")] == ["active"] * 2
     outcome = live.client().result()
     assert outcome["error_code"] == TOPIC_MISSING
     assert (
