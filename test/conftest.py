@@ -112,7 +112,8 @@ def _live(request, monkeypatch):
 def _domain_of_its_own():
     """Hold a free domain that no other test takes, before its first node can be seen there."""
     for domain in iter(free_domain, None):
-        with Path(tempfile.gettempdir(), f"rotcal_domain_{domain}.lock").open("w") as held:
+        name = f"rotcal_domain_{os.getuid()}_{domain}.lock"
+        with Path(tempfile.gettempdir(), name).open("w") as held:
             try:
                 fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:

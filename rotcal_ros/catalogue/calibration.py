@@ -1,57 +1,39 @@
-"""A configuration with its plan, ready to take observations.
-
-Lengths that count vacuum wavelengths, corrected for the index of refraction of the air.
-
-A tracer that corrects nothing reads n D - P, with the index n at that time, the distance D and a
-constant P, about the optical path where it reads zero. What is recorded stays as it was read: the
-correction is part of solving.
-
-What clocks that may still differ make uncertain: a table at rest creeps from one to the other.
-
-A length and the angle that it belongs to are of the same moment only as far as the clocks of
-table, probe and instrument agree.
-
-What static transforms say of the cell, held against what the lengths say: where they differ.
-"""
+"""A configuration with its plan, ready to take observations."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from math import dist
-from typing import Any, Final
+from typing import Final
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.bags.names import TRACER_LENGTH
 from rotcal_ros.capture import Capture
-from rotcal_ros.capture.settings import CaptureSettings
+from rotcal_ros.catalogue.air import Refraction
 from rotcal_ros.catalogue.air_settings import AirSettings
+from rotcal_ros.catalogue.clock_errors import arrival_std, require_settled, with_clock_errors
 from rotcal_ros.catalogue.configuration import Configuration, read_policy
 from rotcal_ros.catalogue.continuation import ATTEMPTS_PER_RUN, Continuation, continued
 from rotcal_ros.catalogue.disturbance import DisturbedMeasurement, Sizes
+from rotcal_ros.catalogue.frame_conflicts import frame_conflicts
 from rotcal_ros.catalogue.method import Adaptive, Method, Trials
 from rotcal_ros.catalogue.stations import Stations
 from rotcal_ros.circumstances import Circumstances, Counts, Range
-from rotcal_ros.errors import ConfigurationError, DataError, PlanError
-from rotcal_ros.escapes import printable
-from rotcal_ros.geometry.frames import FrameTree, StaticFrame
-from rotcal_ros.geometry.rotations import carried, rotation_from_vector
+from rotcal_ros.errors import ConfigurationError, PlanError
+from rotcal_ros.geometry.frames import StaticFrame
+from rotcal_ros.geometry.rotations import carried
 from rotcal_ros.in_force import UNKNOWN, agreed
-from rotcal_ros.observations import Observation, PointKind
-from rotcal_ros.planning.cell_settings import CellSettings
+from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan, Point, Step
 from rotcal_ros.planning.policy.as_listed import AsListed
 from rotcal_ros.planning.policy.choices import Policy
 from rotcal_ros.planning.policy.names import AS_LISTED, UNTIL_GOAL
 from rotcal_ros.protection import Protection
 from rotcal_ros.raw_data import RawData
-from rotcal_ros.refraction import EQUATIONS, Air, Equation, Sensors, index_std
-from rotcal_ros.results import Directions, Result
-from rotcal_ros.units import DEGREE, MILLIMETRE
+from rotcal_ros.results import Result
 
 _DATED_NS: Final = 10**17
 """A stamp before 1973 counts from the start of something: it is no date."""
@@ -347,352 +329,3 @@ def final_observations(observations: Iterable[Observation]) -> tuple[Observation
     """
     last = {step: observation for (_, step), observation in last_accepted(observations).items()}
     return tuple(last[step] for step in sorted(last))
-
-
-Observations = Sequence[Observation]
-BY_INSTRUMENT: Final = "corrected by the instrument, not here"
-_COLUMNS: Final = {
-    "temperature_c": ("temperature", "temperature"),
-    "pressure_pa": ("air_pressure", "pressure"),
-    "humidity": ("relative_humidity", "humidity"),
-}
-"""Column of an observation and setting of the air -> topic, quantity of the capture."""
-
-
-@dataclass(frozen=True)
-class Refraction:
-    """What is done about the index of refraction; ``lengths``: whether the method has any."""
-
-    settings: AirSettings
-    source: str
-    lengths: bool
-
-    @property
-    def equation(self) -> Equation | None:
-        """The equation that corrects; None where nothing is corrected here."""
-        return EQUATIONS.get(self.settings.refraction) if self.lengths else None
-
-    def require_sources(self, capture: CaptureSettings) -> None:
-        """Raise ConfigurationError, before anything moves, for air that nobody will tell."""
-        if self.equation is None:
-            return
-        for column, (topic, quantity) in _COLUMNS.items():
-            expected = getattr(capture, f"{quantity}_expected")
-            if getattr(self.settings, column) is None and not expected:
-                raise ConfigurationError(
-                    f"{self.source}: air: refraction {self.settings.refraction} needs {column}: "
-                    f"publish {topic} and set capture.{quantity}_expected: true, or give "
-                    f"air.{column}"
-                )
-
-    def required(self, capture: CaptureSettings) -> frozenset[str]:
-        """Return the quantities of the capture without which a length cannot be corrected."""
-        if self.equation is None:
-            return frozenset()
-        return frozenset(
-            quantity
-            for column, (_, quantity) in _COLUMNS.items()
-            if getattr(self.settings, column) is None and getattr(capture, f"{quantity}_expected")
-        )
-
-    def corrected(self, observations: Observations) -> tuple[Observation, ...]:
-        """Return the observations with lengths of distance instead of optical path.
-
-        Raises DataError where an observation does not tell the air.
-        """
-        return self._over(observations, 0.0)
-
-    def solve(self, observations: Observations, solve: Callable[[Any], Result]) -> Result:
-        """Solve corrected observations; what the index is uncertain by is part of the result.
-
-        One error of the sensors and of the equation is common to all lengths: the solution with
-        every index larger by its standard uncertainty tells what that does to each deviation.
-        """
-        if self.equation is None:
-            return solve(tuple(observations))
-        result = solve(self.corrected(observations))
-        return with_common(result, solve(self._over(observations, 1.0)))
-
-    def in_words(self, observations: Observations) -> str:
-        """Say who corrects, by what, and how uncertain it is; empty without lengths."""
-        if not self.lengths:
-            return ""
-        equation, settings = self.equation, self.settings
-        if equation is None:
-            return BY_INSTRUMENT
-        air = self._air(observations)
-        index = equation.index(air, settings.vacuum_wavelength_nm, settings.co2_ppm)
-        std = float(np.max(self._std(air, equation)))
-        return (
-            f"{equation.name} with {settings.vacuum_wavelength_nm:g} nm in vacuum, CO2 "
-            f"{settings.co2_ppm:g} umol/mol, dead path {settings.dead_path_m:g} m: index "
-            f"{index.min():.8f} to {index.max():.8f}, standard uncertainty {std:.1e} from "
-            f"{settings.temperature_std_k:g} K, {settings.pressure_std_pa:g} Pa, "
-            f"{settings.humidity_std:g} of humidity and {equation.std:.0e} of the equation, "
-            "common to all lengths and part of the uncertainties"
-        )
-
-    def _over(self, observations: Observations, errors: float) -> tuple[Observation, ...]:
-        """Return the observations corrected with every index ``errors`` of its std larger."""
-        equation, settings = self.equation, self.settings
-        if equation is None or not observations:
-            return tuple(observations)
-        air = self._air(observations)
-        index = equation.index(air, settings.vacuum_wavelength_nm, settings.co2_ppm)
-        index = index + errors * self._std(air, equation)
-        return tuple(
-            _divided(o, n, settings.dead_path_m)
-            for o, n in zip(observations, index.tolist(), strict=True)
-        )
-
-    def _std(self, air: Air, equation: Equation) -> Floats:
-        settings = self.settings
-        sensors = Sensors(
-            settings.temperature_std_k, settings.pressure_std_pa, settings.humidity_std
-        )
-        wavelength, co2 = settings.vacuum_wavelength_nm, settings.co2_ppm
-        return index_std(equation, air, sensors, wavelength, co2)
-
-    def _air(self, observations: Observations) -> Air:
-        return Air(**{column: self._column(observations, column) for column in _COLUMNS})
-
-    def _column(self, observations: Observations, column: str) -> Floats:
-        """Return what was captured, else what is given; DataError where it is neither."""
-        given, (topic, quantity) = getattr(self.settings, column), _COLUMNS[column]
-        values = [getattr(o, column) for o in observations]
-        known = [given if value is None else value for value in values]
-        if None in known:
-            step = observations[known.index(None)].step
-            raise DataError(
-                f"step {step}: its length cannot be corrected by {self.settings.refraction}, the "
-                f"{column} of the air is not known: capture {topic} "
-                f"(capture.{quantity}_expected: true) or give air.{column}"
-            )
-        return np.array(known, dtype=np.float64)
-
-
-def _divided(observation: Observation, index: float, dead_path_m: float) -> Observation:
-    """Return the observation with its length in metres of distance, not of optical path.
-
-    (n D - P + d) / n - d is D less a constant, but for P - d times the changes of the index.
-    """
-    if observation.kind != PointKind.REFLECTOR:
-        return observation
-    mean = tuple((length + dead_path_m) / index - dead_path_m for length in observation.mean)
-    return replace(observation, mean=mean)
-
-
-def with_common(result: Result, moved: Result) -> Result:
-    """Return a result whose uncertainties hold an error that is common to all that was measured.
-
-    ``moved`` is the result with this error at its standard uncertainty: the differences of the
-    deviations are fully correlated.
-    """
-    if moved.components != result.components or len(moved.angles) != len(result.angles):
-        raise DataError(
-            "the index of refraction cannot be judged: other angles or deviations are solved with "
-            "every index larger by its standard uncertainty"
-        )
-    shift = {n: moved.deviations[n] - values for n, values in result.deviations.items()}
-    return replace(
-        result,
-        std={n: np.hypot(values, shift[n]) for n, values in result.std.items()},
-        covariance={n: c + np.outer(shift[n], shift[n]) for n, c in result.covariance.items()},
-        adjacent_std=_adjacent_std(result, moved),
-        directions={n: _both(d, moved.directions[n]) for n, d in result.directions.items()},
-    )
-
-
-def _adjacent_std(result: Result, moved: Result) -> Floats | None:
-    before, after = result.adjacent_deviations, moved.adjacent_deviations
-    if result.adjacent_std is None or before is None or after is None:
-        return result.adjacent_std
-    return np.asarray(np.hypot(result.adjacent_std, after - before), dtype=np.float64)
-
-
-def _both(sides: Directions, moved: Directions) -> Directions:
-    shift = np.append(moved.forward - sides.forward, moved.reverse - sides.reverse)
-    return replace(sides, covariance=sides.covariance + np.outer(shift, shift))
-
-
-SOURCE: Final = "clocks"
-"""Its name in the budget of a method that has one."""
-COMPONENT: Final = "ECC"
-"""The deviation that a turn of the table about its axis goes into."""
-
-
-def require_settled(bound_s: float, settings: CaptureSettings) -> None:
-    """Raise ConfigurationError where clocks may differ by more than a table settles."""
-    if bound_s > settings.settle_time_s:
-        raise ConfigurationError(
-            f"topics.clock_bound_s = {bound_s:g} is longer than capture.settle_time_s = "
-            f"{settings.settle_time_s:g}: a length may then be of the motion before, which no "
-            "uncertainty covers; let the table settle longer, or the clocks agree better"
-        )
-
-
-def arrival_std(bound_s: float, settings: CaptureSettings) -> float:
-    """Return the standard uncertainty, rad, of one arrival by clocks that differ within a bound.
-
-    The error is the product of the clocks' difference and the table's creep, both within bounds
-    and without a favourite (rectangular: JCGM 100, 4.3.7); the creep is another at every arrival.
-    """
-    return bound_s * settings.velocity_tolerance_deg_s * DEGREE / 3.0
-
-
-def with_clock_errors(result: Result, std: float) -> Result:
-    """Return a result whose ECC has an error of ``std`` (rad) besides, at every arrival.
-
-    An ECC that counts from the first angle has the error of that one too; where it is the mean
-    from both sides, either side has its own. One creep is taken for all that was measured at an
-    angle from a side: no other deviation feels it then.
-    """
-    if not std or COMPONENT not in result.deviations:
-        return result
-    mean, sides = _errors(result)
-    share = std**2 * (mean @ mean.T)
-    covariance = result.covariance[COMPONENT] + share
-    adjacent = result.adjacent_std
-    if adjacent is not None:
-        steps = np.diff(mean, axis=0)
-        adjacent = np.sqrt(adjacent**2 + std**2 * np.sum(steps**2, axis=1))
-    return replace(
-        result,
-        std={**result.std, COMPONENT: np.sqrt(covariance.diagonal())},
-        covariance={**result.covariance, COMPONENT: covariance},
-        adjacent_std=adjacent,
-        directions=_with_sides(result.directions, std**2 * (sides @ sides.T)),
-        details=_with_source(result.details, np.sqrt(share.diagonal())),
-    )
-
-
-def _errors(result: Result) -> tuple[Floats, Floats]:
-    """Return by how much the errors (p,) of all arrivals go into ECC (n, p) and its sides (2k, p).
-
-    The first n errors are those of the angles, from the only side or with increasing angle, the
-    other k those with decreasing angle.
-    """
-    n = len(result.angles)
-    both = result.directions.get(COMPONENT)
-    at = np.zeros(0, int) if both is None else _places(both.angles, result.angles)
-    forward, reverse = np.eye(n + len(at))[at], np.eye(n + len(at))[n:]
-    mean = np.eye(n, n + len(at))
-    mean[at] = 0.5 * (forward + reverse)
-    counts_from_first = n > 0 and result.covariance[COMPONENT][0, 0] == 0.0
-    zero = mean[:1] if counts_from_first else np.zeros((1, n + len(at)))
-    return mean - zero, np.vstack([forward, reverse]) - zero
-
-
-def _places(angles: Floats, among: Floats) -> Any:
-    """Return which of the angles ``among`` the ``angles`` are."""
-    return np.argmin(np.abs(angles[:, None] - among), axis=1)
-
-
-def _with_sides(directions: Mapping[str, Directions], share: Floats) -> Mapping[str, Directions]:
-    both = directions.get(COMPONENT)
-    if both is None:
-        return directions
-    return {**directions, COMPONENT: replace(both, covariance=both.covariance + share)}
-
-
-def _with_source(details: Mapping[str, Any], std: Floats) -> Mapping[str, Any]:
-    budget = details.get("budget")
-    return details if budget is None else {**details, "budget": {**budget, SOURCE: std}}
-
-
-@dataclass(frozen=True)
-class Axis:
-    """The axis of the table in the machine frame: a ``point`` (3,) m on it, its ``direction``."""
-
-    point: Floats
-    direction: Floats
-
-    def distance(self, place: Floats) -> float:
-        """Return how far (m) a ``place`` is from it."""
-        return float(np.linalg.norm(np.cross(place - self.point, self.direction)))
-
-    def carried(self, place: Floats, angle: float) -> Floats:
-        """Return where ``place`` gets when the table turns by ``angle`` (rad)."""
-        turn: Floats = rotation_from_vector(angle * self.direction)
-        return np.asarray(turn @ (place - self.point) + self.point)
-
-
-def solved_axis(details: Mapping[str, Any]) -> Axis | None:
-    """Return the axis that a result tells of; None for a method that finds none."""
-    try:
-        if "axis" in details:
-            point, direction = details["axis"]["origin"], details["axis"]["direction"]
-        else:
-            point, direction = details["circle"]["centre"], details["plane"]["normal"]
-    except (IndexError, KeyError, TypeError):
-        return None
-    unit = np.asarray(direction, dtype=np.float64)
-    unit = unit / np.linalg.norm(unit)
-    return Axis(np.asarray(point, dtype=np.float64), unit if unit[2] >= 0 else -unit)
-
-
-def frame_conflicts(
-    cell: CellSettings, plan: Plan, result: Result, frames: Iterable[StaticFrame]
-) -> tuple[str, ...]:
-    """Return in words where static ``frames`` contradict a result by more than is allowed.
-
-    Empty where they agree, where none joins the frames of the cell, or the method finds no axis.
-    """
-    tree, axis = FrameTree(frames), solved_axis(result.details)
-    if axis is None:
-        return ()
-    return (*_of_the_table(cell, tree, axis), *_of_the_tracer(cell, plan, result, tree, axis))
-
-
-def _of_the_table(cell: CellSettings, tree: FrameTree, axis: Axis) -> Iterator[str]:
-    """Yield where the table's frame is not on the axis, or its z not along it."""
-    pose = tree.pose(cell.table_frame, cell.machine_frame)
-    if pose is None:
-        return
-    names = f"tf has {printable(cell.table_frame)} in {printable(cell.machine_frame)}"
-    off = axis.distance(pose.origin)
-    if off > cell.frame_tolerance_m:
-        yield (
-            f"{names} at {_place(pose.origin)}, {off / MILLIMETRE:.1f} mm from the axis of the "
-            f"solution, which goes through {_place(axis.point)}; allowed "
-            f"{cell.frame_tolerance_m / MILLIMETRE:g} mm (cell.frame_tolerance_m)"
-        )
-    z = pose.axes[:, 2]
-    tilt = float(np.arctan2(np.linalg.norm(np.cross(z, axis.direction)), z @ axis.direction))
-    if tilt > cell.frame_tolerance_deg * DEGREE:
-        yield (
-            f"{names} with z along {_direction(z)}, {tilt / DEGREE:.2f} degrees from the axis of "
-            f"the solution, {_direction(axis.direction)}; allowed {cell.frame_tolerance_deg:g} "
-            "(cell.frame_tolerance_deg)"
-        )
-
-
-def _of_the_tracer(
-    cell: CellSettings, plan: Plan, result: Result, tree: FrameTree, axis: Axis
-) -> Iterator[str]:
-    """Yield where the tracer's frame, carried by the table, is not at the solved stations."""
-    pose = tree.pose(cell.tracer_frame, cell.machine_frame)
-    stations, ids = result.details.get("stations"), result.details.get("station_ids")
-    if pose is None or stations is None or ids is None:
-        return
-    solved = np.asarray(stations, dtype=np.float64)
-    angles = [plan.table_angles[number] for number in np.asarray(ids).tolist()]
-    by_tf = np.array([axis.carried(pose.origin, angle) for angle in angles])
-    off = np.linalg.norm(solved - by_tf, axis=1)
-    worst = int(np.argmax(off))
-    if off[worst] > cell.frame_tolerance_m:
-        yield (
-            f"tf has {printable(cell.tracer_frame)} in {printable(cell.machine_frame)} at "
-            f"{_place(pose.origin)}; with the table at {angles[worst] / DEGREE:g} degrees that is "
-            f"{off[worst] / MILLIMETRE:.1f} mm from the station of the solution, "
-            f"{_place(solved[worst])}; allowed {cell.frame_tolerance_m / MILLIMETRE:g} mm "
-            "(cell.frame_tolerance_m)"
-        )
-
-
-def _place(point: Floats) -> str:
-    return f"({', '.join(f'{x:.4f}' for x in point)}) m"
-
-
-def _direction(vector: Floats) -> str:
-    return f"({', '.join(f'{x:.4f}' for x in vector)})"

@@ -64,6 +64,7 @@ from rotcal_ros.nodes.runtime.cell_graph import ORDERS, CellGraph
 from rotcal_ros.nodes.runtime.channels import message_type
 from rotcal_ros.nodes.runtime.concerns import OFFSET
 from rotcal_ros.nodes.runtime.frames import StaticFrames
+from rotcal_ros.nodes.runtime.heartbeat import HEARTBEAT
 from rotcal_ros.nodes.runtime.qos import LATCHED
 from rotcal_ros.nodes.runtime.running import EndRequest, leave_with
 from rotcal_ros.nodes.runtime.topic_names import TOPIC
@@ -83,7 +84,7 @@ STREAMS: Final = (
     names.AIR_PRESSURE, names.RELATIVE_HUMIDITY,
 )  # fmt: skip
 _OWN_TOPICS: Final = (
-    "heartbeat", "/diagnostics", names.PLAN, names.OBSERVATION, names.TABLE_ANGLE,
+    HEARTBEAT, "/diagnostics", names.PLAN, names.OBSERVATION, names.TABLE_ANGLE,
     names.PROBE_TARGET,
 )  # fmt: skip
 """What a capture says or obeys: here it neither says nor obeys anything."""

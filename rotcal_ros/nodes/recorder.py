@@ -1,68 +1,36 @@
-"""The recorder: every topic of the cell as raw bytes, on disk before the next step.
-
-Writing dropouts into the bag: at their place, and never many.
-
-The bags of a session: begun, or gone on with after an interruption.
-
-Receipts: an observation is confirmed once it and the readings of its window are on disk.
-"""
+"""The recorder: every topic of the cell as raw bytes, on disk before the next step."""
 
 from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
-from dataclasses import asdict, dataclass
-from datetime import datetime, timezone
-from pathlib import Path
 from typing import Any, Final, TypeAlias
-from uuid import uuid4
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.serialization import deserialize_message, serialize_message
-from rotcal_msgs.msg import ProbePoint, RecordedObservation
 from rotcal_msgs.srv import StartRecording, StopRecording
 from std_srvs.srv import Trigger
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.closing import InterruptedSession
-from rotcal_ros.bags.dropouts import MESSAGE_TYPE, QUEUE, SILENCE, Dropout
-from rotcal_ros.bags.reader import bag_files
 from rotcal_ros.bags.recorder_settings import RecorderSettings
-from rotcal_ros.bags.session_identity import file_head
-from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.clock_jumps import noted
 from rotcal_ros.errors import BagError, RotcalError
-from rotcal_ros.files import write_atomically
-from rotcal_ros.instruments.forms import OWN
 from rotcal_ros.instruments.interpreter import FAST
-from rotcal_ros.messages import stamp_ns
 from rotcal_ros.nodes.runtime.cell_node import IDLE_S, CellNode, until
-from rotcal_ros.nodes.runtime.channels import own_channel
-from rotcal_ros.nodes.runtime.conversions import time_message
 from rotcal_ros.nodes.runtime.draining import GRAPH_PERIOD_S, Batch
 from rotcal_ros.nodes.runtime.health import RECORDING_FAILED
 from rotcal_ros.nodes.runtime.heartbeat import HEARTBEAT
-from rotcal_ros.nodes.runtime.qos import EVENT
 from rotcal_ros.nodes.runtime.roll_call import LOADING
 from rotcal_ros.nodes.runtime.running import done_aside, run
 from rotcal_ros.nodes.runtime.topic_names import CalledOtherwise
 from rotcal_ros.nodes.runtime.turns import handle_events
-from rotcal_ros.nodes.writing.bookkeeping import (
-    NEEDED,
-    LogTimes,
-    PendingReceipts,
-    Silence,
-    Silences,
-)
+from rotcal_ros.nodes.writing.bookkeeping import LogTimes, Silences
+from rotcal_ros.nodes.writing.dropouts import TOGETHER_S, DropoutNotes
 from rotcal_ros.nodes.writing.heard_topic import HeardTopic
 from rotcal_ros.nodes.writing.listening import Listener
-from rotcal_ros.nodes.writing.recorded_session import RecordedSession, observations_in
-from rotcal_ros.nodes.writing.recording import Messages, Receipt, Recording
+from rotcal_ros.nodes.writing.receipts import Receipts
+from rotcal_ros.nodes.writing.recorded_session import RecordedSession
+from rotcal_ros.nodes.writing.recording import Messages, Recording
+from rotcal_ros.nodes.writing.session_bags import OpenBag, SessionBags
 from rotcal_ros.nodes.writing.surroundings import Parameters, keep_surroundings
-from rotcal_ros.observations import Observation
-from rotcal_ros.session_folder import SessionFolder
 
 CLOSE_TIMEOUT_S: Final = 15.0
 Request: TypeAlias = StartRecording.Request
@@ -242,238 +210,6 @@ class RecorderNode(CellNode):
         if recording is None or recording.finished:
             return LOADING if self._reading else "idle", values
         return "recording", values | {"file": recording.file, "messages": recording.messages}
-
-
-TOGETHER_S: Final = 1.0
-"""Gaps of a topic for the same reason within this time are written as one dropout."""
-
-
-class DropoutNotes:
-    """What the bag that is written misses: at most a message per topic, reason and second.
-
-    They stand in the bag at the log time of their end, on ``topic``.
-    """
-
-    def __init__(self, topic: str) -> None:
-        self._topic = topic
-        self._recording: Recording | None = None
-        self._waiting: dict[tuple[str, str], tuple[float, Dropout]] = {}
-
-    def begin(self, recording: Recording) -> None:
-        """Write into ``recording`` from now on; what was missing before is not told there."""
-        self._recording = recording
-        self._waiting.clear()
-
-    def note(self, dropout: Dropout) -> None:
-        """Take a dropout; it is joined with those just before it."""
-        if self._recording is None or self._recording.error:
-            return
-        key = (dropout.topic, dropout.reason)
-        since_s, earlier = self._waiting.get(key, (time.monotonic(), None))
-        self._waiting[key] = since_s, dropout if earlier is None else earlier.joined(dropout)
-
-    def refused(self, messages: Messages) -> None:
-        """Take messages for which the queue had no room."""
-        times_ns = [received_ns for _, received_ns, _ in messages.items]
-        topic, count = messages.channel.topic, len(times_ns)
-        self.note(Dropout(topic, min(times_ns), max(times_ns), count, QUEUE))
-
-    def silences(self, ended: list[Silence]) -> None:
-        """Take silences that have ended."""
-        for silence in ended:
-            begin, end = map(_wall_ns, (silence.from_s, silence.to_s))
-            self.note(Dropout(silence.topic, begin, end, 0, SILENCE))
-
-    def write(self, older_than_s: float = 0.0) -> None:
-        """Write those that have waited so long."""
-        if self._recording is None or self._recording.error:
-            return
-        now_s = time.monotonic()
-        for key, (since_s, dropout) in list(self._waiting.items()):
-            if now_s - since_s >= older_than_s:
-                del self._waiting[key]
-                channel = own_channel(self._topic, MESSAGE_TYPE)
-                item = (serialize_message(_message(dropout)), dropout.to_ns, dropout.to_ns)
-                self._recording.put(Messages(channel, [item]), in_any_case=True)
-
-
-def _wall_ns(monotonic_s: float) -> int:
-    return time.time_ns() - round((time.monotonic() - monotonic_s) * 1e9)
-
-
-def _message(dropout: Dropout) -> DiagnosticArray:
-    status = DiagnosticStatus(
-        level=DiagnosticStatus.WARN,
-        name=dropout.topic,
-        message=dropout.sentence(),
-        values=[KeyValue(key=key, value=value) for key, value in dropout.values().items()],
-    )
-    array = DiagnosticArray(status=[status])
-    array.header.stamp = time_message(dropout.from_ns)
-    return array
-
-
-@dataclass(frozen=True)
-class OpenBag:
-    """A bag that is open for a run; ``earlier`` is what the runs before observed."""
-
-    folder: SessionFolder
-    writer: BagWriter
-    run: int
-    earlier: tuple[Observation, ...] = ()
-
-    def keep(self, configuration_text: str) -> None:
-        """Put the configuration into the folder, so that ``rotcal run --resume`` can go on there.
-
-        Whether the disk can be written the bag itself tells.
-        """
-        if not self.folder.configuration.exists():
-            with suppress(OSError):
-                write_atomically(self.folder.configuration, configuration_text)
-
-
-class SessionBags:
-    """Opens bags as the settings say; the first one may continue an interrupted session."""
-
-    def __init__(self, settings: RecorderSettings) -> None:
-        self._settings = settings
-        self._earlier: InterruptedSession | None = None
-        self._last: SessionFolder | None = None
-        if settings.run:
-            bag = self._folder(settings.session).bag
-            left = any(bag.glob("*.mcap"))
-            self._earlier = InterruptedSession.read(bag) if left else InterruptedSession()
-
-    def open(self, plan_id: str) -> OpenBag:
-        """Open the bag of a new session (or run of one)."""
-        now = datetime.now(timezone.utc)
-        name = self._settings.session or f"{now:%Y%m%dT%H%M%SZ}_{plan_id[:8]}"
-        folder = self._folder(name)
-        earlier, self._earlier = self._earlier, None
-        writer = self._writer(folder, earlier)
-        self._note(writer, self._settings.run, earlier)
-        return OpenBag(folder, writer, self._settings.run)
-
-    def go_on(self, plan_id: str, topic: str) -> OpenBag:
-        """Open the next run of the last session of a plan, with the observations on ``topic``.
-
-        Raises BagError when there is none that could be gone on with.
-        """
-        folder = self._unfinished(plan_id)
-        earlier = InterruptedSession.read(folder.bag)
-        files = [folder.bag / file.name for file in earlier.files]
-        observed = observations_in(files, topic)
-        writer = self._writer(folder, earlier)
-        run = len(files)  # no earlier run has this number: each wrote a file at least
-        self._note(writer, run, earlier, earlier=names.RECORDED)
-        return OpenBag(folder, writer, run, observed)
-
-    def _writer(self, folder: SessionFolder, earlier: InterruptedSession | None) -> BagWriter:
-        """Return the writer of a new file, behind the files of ``earlier``."""
-        files = None if earlier is None else earlier.files
-        writer = BagWriter(folder.bag, self._settings.writer, earlier=files)
-        if earlier is not None:
-            try:
-                earlier.close_before(writer)
-            except BagError:
-                writer.close()
-                raise
-        self._last = folder
-        return writer
-
-    def _note(
-        self, writer: BagWriter, run: int, before: InterruptedSession | None, **more: str
-    ) -> None:
-        session = (before.session if before else "") or uuid4().hex
-        writer.note(names.RUN, {"number": run, "session": session, **more})
-
-    def _unfinished(self, plan_id: str) -> SessionFolder:
-        """Return the last session of a plan that has no result yet; BagError: there is none."""
-        for folder in self._candidates(plan_id):
-            files: tuple[Path, ...] = ()
-            with suppress(BagError):
-                files = bag_files(folder.bag)
-            if files and file_head(files[0]).configuration == plan_id:
-                if folder.result.exists():
-                    raise BagError(
-                        f"the calibration in {folder.path} is finished already; begin a new one"
-                    )
-                return folder
-        place = self._folder(self._settings.session).path
-        raise BagError(
-            f"{place} holds no session of this plan to go on with: it was measured elsewhere, "
-            "with another configuration, or not at all; begin a new one with start_index 0"
-        )
-
-    def _candidates(self, plan_id: str) -> Iterator[SessionFolder]:
-        """Yield where the session of a plan may be, the last one first."""
-        if self._last is not None:
-            yield self._last
-        if self._settings.session:
-            yield self._folder(self._settings.session)
-        else:
-            found = self._folder("").path.glob(f"*_{plan_id[:8]}")
-            yield from map(SessionFolder, sorted(found, reverse=True))
-
-    def _folder(self, session: str) -> SessionFolder:
-        return SessionFolder((Path(self._settings.folder).expanduser() / session).absolute())
-
-
-class Receipts:
-    """The receipts of a recorder that are due, and their topic."""
-
-    def __init__(
-        self, node: CellNode, called: CalledOtherwise, listener: Listener, session: RecordedSession
-    ) -> None:
-        self._clock, self._called, self._listener = node.get_clock(), called, listener
-        self._logger, self._awake = node.get_logger(), node.health.awake
-        self._session, self._pending = session, PendingReceipts(answered=False)
-        self._publisher = node.create_publisher(
-            RecordedObservation, names.OBSERVATION_RECORDED, EVENT
-        )
-
-    def begin(self) -> None:
-        """Forget what is still waiting: a bag begins."""
-        points = self._listener.topics.get(self._called.topic(names.PROBE_POINT))
-        self._pending = PendingReceipts(answered=points is not None and _echoes(points))
-
-    def hear(self, topic: HeardTopic, batch: Batch) -> None:
-        """Take observations, which want a receipt, and the points that answer orders."""
-        name = topic.channel.topic
-        if name == self._called.topic(names.OBSERVATION):
-            for data, _ in batch:
-                seen = self._session.take(data)
-                self._pending.expect(seen.step, seen.attempt, stamp_ns(seen.window_end))
-        elif name == self._called.topic(names.PROBE_POINT) and _echoes(topic):
-            for data, _ in batch:
-                point = deserialize_message(data, ProbePoint)
-                self._pending.answer(point.step, point.attempt)
-
-    def due(self, losses: Callable[[], Mapping[str, int]]) -> Iterator[Receipt]:
-        """Yield what can be confirmed; ``losses`` are those since the bag was opened."""
-        reached_ns = self._listener.reached_ns(NEEDED, self._called.topic)
-        if not self._pending:
-            self._pending.reach(reached_ns or 0)
-            return
-        lost = self._called.lost(losses())
-        for receipt in self._pending.due(reached_ns, lost, self._awake.now_s()):
-            if not self._pending.is_answered(receipt):
-                self._logger.warning(
-                    f"step {receipt.step}, attempt {receipt.attempt}: the point that answered the "
-                    "order has not come here; it counts as lost"
-                )
-            yield receipt
-
-    def confirm(self, receipt: Receipt, file: str) -> None:
-        """Publish a receipt; called from the writer's thread."""
-        message = RecordedObservation(**asdict(receipt), file=file)
-        message.header.stamp = self._clock.now().to_msg()
-        self._publisher.publish(message)
-
-
-def _echoes(points: HeardTopic) -> bool:
-    """Return whether the points tell which order they answer."""
-    return points.channel.type_name == OWN[names.PROBE_POINT]
 
 
 def main() -> None:

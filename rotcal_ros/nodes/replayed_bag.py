@@ -21,12 +21,13 @@ from rotcal_ros.bags.session_identity import require_one_session
 from rotcal_ros.catalogue.configuration import read_topics
 from rotcal_ros.errors import BagError
 from rotcal_ros.instruments.conventions import Conventions
+from rotcal_ros.nodes.runtime.heartbeat import HEARTBEAT
 from rotcal_ros.nodes.runtime.topic_names import CalledOtherwise
 from rotcal_ros.observations import Observation
 from rotcal_ros.units import NANOSECOND
 
 OUTPUTS: Final = frozenset({
-    names.OBSERVATION, names.OBSERVATION_RECORDED, "deviations", "compensation_table", "heartbeat",
+    names.OBSERVATION, names.OBSERVATION_RECORDED, "deviations", "compensation_table", HEARTBEAT,
     "volumetric_correction", "scene", "scene_motion", names.DROPOUTS,
 })  # fmt: skip
 """Last names of what our own nodes make of the streams: live ones shall make it again."""
@@ -126,7 +127,7 @@ class ReplayedBag:
                 f"the bag holds the plans of several cells ({', '.join(sorted(plans))}): "
                 "one is replayed at a time"
             )
-        of_nodes = [t for t in self.channels if t.rpartition("/")[2] == "heartbeat"]
+        of_nodes = [t for t in self.channels if t.rpartition("/")[2] == HEARTBEAT]
         for topic in plans if plan is None else of_nodes:
             self.namespace = topic.rpartition("/")[0] or "/"
         otherwise, self.called = self.called.topics, CalledOtherwise(self.namespace)

@@ -22,6 +22,7 @@ from rclpy.qos import QoSProfile
 
 from rotcal_ros.machine_load import patient
 from rotcal_ros.node_names import NODES
+from rotcal_ros.nodes.runtime.heartbeat import HEARTBEAT
 from rotcal_ros.nodes.runtime.peer import Peer
 from rotcal_ros.nodes.runtime.running import SUPERVISOR_VARIABLE
 
@@ -83,7 +84,7 @@ def trial() -> tuple[float, str]:
     with ExitStack() as stack:
         peer = Peer("doctor", _NAMESPACE)
         stack.callback(peer.close)
-        peer.node.create_subscription(DiagnosticStatus, "heartbeat", hear, QoSProfile(depth=100))
+        peer.node.create_subscription(DiagnosticStatus, HEARTBEAT, hear, QoSProfile(depth=100))
         start = time.monotonic()
         nodes = []
         for name in NODES:

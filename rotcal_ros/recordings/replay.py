@@ -1,15 +1,11 @@
 """Solving a bag offline: the same capture and the same solver as live, hence the same result.
 
-Why each step was measured: the choices in a bag, and the same policy asked again.
-
 Which observations are spoilt by clocks that differ: what the live capture said of it counts.
 
 Its estimate hangs on when messages came to it, which no recorder knows; its verdicts are in the
 bag.
 
 How the clock of a bag's recorder went: what it noted of jumps, and the order of log times.
-
-Why a bag yields no observation: what its reader can do something about, in one sentence.
 
 What a run knew of the runs before it, where the nodes themselves went on.
 
@@ -24,9 +20,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, Literal
-
-from threadpoolctl import threadpool_limits
+from typing import Final, Literal
 
 from rotcal_ros import catalogue
 from rotcal_ros import messages as records
@@ -42,14 +36,12 @@ from rotcal_ros.bags.time_order import TimeOrder, TimeOrders, sorted_blocks
 from rotcal_ros.bags.unread import note_unread
 from rotcal_ros.bags.verdict import FileVerdict, losses_in_words, session_losses, unread_losses
 from rotcal_ros.capture.attempt import nanoseconds
-from rotcal_ros.capture.rejections import Commonest
 from rotcal_ros.capture.stamp_offsets import OffsetLimits, is_of_clocks, rejected_for
 from rotcal_ros.catalogue.configuration import (
     Configuration,
     parse_configuration,
     read_policy,
 )
-from rotcal_ros.catalogue.continuation import Continuation
 from rotcal_ros.catalogue.goal import GoalStanding, goal_standing
 from rotcal_ros.catalogue.method import Trials
 from rotcal_ros.clock_jumps import read_note
@@ -58,9 +50,10 @@ from rotcal_ros.geometry.frames import StaticFrame
 from rotcal_ros.in_force import contradiction, of_axis
 from rotcal_ros.instruments.steps import StepFinder
 from rotcal_ros.observations import Observation
-from rotcal_ros.planning.policy.choices import Choice, Outcome, Standing
-from rotcal_ros.planning.policy.names import AS_LISTED, UNTIL_GOAL
+from rotcal_ros.planning.policy.names import UNTIL_GOAL
+from rotcal_ros.recordings.choices import RecordedChoice, differences
 from rotcal_ros.recordings.dropouts import PlacedDropout, placed_in, sentences
+from rotcal_ros.recordings.nothing_captured import doubtful, why_nothing
 from rotcal_ros.recordings.recorded_setup import (
     Decoders,
     as_recorded,
@@ -430,103 +423,6 @@ def _read(
     return found
 
 
-ENDLESS: Final = 2**62
-
-
-@dataclass(frozen=True)
-class RecordedChoice:
-    """One choice of a run; ``attempt`` is the first one that belongs to it."""
-
-    run: int
-    number: int
-    attempt: int
-    choice: Choice
-
-    @classmethod
-    def of(cls, message: Any) -> RecordedChoice:
-        """Return what a rotcal_msgs/StepChoice says."""
-        standing = Standing(message.left, message.uncertainty, message.goal)
-        step = None if message.stop else message.step
-        choice = Choice(step, message.reason, standing)
-        return cls(message.run, message.number, message.attempt, choice)
-
-
-def differences(
-    calibration: catalogue.Calibration,
-    choices: Sequence[RecordedChoice],
-    observations: Iterable[Observation],
-) -> tuple[str, ...]:
-    """Return where the policy, given the recorded observations, chooses otherwise than it did.
-
-    ``calibration`` has the settings of the planner. The policy as_listed has nothing to choose.
-    """
-    if calibration.configuration.planner.policy == AS_LISTED:
-        return ()
-    every = tuple(observations)
-    found = []
-    for run in sorted({recorded.run for recorded in choices}):
-        mine = sorted((c for c in choices if c.run == run), key=lambda c: c.number)
-        continuation = _begun(calibration, run, [o for o in every if o.run < run])
-        with threadpool_limits(1, "blas"):  # as the planner
-            text = _first_difference(
-                calibration, continuation, mine, [o for o in every if o.run == run]
-            )
-        if text:
-            found.append(text)
-    return tuple(found)
-
-
-def _begun(
-    calibration: catalogue.Calibration, run: int, earlier: Sequence[Observation]
-) -> Continuation:
-    """Return what a run was begun with."""
-    if run == 0:
-        return calibration.from_the_start()
-    return calibration.continued(run, earlier)
-
-
-def _first_difference(
-    calibration: catalogue.Calibration,
-    continuation: Continuation,
-    choices: Sequence[RecordedChoice],
-    observations: Sequence[Observation],
-) -> str:
-    policy = calibration.policy(continuation)
-    for place, recorded in enumerate(choices):
-        again = policy.choose()
-        if recorded.number != place or not again.same_as(recorded.choice):
-            return (
-                f"run {recorded.run}, choice {place}: the planner chose "
-                f"{_in_words(recorded.choice)}, with what was recorded the policy chooses "
-                f"{_in_words(again)}"
-            )
-        if recorded.choice.step is not None:
-            policy.note(_outcome(recorded, choices[place + 1 :], observations))
-    return ""
-
-
-def _outcome(
-    recorded: RecordedChoice,
-    later: Sequence[RecordedChoice],
-    observations: Sequence[Observation],
-) -> Outcome:
-    """Return how the step of a choice went: the last accepted attempt of those it has."""
-    step = recorded.choice.step
-    assert step is not None
-    behind = min((c.attempt for c in later if c.choice.step == step), default=ENDLESS)
-    accepted = [
-        o
-        for o in observations
-        if o.step == step and o.accepted and recorded.attempt <= o.attempt < behind
-    ]
-    return Outcome(step, max(accepted, key=lambda o: o.attempt, default=None))
-
-
-def _in_words(choice: Choice) -> str:
-    step = "to stop" if choice.step is None else f"step {choice.step}"
-    return f"{step} ({choice.reason}; {choice.standing.left} left)"
-
-
 def judged_as_live(
     observations: Iterable[Observation], estimates: Sequence[str], recorded: Iterable[Observation]
 ) -> tuple[Observation, ...]:
@@ -568,116 +464,6 @@ def clock_in_words(scans: Sequence[Scan], order: TimeOrder) -> tuple[str, ...]:
     if not (jumps and order.back):
         texts += order.in_words()
     return tuple(texts)
-
-
-_TOPICS: Final = {
-    "tracer": names.TRACER_LENGTH,
-    "table": names.JOINT_STATES,
-    "probe": names.PROBE_POINT,
-    "temperature": names.TEMPERATURE,
-    "command": f"{names.TABLE_ANGLE} or {names.PROBE_TARGET}",
-}
-"""What delivers each stream of the capture."""
-_MAX_NAMED: Final = 8
-_FEW: Final = 0.1
-"""Share of steps without an accepted observation that needs no word."""
-
-
-def why_nothing(
-    observations: Sequence[Observation],
-    counts: Mapping[str, Mapping[str, int]],
-    unreadable: Mapping[str, str],
-    broken: Mapping[str, int],
-    topics: Iterable[str],
-) -> str:
-    """Return why none of ``observations`` was accepted.
-
-    ``counts`` is what the capture counted per stream, empty when the recorded observations were
-    taken; ``unreadable`` names topics without a usable definition and ``broken`` those whose
-    messages could not be decoded; ``topics`` are all of the bag.
-    """
-    reasons = list(unreadable.values())
-    reasons += [f"{topic}: {count} messages cannot be decoded" for topic, count in broken.items()]
-    silent = [
-        _TOPICS[stream]
-        for stream, counted in counts.items()
-        if not counted.get("received") and stream in _TOPICS
-    ]
-    if observations:
-        reasons.insert(0, _rejections(observations))
-    elif not counts:
-        reasons.append(f"it holds none on a topic {names.OBSERVATION}; solve its streams instead")
-    elif silent:
-        reasons.append(f"nothing was read on {', '.join(silent)}; {_present(topics)}")
-    elif counts.get("command", {}).get("unanswered"):
-        reasons.append(unanswered(counts["command"]))
-    else:
-        reasons.append("its streams hold no step of the plan that came to its end")
-    return "; ".join(reasons)
-
-
-def _rejections(observations: Sequence[Observation]) -> str:
-    """Return how many were rejected, and the commonest reason."""
-    found = Commonest.of(o.reason for o in observations)
-    assert found is not None
-    return f"all {found.total} were rejected, {found.in_words()}"
-
-
-def doubtful(
-    observations: Sequence[Observation], counts: Mapping[str, Mapping[str, int]]
-) -> tuple[str, ...]:
-    """Return what a reader should know of attempts that failed, though not all did.
-
-    And how many messages contradict others: nobody can say which of them are true.
-    """
-    texts = []
-    rejected = [o.reason for o in observations if not o.accepted]
-    found = Commonest.of(rejected)
-    if found and 2 * found.total > len(observations):
-        texts.append(
-            f"{found.total} of {len(observations)} attempts were rejected, {found.in_words()}"
-        )
-    elif without := _without(observations):
-        texts.append(without)
-    texts += [
-        f"{n} messages on {_TOPICS[stream]} say something else than another one of the same time "
-        "or order: two publishers, or stamps that are too coarse; the first one counts"
-        for stream in ("tracer", "table", "probe")
-        if (n := counts.get(stream, {}).get("contradicting", 0))
-    ]
-    commands = counts.get("command", {})
-    if 2 * commands.get("unanswered", 0) > commands.get("received", 0):
-        texts.append(unanswered(commands))
-    return tuple(texts)
-
-
-def _without(observations: Sequence[Observation]) -> str:
-    """Return how many steps were tried in vain, and why; empty: few, a beam that is blocked."""
-    done = {o.step for o in observations if o.accepted}
-    vain = [o for o in observations if o.step not in done]
-    found, steps = Commonest.of(o.reason for o in vain), len({o.step for o in vain})
-    if found is None or steps <= _FEW * (len(done) + steps):
-        return ""
-    return f"{steps} of {len(done) + steps} steps were tried in vain, {found.in_words()}"
-
-
-def unanswered(commands: Mapping[str, int]) -> str:
-    """Say that the machine did not echo its orders."""
-    return (
-        f"{commands['unanswered']} of {commands['received']} orders have no answer: a point on "
-        f"{names.PROBE_POINT} must echo step and attempt of its order"
-    )
-
-
-def _present(topics: Iterable[str]) -> str:
-    found = sorted(topics)
-    if not found:
-        return "it has no topics at all"
-    more = f" and {len(found) - _MAX_NAMED} more" if len(found) > _MAX_NAMED else ""
-    return (
-        f"its topics are {', '.join(found[:_MAX_NAMED])}{more} (see --namespace, and the group "
-        "topics of the set-up for other names)"
-    )
 
 
 def known_then(

@@ -7,12 +7,8 @@ import numpy as np
 import pytest
 
 import rotcal_ros as rc
-from rotcal_ros.catalogue.calibration import (
-    BY_INSTRUMENT,
-    prepare,
-    prepare_to_measure,
-    with_common,
-)
+from rotcal_ros.catalogue.air import BY_INSTRUMENT, with_common
+from rotcal_ros.catalogue.calibration import prepare, prepare_to_measure
 from rotcal_ros.catalogue.configuration import changed, read_configuration
 from rotcal_ros.circumstances import Circumstances
 from rotcal_ros.errors import ConfigurationError, DataError

@@ -7,12 +7,8 @@ import pytest
 
 import rotcal_ros as rc
 from rotcal_ros.capture.settings import CaptureSettings
-from rotcal_ros.catalogue.calibration import (
-    arrival_std,
-    prepare,
-    prepare_to_measure,
-    with_clock_errors,
-)
+from rotcal_ros.catalogue.calibration import prepare, prepare_to_measure
+from rotcal_ros.catalogue.clock_errors import arrival_std, with_clock_errors
 from rotcal_ros.catalogue.configuration import changed, read_configuration
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.evaluation.budget import contributions

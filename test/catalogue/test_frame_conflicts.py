@@ -8,8 +8,8 @@ import pytest
 
 import rotcal_ros as rc
 from rotcal_ros.catalogue import prepare
-from rotcal_ros.catalogue.calibration import frame_conflicts
 from rotcal_ros.catalogue.configuration import changed, read_configuration
+from rotcal_ros.catalogue.frame_conflicts import frame_conflicts
 from rotcal_ros.geometry.frames import StaticFrame
 
 CONFIG = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"

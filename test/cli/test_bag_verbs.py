@@ -20,7 +20,7 @@ from rotcal_ros import catalogue
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.errors import DataError
 from rotcal_ros.planning.policy.choices import Choice, Standing
-from rotcal_ros.recordings.replay import RecordedChoice
+from rotcal_ros.recordings.choices import RecordedChoice
 from rotcal_ros.results import Result as Solution
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "bags"))

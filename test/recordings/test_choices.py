@@ -12,7 +12,7 @@ from rotcal_ros.catalogue import changed, prepare, prepare_to_measure, read_conf
 from rotcal_ros.catalogue.continuation import ATTEMPTS_PER_RUN, continued
 from rotcal_ros.errors import ConfigurationError, PlanError
 from rotcal_ros.planning.policy.choices import Outcome
-from rotcal_ros.recordings.replay import RecordedChoice, differences
+from rotcal_ros.recordings.choices import RecordedChoice, differences
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"
 SHORT = (
