@@ -1,11 +1,8 @@
 """Fixtures for all tests."""
 
-import fcntl
 import os
 import signal
 import sys
-import tempfile
-from contextlib import contextmanager
 from pathlib import Path
 
 import hypothesis
@@ -13,7 +10,7 @@ import pytest
 from warm import WARM_SUBPROCESS, WarmServer
 
 from rotcal_ros.sessions import processes
-from rotcal_ros.sessions.domains import free_domain
+from rotcal_ros.sessions.domains import free_domain, release_domains
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # Started in the background by a shell: the processes under test would never hear Ctrl-C.
@@ -103,20 +100,6 @@ def _live(request, monkeypatch):
         return
     monkeypatch.setattr(processes, "subprocess", WARM_SUBPROCESS)
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    with _domain_of_its_own() as domain:
-        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
-        yield
-
-
-@contextmanager
-def _domain_of_its_own():
-    """Hold a free domain that no other test takes, before its first node can be seen there."""
-    for domain in iter(free_domain, None):
-        name = f"rotcal_domain_{os.getuid()}_{domain}.lock"
-        with Path(tempfile.gettempdir(), name).open("w") as held:
-            try:
-                fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                continue
-            yield domain
-            return
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain()))
+    yield
+    release_domains()

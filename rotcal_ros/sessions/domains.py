@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
 import itertools
 import os
 import socket
+import tempfile
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -22,19 +24,45 @@ _OFFSETS: Final = range(10, 50, 2)
 """Where the first twenty participants of a domain are spoken to, from the domain's base port."""
 
 _turn = itertools.count(os.getpid())
+_held: dict[int, int] = {}
+"""Domain -> descriptor of the lock that this process holds on it."""
 
 
 def free_domain() -> int:
     """Return a domain (1 to 100) whose first participant's port is free; a new one every call.
 
-    The port is 7410 + 250 domain (DDSI-RTPS 2.3, 9.6.1). When all are taken, the next is
-    returned all the same: sharing a domain beats not starting.
+    It stays this process's own to its end, or to `release_domains`: until the first participant is
+    there, another process of this user that asks gets another one. The port is
+    7410 + 250 domain (DDSI-RTPS 2.3, 9.6.1). When all are taken, the next is returned all the
+    same: sharing a domain beats not starting.
     """
     for _ in range(DOMAINS):
         domain = 1 + next(_turn) % DOMAINS
-        if _is_free(domain):
+        if _is_free(domain) and _hold(domain):
             break
     return domain
+
+
+def release_domains() -> None:
+    """Leave the domains that this process got to others: whoever took part there is gone."""
+    while _held:
+        os.close(_held.popitem()[1])
+
+
+def _hold(domain: int) -> bool:
+    """Take the lock of a domain; return False when somebody has it."""
+    file = Path(tempfile.gettempdir(), f"rotcal_domain_{os.getuid()}_{domain}.lock")
+    try:
+        held = os.open(file, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+    except OSError:
+        return True  # nowhere to lock: that its port is free must do
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(held)
+        return False
+    _held[domain] = held
+    return True
 
 
 def _is_free(domain: int) -> bool:

@@ -39,12 +39,9 @@ def node_environment(*, alone: bool = True) -> dict[str, str]:
 
     ``alone``: they need nobody else and take a domain of their own, else ROS's own default.
     """
-    environment = {
-        "ROS_DOMAIN_ID": str(free_domain() if alone else DEFAULT_DOMAIN),
-        "PYTHONUNBUFFERED": "1",
-        "OMP_NUM_THREADS": "1",
-    }
-    environment = {name: os.environ.get(name) or value for name, value in environment.items()}
-    environment |= middleware(os.environ)
+    domain = os.environ.get("ROS_DOMAIN_ID") or str(free_domain() if alone else DEFAULT_DOMAIN)
+    usual = {"PYTHONUNBUFFERED": "1", "OMP_NUM_THREADS": "1"}
+    environment = {name: os.environ.get(name) or value for name, value in usual.items()}
+    environment |= {"ROS_DOMAIN_ID": domain, **middleware(os.environ)}
     session = f"{time.monotonic_ns()}-{os.getpid()}"
     return environment | {"ROTCAL_SUPERVISOR": str(os.getpid()), "ROTCAL_SESSION": session}
