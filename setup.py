@@ -7,7 +7,7 @@ from runpy import run_path
 from setuptools import find_packages, setup
 
 NAME = "rotcal_ros"
-NODES = run_path(str(Path(NAME, "node_names.py")))["EXECUTABLES"]
+NODES = run_path(str(Path(NAME, "foundation", "node_names.py")))["EXECUTABLES"]
 METHODS = {
     "tracer_multistation": "tracer",
     "ball_plate": "ball_plate",
@@ -135,11 +135,11 @@ setup(
             *(f"{node} = {NAME}.nodes.{node}:main" for node in NODES),
         ],
         "rotcal_ros.methods": [
-            f"{method} = {NAME}.catalogue.{folder}.method:METHOD"
+            f"{method} = {NAME}.methods.{folder}.method:METHOD"
             for method, folder in METHODS.items()
         ],
         "rotcal_ros.method_settings": [
-            f"{method} = {NAME}.catalogue.{folder}.settings:SETTINGS"
+            f"{method} = {NAME}.methods.{folder}.settings:SETTINGS"
             for method, folder in METHODS.items()
         ],
         "rotcal_ros.controllers": [

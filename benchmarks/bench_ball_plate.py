@@ -19,12 +19,12 @@ from dense_ball_plate import solve_dense
 from scipy.optimize import least_squares
 
 from rotcal_ros.geometry.sphere import fit_spheres
-from rotcal_ros.methods.ball_plate import harmonics, spectral
-from rotcal_ros.methods.ball_plate.model import FIELDS, Solution
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
-from rotcal_ros.methods.ball_plate.spectral import solve_spectral
-from rotcal_ros.planning.ball_layout import best_layout
-from rotcal_ros.planning.layout_variance import mean_variances
+from rotcal_ros.methods.ball_plate.design.ball_layout import best_layout
+from rotcal_ros.methods.ball_plate.design.layout_variance import mean_variances
+from rotcal_ros.methods.ball_plate.solver import harmonics, spectral
+from rotcal_ros.methods.ball_plate.solver.model import FIELDS, Solution
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
+from rotcal_ros.methods.ball_plate.solver.spectral import solve_spectral
 
 PLATE = (0, 8, 12, 18, 21, 28, 32, 37, 42, 50, 58, 62)
 RADIUS = 0.185

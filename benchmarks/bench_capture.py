@@ -13,11 +13,11 @@ from itertools import groupby
 import numpy as np
 
 from rotcal_ros.capture import Capture, CaptureSettings, Record
-from rotcal_ros.catalogue import find_method
-from rotcal_ros.catalogue.tracer.plan import tracer_plan
-from rotcal_ros.catalogue.tracer.settings import TracerPlanSettings
-from rotcal_ros.catalogue.tracer.simulation_settings import TracerSimulationSettings
-from rotcal_ros.observations import Observation, TracerSample
+from rotcal_ros.foundation.observations import Observation, TracerSample
+from rotcal_ros.methods import find_method
+from rotcal_ros.methods.tracer.plan import tracer_plan
+from rotcal_ros.methods.tracer.settings import TracerPlanSettings
+from rotcal_ros.methods.tracer.simulation_settings import TracerSimulationSettings
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.simulation import SimulatedCell
 

@@ -17,7 +17,8 @@ from functools import partial
 
 import numpy as np
 
-from rotcal_ros.methods import ball_plate, tracer
+from rotcal_ros.methods.ball_plate import solver as ball_plate
+from rotcal_ros.methods.tracer import solver as tracer
 
 PLATE = (0, 1, 3, 5, 7, 10, 13, 17, 23, 31, 43, 57)
 """Ball steps of a grid of 72."""

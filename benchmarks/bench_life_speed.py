@@ -26,7 +26,7 @@ import numpy as np
 
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.reader import bag_files, check_files, read_blocks
-from rotcal_ros.units import NANOSECOND
+from rotcal_ros.foundation.units import NANOSECOND
 
 ROOT = Path(__file__).parents[1]
 SECONDS = float(os.environ.get("ROTCAL_BENCH_LIFE_S", "60"))

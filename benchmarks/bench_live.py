@@ -12,7 +12,7 @@ from pathlib import Path
 
 from mcap.reader import make_reader
 
-from rotcal_ros.units import NANOSECOND
+from rotcal_ros.foundation.units import NANOSECOND
 
 ROOT = Path(__file__).parents[1]
 BIN = Path(sys.executable).parent

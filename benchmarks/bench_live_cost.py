@@ -25,10 +25,10 @@ import numpy as np
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from rotcal_ros.catalogue.configuration import changed, read_configuration
-from rotcal_ros.node_names import NODES
+from rotcal_ros.foundation.node_names import NODES
+from rotcal_ros.foundation.units import NANOSECOND
+from rotcal_ros.methods.configuration import changed, read_configuration
 from rotcal_ros.sessions.environment import node_environment
-from rotcal_ros.units import NANOSECOND
 
 ROOT = Path(__file__).parents[1]
 GOALS = int(os.environ.get("ROTCAL_BENCH_GOALS", "3"))

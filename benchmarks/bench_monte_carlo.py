@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 from racing import Row
 
-from rotcal_ros.methods import ball_plate, tracer
+from rotcal_ros.methods.ball_plate import solver as ball_plate
+from rotcal_ros.methods.tracer import solver as tracer
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "test" / "evaluation"))
 import one_table

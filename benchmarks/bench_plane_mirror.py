@@ -19,8 +19,8 @@ from scipy.optimize import least_squares
 from scipy.sparse import csr_array
 from scipy_plane_mirror import deviations_of, joint_residual
 
-from rotcal_ros.catalogue.plane_mirror.mirror_physics import measure, ring_cell
-from rotcal_ros.methods.plane_mirror import PlaneMirrorProblem, mirror_trials, solve
+from rotcal_ros.methods.plane_mirror.mirror_physics import measure, ring_cell
+from rotcal_ros.methods.plane_mirror.solver import PlaneMirrorProblem, mirror_trials, solve
 
 TRIALS, LOOPS = 1000, 20
 

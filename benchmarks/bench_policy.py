@@ -22,11 +22,11 @@ from racing import Row
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 import policy_figures as figures
 
-from rotcal_ros.planning.policy.choices import Outcome
-from rotcal_ros.planning.policy.further import best_at
-from rotcal_ros.planning.policy.lengths import LengthExperiment
-from rotcal_ros.planning.policy.measured import Measured
-from rotcal_ros.planning.policy.until_goal import Limits, UntilGoal, first_sweep
+from rotcal_ros.methods.tracer.policy.further import best_at
+from rotcal_ros.methods.tracer.policy.lengths import LengthExperiment
+from rotcal_ros.methods.tracer.policy.measured import Measured
+from rotcal_ros.methods.tracer.policy.until_goal import Limits, UntilGoal, first_sweep
+from rotcal_ros.planning.choices import Outcome
 
 SPACING_M = 0.105
 SECTOR_DEG = 30.0

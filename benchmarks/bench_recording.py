@@ -28,9 +28,9 @@ from bag_samples import CONFIGURATION, START_NS, encode, open_writer, simulate
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.reader import bag_files, check_files, read_blocks
 from rotcal_ros.bags.writer_settings import WriterSettings
-from rotcal_ros.catalogue import prepare
-from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
-from rotcal_ros.observations import LengthStatus, TracerSample
+from rotcal_ros.foundation.observations import LengthStatus, TracerSample
+from rotcal_ros.methods import prepare
+from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
 from rotcal_ros.recordings.many import Job
 from rotcal_ros.recordings.workers import on_all_cores
 

@@ -14,11 +14,11 @@ from racing import Row, race
 from scipy_tracer_six import SparseSix
 from six_scene import LENGTH_STD, TARGET_STD, scene
 
-from rotcal_ros.methods.tracer_six import SixProblem
-from rotcal_ros.methods.tracer_six.curves import rotation_vector
-from rotcal_ros.methods.tracer_six.layout import lay_out
-from rotcal_ros.methods.tracer_six.rig import relax
-from rotcal_ros.methods.tracer_six.solution import find_start
+from rotcal_ros.methods.tracer_six.solver import SixProblem
+from rotcal_ros.methods.tracer_six.solver.curves import rotation_vector
+from rotcal_ros.methods.tracer_six.solver.layout import lay_out
+from rotcal_ros.methods.tracer_six.solver.rig import relax
+from rotcal_ros.methods.tracer_six.solver.solution import find_start
 
 FORCING = {"tr_options": {"atol": 1e-14, "btol": 1e-14, "maxiter": 2000}}
 """With its own tolerance lsmr stops early, and least_squares takes four times as long."""

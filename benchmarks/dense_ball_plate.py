@@ -10,10 +10,10 @@ from functools import partial
 
 import numpy as np
 
-from rotcal_ros.errors import ObservabilityError
-from rotcal_ros.methods.ball_plate import model
-from rotcal_ros.methods.ball_plate.model import Solution
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
+from rotcal_ros.foundation.errors import ObservabilityError
+from rotcal_ros.methods.ball_plate.solver import model
+from rotcal_ros.methods.ball_plate.solver.model import Solution
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 
 
 def solve_dense(problem: BallPlateProblem) -> Solution:

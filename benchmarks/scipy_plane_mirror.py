@@ -4,7 +4,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from rotcal_ros.observations import PointKind
+from rotcal_ros.foundation.observations import PointKind
 
 
 def joint_least_squares(problem):

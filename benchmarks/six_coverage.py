@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from six_scene import good_targets, scene
 
-from rotcal_ros.components import COMPONENTS, HALF_OF_95_PERCENT
-from rotcal_ros.methods.tracer_six import SixProblem
-from rotcal_ros.methods.tracer_six.solution import adjust
-from rotcal_ros.methods.tracer_six.timing import taken
+from rotcal_ros.foundation.components import COMPONENTS, HALF_OF_95_PERCENT
+from rotcal_ros.methods.tracer_six.solver import SixProblem
+from rotcal_ros.methods.tracer_six.solver.solution import adjust
+from rotcal_ros.methods.tracer_six.solver.timing import taken
 
 LEVELS = (0.5, 1.0, 2.0)
 KINDS = {"shifts": (6.5e-8, 0.0), "turns": (0.0, 4.3e-7), "both": (5.2e-8, 2.6e-7)}

@@ -4,17 +4,17 @@ import numpy as np
 from six_coverage import NONE, Coverage
 from six_scene import scene
 
-from rotcal_ros.components import HALF_OF_95_PERCENT
-from rotcal_ros.methods.tracer_six import SixProblem
-from rotcal_ros.methods.tracer_six.posterior import pulled
-from rotcal_ros.methods.tracer_six.scatter import (
+from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
+from rotcal_ros.methods.tracer_six.solver import SixProblem
+from rotcal_ros.methods.tracer_six.solver.posterior import pulled
+from rotcal_ros.methods.tracer_six.solver.scatter import (
     Contrasts,
     contrasts,
     enlargement,
     estimate,
     turned,
 )
-from rotcal_ros.methods.tracer_six.solution import adjust
+from rotcal_ros.methods.tracer_six.solver.solution import adjust
 
 
 class Linear:

@@ -17,7 +17,7 @@ from six_coverage import CASES, KINDS
 from six_linear import Linear
 from six_scene import good_targets
 
-from rotcal_ros.components import COMPONENTS, HALF_OF_95_PERCENT
+from rotcal_ros.foundation.components import COMPONENTS, HALF_OF_95_PERCENT
 
 WANTED = (0.93, 0.95)
 LEVELS = np.geomspace(0.25, 2.0, 6)

@@ -6,8 +6,8 @@ usage: python benchmarks/six_uncertainty.py
 import numpy as np
 from six_scene import on_circle, scene
 
-from rotcal_ros.components import COMPONENTS
-from rotcal_ros.methods.tracer_six import SixProblem, solve
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.methods.tracer_six.solver import SixProblem, solve
 
 CASES = {
     "120 degrees apart, zero per run": {},

@@ -15,9 +15,9 @@ from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import LifecycleNode
 from launch_ros.substitutions import FindPackageShare
 
-from rotcal_ros.catalogue import read_configuration
-from rotcal_ros.catalogue.configuration import SIMULATION, node_parameters
-from rotcal_ros.node_names import NODES, VIEWERS
+from rotcal_ros.foundation.node_names import NODES, VIEWERS
+from rotcal_ros.methods import read_configuration
+from rotcal_ros.methods.configuration import SIMULATION, node_parameters
 from rotcal_ros.nodes.runtime.machine_nodes import (
     AS_CONFIGURED,
     OWN,

@@ -25,20 +25,20 @@ from rotcal_ros.api.reading import read_configuration as read_configuration
 from rotcal_ros.api.reading import read_result as read_result
 from rotcal_ros.api.reading import read_table as read_table
 from rotcal_ros.api.streams import read_streams as read_streams
-from rotcal_ros.catalogue.configuration import Configuration as Configuration
-from rotcal_ros.catalogue.method import method_names as method_names
 from rotcal_ros.compensation.controllers import controller_names as controller_names
 from rotcal_ros.compensation.table import CompensationTable as CompensationTable
-from rotcal_ros.components import unit_of as unit_of
-from rotcal_ros.errors import RotcalError as RotcalError
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns as BidirectionalRuns
-from rotcal_ros.observations import Observation as Observation
-from rotcal_ros.observations import PointKind as PointKind
+from rotcal_ros.foundation.components import unit_of as unit_of
+from rotcal_ros.foundation.errors import RotcalError as RotcalError
+from rotcal_ros.foundation.observations import Observation as Observation
+from rotcal_ros.foundation.observations import PointKind as PointKind
+from rotcal_ros.foundation.results import Result as Result
+from rotcal_ros.foundation.units import ARCSEC as ARCSEC
+from rotcal_ros.foundation.units import DEGREE as DEGREE
+from rotcal_ros.foundation.units import MICROMETRE as MICROMETRE
+from rotcal_ros.methods.configuration import Configuration as Configuration
+from rotcal_ros.methods.method import method_names as method_names
 from rotcal_ros.recordings.replay import Recording as Recording
-from rotcal_ros.results import Result as Result
-from rotcal_ros.units import ARCSEC as ARCSEC
-from rotcal_ros.units import DEGREE as DEGREE
-from rotcal_ros.units import MICROMETRE as MICROMETRE
 
 __version__: str
 __all__: list[str]

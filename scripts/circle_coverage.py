@@ -20,10 +20,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
-from rotcal_ros.components import HALF_OF_95_PERCENT
-from rotcal_ros.methods.tracer import TracerProblem, solve
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
+from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods.tracer.solver import TracerProblem, solve
 
 LENGTH_STD, TARGET_STD, CIRCLE_STD = 0.2e-6, 1e-6, 0.07e-6
 ROSETTE = 1.5e-6

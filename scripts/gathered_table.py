@@ -27,14 +27,17 @@ import gathered_worlds as worlds  # noqa: E402
 import plate_disturbed as plates  # noqa: E402
 import six_scene  # noqa: E402
 
-from rotcal_ros.arrays import Floats  # noqa: E402
-from rotcal_ros.components import COMPONENTS  # noqa: E402
-from rotcal_ros.errors import DataError  # noqa: E402
-from rotcal_ros.files import write_atomically  # noqa: E402
-from rotcal_ros.methods import ball_plate, plane_mirror, tracer, tracer_six  # noqa: E402
-from rotcal_ros.observations import PointKind  # noqa: E402
-from rotcal_ros.results import Result  # noqa: E402
-from rotcal_ros.units import MICROMETRE  # noqa: E402
+from rotcal_ros.foundation.arrays import Floats  # noqa: E402
+from rotcal_ros.foundation.components import COMPONENTS  # noqa: E402
+from rotcal_ros.foundation.errors import DataError  # noqa: E402
+from rotcal_ros.foundation.files import write_atomically  # noqa: E402
+from rotcal_ros.foundation.observations import PointKind  # noqa: E402
+from rotcal_ros.foundation.results import Result  # noqa: E402
+from rotcal_ros.foundation.units import MICROMETRE  # noqa: E402
+from rotcal_ros.methods.ball_plate import solver as ball_plate  # noqa: E402
+from rotcal_ros.methods.plane_mirror import solver as plane_mirror  # noqa: E402
+from rotcal_ros.methods.tracer import solver as tracer  # noqa: E402
+from rotcal_ros.methods.tracer_six import solver as tracer_six  # noqa: E402
 
 SIZES_UM = (0.3, 0.6, 0.8, 1.0, 1.5, 2.0, 3.0, 5.0)
 SIZES_STD = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 10.0, 20.0)

@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
-from rotcal_ros.catalogue import prepare, read_configuration
-from rotcal_ros.methods.tracer import TracerLimits, TracerProblem, solve
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods import prepare, read_configuration
+from rotcal_ros.methods.tracer.solver import TracerLimits, TracerProblem, solve
 
 MOUNT = np.array([0.0569, -0.0318, 0.1225])
 

@@ -24,25 +24,25 @@ from typing import Any
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
-from rotcal_ros.errors import RotcalError
-from rotcal_ros.methods.tracer import TracerProblem, solve
-from rotcal_ros.observations import Approach, Observation, PointKind
-from rotcal_ros.planning.plan import Plan, Step
-from rotcal_ros.planning.policy.choices import Outcome, Standing
-from rotcal_ros.planning.policy.lengths import Costs, LengthExperiment
-from rotcal_ros.planning.policy.stated import Stated
-from rotcal_ros.planning.policy.until_goal import (
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import RotcalError
+from rotcal_ros.foundation.observations import Approach, Observation, PointKind
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
+from rotcal_ros.methods.tracer.design.optimum import ideal_plan
+from rotcal_ros.methods.tracer.design.scene import Scene, on_table
+from rotcal_ros.methods.tracer.design.sequence_forecast import OrderForecast
+from rotcal_ros.methods.tracer.policy.lengths import Costs, LengthExperiment
+from rotcal_ros.methods.tracer.policy.stated import Stated
+from rotcal_ros.methods.tracer.policy.until_goal import (
     RESERVE,
     RESERVE_PER_SEGMENT,
     Limits,
     UntilGoal,
     first_sweep,
 )
-from rotcal_ros.planning.sequence_forecast import OrderForecast
-from rotcal_ros.planning.tracer_design.optimum import ideal_plan
-from rotcal_ros.planning.tracer_design.scene import Scene, on_table
-from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
+from rotcal_ros.methods.tracer.solver import TracerProblem, solve
+from rotcal_ros.planning.choices import Outcome, Standing
+from rotcal_ros.planning.plan import Plan, Step
 
 MOUNT = np.array([0.0569, -0.0318, 0.1225])
 ANGLES = np.radians(-145.0 + 30.0 * np.arange(11))

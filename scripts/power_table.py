@@ -16,10 +16,10 @@ import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
-from rotcal_ros.catalogue import prepare, read_configuration
 from rotcal_ros.evaluation.power_table import Bench, PowerRow, power_rows
-from rotcal_ros.files import write_atomically
-from rotcal_ros.protection import POWER, TOLERABLE
+from rotcal_ros.foundation.files import write_atomically
+from rotcal_ros.foundation.protection import POWER, TOLERABLE
+from rotcal_ros.methods import prepare, read_configuration
 
 PLANS = Path(__file__).parent / "power_plans"
 METHODS = ("tracer", "ball_plate", "plane_mirror")

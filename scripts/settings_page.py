@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from dataclasses import MISSING
 from pathlib import Path
 
-from rotcal_ros.catalogue import find_method, method_names
-from rotcal_ros.catalogue.settings_reference import (
+from rotcal_ros.methods import find_method, method_names
+from rotcal_ros.methods.settings_reference import (
     Section,
     default_in_words,
     goal_section,

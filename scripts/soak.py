@@ -29,10 +29,10 @@ from typing import Any
 
 import numpy as np
 
-from rotcal_ros.machine_load import cores, in_words
-from rotcal_ros.node_names import EXECUTABLES
+from rotcal_ros.foundation.machine_load import cores, in_words
+from rotcal_ros.foundation.node_names import EXECUTABLES
+from rotcal_ros.foundation.results import Result
 from rotcal_ros.recordings.replay import read_recording
-from rotcal_ros.results import Result
 
 ROOT = Path(__file__).parents[1]
 STOP_S, EVERY_S = 2.0, (3.0, 8.0)

@@ -21,16 +21,16 @@ import numpy as np
 from numpy import logaddexp
 from scipy.special import logsumexp
 
-from rotcal_ros.arrays import Floats, Ints
-from rotcal_ros.methods.tracer import TracerProblem
-from rotcal_ros.methods.tracer.angles import bearing_jacobian
-from rotcal_ros.methods.tracer.gain import NetworkGain
-from rotcal_ros.methods.tracer.shifts import Moments, Shifts, shifts_at
-from rotcal_ros.methods.tracer.solution import TracerSolution, adjust
-from rotcal_ros.methods.tracer.verdict import judge
-from rotcal_ros.planning.tracer_design.ordering import ordered_design
-from rotcal_ros.planning.tracer_design.settings import TracerDesignSettings
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods.tracer.design.ordering import ordered_design
+from rotcal_ros.methods.tracer.design.settings import TracerDesignSettings
+from rotcal_ros.methods.tracer.solver import TracerProblem
+from rotcal_ros.methods.tracer.solver.angles import bearing_jacobian
+from rotcal_ros.methods.tracer.solver.gain import NetworkGain
+from rotcal_ros.methods.tracer.solver.shifts import Moments, Shifts, shifts_at
+from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
+from rotcal_ros.methods.tracer.solver.verdict import judge
 
 LENGTH_STD, TARGET_STD = 0.2e-6, 1e-6
 FRINGE = 632.8e-9 / 2

@@ -1,8 +1,8 @@
 """A disk whose n-th call fails, and which knows what a power cut would leave of it.
 
-The calls of ``rotcal_ros.disk`` are done for real, below one folder, and remembered: what was
-synced survives for certain; of the rest a power cut leaves anything between nothing and all.
-After a failed sync what was not on the medium is lost, and a later sync that succeeds
+The calls of ``rotcal_ros.foundation.disk`` are done for real, below one folder, and remembered:
+what was synced survives for certain; of the rest a power cut leaves anything between nothing and
+all. After a failed sync what was not on the medium is lost, and a later sync that succeeds
 does not bring it back (as Linux does it).
 """
 
@@ -12,7 +12,7 @@ import random
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rotcal_ros import disk
+from rotcal_ros.foundation import disk
 
 MAKING = ("make_folder", "replace", "link")
 REMOVING = ("remove", "remove_folder", "truncate")
@@ -55,7 +55,7 @@ class File:
 
 
 class FaultyDisk:
-    """Stands in for ``rotcal_ros.disk`` below ``root``; ``calls`` lists what was called."""
+    """Stands in for ``foundation.disk`` below ``root``; ``calls`` lists what was called."""
 
     def __init__(self, root: Path, fault: Fault | None = None) -> None:
         self.root = root

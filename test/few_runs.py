@@ -8,8 +8,7 @@ from functools import partial
 
 import pytest
 
-from rotcal_ros.planning import sequence_choice
-from rotcal_ros.planning.tracer_design import ordering, promise
+from rotcal_ros.methods.tracer.design import ordering, promise, sequence_choice
 
 
 def few_runs(monkeypatch: pytest.MonkeyPatch, runs: int) -> None:

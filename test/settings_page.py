@@ -10,7 +10,7 @@ from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import Any
 
-from rotcal_ros.settings import Declaration, declarations
+from rotcal_ros.foundation.settings import Declaration, declarations
 
 PAGE = Path(__file__).parents[1] / "docs" / "settings.md"
 KINDS = {"whole": int, "number": float, "text": str, "true or false": bool}

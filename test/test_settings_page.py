@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from rotcal_ros import plugins
-from rotcal_ros.catalogue import find_method, method_names
-from rotcal_ros.catalogue.configuration import GROUPS, settings_classes
-from rotcal_ros.catalogue.method import own_settings
-from rotcal_ros.planning.tracer_design.settings import TracerDesignSettings
-from rotcal_ros.settings import declarations
+from rotcal_ros.foundation import plugins
+from rotcal_ros.foundation.settings import declarations
+from rotcal_ros.methods import find_method, method_names
+from rotcal_ros.methods.configuration import GROUPS, settings_classes
+from rotcal_ros.methods.method import own_settings
+from rotcal_ros.methods.tracer.design.settings import TracerDesignSettings
 
 ROOT = Path(__file__).parents[1]
 

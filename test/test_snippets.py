@@ -11,9 +11,9 @@ import yaml
 from snippets import PAGES, PYTHON, ROOT, SHELL, YAML, Block, blocks
 
 import rotcal_ros as rc
-from rotcal_ros.catalogue.configuration import GROUPS
-from rotcal_ros.catalogue.settings_reference import all_sections
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.methods.configuration import GROUPS
+from rotcal_ros.methods.settings_reference import all_sections
 
 pytestmark = pytest.mark.slow
 

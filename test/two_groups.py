@@ -6,7 +6,7 @@ the place where it stands: rotations and sums of vectors, nothing of the adjustm
 
 import numpy as np
 
-from rotcal_ros.methods.ball_plate import BallPlateProblem
+from rotcal_ros.methods.ball_plate.solver import BallPlateProblem
 
 GRID, RADIUS = 12, 0.185
 ARCSEC = np.pi / 180.0 / 3600.0

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, iso230
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.report.iso230 import diagrams
-from rotcal_ros.units import ARCSEC, DEGREE
 
 STEPS = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
 UP = ([0, 3, 5, 2, -1, -4, -3, -1], [0.2, 0.2, 0.4, 0.2, 0.2, 0.3, 0.2, 0.2])

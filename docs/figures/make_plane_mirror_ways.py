@@ -7,10 +7,10 @@ the report.
 from pathlib import Path
 
 from rotcal_ros.capture import Capture
-from rotcal_ros.catalogue import prepare
-from rotcal_ros.catalogue.configuration import read_configuration
-from rotcal_ros.catalogue.plane_mirror.figures import ways
-from rotcal_ros.observations import Observation
+from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.methods import prepare
+from rotcal_ros.methods.configuration import read_configuration
+from rotcal_ros.methods.plane_mirror.figures import ways
 from rotcal_ros.simulation import SimulatedCell
 
 HERE = Path(__file__).parent

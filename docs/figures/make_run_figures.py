@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 from rotcal_ros.figures import curves as figures
-from rotcal_ros.results import Result
+from rotcal_ros.foundation.results import Result
 
 FIGURES = Path(__file__).parent
 NAMES = {"tracer_multistation": "demo_deviations"}

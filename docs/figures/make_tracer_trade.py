@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from rotcal_ros.cli.goal_settings import goal_settings
-from rotcal_ros.errors import PlanError
 from rotcal_ros.figures.style import BLUE, GREEN, GREY, ORANGE, RED, grid, styled, svg
-from rotcal_ros.planning.tracer_design.ordering import ordered_design
-from rotcal_ros.planning.tracer_design.settings import SHARED, TracerDesignSettings
+from rotcal_ros.foundation.errors import PlanError
+from rotcal_ros.methods.tracer.design.ordering import ordered_design
+from rotcal_ros.methods.tracer.design.settings import SHARED, TracerDesignSettings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,7 +11,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.rosbag2_metadata import OfferedQos, qos_text
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
-from rotcal_ros.observations import ProbeSample, TableSample, TemperatureSample
+from rotcal_ros.foundation.observations import ProbeSample, TableSample, TemperatureSample
 
 MESSAGE = Path(__file__).parents[2] / "msg_defs" / "msg" / "ProbePoint.msg"
 POINT = "rotcal_msgs/msg/ProbePoint"

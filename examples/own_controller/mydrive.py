@@ -22,9 +22,9 @@ from rotcal_ros.compensation.parsing import integer, only_file, parse_rows
 from rotcal_ros.compensation.rows import columns_deg, fixed, require_at_most, require_circle
 from rotcal_ros.compensation.rules import PeriodicTable
 from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.errors import BagError
-from rotcal_ros.settings import setting
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.settings import setting
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 TITLE: Final = "MYDRIVE ERROR TABLE"
 DECIMALS: Final = 4

@@ -16,7 +16,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.instrument_plugins.instrument import InstrumentError, Length, Place, Tracer
 
 MICROMETRE = 1e-6

@@ -21,7 +21,7 @@ from scipy.special import (
     ndtri,
 )
 
-from rotcal_ros.arrays import Floats
+from rotcal_ros.foundation.arrays import Floats
 
 
 def chi2_sf(value: float, dof: float) -> float:

@@ -32,7 +32,7 @@ from scipy.special import gammaln
 from rotcal_ros.adjust.felt import Felt, Moment, total
 from rotcal_ros.adjust.groups import Group
 from rotcal_ros.adjust.subsets import LEAST, distinct, most_of
-from rotcal_ros.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 
 SIZES: Final[Floats] = np.array([0.5, 2.0, 8.0, 32.0, 128.0])
 """Standard deviations t of a disturbance, in usual standard deviations of the noise."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.foundation.arrays import Floats, Ints
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,8 @@ import numpy as np
 from rotcal_ros.adjust.distributions import binomial_quantile
 from rotcal_ros.adjust.groups import Group, GroupTest, Undivided, group_test
 from rotcal_ros.adjust.judgement import BELIEF, Belief, Blame, Judgement, judge
-from rotcal_ros.arrays import Floats
-from rotcal_ros.units import MICROMETRE
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.units import MICROMETRE
 
 RARE: Final = 0.05
 """Probability that single outliers by chance are as many as are called off together."""

@@ -17,7 +17,7 @@ import numpy as np
 from rotcal_ros.adjust.distributions import chi2_sf, f_sf
 from rotcal_ros.adjust.felt import Felt
 from rotcal_ros.adjust.low_rank import LowRank
-from rotcal_ros.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 
 CHECKED: Final = 1e-6
 """Share of an observation, or of a combination of some, below which nothing checks it."""

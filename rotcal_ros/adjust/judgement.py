@@ -40,7 +40,7 @@ from rotcal_ros.adjust.explanations import (
 from rotcal_ros.adjust.felt import total
 from rotcal_ros.adjust.groups import Group
 from rotcal_ros.adjust.subsets import LEAST, distinct, most_of
-from rotcal_ros.arrays import Bools, Floats
+from rotcal_ros.foundation.arrays import Bools, Floats
 
 ALIKE: Final = 20.0
 """Likelihood ratio below which two explanations are called nearly as good."""

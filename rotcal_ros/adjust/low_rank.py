@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from scipy.linalg import block_diag
 
-from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.foundation.arrays import Floats, Ints
 
 THIN: Final = 4
 """A rank of more than one in THIN of the rows is no low one: the whole matrix is quicker."""

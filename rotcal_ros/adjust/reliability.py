@@ -16,7 +16,7 @@ from rotcal_ros.adjust.distributions import normal_isf
 from rotcal_ros.adjust.explanations import Hypotheses, shifts
 from rotcal_ros.adjust.felt import Felt
 from rotcal_ros.adjust.groups import Group
-from rotcal_ros.arrays import Bools, Floats
+from rotcal_ros.foundation.arrays import Bools, Floats
 
 UNSEEN: Final = 1e-9
 """Information of a shift, per that of its elements alone, below which nothing shows it."""

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 
 LEAST: Final = 2
 """Elements that gather: one alone is an outlier, and screening's."""

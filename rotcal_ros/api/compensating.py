@@ -10,7 +10,6 @@ from typing import Any, Literal
 from numpy.typing import ArrayLike
 
 from rotcal_ros.api.reading import Name
-from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.agreement import LARGEST_AGE_DAYS, Accepted, Machine
 from rotcal_ros.compensation.earlier import to_be_in_force
 from rotcal_ros.compensation.export import prepare_export
@@ -22,9 +21,10 @@ from rotcal_ros.compensation.table import (
     table_from_result,
 )
 from rotcal_ros.compensation.writing import write_files
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.observations import Approach
-from rotcal_ros.results import Result
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.results import Result
 
 
 def make_table(

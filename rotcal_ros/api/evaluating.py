@@ -8,11 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from rotcal_ros.api.reading import Name
-from rotcal_ros.catalogue.calibration import prepare_whole
-from rotcal_ros.catalogue.configuration import Configuration
-from rotcal_ros.catalogue.measurements import PlannedMeasurements
-from rotcal_ros.catalogue.method import Measurements
-from rotcal_ros.components import unit_of
 from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.evaluation.bidirectional import require_runs
 from rotcal_ros.evaluation.combination import CombinationInput
@@ -24,11 +19,16 @@ from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230
 from rotcal_ros.evaluation.iso230 import iso230 as evaluate_runs
 from rotcal_ros.evaluation.propagated import Propagated, propagated
 from rotcal_ros.evaluation.quick_check import QuickCheck, quick_check
-from rotcal_ros.planning.ball_layout import WEIGHTS, Layout, best_layout
+from rotcal_ros.foundation.components import unit_of
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.methods.ball_plate.design.ball_layout import WEIGHTS, Layout, best_layout
+from rotcal_ros.methods.calibration import prepare_whole
+from rotcal_ros.methods.configuration import Configuration
+from rotcal_ros.methods.measurements import PlannedMeasurements
+from rotcal_ros.methods.method import Measurements
 from rotcal_ros.planning.check_rule import RISK, CheckRule
 from rotcal_ros.recordings.replay import Recording
 from rotcal_ros.recordings.sources import read_curve, read_measured, read_repeated_runs
-from rotcal_ros.results import Result
 
 Curve = Result | MeasuredCurve | Name
 

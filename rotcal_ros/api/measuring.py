@@ -6,13 +6,13 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.capture.capture import Observations, Record
-from rotcal_ros.catalogue.calibration import prepare
-from rotcal_ros.catalogue.configuration import Configuration
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.observations import Observation
-from rotcal_ros.results import Result
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.methods.calibration import prepare
+from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.simulation import SimulatedCell
 
 _SLICE_S = 0.2
@@ -25,10 +25,11 @@ def capture_records(
 ) -> tuple[Observation, ...]:
     """Turn records of the instruments into observations, as the capture node does live.
 
-    ``records`` are those of ``rotcal_ros.observations`` (TracerSample, TableSample, ProbeSample,
-    TemperatureSample, PressureSample, HumiditySample), ns, m, rad, degC and Pa, in the order in
-    which they came. There is one observation per attempt at a step of the plan; a rejected one
-    says why. Raises PlanError and ConfigurationError for a configuration that cannot work.
+    ``records`` are those of ``rotcal_ros.foundation.observations`` (TracerSample, TableSample,
+    ProbeSample, TemperatureSample, PressureSample, HumiditySample), ns, m, rad, degC and Pa, in
+    the order in which they came. There is one observation per attempt at a step of the plan; a
+    rejected one says why. Raises PlanError and ConfigurationError for a configuration that cannot
+    work.
 
     >>> import rotcal_ros as rc
     >>> configuration = rc.read_configuration("examples/data/ball_plate.yaml")

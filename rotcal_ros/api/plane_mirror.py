@@ -27,7 +27,7 @@ cannot be joined.
 True
 """
 
-from rotcal_ros.methods.plane_mirror import PlaneMirrorProblem as Problem
-from rotcal_ros.methods.plane_mirror import TrackerNoise, solve
+from rotcal_ros.methods.plane_mirror.solver import PlaneMirrorProblem as Problem
+from rotcal_ros.methods.plane_mirror.solver import TrackerNoise, solve
 
 __all__ = ["Problem", "TrackerNoise", "solve"]

@@ -5,14 +5,14 @@ from __future__ import annotations
 from os import PathLike
 from pathlib import Path
 
-from rotcal_ros.catalogue.configuration import Configuration, changed
-from rotcal_ros.catalogue.measurements import read_measurements
-from rotcal_ros.catalogue.method import Measurements
-from rotcal_ros.catalogue.setup_file import read_setup
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.methods.configuration import Configuration, changed
+from rotcal_ros.methods.measurements import read_measurements
+from rotcal_ros.methods.method import Measurements
+from rotcal_ros.methods.setup_file import read_setup
 from rotcal_ros.recordings import sources
 from rotcal_ros.recordings.replay import Recording, Source, read_recording
 from rotcal_ros.recordings.topics import Topics
-from rotcal_ros.results import Result
 
 Name = str | PathLike[str]
 """A path as people give it."""

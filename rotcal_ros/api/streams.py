@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.api.reading import Name
-from rotcal_ros.arrays import Ints
 from rotcal_ros.bags.reader import bag_files, read_blocks
-from rotcal_ros.catalogue.configuration import Configuration
-from rotcal_ros.observations import (
+from rotcal_ros.foundation.arrays import Ints
+from rotcal_ros.foundation.observations import (
     HumiditySample,
     PressureSample,
     ProbeSample,
     TemperatureSample,
 )
+from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.recordings.recorded_setup import Decoders, find_configuration
 from rotcal_ros.recordings.streams import StreamFeeder
 from rotcal_ros.recordings.topics import Topics
@@ -41,7 +41,7 @@ _HUMIDITIES: Final = [("stamp_ns", "i8"), ("sensor", "O"), ("humidity", "f8")]
 
 @dataclass(frozen=True, eq=False)
 class RawStreams:
-    """Structured arrays (n,), one row per message; columns as in ``rotcal_ros.observations``.
+    """Structured arrays (n,), one row per message; columns as in ``foundation.observations``.
 
     ``lengths``: stamp_ns, sequence, length (m), status (1: good). ``angles``: stamp_ns, angle
     (rad), velocity (rad/s). ``points``: stamp_ns, the step and attempt that were carried out, kind

@@ -23,8 +23,8 @@ geometry cannot tell.
 True
 """
 
-from rotcal_ros.methods.tracer import TracerLimits as Limits
-from rotcal_ros.methods.tracer import TracerProblem as Problem
-from rotcal_ros.methods.tracer import solve
+from rotcal_ros.methods.tracer.solver import TracerLimits as Limits
+from rotcal_ros.methods.tracer.solver import TracerProblem as Problem
+from rotcal_ros.methods.tracer.solver import solve
 
 __all__ = ["Limits", "Problem", "solve"]

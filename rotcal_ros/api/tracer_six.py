@@ -26,7 +26,7 @@ lengths cannot tell all six.
 True
 """
 
-from rotcal_ros.methods.tracer_six import SixProblem as Problem
-from rotcal_ros.methods.tracer_six import solve
+from rotcal_ros.methods.tracer_six.solver import SixProblem as Problem
+from rotcal_ros.methods.tracer_six.solver import solve
 
 __all__ = ["Problem", "solve"]

@@ -10,9 +10,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.arrays import Bools, Bytes, Ints
 from rotcal_ros.bags.mcap_records import HEADER_SIZE, MESSAGE, DamagedRecord
 from rotcal_ros.bags.reading_limits import refusal
+from rotcal_ros.foundation.arrays import Bools, Bytes, Ints
 
 HEADER_TYPE: Final = np.dtype(
     [("channel", "<u2"), ("sequence", "<u4"), ("log_time", "<u8"), ("publish_time", "<u8")]

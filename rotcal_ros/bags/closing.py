@@ -50,8 +50,8 @@ from rotcal_ros.bags.rosbag2_metadata import FileInfo
 from rotcal_ros.bags.session_identity import file_head
 from rotcal_ros.bags.verdict import FileVerdict
 from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.errors import BagError
-from rotcal_ros.files import (
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.files import (
     remove_durably,
     replace_atomically,
     replace_tail,

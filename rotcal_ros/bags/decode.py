@@ -24,12 +24,12 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from rotcal_ros.arrays import Bools, Bytes, Ints
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.mcap_records import DamagedRecord
 from rotcal_ros.bags.reading_limits import LARGEST_MESSAGE
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.arrays import Bools, Bytes, Ints
+from rotcal_ros.foundation.errors import BagError
 
 _MAX_LAYOUTS: Final = 64
 _HEADER: Final = (Nodetype.NAME, "std_msgs/msg/Header")

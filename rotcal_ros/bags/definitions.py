@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
 
 ShareLookup = Callable[[str], Path]
 """Returns the share folder of a ROS package; raises LookupError (or KeyError) when unknown."""

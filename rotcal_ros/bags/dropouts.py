@@ -18,7 +18,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
 
 _LARGEST: Final = 1 << 64
 """Beyond what log times and counts in a bag can be."""

@@ -25,11 +25,11 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
-from rotcal_ros.arrays import Ints
 from rotcal_ros.bags import mcap_records as mcap
 from rotcal_ros.bags.blocks import HEADER_TYPE, Block
 from rotcal_ros.bags.framing import Record
 from rotcal_ros.bags.mcap_records import ChunkRecord
+from rotcal_ros.foundation.arrays import Ints
 
 Report = Callable[[int, str], None]
 """Called with the offset and the words of each fault."""

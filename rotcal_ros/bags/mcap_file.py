@@ -14,8 +14,8 @@ from mcap.writer import CompressionType, Writer
 from rotcal_ros import __version__
 from rotcal_ros.bags import names
 from rotcal_ros.bags.definitions import ChannelDefinition, dump_definitions, schema_bytes
-from rotcal_ros.errors import BagError
-from rotcal_ros.files import DurableFile
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.files import DurableFile
 
 LIBRARY: Final = f"rotcal_ros {__version__}"
 _QOS: Final = "offered_qos_profiles"

@@ -51,7 +51,7 @@ from rotcal_ros.bags.scan import Item, Scan
 from rotcal_ros.bags.unpacking import Unpacker
 from rotcal_ros.bags.verdict import Damage, FileVerdict, State
 from rotcal_ros.bags.whole_file import opened
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
 
 _RUN_BYTES: Final = 1 << 20
 _WHOLE: Final = re.compile(r"-?[0-9]{1,18}")

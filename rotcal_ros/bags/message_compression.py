@@ -18,8 +18,8 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.mcap_records import DamagedRecord
 from rotcal_ros.bags.reading_limits import LARGEST_MESSAGE
 from rotcal_ros.bags.unpacking import SKIPPABLE, zstd_message
-from rotcal_ros.errors import BagError
-from rotcal_ros.untrusted import open_plain
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.untrusted import open_plain
 
 Unpack = Callable[[bytes], bytes]
 """Returns the message in compressed bytes; raises DamagedRecord."""

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from rotcal_ros import session_folder
+from rotcal_ros.foundation import session_folder
 
 CONFIGURATION: Final = session_folder.CONFIGURATION
 """Attachment: the configuration text, byte for byte as it was given."""

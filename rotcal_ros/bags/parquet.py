@@ -16,8 +16,8 @@ from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks
 from rotcal_ros.bags.session_verdict import judge_session
-from rotcal_ros.errors import BagError, ConfigurationError
-from rotcal_ros.files import sync_folder
+from rotcal_ros.foundation.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.files import sync_folder
 
 TIMES: Final = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 LOG_TIME: Final = "log_time_ns"

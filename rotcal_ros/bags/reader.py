@@ -16,8 +16,8 @@ from rotcal_ros.bags.scan import Item, Scan
 from rotcal_ros.bags.unread import note_verdict
 from rotcal_ros.bags.verdict import FileVerdict
 from rotcal_ros.bags.whole_file import plain_name
-from rotcal_ros.errors import BagError
-from rotcal_ros.untrusted import why
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.untrusted import why
 
 Progress = Callable[[int, int], None]
 """Called with the bytes done and the bytes in all."""

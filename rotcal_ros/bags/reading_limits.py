@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.settings import load, setting
-from rotcal_ros.untrusted import load_yaml
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.settings import load, setting
+from rotcal_ros.foundation.untrusted import load_yaml
 
 _GROUP: Final = "reading"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from rotcal_ros.bags.writer_settings import WriterSettings
-from rotcal_ros.settings import group, setting
+from rotcal_ros.foundation.settings import group, setting
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,8 @@ from rotcal_ros.bags.session_identity import require_one_session
 from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session
 from rotcal_ros.bags.verdict import FileVerdict
 from rotcal_ros.bags.whole_file import plain_name
-from rotcal_ros.errors import BagError
-from rotcal_ros.files import FolderLock, sync_folder, write_atomically
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.files import FolderLock, sync_folder, write_atomically
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from rotcal_ros.bags.session_verdict import judge_session
 from rotcal_ros.bags.verdict import FileVerdict, session_losses
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
 
 _MESSAGE_BYTES: Final = 31
 """What a message takes in a file beside its payload."""

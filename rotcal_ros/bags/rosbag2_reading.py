@@ -9,8 +9,8 @@ from typing import Any, Final
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.rosbag2_metadata import VERSION
-from rotcal_ros.errors import BagError, ConfigurationError
-from rotcal_ros.untrusted import load_yaml, read_text, why
+from rotcal_ros.foundation.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.untrusted import load_yaml, read_text, why
 
 METADATA_FILE: Final = "metadata.yaml"
 INFORMATION: Final = "rosbag2_bagfile_information"

@@ -14,8 +14,8 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.dropouts import DropoutReader
 from rotcal_ros.bags.verdict import FileVerdict, TopicCount
-from rotcal_ros.errors import BagError
-from rotcal_ros.untrusted import require_plain, why
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.untrusted import require_plain, why
 
 Item = Block | Attachment | Metadata
 """What stands in a file: messages and what is beside them."""

@@ -14,7 +14,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import bag_files, scan_file
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.rosbag2_reading import recorded_files
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
 
 _SHOWN: Final = 8
 """Characters of an identity that people are shown."""

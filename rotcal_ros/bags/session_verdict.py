@@ -22,7 +22,7 @@ from rotcal_ros.bags.rosbag2_reading import (
 from rotcal_ros.bags.unread import note_unread
 from rotcal_ros.bags.verdict import FileVerdict
 from rotcal_ros.bags.whole_file import PACKED
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
 
 _TOLERANCE_NS: Final = 1_000_000
 _NAMED: Final = 100

@@ -17,7 +17,7 @@ from urllib.parse import quote_from_bytes
 from rotcal_ros.bags import whole_file
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, LARGEST_MESSAGE, ReadingLimits
 from rotcal_ros.bags.verdict import Damage
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
 
 _LEFT_BESIDE: Final = ("-wal", "-journal")
 _MAX_FAULTS: Final = 20

@@ -33,7 +33,7 @@ from rotcal_ros.bags.scan import Scan
 from rotcal_ros.bags.sqlite_file import FAILURES, Database, opened, text, words
 from rotcal_ros.bags.sqlite_salvage import salvaged
 from rotcal_ros.bags.verdict import Damage, FileVerdict, TopicCount
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
 
 _BLOCK_BYTES: Final = 1 << 20
 _MAX_CHANNELS: Final = 1 << 16

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.settings import check_ros_name, setting
-from rotcal_ros.units import ARCSEC, DEGREE, MICRORADIAN
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.settings import check_ros_name, setting
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICRORADIAN
 
 LENGTH_UNITS: Final = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}
 """Units of lengths and positions in m."""

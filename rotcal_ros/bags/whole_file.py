@@ -11,8 +11,8 @@ from typing import IO, BinaryIO, Final
 import zstandard
 
 from rotcal_ros.bags.reading_limits import ReadingLimits, refusal
-from rotcal_ros.errors import BagError
-from rotcal_ros.untrusted import open_plain
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.untrusted import open_plain
 
 PACKED: Final = ".zstd"
 """The ending of such a file, behind the one of its storage."""

@@ -13,14 +13,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from rotcal_ros import disk
 from rotcal_ros.bags import names
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.mcap_file import LIBRARY, Attached, McapFile
 from rotcal_ros.bags.rosbag2_metadata import FileInfo, bag_information, yaml_text
 from rotcal_ros.bags.writer_settings import WriterSettings
-from rotcal_ros.errors import BagError
-from rotcal_ros.files import FolderLock, make_folder, sync_folder, write_atomically
+from rotcal_ros.foundation import disk
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.files import FolderLock, make_folder, sync_folder, write_atomically
 
 T = TypeVar("T")
 

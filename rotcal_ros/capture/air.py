@@ -11,8 +11,8 @@ from typing import Final
 
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import Stream
-from rotcal_ros.observations import HumiditySample, PressureSample, TemperatureSample
-from rotcal_ros.units import NANOSECOND
+from rotcal_ros.foundation.observations import HumiditySample, PressureSample, TemperatureSample
+from rotcal_ros.foundation.units import NANOSECOND
 
 AirSample = TemperatureSample | PressureSample | HumiditySample
 

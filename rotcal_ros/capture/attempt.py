@@ -10,9 +10,9 @@ from rotcal_ros.capture.air import Air, AirStreams
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import NEVER, Stream
 from rotcal_ros.capture.window import Reduced, TracerStream
-from rotcal_ros.observations import Observation, ProbeSample
+from rotcal_ros.foundation.observations import Observation, ProbeSample
+from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.planning.plan import Step
-from rotcal_ros.units import NANOSECOND
 
 UNKNOWN_AIR: Final = Air()
 

@@ -12,8 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Bools, Floats, Stamps
-from rotcal_ros.units import NANOSECOND
+from rotcal_ros.foundation.arrays import Bools, Floats, Stamps
+from rotcal_ros.foundation.units import NANOSECOND
 
 WRAP: Final = 1 << 32
 """Sequence numbers are 32 bits wide."""

@@ -14,7 +14,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.arrays import Stamps
 from rotcal_ros.capture.air import QUANTITIES, AirSample, AirStreams
 from rotcal_ros.capture.attempt import Attempt, Streams, Wait, nanoseconds, seconds
 from rotcal_ros.capture.beam import Beam
@@ -24,7 +23,8 @@ from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import NEVER, Stream, StreamCounts
 from rotcal_ros.capture.table import VELOCITY, why_not_at_rest, wrongly_told
 from rotcal_ros.capture.window import TracerStream
-from rotcal_ros.observations import (
+from rotcal_ros.foundation.arrays import Stamps
+from rotcal_ros.foundation.observations import (
     Command,
     Observation,
     PointKind,

@@ -16,7 +16,7 @@ from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import Stream
 from rotcal_ros.capture.table import arrival, departure, mean_angle, why_not_at_rest
 from rotcal_ros.capture.window import TracerStream, clock_jump, reduce_window
-from rotcal_ros.observations import Observation
+from rotcal_ros.foundation.observations import Observation
 
 _MEMORY = "samples of that time are no longer in memory: one stream is far behind the others"
 

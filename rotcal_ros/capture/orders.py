@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from rotcal_ros.messages import command, stamp_ns
-from rotcal_ros.observations import Command
+from rotcal_ros.capture.messages import command, stamp_ns
+from rotcal_ros.foundation.observations import Command
 
 WAITING_LIMIT: Final = 64
 """Messages that wait for their partner at most; beyond that the oldest is forgotten."""

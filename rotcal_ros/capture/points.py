@@ -20,9 +20,9 @@ from rotcal_ros.capture.rules import Decide
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.table import departure, farthest, mean_angle
 from rotcal_ros.capture.window import Reduced, mean_and_scatter
-from rotcal_ros.observations import Observation, ProbeSample
+from rotcal_ros.foundation.observations import Observation, ProbeSample
+from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.planning.plan import Step
-from rotcal_ros.units import ARCSEC
 
 PointReducer = Callable[[Sequence[ProbeSample], Step, CaptureSettings], Reduced]
 """How the points of a step become one value."""

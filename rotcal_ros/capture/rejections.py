@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Final
 
-from rotcal_ros.observations import Observation, place_in_words
+from rotcal_ros.foundation.observations import Observation, place_in_words
 
 ALARM_AFTER: Final = 3
 """Attempts rejected running from which on it is an alarm, no more a mere concern."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from rotcal_ros.capture.attempt import Attempt, Streams, Wait
 from rotcal_ros.capture.settings import CaptureSettings
-from rotcal_ros.observations import Observation, PointKind
+from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.planning.plan import Plan
 
 Decide = Callable[[Attempt, Streams, CaptureSettings], Observation | Wait]

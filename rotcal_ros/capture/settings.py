@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.settings import setting
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.settings import setting
 
 MAX_WINDOW_SAMPLES = 50_000
 

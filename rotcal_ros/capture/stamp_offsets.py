@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.capture.settings import CaptureSettings
-from rotcal_ros.observations import Observation
-from rotcal_ros.units import NANOSECOND
+from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.foundation.units import NANOSECOND
 
 LENGTHS: Final = "tracer_length"
 REFERENCE: Final = "joint_states"

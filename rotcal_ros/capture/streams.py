@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.arrays import Floats, Stamps, steps_from
+from rotcal_ros.foundation.arrays import Floats, Stamps, steps_from
 
 CAPACITY = 1 << 17
 """Samples that a stream remembers at least: two minutes of a 1 kHz stream."""

@@ -7,12 +7,12 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Bools, Floats, steps_from
 from rotcal_ros.capture.attempt import nanoseconds
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import Stream
-from rotcal_ros.table_motion import PUBLISH_VELOCITY, in_degrees
-from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
+from rotcal_ros.foundation.arrays import Bools, Floats, steps_from
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
+from rotcal_ros.planning.table_motion import PUBLISH_VELOCITY, in_degrees
 
 ANGLE, VELOCITY = range(2)
 """Columns of the table stream, rad and rad/s."""

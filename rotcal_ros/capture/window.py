@@ -10,12 +10,12 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats, Ints, Stamps, steps_from
 from rotcal_ros.capture.beam import WRAP, Beam
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import Stream
-from rotcal_ros.observations import LengthStatus
-from rotcal_ros.units import MICROMETRE, NANOSECOND
+from rotcal_ros.foundation.arrays import Floats, Ints, Stamps, steps_from
+from rotcal_ros.foundation.observations import LengthStatus
+from rotcal_ros.foundation.units import MICROMETRE, NANOSECOND
 
 SEQUENCE, LENGTH, STATUS = range(3)
 """Columns of the tracer stream; the last one holds the :class:`Fault` once admitted."""

@@ -21,7 +21,6 @@ import numpy as np
 from lxml import etree
 
 from rotcal_ros import __version__
-from rotcal_ros.arrays import Floats
 from rotcal_ros.certificate.elements import (
     DCC,
     DCC_NAMESPACE,
@@ -34,12 +33,13 @@ from rotcal_ros.certificate.elements import (
     present,
     text,
 )
-from rotcal_ros.circumstances import SIMULATED, Circumstances, Range
-from rotcal_ros.components import COVERAGE_FACTOR, TRANSLATIONS
-from rotcal_ros.errors import ConfigurationError, DataError
-from rotcal_ros.identity import Identity, Instrument
-from rotcal_ros.in_force import in_words
-from rotcal_ros.results import Result
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.circumstances import SIMULATED, Circumstances, Range
+from rotcal_ros.foundation.components import COVERAGE_FACTOR, TRANSLATIONS
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.identity import Identity, Instrument
+from rotcal_ros.foundation.in_force import in_words
+from rotcal_ros.foundation.results import Result
 
 SCHEMA: Final = "3.3.0"
 LARGEST_TEXT: Final = 9_900_000

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from lxml.builder import ElementMaker
 
-from rotcal_ros.escapes import printable, printable_lines
+from rotcal_ros.foundation.escapes import printable, printable_lines
 
 DCC_NAMESPACE: Final = "https://ptb.de/dcc"
 SI_NAMESPACE: Final = "https://ptb.de/si"

@@ -12,7 +12,7 @@ from signxml.verifier import XMLVerifier
 
 from rotcal_ros.certificate.document import as_bytes
 from rotcal_ros.certificate.elements import DCC_NAMESPACE
-from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
 
 ROOT: Final = f"{{{DCC_NAMESPACE}}}digitalCalibrationCertificate"
 

@@ -10,7 +10,7 @@ import click
 from rotcal_ros.cli.console import INTERRUPTED, json_option, path_type, print_outcome
 
 if TYPE_CHECKING:
-    from rotcal_ros.session_folder import SessionFolder
+    from rotcal_ros.foundation.session_folder import SessionFolder
 
 OUT = Path("out")
 
@@ -25,7 +25,7 @@ def command(folder: Path | None, stop: bool, as_json: bool) -> int:
     Enter says that what is asked of a person is done. The exit code is that of 'rotcal run', or 0
     once --stop has stopped it. Ctrl-C only leaves: the calibration goes on.
     """
-    from rotcal_ros.errors import RotcalError
+    from rotcal_ros.foundation.errors import RotcalError
     from rotcal_ros.report.terminal.console import say
     from rotcal_ros.sessions.attaching import watch
 
@@ -47,8 +47,8 @@ def command(folder: Path | None, stop: bool, as_json: bool) -> int:
 
 def _session(folder: Path | None) -> SessionFolder:
     """Return the session in a folder; without one that which alone runs below out/."""
-    from rotcal_ros.errors import ConfigurationError
-    from rotcal_ros.session_folder import SessionFolder
+    from rotcal_ros.foundation.errors import ConfigurationError
+    from rotcal_ros.foundation.session_folder import SessionFolder
     from rotcal_ros.sessions.attaching import running_sessions
 
     if folder is not None:

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rotcal_ros.bags.reading_limits import ReadingLimits, changed_limits
-from rotcal_ros.circumstances import NOTHING_MEASURED
 from rotcal_ros.cli.bag_parquet import command as parquet
 from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.foundation.circumstances import NOTHING_MEASURED
 from rotcal_ros.report.terminal.console import progress, say, tell
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.report.terminal.console import say
 
 if TYPE_CHECKING:
-    from rotcal_ros.catalogue.check_lines import CellReport
+    from rotcal_ros.methods.check_lines import CellReport
 
 
 @click.group()
@@ -91,7 +91,7 @@ def _moved(configuration: Path, report: CellReport) -> CellReport:
 
 def _answered(report: CellReport) -> CellReport:
     """Ask the person which way round the table turned, where no instrument could tell."""
-    from rotcal_ros.catalogue.trial_motion import handedness_seen
+    from rotcal_ros.methods.trial_motion import handedness_seen
 
     if not any(line.name == "handedness" and line.state == "open" for line in report.lines):
         return report

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import click
 
 from rotcal_ros.cli.console import VERDICT_EXIT_CODES
-from rotcal_ros.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.report.terminal.console import say
-from rotcal_ros.session_folder import SessionFolder
 
 if TYPE_CHECKING:
     from rotcal_ros.recordings.inputs import Input
@@ -27,10 +27,10 @@ def write_certificate(
     """
     if (key is None) != (x509 is None):
         raise click.UsageError("a signature needs both: --sign KEY --certificate X509")
-    from rotcal_ros.catalogue import find_method, method_names
-    from rotcal_ros.files import write_atomically
+    from rotcal_ros.foundation.files import write_atomically
+    from rotcal_ros.foundation.untrusted import read_bytes
+    from rotcal_ros.methods import find_method, method_names
     from rotcal_ros.recordings.sources import read_source
-    from rotcal_ros.untrusted import read_bytes
 
     try:
         from rotcal_ros.certificate.document import certificate

@@ -11,7 +11,7 @@ import click
 from rotcal_ros.cli.check_options import rule_of, rule_options
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.curve_options import align_option, component_option, reference_option
-from rotcal_ros.components import unit_of
+from rotcal_ros.foundation.components import unit_of
 
 if TYPE_CHECKING:
     from rotcal_ros.evaluation.quick_check import CheckVerdict

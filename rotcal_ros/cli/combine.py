@@ -56,7 +56,7 @@ def command(
     code is 0 for the verdict ok and 1 for suspect.
     """
     from rotcal_ros.evaluation.combination import combine
-    from rotcal_ros.files import write_atomically
+    from rotcal_ros.foundation.files import write_atomically
     from rotcal_ros.recordings.sources import read_measured
 
     faces = polygon_faces(polygon, sources)

@@ -11,7 +11,7 @@ from typing import Final
 import click
 from click.shell_completion import CompletionItem
 
-from rotcal_ros import plugins
+from rotcal_ros.foundation import plugins
 
 FOLDER: Final = "config"
 """Where configurations are usually kept."""

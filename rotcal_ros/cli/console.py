@@ -9,7 +9,7 @@ from typing import Any, Final, TypeVar
 
 import click
 
-from rotcal_ros.files import write_atomically
+from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.report.terminal.console import say, tell
 
 Function = TypeVar("Function", bound=Callable[..., Any])

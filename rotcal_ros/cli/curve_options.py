@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from rotcal_ros.components import COMPONENTS
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.units import ARCSEC
 
 if TYPE_CHECKING:
     from rotcal_ros.curves.measured import MeasuredCurve
@@ -46,8 +46,8 @@ def polygon_faces(polygon: Path | None, sources: Iterable[Path]) -> MeasuredCurv
     if polygon is None:
         return None
     from rotcal_ros.evaluation.reference import read_reference
+    from rotcal_ros.foundation.tables import is_table
     from rotcal_ros.recordings.sources import read_text
-    from rotcal_ros.tables import is_table
 
     if not any(map(is_table, sources)):
         raise click.UsageError("--polygon belongs to a reference table, none is given")

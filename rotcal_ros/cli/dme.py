@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from rotcal_ros.cli.console import path_type
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.foundation.errors import ConfigurationError
 
 
 @click.group()
@@ -36,8 +36,8 @@ def serve(configuration: Path, host: str, port: int, version: str) -> None:
     """
     import asyncio
 
-    from rotcal_ros.catalogue.configuration import read_configuration
     from rotcal_ros.dme.server import DmeServer
+    from rotcal_ros.methods.configuration import read_configuration
 
     read = read_configuration(configuration)
     if not read.simulated:

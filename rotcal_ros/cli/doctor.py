@@ -18,11 +18,11 @@ from typing import Final
 import click
 
 from rotcal_ros.cli.console import json_option, path_type, print_json
-from rotcal_ros.distribution import SUPPORTED, distribution, rclpy_version
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.escapes import printable
-from rotcal_ros.machine_load import patient
-from rotcal_ros.middleware import middleware
+from rotcal_ros.foundation.distribution import SUPPORTED, distribution, rclpy_version
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.escapes import printable
+from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.middleware import middleware
 from rotcal_ros.sessions.domains import free_domain
 
 COMPILERS: Final = (("CC", "cc"), ("CXX", "c++"))

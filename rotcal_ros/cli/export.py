@@ -14,16 +14,16 @@ import click
 from rotcal_ros.cli.completion import formats
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.input_options import setup_options
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.report.terminal.console import say, tell
-from rotcal_ros.units import DEGREE
 
 if TYPE_CHECKING:
     from rotcal_ros.compensation.agreement import Accepted, Machine
     from rotcal_ros.compensation.export import ExportFiles
     from rotcal_ros.compensation.table import CompensationTable
+    from rotcal_ros.foundation.results import Result
     from rotcal_ros.recordings.sources import Source
-    from rotcal_ros.results import Result
 
 VOLUMETRIC: Final = "volumetric"
 """Not a controller: all deviations that were measured, as CSV and JSON."""
@@ -109,7 +109,7 @@ def command(
     from rotcal_ros.compensation.earlier import to_be_in_force
     from rotcal_ros.compensation.export import prepare_export
     from rotcal_ros.compensation.writing import write_files
-    from rotcal_ros.components import check_axis
+    from rotcal_ros.foundation.components import check_axis
 
     changes = tuple(option for option in options if _of_configuration(option))
     own = tuple(option for option in options if option not in changes)
@@ -189,7 +189,7 @@ def _write_volumetric(
     from rotcal_ros.compensation.agreement import Machine, require
     from rotcal_ros.compensation.volumetric import volumetric_files
     from rotcal_ros.compensation.writing import write_files
-    from rotcal_ros.in_force import in_words
+    from rotcal_ros.foundation.in_force import in_words
 
     measured = Machine(asked.measured_axis, result.circumstances.identity.serial)
     begun_ns = result.circumstances.begun_ns or 0
@@ -222,7 +222,7 @@ def _radians(degrees: float | None) -> float | None:
 
 def _of_configuration(option: str) -> bool:
     """Return whether ``option`` names its group, as settings of a configuration do."""
-    from rotcal_ros.catalogue.configuration import GROUPS
+    from rotcal_ros.methods.configuration import GROUPS
 
     return option.partition("=")[0].partition(".")[0] in GROUPS
 

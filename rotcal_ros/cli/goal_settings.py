@@ -6,12 +6,12 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.untrusted import load_yaml, read_text, why
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.untrusted import load_yaml, read_text, why
 
 if TYPE_CHECKING:
-    from rotcal_ros.catalogue.configuration import Configuration
-    from rotcal_ros.planning.tracer_design.settings import TracerDesignSettings
+    from rotcal_ros.methods.configuration import Configuration
+    from rotcal_ros.methods.tracer.design.settings import TracerDesignSettings
 
 
 def goal_settings(
@@ -21,8 +21,8 @@ def goal_settings(
 
     Raises ConfigurationError, with the place, for those that there are not.
     """
-    from rotcal_ros.planning.tracer_design.settings import TracerDesignSettings
-    from rotcal_ros.settings import load
+    from rotcal_ros.foundation.settings import load
+    from rotcal_ros.methods.tracer.design.settings import TracerDesignSettings
 
     values = {} if pattern is None else _of_pattern(pattern)
     if goal is not None:
@@ -53,7 +53,7 @@ def _of_file(goal: Path) -> dict[str, Any]:
 
 def _of_pattern(pattern: Configuration) -> dict[str, Any]:
     """Return what a configuration of the method tells of a goal's settings."""
-    from rotcal_ros.planning.tracer_design.settings import PER_STATION, SHARED
+    from rotcal_ros.methods.tracer.design.settings import PER_STATION, SHARED
 
     plan, solver, simulation = pattern.plan, pattern.solver, pattern.simulation
     angles = ("table_start_deg", "table_step_deg", "table_positions", "table_angles_deg")

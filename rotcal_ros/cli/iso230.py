@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from rotcal_ros.cli.console import NamedFile, draw, json_option, path_type, print_json
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.units import ARCSEC
 
 
 @click.command()

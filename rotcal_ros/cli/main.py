@@ -12,8 +12,8 @@ import click
 
 from rotcal_ros import __version__
 from rotcal_ros.cli.console import INTERRUPTED
-from rotcal_ros.errors import RotcalError
-from rotcal_ros.escapes import printable
+from rotcal_ros.foundation.errors import RotcalError
+from rotcal_ros.foundation.escapes import printable
 
 UNREADABLE: Final = 2
 BROKEN_PIPE: Final = 141
@@ -80,7 +80,7 @@ class LazyGroup(click.Group):
         """Find the verb; a misspelt one fails with the name that was probably meant."""
         name = args[0]
         if name not in VERBS and not name.startswith("-"):
-            from rotcal_ros.plugins import nearest
+            from rotcal_ros.foundation.plugins import nearest
 
             context.fail(f"no verb {name!r}{nearest(name, VERBS)}")
         return super().resolve_command(context, args)
@@ -163,7 +163,7 @@ def _explain(error: Exception) -> int:
     if isinstance(error, ModuleNotFoundError) and error.name in OF_PIP_ALONE:
         _complain(f"{error.name} is missing: pip install {' '.join(OF_PIP_ALONE)}")
         return UNREADABLE
-    from rotcal_ros.plugins import culprit, in_words
+    from rotcal_ros.foundation.plugins import culprit, in_words
 
     if isinstance(error, OSError) and error.strerror and not culprit(error):
         _complain(f"{error.strerror}: {error.filename}" if error.filename else error.strerror)

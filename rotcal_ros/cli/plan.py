@@ -15,16 +15,16 @@ import click
 from rotcal_ros.cli import plan_check, reliability, sequence, tracer_design, trade
 from rotcal_ros.cli.completion import configurations
 from rotcal_ros.cli.console import json_option, path_type, print_json
-from rotcal_ros.components import COMPONENTS, COVERAGE_FACTOR, unit_of
-from rotcal_ros.errors import PlanError
-from rotcal_ros.protection import TOLERABLE
+from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
+from rotcal_ros.foundation.errors import PlanError
+from rotcal_ros.foundation.protection import TOLERABLE
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, HOUR, MICROMETRE
 from rotcal_ros.report.terminal.console import progress
-from rotcal_ros.units import ARCSEC, DEGREE, HOUR, MICROMETRE
 
 if TYPE_CHECKING:
-    from rotcal_ros.planning.ball_layout import Layout
-    from rotcal_ros.planning.ball_plan import BallPlan, Kinematics
-    from rotcal_ros.planning.order_forecast import OrderForecast, UnitEffect
+    from rotcal_ros.methods.ball_plate.design.ball_layout import Layout
+    from rotcal_ros.methods.ball_plate.design.ball_plan import BallPlan, Kinematics
+    from rotcal_ros.methods.ball_plate.design.order_forecast import OrderForecast, UnitEffect
 
 
 positive = click.FloatRange(min=0.0, min_open=True)
@@ -98,9 +98,9 @@ def plate(
     layout can beat. For every order of measurement it predicts what a drift of the CMM and a
     knock of the plate would do, and from which size on they are found.
     """
-    from rotcal_ros.planning.ball_layout import best_layout
-    from rotcal_ros.planning.ball_plan import Kinematics
-    from rotcal_ros.planning.order_forecast import forecast
+    from rotcal_ros.methods.ball_plate.design.ball_layout import best_layout
+    from rotcal_ros.methods.ball_plate.design.ball_plan import Kinematics
+    from rotcal_ros.methods.ball_plate.design.order_forecast import forecast
 
     with progress("layouts") as shown:
         layout = best_layout(
@@ -155,8 +155,8 @@ def effort(
     as_json: bool,
 ) -> int:
     """Say how many balls and CMM positions an uncertainty needs, the least work first."""
-    from rotcal_ros.planning.ball_plan import Kinematics, plan_measurement
-    from rotcal_ros.planning.effort import required_effort
+    from rotcal_ros.methods.ball_plate.design.ball_plan import Kinematics, plan_measurement
+    from rotcal_ros.methods.ball_plate.design.effort import required_effort
 
     component, limit = _need(need)
     ways = required_effort(
@@ -210,10 +210,10 @@ def order(
     as_json: bool,
 ) -> int:
     """Print the measuring order of a ball plate configuration with its predicted duration."""
-    from rotcal_ros.catalogue import prepare_whole
-    from rotcal_ros.catalogue.ball_plate.plan import measuring_order
-    from rotcal_ros.catalogue.configuration import read_configuration
-    from rotcal_ros.planning.ball_plan import Kinematics
+    from rotcal_ros.methods import prepare_whole
+    from rotcal_ros.methods.ball_plate.design.ball_plan import Kinematics
+    from rotcal_ros.methods.ball_plate.plan import measuring_order
+    from rotcal_ros.methods.configuration import read_configuration
 
     prepared = prepare_whole(read_configuration(configuration))
     settings = prepared.configuration.plan
@@ -240,7 +240,7 @@ def order(
 
 def _orders(layout: Layout, radius: float, kinematics: Kinematics) -> dict[str, BallPlan]:
     """Return the measurement of a layout in every order there is."""
-    from rotcal_ros.planning.ball_plan import Order, plan_measurement
+    from rotcal_ros.methods.ball_plate.design.ball_plan import Order, plan_measurement
 
     steps = list(layout.steps)
     return {

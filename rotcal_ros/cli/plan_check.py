@@ -11,16 +11,16 @@ import numpy as np
 from rotcal_ros.cli.check_options import rule_of, rule_options
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.goal_settings import goal_settings
-from rotcal_ros.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.report.terminal.columns import Column, print_table, print_words
 from rotcal_ros.report.terminal.console import progress, say
-from rotcal_ros.units import ARCSEC, DEGREE
 
 if TYPE_CHECKING:
-    from rotcal_ros.catalogue.tracer.check_plan import CheckPlan
+    from rotcal_ros.methods.tracer.check_plan import CheckPlan
 
 LEAST_REDUNDANCY: Final = 0.25
-"""That of rotcal_ros.planning.tracer_design.check_lengths, which takes long to load."""
+"""That of rotcal_ros.methods.tracer.design.check_lengths, which takes long to load."""
 
 
 @click.command()
@@ -93,9 +93,9 @@ def _planned(
     **rule: Any,
 ) -> CheckPlan:
     """Return the plan that the options ask for; ``rule`` are those of :func:`rule_options`."""
-    from rotcal_ros.catalogue import changed, read_configuration
-    from rotcal_ros.catalogue.tracer.check_plan import plan_check
-    from rotcal_ros.catalogue.tracer.table import read_targets
+    from rotcal_ros.methods import changed, read_configuration
+    from rotcal_ros.methods.tracer.check_plan import plan_check
+    from rotcal_ros.methods.tracer.table import read_targets
     from rotcal_ros.recordings.sources import read_curve
 
     configuration = changed(read_configuration(setup), changes)

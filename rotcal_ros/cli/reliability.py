@@ -9,13 +9,13 @@ import click
 
 from rotcal_ros.cli.completion import configurations
 from rotcal_ros.cli.console import json_option, path_type, print_json
-from rotcal_ros.errors import DataError
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.report.terminal.columns import Column, print_table, print_words
-from rotcal_ros.units import MICROMETRE
 
 if TYPE_CHECKING:
-    from rotcal_ros.catalogue import Calibration
-    from rotcal_ros.observations import Observation
+    from rotcal_ros.foundation.observations import Observation
+    from rotcal_ros.methods import Calibration
 
 SEED = 1
 """Of the noise with which the plan is measured; redundancies do not depend on it."""
@@ -61,8 +61,8 @@ def command(
     The observations are listed by what a slightly smaller error, which may stay unseen, would do
     to the deviations, in their standard uncertainties.
     """
-    from rotcal_ros.catalogue import changed, prepare_whole, read_configuration
     from rotcal_ros.evaluation.reliability import effects_on_deviations, reliability
+    from rotcal_ros.methods import changed, prepare_whole, read_configuration
 
     calibration = prepare_whole(changed(read_configuration(configuration), changes)).of_distances
     observations = _predicted(calibration)

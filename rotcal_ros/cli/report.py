@@ -9,12 +9,12 @@ import click
 
 from rotcal_ros.cli.console import VERDICT_EXIT_CODES, NamedFile
 from rotcal_ros.cli.input_options import set_option, setup_options
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.report.terminal.console import say
-from rotcal_ros.session_folder import SessionFolder
 
 if TYPE_CHECKING:
-    from rotcal_ros.results import Result
+    from rotcal_ros.foundation.results import Result
 
 
 @click.command()
@@ -125,7 +125,7 @@ def _acting(result: Result, in_force: Path | None) -> int:
 
 def _truth(path: Path) -> dict[str, Any]:
     """Return what a simulation injected; BagError when the file does not say."""
-    from rotcal_ros.untrusted import load_json, read_bytes, why
+    from rotcal_ros.foundation.untrusted import load_json, read_bytes, why
 
     try:
         truth = load_json(read_bytes(path))

@@ -13,8 +13,8 @@ import click
 from rotcal_ros.bags.unread import note_unread
 from rotcal_ros.cli.completion import configurations
 from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.foundation.session_folder import OVERVIEW, RESULTS_TABLE
 from rotcal_ros.report.terminal.console import progress, say, tell
-from rotcal_ros.session_folder import OVERVIEW, RESULTS_TABLE
 
 if TYPE_CHECKING:
     from rotcal_ros.recordings.kept import Outcome
@@ -72,7 +72,7 @@ def command(
     this verb costs only the bags in hand. One bad bag does not stop the rest; the exit code is
     then 1.
     """
-    from rotcal_ros.catalogue.configuration import read_configuration
+    from rotcal_ros.methods.configuration import read_configuration
     from rotcal_ros.recordings.finding import find_bags
     from rotcal_ros.recordings.many import Job
     from rotcal_ros.recordings.results_dataset import ResultsDataset

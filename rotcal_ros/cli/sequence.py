@@ -12,14 +12,14 @@ import numpy as np
 from rotcal_ros.cli.completion import configurations
 from rotcal_ros.cli.console import NamedFile, json_option, path_type, print_json
 from rotcal_ros.cli.reliability import SEED
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.protection import TOLERABLE
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.protection import TOLERABLE
 from rotcal_ros.report.terminal.columns import Column, print_table, print_words
 from rotcal_ros.report.terminal.console import progress
 
 if TYPE_CHECKING:
-    from rotcal_ros.catalogue import Calibration
-    from rotcal_ros.planning.sequence_choice import MeasuringOrder
+    from rotcal_ros.methods import Calibration
+    from rotcal_ros.methods.tracer.design.sequence_choice import MeasuringOrder
     from rotcal_ros.planning.sequence_time import TimeModel
 
 
@@ -57,10 +57,10 @@ def command(
     as_json: bool,
 ) -> int:
     """Find the quickest order of a tracer plan in which drifts and knocks would be seen."""
-    from rotcal_ros.catalogue import changed, prepare_whole, read_configuration
-    from rotcal_ros.catalogue.tracer.plan_tables import write_pairs
-    from rotcal_ros.catalogue.tracer.timing import cell_run, cell_time, plan_seconds
-    from rotcal_ros.planning.sequence_choice import best_order
+    from rotcal_ros.methods import changed, prepare_whole, read_configuration
+    from rotcal_ros.methods.tracer.design.sequence_choice import best_order
+    from rotcal_ros.methods.tracer.plan_tables import write_pairs
+    from rotcal_ros.methods.tracer.timing import cell_run, cell_time, plan_seconds
     from rotcal_ros.planning.sequence_time import stated_time
 
     calibration = prepare_whole(changed(read_configuration(configuration), changes))
@@ -95,9 +95,9 @@ def _orders(
     calibration: Calibration, model: TimeModel, limit: float, seed: int
 ) -> tuple[MeasuringOrder, ...]:
     """Return the competing orders of the plan's lengths."""
-    from rotcal_ros.catalogue.tracer.calibration import problem
-    from rotcal_ros.planning.sequence_choice import measuring_orders
-    from rotcal_ros.planning.sequence_forecast import OrderForecast
+    from rotcal_ros.methods.tracer.calibration import problem
+    from rotcal_ros.methods.tracer.design.sequence_choice import measuring_orders
+    from rotcal_ros.methods.tracer.design.sequence_forecast import OrderForecast
 
     plan = calibration.plan
     position, target = (

@@ -14,8 +14,8 @@ from rotcal_ros.cli.completion import method_names
 from rotcal_ros.cli.console import json_option, print_json
 
 if TYPE_CHECKING:
-    from rotcal_ros.catalogue.settings_reference import Section
-    from rotcal_ros.settings import Declaration
+    from rotcal_ros.foundation.settings import Declaration
+    from rotcal_ros.methods.settings_reference import Section
 
 WIDEST: Final = 99
 """Columns: longer lines are hard to read."""
@@ -36,9 +36,9 @@ def command(method: str | None, group: str | None, as_json: bool) -> int:
     The unit stands before the comma of the meaning. The same as docs/settings.md, written from the
     declarations that configurations are checked against.
     """
-    from rotcal_ros.catalogue.settings_reference import all_sections, method_sections
-    from rotcal_ros.errors import ConfigurationError
-    from rotcal_ros.plugins import nearest
+    from rotcal_ros.foundation.errors import ConfigurationError
+    from rotcal_ros.foundation.plugins import nearest
+    from rotcal_ros.methods.settings_reference import all_sections, method_sections
 
     sections = all_sections() if method is None else method_sections(method)
     if group is not None:
@@ -56,7 +56,7 @@ def command(method: str | None, group: str | None, as_json: bool) -> int:
 
 def _lines(section: Section, width: int) -> Iterator[str]:
     """Yield heading, summary and settings of a group, no line wider than ``width``."""
-    from rotcal_ros.catalogue.settings_reference import kind_in_words, range_in_words
+    from rotcal_ros.methods.settings_reference import kind_in_words, range_in_words
 
     of = f" of {section.method}" if section.method else ""
     yield click.style(f"{section.group or 'goal of a plan'}{of}", bold=True)
@@ -72,7 +72,7 @@ def _lines(section: Section, width: int) -> Iterator[str]:
 
 
 def _default(declared: Declaration) -> str:
-    from rotcal_ros.catalogue.settings_reference import default_in_words
+    from rotcal_ros.methods.settings_reference import default_in_words
 
     missing = declared.default is MISSING
     return "must be given" if missing else f"default {default_in_words(declared)}"
@@ -88,7 +88,7 @@ def _data(section: Section) -> dict[str, Any]:
 
 
 def _setting(name: str, declared: Declaration) -> dict[str, Any]:
-    from rotcal_ros.catalogue.settings_reference import kind_in_words
+    from rotcal_ros.methods.settings_reference import kind_in_words
 
     required = declared.default is MISSING
     return {

@@ -17,15 +17,15 @@ from rotcal_ros.cli.console import (
     print_json,
 )
 from rotcal_ros.cli.input_options import set_option, setup_options
-from rotcal_ros.errors import DataError
+from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.report.terminal.console import progress, say, tell
 
 if TYPE_CHECKING:
-    from rotcal_ros.catalogue.method import Measurements
     from rotcal_ros.evaluation.ways import Evaluation
+    from rotcal_ros.foundation.results import Result
+    from rotcal_ros.methods.method import Measurements
     from rotcal_ros.recordings.inputs import Input
     from rotcal_ros.recordings.replay import Recording
-    from rotcal_ros.results import Result
 
 
 @click.command()
@@ -96,8 +96,8 @@ def _evaluated(
     data: Recording | Measurements, source: Path, balls: tuple[str, ...], coarser: tuple[int, ...]
 ) -> tuple[Evaluation, ...]:
     """Evaluate the data of a ball plate in all combinations."""
-    from rotcal_ros.catalogue.measurements import PlannedMeasurements
     from rotcal_ros.evaluation.ways import evaluate, ways
+    from rotcal_ros.methods.measurements import PlannedMeasurements
     from rotcal_ros.recordings.replay import Recording
 
     if not (
@@ -115,7 +115,7 @@ def _show(result: Result, output: Path | None, as_json: bool) -> int:
     """Print or write one result; return the exit code of its verdict."""
     text = result.to_json()
     if output is not None:
-        from rotcal_ros.files import write_atomically
+        from rotcal_ros.foundation.files import write_atomically
 
         write_atomically(output, text)
     if as_json:
@@ -136,7 +136,7 @@ def _show_evaluations(
 ) -> int:
     """Print or write several evaluations side by side; the exit code is the worst one's."""
     from rotcal_ros.evaluation.ways import in_words
-    from rotcal_ros.files import write_atomically
+    from rotcal_ros.foundation.files import write_atomically
 
     for warning in dict.fromkeys(w for e in evaluations for w in e.result.warnings):
         say(f"warning: {warning}")

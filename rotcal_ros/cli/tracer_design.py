@@ -10,14 +10,14 @@ import click
 
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.goal_settings import goal_settings
-from rotcal_ros.errors import ConfigurationError, PlanError
+from rotcal_ros.foundation.errors import ConfigurationError, PlanError
+from rotcal_ros.foundation.units import DEGREE, MICROMETRE
 from rotcal_ros.report.terminal.console import progress, say
-from rotcal_ros.units import DEGREE, MICROMETRE
 
 if TYPE_CHECKING:
-    from rotcal_ros.catalogue.configuration import Configuration
-    from rotcal_ros.planning.tracer_design.ordering import OrderedDesign
-    from rotcal_ros.planning.tracer_design.settings import TracerDesignSettings
+    from rotcal_ros.methods.configuration import Configuration
+    from rotcal_ros.methods.tracer.design.ordering import OrderedDesign
+    from rotcal_ros.methods.tracer.design.settings import TracerDesignSettings
 
 TARGETS_FILE = "targets.csv"
 PAIRS_FILE = "pairs.csv"
@@ -64,7 +64,7 @@ def command(
 
     GOAL.yaml has settings by name: docs/settings.md lists them.
     """
-    from rotcal_ros.planning.tracer_design.ordering import ordered_design
+    from rotcal_ros.methods.tracer.design.ordering import ordered_design
 
     pattern = _pattern(like)
     settings = goal_settings(pattern, goal, [*_needed(need), *changes])
@@ -91,7 +91,7 @@ def command(
 
 
 def _pattern(like: Path | None) -> Configuration | None:
-    from rotcal_ros.catalogue import read_configuration
+    from rotcal_ros.methods import read_configuration
 
     if like is None:
         return None
@@ -113,10 +113,10 @@ def _needed(need: str | None) -> list[str]:
 
 def _write(folder: Path, found: OrderedDesign, pattern: Configuration | None) -> None:
     """Write targets, pairs in their order, and a configuration that measures them."""
-    from rotcal_ros.catalogue.configuration import dump_configuration
-    from rotcal_ros.catalogue.tracer.plan_tables import write_pairs, write_targets
-    from rotcal_ros.files import write_atomically
-    from rotcal_ros.untrusted import load_yaml
+    from rotcal_ros.foundation.files import write_atomically
+    from rotcal_ros.foundation.untrusted import load_yaml
+    from rotcal_ros.methods.configuration import dump_configuration
+    from rotcal_ros.methods.tracer.plan_tables import write_pairs, write_targets
 
     settings, scene, lengths = found.design.settings, found.design.scene, found.lengths
     folder.mkdir(parents=True, exist_ok=True)
@@ -145,7 +145,7 @@ def _write(folder: Path, found: OrderedDesign, pattern: Configuration | None) ->
 
 def _counted_on(settings: TracerDesignSettings, pattern: Configuration | None) -> dict[str, Any]:
     """Return the settings of a solver that knows what the plan has counted on."""
-    from rotcal_ros.planning.tracer_design.settings import SHARED
+    from rotcal_ros.methods.tracer.design.settings import SHARED
 
     known: dict[str, Any] = {
         "variant": "joint",

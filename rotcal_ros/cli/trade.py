@@ -14,10 +14,10 @@ from typing import Any
 import click
 
 from rotcal_ros.cli.console import json_option, path_type, print_json
-from rotcal_ros.components import COVERAGE_FACTOR
-from rotcal_ros.errors import PlanError
+from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.errors import PlanError
+from rotcal_ros.foundation.units import ARCSEC, HOUR, MICROMETRE
 from rotcal_ros.report.terminal.columns import Column, column_of, print_table, print_words
-from rotcal_ros.units import ARCSEC, HOUR, MICROMETRE
 
 shown_option = partial(click.option, show_default=True)
 positive = click.FloatRange(min=0.0, min_open=True)
@@ -197,13 +197,13 @@ def tracer_table(
     length_s: float = 5.0,
 ) -> Trade:
     """Return how many targets and lengths each radius and noise takes."""
-    from rotcal_ros.planning.sequence_time import stated_time
-    from rotcal_ros.planning.tracer_design.settings import (
+    from rotcal_ros.methods.tracer.design.settings import (
         PER_STATION,
         SHARED,
         TracerDesignSettings,
     )
-    from rotcal_ros.planning.tracer_trade import trade
+    from rotcal_ros.methods.tracer.design.trade import trade
+    from rotcal_ros.planning.sequence_time import stated_time
     from rotcal_ros.report.terminal.console import progress
 
     settings = TracerDesignSettings(
@@ -248,7 +248,7 @@ def plate_table(
     centre_s: float = 35.0,
 ) -> Trade:
     """Return what each number of balls gives, and what radius or noise it takes."""
-    from rotcal_ros.planning.plate_trade import plate_trade
+    from rotcal_ros.methods.ball_plate.design.trade import plate_trade
 
     rows = plate_trade(
         grid,
@@ -288,8 +288,8 @@ def mirror_table(
     nest_s: float = 10.0,
 ) -> Trade:
     """Return U and hours of each number of stations and reflectors."""
-    from rotcal_ros.catalogue import parse_configuration, read_configuration
-    from rotcal_ros.catalogue.plane_mirror.trade import USUAL, mirror_trade
+    from rotcal_ros.methods import parse_configuration, read_configuration
+    from rotcal_ros.methods.plane_mirror.trade import USUAL, mirror_trade
 
     rows = mirror_trade(
         read_configuration(configuration) if configuration else parse_configuration(USUAL),

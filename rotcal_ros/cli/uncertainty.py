@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rotcal_ros.circumstances import NOTHING_MEASURED
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.input_options import set_option, setup_options
+from rotcal_ros.foundation.circumstances import NOTHING_MEASURED
 from rotcal_ros.report.terminal.console import progress, say
 
 if TYPE_CHECKING:
-    from rotcal_ros.catalogue.method import Measurements
+    from rotcal_ros.methods.method import Measurements
     from rotcal_ros.recordings.inputs import Input
 
 
@@ -86,8 +86,8 @@ def _read(given: Input) -> Measurements:
         if measured.configuration.simulated:
             say(NOTHING_MEASURED)
         return measured
-    from rotcal_ros.catalogue import changed, prepare_whole, read_configuration
-    from rotcal_ros.catalogue.measurements import PlannedMeasurements
+    from rotcal_ros.methods import changed, prepare_whole, read_configuration
+    from rotcal_ros.methods.measurements import PlannedMeasurements
 
     if given.setup is not None or given.targets is not None:
         raise click.UsageError("--setup and --targets belong to a table or a bag")

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rotcal_ros.circumstances import SIMULATED
 from rotcal_ros.cli.completion import configurations, controller_names
 from rotcal_ros.cli.console import (
     INTERRUPTED,
@@ -20,8 +19,9 @@ from rotcal_ros.cli.console import (
     print_line,
     print_verdict,
 )
+from rotcal_ros.foundation.circumstances import SIMULATED
+from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.report.terminal.console import say, tell
-from rotcal_ros.units import ARCSEC
 
 if TYPE_CHECKING:
     from rotcal_ros.evaluation.verification import Verification
@@ -115,8 +115,8 @@ def _loaded(folder: Path, files: Sequence[Path]) -> bool:
 
 def _verify(folder: Path, as_json: bool) -> int:
     """Do what is left to do in ``folder`` and print the outcome; return the exit code."""
+    from rotcal_ros.foundation.session_folder import VERIFICATION, SessionFolder
     from rotcal_ros.report.verification import verification_section
-    from rotcal_ros.session_folder import VERIFICATION, SessionFolder
     from rotcal_ros.sessions.lasting import lasting_output
     from rotcal_ros.sessions.products import goal_line, write_report
     from rotcal_ros.sessions.verification import verify

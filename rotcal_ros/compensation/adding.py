@@ -14,7 +14,6 @@ from typing import Final, Literal
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.between import between_std
 from rotcal_ros.compensation.effect import effect_on
 from rotcal_ros.compensation.held import HeldTable
@@ -23,9 +22,10 @@ from rotcal_ros.compensation.resample import resample
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable, check_verdict
 from rotcal_ros.curves.directional import DirectionalCurve
 from rotcal_ros.curves.interpolation import SAME_ANGLE, interpolation_matrix
-from rotcal_ros.errors import DataError
-from rotcal_ros.in_force import NONE, UNKNOWN, in_words, known_hash
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.in_force import NONE, UNKNOWN, in_words, known_hash
+from rotcal_ros.foundation.units import ARCSEC
 
 Combination = Literal["as_measured", "replace", "add"]
 """What a person says: nothing, that a table is the whole, that it is what the present one left."""

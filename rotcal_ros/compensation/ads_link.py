@@ -16,10 +16,10 @@ from typing import Any, Final
 import numpy as np
 import pyads
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.controller import ArrayForm, Controller
 from rotcal_ros.compensation.network_settings import AdsSettings
-from rotcal_ros.errors import ConfigurationError, ControllerError
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import ConfigurationError, ControllerError
 
 REQUESTS_BY_NAME: Final = 3
 """A handle, the value, and the handle given back."""

@@ -10,8 +10,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
-from rotcal_ros.errors import ConfigurationError, DataError
-from rotcal_ros.units import NANOSECOND
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.units import NANOSECOND
 
 if TYPE_CHECKING:
     from rotcal_ros.compensation.table import CompensationTable

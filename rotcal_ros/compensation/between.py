@@ -8,12 +8,12 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Bools, Floats
 from rotcal_ros.curves.content import content_of
 from rotcal_ros.curves.directional import DirectionalCurve
 from rotcal_ros.curves.measured import gaps_of
-from rotcal_ros.errors import DataError
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.arrays import Bools, Floats
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 POINTS: Final = 8
 """Parts of every gap at whose ends a curve is looked at."""

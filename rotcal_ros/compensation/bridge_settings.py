@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
-from rotcal_ros import plugins
 from rotcal_ros.compensation.agreement import LARGEST_AGE_DAYS, Accepted
 from rotcal_ros.compensation.network_settings import AdsSettings, OpcUaSettings
 from rotcal_ros.compensation.options import parse_options
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.settings import group, setting
+from rotcal_ros.foundation import plugins
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.settings import group, setting
 
 DEFAULT: Final = "csv"
 

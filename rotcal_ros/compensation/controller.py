@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Final, Protocol, runtime_checkable
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.curves.interpolation import TURN
-from rotcal_ros.observations import Approach
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.observations import Approach
 
 EVERY_TURN: Final = (-TURN, 2.0 * TURN)
 """Travel (rad) over which a control that wraps by itself is proven."""

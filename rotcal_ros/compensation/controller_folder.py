@@ -18,9 +18,9 @@ from typing import Final, TypeVar
 from rotcal_ros.compensation import journal
 from rotcal_ros.compensation.controller_store import ENCODING, answered
 from rotcal_ros.compensation.writing import check_file_name
-from rotcal_ros.errors import ControllerError
-from rotcal_ros.files import make_folder, sync_folder, write_atomically
-from rotcal_ros.untrusted import read_bytes, read_text
+from rotcal_ros.foundation.errors import ControllerError
+from rotcal_ros.foundation.files import make_folder, sync_folder, write_atomically
+from rotcal_ros.foundation.untrusted import read_bytes, read_text
 
 T = TypeVar("T")
 

@@ -8,7 +8,7 @@ from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeout
 from typing import Final, Protocol, TypeVar
 
-from rotcal_ros.errors import ControllerError
+from rotcal_ros.foundation.errors import ControllerError
 
 T = TypeVar("T")
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from rotcal_ros import plugins
 from rotcal_ros.compensation.controller import Controller
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.settings import load
+from rotcal_ros.foundation import plugins
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.settings import load
 
 
 def controller_names() -> tuple[str, ...]:

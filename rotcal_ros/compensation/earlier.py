@@ -14,10 +14,10 @@ from rotcal_ros.compensation.effect import Effect, effect_of_result
 from rotcal_ros.compensation.held import HeldTable, held_table
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.compensation.writing import PROVENANCE, SCHEMA, check_file_name
-from rotcal_ros.errors import BagError, ConfigurationError
-from rotcal_ros.in_force import in_words
-from rotcal_ros.results import Result
-from rotcal_ros.untrusted import load_json, read_text, why
+from rotcal_ros.foundation.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.in_force import in_words
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.untrusted import load_json, read_text, why
 
 
 def to_be_in_force(

@@ -14,13 +14,13 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.held import HeldTable
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
-from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.curves.directional import directional_curve
-from rotcal_ros.gum_numbers import value_with_uncertainty
-from rotcal_ros.results import Result
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.gum_numbers import value_with_uncertainty
+from rotcal_ros.foundation.results import Result
 
 WRONG: Final = ((-1.5, -0.75), (0.75, 1.5), (1.5, 2.5))
 """Factors of a table that acts twice, does not act, or acts with the wrong sign. More than that is

@@ -11,7 +11,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.circumstances import NOTHING_MEASURED, SIMULATED
 from rotcal_ros.compensation.controller import Controller, Lag
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.held import in_force_of
@@ -28,12 +27,13 @@ from rotcal_ros.compensation.table import (
     check_verdict,
 )
 from rotcal_ros.compensation.writing import PROVENANCE, SCHEMA, check_stem, of_the_controller
-from rotcal_ros.components import COVERAGE_FACTOR, check_axis
 from rotcal_ros.curves.interpolation import SAME_ANGLE
 from rotcal_ros.curves.measured import gaps_of
-from rotcal_ros.errors import ConfigurationError, DataError
-from rotcal_ros.in_force import in_words, known_hash
-from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
+from rotcal_ros.foundation.circumstances import NOTHING_MEASURED, SIMULATED
+from rotcal_ros.foundation.components import COVERAGE_FACTOR, check_axis
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.in_force import in_words, known_hash
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
 
 WRITTEN: Final = "written"
 CONFIRMATION: Final = "confirmation_sha256"

@@ -18,9 +18,9 @@ from rotcal_ros.compensation.parsing import matches, number, only_file
 from rotcal_ros.compensation.rows import columns_deg, fixed, require_at_most, require_circle
 from rotcal_ros.compensation.rules import PeriodicTable
 from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.settings import setting
-from rotcal_ros.units import DEGREE
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.settings import setting
+from rotcal_ros.foundation.units import DEGREE
 
 MAX_ROWS: Final = 1000
 DECIMALS: Final = 4

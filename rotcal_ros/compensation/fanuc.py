@@ -18,7 +18,6 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.compensation.controller import Controller, Facts
 from rotcal_ros.compensation.parsing import integer, matches, number, only_file
 from rotcal_ros.compensation.rows import (
@@ -30,10 +29,11 @@ from rotcal_ros.compensation.rows import (
     require_zero_at_start,
 )
 from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.errors import BagError, ConfigurationError
-from rotcal_ros.observations import Approach
-from rotcal_ros.settings import setting
-from rotcal_ros.units import DEGREE
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.settings import setting
+from rotcal_ros.foundation.units import DEGREE
 
 LARGEST_STEP: Final = 7
 LARGEST_MAGNIFICATION: Final = 100

@@ -18,7 +18,6 @@ from typing import Final, cast
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.adding import Combination, combined
 from rotcal_ros.compensation.agreement import NO_MACHINE, Machine, agreeing
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
@@ -40,11 +39,12 @@ from rotcal_ros.compensation.network_store import make_store
 from rotcal_ros.compensation.offer import Offer, make_offer
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
 from rotcal_ros.compensation.writing import PROVENANCE, of_the_controller
-from rotcal_ros.errors import ControllerError, DataError, RotcalError
-from rotcal_ros.in_force import NONE, UNKNOWN, known_hash
-from rotcal_ros.observations import Approach
-from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
-from rotcal_ros.untrusted import load_json
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import ControllerError, DataError, RotcalError
+from rotcal_ros.foundation.in_force import NONE, UNKNOWN, known_hash
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
+from rotcal_ros.foundation.untrusted import load_json
 
 
 @dataclass(frozen=True)

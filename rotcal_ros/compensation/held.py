@@ -7,17 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.agreement import NO_MACHINE, Machine
 from rotcal_ros.compensation.controller import Controller, Rule
 from rotcal_ros.compensation.journal import contents_hash
 from rotcal_ros.compensation.writing import PROVENANCE, SCHEMA, of_the_controller
 from rotcal_ros.curves.interpolation import TURN
-from rotcal_ros.errors import DataError
-from rotcal_ros.in_force import NONE
-from rotcal_ros.observations import Approach
-from rotcal_ros.units import DEGREE
-from rotcal_ros.untrusted import load_json
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.in_force import NONE
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.foundation.untrusted import load_json
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from rotcal_ros.compensation.writing import write_files
-from rotcal_ros.errors import ControllerError
-from rotcal_ros.files import append_line
-from rotcal_ros.records import record
-from rotcal_ros.untrusted import load_json, read_text, why
+from rotcal_ros.foundation.errors import ControllerError
+from rotcal_ros.foundation.files import append_line
+from rotcal_ros.foundation.records import record
+from rotcal_ros.foundation.untrusted import load_json, read_text, why
 
 Action = Literal["applying", "applied", "restoring", "restored", "rolled_back"]
 BEGUN: Final = ("applying", "restoring")

@@ -14,7 +14,6 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.controller import Controller, Facts
 from rotcal_ros.compensation.parsing import integer, number, numbers, only_file
 from rotcal_ros.compensation.rows import (
@@ -26,10 +25,11 @@ from rotcal_ros.compensation.rows import (
 )
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.curves.interpolation import TURN
-from rotcal_ros.errors import BagError
-from rotcal_ros.observations import Approach
-from rotcal_ros.settings import setting
-from rotcal_ros.units import DEGREE
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.settings import setting
+from rotcal_ros.foundation.units import DEGREE
 
 DECIMALS: Final = 9
 PLACES: Final = 6

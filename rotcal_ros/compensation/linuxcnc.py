@@ -25,7 +25,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.compensation.controller import Controller, Facts, Lag, Rule
 from rotcal_ros.compensation.linuxcnc_ini import Ini
 from rotcal_ros.compensation.linuxcnc_machine import AGENT, SERVO_PERIOD_NS, Joint
@@ -39,10 +38,11 @@ from rotcal_ros.compensation.rows import (
 )
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
 from rotcal_ros.curves.interpolation import TURN
-from rotcal_ros.errors import BagError, ConfigurationError
-from rotcal_ros.observations import Approach
-from rotcal_ros.settings import setting
-from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.settings import setting
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
 
 MAX_ROWS: Final = 256
 POINTS_PER_ROW: Final = 24

@@ -10,7 +10,7 @@ import numpy as np
 from rotcal_ros.compensation.linuxcnc import load
 from rotcal_ros.compensation.linuxcnc_ini import ENCODING, Ini
 from rotcal_ros.compensation.linuxcnc_machine import Joint, joints_with_tables
-from rotcal_ros.untrusted import read_bytes
+from rotcal_ros.foundation.untrusted import read_bytes
 
 LARGEST_TRIM_DEG = 1.0
 """Nobody compensates more; trims read as positions give angles of the whole travel."""

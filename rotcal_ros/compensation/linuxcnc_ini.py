@@ -14,8 +14,8 @@ from math import isfinite
 from pathlib import Path
 from typing import Final
 
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.untrusted import read_bytes
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.untrusted import read_bytes
 
 ENCODING: Final = "latin-1"
 """Takes every byte, so that the copy differs in nothing but the new lines."""

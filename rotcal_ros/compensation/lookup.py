@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.curves.interpolation import curve_through, within
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.observations import Approach
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.observations import Approach
 
 
 class Correction:

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.settings import setting
-from rotcal_ros.untrusted import read_text, why
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.settings import setting
+from rotcal_ros.foundation.untrusted import read_text, why
 
 OTHERS: Final = 0o077
 """Rights of group and others on a file."""

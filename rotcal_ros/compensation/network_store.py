@@ -12,7 +12,7 @@ from rotcal_ros.compensation.controller import Controller
 from rotcal_ros.compensation.controller_folder import ControllerFolder
 from rotcal_ros.compensation.controller_store import ControllerStore, answered
 from rotcal_ros.compensation.writing import PROVENANCE
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.foundation.errors import ConfigurationError
 
 GRACE_S: Final = 2.0
 """s, for a link to end what its own time limit has cut off."""

@@ -14,9 +14,9 @@ from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.export import WRITTEN, ExportFiles, default_stem, prepare_export
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.compensation.writing import PROVENANCE, write_files
-from rotcal_ros.errors import DataError
-from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
-from rotcal_ros.untrusted import load_json, read_bytes
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
+from rotcal_ros.foundation.untrusted import load_json, read_bytes
 
 MAX_STD_RATIO: Final = 3.0
 """Standard uncertainty over the largest correction, from which on a table is not believed."""

@@ -32,7 +32,7 @@ from cryptography.x509 import SubjectAlternativeName, UniformResourceIdentifier
 
 from rotcal_ros.compensation.controller_store import ENCODING
 from rotcal_ros.compensation.network_settings import OpcUaSettings, secret
-from rotcal_ros.errors import ConfigurationError, ControllerError, RotcalError
+from rotcal_ros.foundation.errors import ConfigurationError, ControllerError, RotcalError
 
 T = TypeVar("T")
 

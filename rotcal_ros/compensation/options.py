@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.untrusted import load_yaml
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.untrusted import load_yaml
 
 
 def parse_options(texts: Iterable[str]) -> dict[str, Any]:

@@ -8,8 +8,8 @@ from re import Match
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import BagError
 
 
 def only_file(files: Mapping[str, str], suffix: str) -> tuple[str, str]:

@@ -13,15 +13,15 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.controller import Controller, Facts
 from rotcal_ros.compensation.parsing import only_file, parse_rows
 from rotcal_ros.compensation.rows import columns_deg, fixed
 from rotcal_ros.compensation.rules import periodic
 from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.errors import BagError
-from rotcal_ros.observations import Approach
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 HEADER: Final = "angle_deg,correction_forward_arcsec,correction_reverse_arcsec,std_arcsec"
 OWN_STD: Final = f"{HEADER},std_reverse_arcsec"

@@ -16,7 +16,6 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Ints
 from rotcal_ros.compensation.controller import Controller, Facts
 from rotcal_ros.compensation.parsing import integer, only_file
 from rotcal_ros.compensation.rows import (
@@ -28,9 +27,10 @@ from rotcal_ros.compensation.rows import (
 )
 from rotcal_ros.compensation.rules import PeriodicTable
 from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.errors import BagError, ConfigurationError
-from rotcal_ros.settings import setting
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.arrays import Ints
+from rotcal_ros.foundation.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.settings import setting
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 FRACTION: Final = 16
 LARGEST: Final = 8_388_607

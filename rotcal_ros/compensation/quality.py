@@ -7,16 +7,16 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.between import CERTAIN
 from rotcal_ros.compensation.controller import Controller, Lag, Rule
 from rotcal_ros.compensation.lookup import Correction
 from rotcal_ros.compensation.resample import averaged, resample
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
-from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.curves.interpolation import SAME_ANGLE, TURN
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 POINTS_PER_ROW = 24
 SHARE_OF_U: Final = 1.0 / 3.0

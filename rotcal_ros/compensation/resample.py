@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.curves.interpolation import interpolation_matrix, row_angles, wrapped
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.units import ARCSEC
 
 
 def resample(

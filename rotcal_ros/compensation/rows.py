@@ -6,12 +6,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.resample import averaged
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.curves.interpolation import SAME_ANGLE, TURN
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 
 def columns_deg(table: CompensationTable) -> tuple[Floats, Floats, Floats]:

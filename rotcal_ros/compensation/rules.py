@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats, Ints
-from rotcal_ros.errors import BagError
-from rotcal_ros.observations import Approach
-from rotcal_ros.units import DEGREE
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.units import DEGREE
 
 
 def periodic(angle: Floats, rows_deg: Floats, values: Floats | Ints) -> Floats:

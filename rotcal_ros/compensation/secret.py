@@ -8,7 +8,7 @@ import stat
 from pathlib import Path
 from typing import Final
 
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.foundation.errors import ConfigurationError
 
 SHORTEST: Final = 16
 """Characters; a random word of this length cannot be found by trying."""

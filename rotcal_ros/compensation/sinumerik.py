@@ -17,7 +17,6 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.controller import Controller, Facts
 from rotcal_ros.compensation.parsing import integer, number, only_file
 from rotcal_ros.compensation.rows import (
@@ -30,10 +29,11 @@ from rotcal_ros.compensation.rows import (
 )
 from rotcal_ros.compensation.rules import PeriodicTable
 from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.components import check_axis
-from rotcal_ros.errors import BagError
-from rotcal_ros.settings import setting
-from rotcal_ros.units import DEGREE
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.components import check_axis
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.settings import setting
+from rotcal_ros.foundation.units import DEGREE
 
 DECIMALS: Final = 7
 STEP_DEG: Final = 1e-6

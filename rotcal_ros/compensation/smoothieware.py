@@ -16,7 +16,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.controller import Controller, Facts
 from rotcal_ros.compensation.parsing import matches, number, only_file
 from rotcal_ros.compensation.rows import (
@@ -29,10 +28,11 @@ from rotcal_ros.compensation.rows import (
 )
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.curves.interpolation import TURN
-from rotcal_ros.errors import BagError, ConfigurationError
-from rotcal_ros.observations import Approach
-from rotcal_ros.settings import setting
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.settings import setting
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 BEND_DEG: Final = 0.01
 """Half the stretch around a row in which the multiplier changes."""

@@ -11,9 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.between import Weights, variances, without_gaps
-from rotcal_ros.components import check_axis
 from rotcal_ros.curves.directional import DirectionalCurve, directional_curve
 from rotcal_ros.curves.interpolation import (
     SAME_ANGLE,
@@ -25,11 +23,13 @@ from rotcal_ros.curves.interpolation import (
     wrapped,
 )
 from rotcal_ros.curves.measured import gaps_of
-from rotcal_ros.errors import ConfigurationError, DataError
-from rotcal_ros.in_force import UNKNOWN, agreed, check_in_force, contradiction
-from rotcal_ros.observations import Approach
-from rotcal_ros.results import Result, Verdict
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.components import check_axis
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.in_force import UNKNOWN, agreed, check_in_force, contradiction
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.results import Result, Verdict
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 COLUMNS: Final = ("angles", "correction_forward", "correction_reverse", "std", "std_reverse")
 DIRECTIONS: Final = (Approach.POSITIVE, Approach.NEGATIVE)

@@ -23,9 +23,9 @@ from rotcal_ros.compensation.rows import (
 )
 from rotcal_ros.compensation.rules import PeriodicTable
 from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.errors import BagError
-from rotcal_ros.settings import setting
-from rotcal_ros.units import DEGREE
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.settings import setting
+from rotcal_ros.foundation.units import DEGREE
 
 UNIT_DEG: Final = 1e-4
 TURN_UNITS: Final = 3_600_000

@@ -12,14 +12,14 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation import parsing
 from rotcal_ros.compensation.table import check_verdict
 from rotcal_ros.compensation.writing import check_stem
-from rotcal_ros.components import COMPONENTS, TRANSLATIONS, check_axis, unit_of
-from rotcal_ros.errors import BagError, DataError
-from rotcal_ros.in_force import in_words, known_hash
-from rotcal_ros.results import Result
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.components import COMPONENTS, TRANSLATIONS, check_axis, unit_of
+from rotcal_ros.foundation.errors import BagError, DataError
+from rotcal_ros.foundation.in_force import in_words, known_hash
+from rotcal_ros.foundation.results import Result
 
 SIGN: Final = "deviation = actual - commanded; angles counter-clockwise about +z"
 KIND: Final = "rotcal_volumetric"

@@ -8,9 +8,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from rotcal_ros import disk
-from rotcal_ros.errors import BagError, ConfigurationError
-from rotcal_ros.files import make_folder, scratch_folder, sync_folder, write_durably
+from rotcal_ros.foundation import disk
+from rotcal_ros.foundation.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.files import make_folder, scratch_folder, sync_folder, write_durably
 
 PROVENANCE: Final = ".provenance.json"
 """How the name of the file ends that is for people and not for the controller."""

@@ -7,11 +7,11 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.curves.interpolation import SAME_ANGLE
 from rotcal_ros.curves.measured import MeasuredCurve, measured_curve, merging, period_of
-from rotcal_ros.errors import ConfigurationError, DataError
-from rotcal_ros.results import Directions, Result
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.results import Directions, Result
 
 COMPONENT: Final = "ECC"
 

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rotcal_ros.arrays import Floats
-from rotcal_ros.errors import ConfigurationError, DataError
-from rotcal_ros.units import DEGREE
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.units import DEGREE
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly

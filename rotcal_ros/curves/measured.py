@@ -8,13 +8,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.arrays import Floats
-from rotcal_ros.components import unit_of
 from rotcal_ros.curves.interpolation import SAME_ANGLE, TURN, wrapped
-from rotcal_ros.errors import DataError
-from rotcal_ros.raw_data import RawData
-from rotcal_ros.results import Result
-from rotcal_ros.units import DEGREE
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.components import unit_of
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.raw_data import RawData
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import DEGREE
 
 CLOSURE_LIMIT: Final = 4.0
 """How many standard uncertainties two measurements of one position may differ."""

@@ -33,10 +33,10 @@ from rotcal_ros.dme.faults import (
 from rotcal_ros.dme.grammar import Call, Word, call, calls_by_name, parse_values
 from rotcal_ros.dme.link import DmeLink
 from rotcal_ros.dme.settings import ALIGN_PART, AUTO, GOTO_R, DmeSettings
-from rotcal_ros.observations import Approach, TableSample
+from rotcal_ros.foundation.observations import Approach, TableSample
+from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
 from rotcal_ros.planning.plan import Point
-from rotcal_ros.table_motion import TableSpeed, approached
-from rotcal_ros.units import DEGREE, MILLIMETRE
+from rotcal_ros.planning.table_motion import TableSpeed, approached
 
 NOT_STARTED: Final = "no session was started"
 FIRST_DISTANCE_MM: Final = 1000.0

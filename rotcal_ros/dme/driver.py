@@ -23,9 +23,15 @@ from typing import Final
 from rotcal_ros.dme.client import DmeClient
 from rotcal_ros.dme.faults import DmeError, Fault
 from rotcal_ros.dme.settings import DmeSettings
-from rotcal_ros.observations import Approach, Command, PointKind, ProbeSample, TableSample
+from rotcal_ros.foundation.observations import (
+    Approach,
+    Command,
+    PointKind,
+    ProbeSample,
+    TableSample,
+)
+from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.planning.plan import Point, Step
-from rotcal_ros.units import MICROMETRE
 
 _Order = tuple[Command, Step]
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
 
-from rotcal_ros.errors import RotcalError
+from rotcal_ros.foundation.errors import RotcalError
 
 
 class Severity(IntEnum):

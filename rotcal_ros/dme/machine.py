@@ -14,13 +14,13 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.dme.faults import Fault
-from rotcal_ros.errors import ConfigurationError, ControllerError
-from rotcal_ros.observations import Approach
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import ConfigurationError, ControllerError
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.units import DEGREE, NANOSECOND
 from rotcal_ros.simulation import SimulatedCell
 from rotcal_ros.simulation.settings import SimulationSettings
-from rotcal_ros.units import DEGREE, NANOSECOND
 
 VOLUME_M: Final = 2.0
 """Farthest coordinate that the machine reaches, either way."""

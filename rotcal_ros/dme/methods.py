@@ -11,11 +11,11 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.dme.faults import KNOWN, Fault, ProtocolError
 from rotcal_ros.dme.grammar import Call, Value, Word, call, calls_by_name, written
 from rotcal_ros.dme.machine import MethodError, SimulatedMachine
-from rotcal_ros.units import DEGREE, MILLIMETRE
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
 
 TOOLS: Final = ("RefTool", "NoTool", "Probe1")
 AXES: Final = ("X", "Y", "Z")

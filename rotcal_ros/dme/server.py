@@ -30,7 +30,7 @@ from rotcal_ros.dme.lines import (
 )
 from rotcal_ros.dme.machine import MethodError, SimulatedMachine
 from rotcal_ros.dme.methods import Methods, error_info
-from rotcal_ros.errors import ControllerError
+from rotcal_ros.foundation.errors import ControllerError
 from rotcal_ros.simulation.settings import SimulationSettings
 
 VERSION: Final = "1.4.3"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from rotcal_ros.settings import setting
+from rotcal_ros.foundation.settings import setting
 
 AUTO: Final = "auto"
 GOTO_R: Final = "goto_r"

@@ -8,12 +8,12 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
-from rotcal_ros.errors import BagError, DataError
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns
-from rotcal_ros.results import Result
-from rotcal_ros.tables import csv_rows
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import BagError, DataError
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.tables import csv_rows
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 HEADER: Final = ("angle_deg", "run", "direction", "deviation_arcsec")
 DIRECTIONS: Final = ("up", "down")

@@ -12,8 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
-from rotcal_ros.results import Result
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.results import Result
 
 SOURCES: Final[Mapping[str, str]] = {
     "lengths": "Lengths: noise, return of table and machine, air",

@@ -21,11 +21,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
-from rotcal_ros.circumstances import Circumstances
 from rotcal_ros.curves.interpolation import interpolation_matrix
 from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
-from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.evaluation.common_angles import require_one_table
 from rotcal_ros.evaluation.compare import SURE, TOO_ALIKE, too_alike
 from rotcal_ros.evaluation.component_groups import (
@@ -38,10 +35,13 @@ from rotcal_ros.evaluation.component_groups import (
     combine_group,
 )
 from rotcal_ros.evaluation.joined_angles import Joined, union
-from rotcal_ros.in_force import UNKNOWN, agreed
-from rotcal_ros.protection import ALL_EFFECTS, PARTICULAR, Effect, Protection, Treatment
-from rotcal_ros.raw_data import RawData
-from rotcal_ros.results import FreeDirection, Result, Verdict, Zeros
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.circumstances import Circumstances
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.in_force import UNKNOWN, agreed
+from rotcal_ros.foundation.protection import ALL_EFFECTS, PARTICULAR, Effect, Protection, Treatment
+from rotcal_ros.foundation.raw_data import RawData
+from rotcal_ros.foundation.results import FreeDirection, Result, Verdict, Zeros
 
 METHOD: Final = "combination"
 

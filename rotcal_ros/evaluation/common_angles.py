@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.arrays import Bools, Floats
 from rotcal_ros.curves.interpolation import SAME_ANGLE, TURN, interpolation_matrix
 from rotcal_ros.curves.measured import MeasuredCurve
-from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.shared_data import shared_covariance
-from rotcal_ros.units import DEGREE
+from rotcal_ros.foundation.arrays import Bools, Floats
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.units import DEGREE
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,11 +13,11 @@ from typing import Final, Literal
 import numpy as np
 from scipy.special import ndtr
 
-from rotcal_ros.arrays import Floats
-from rotcal_ros.components import COVERAGE_FACTOR, TRANSLATIONS, unit_of
-from rotcal_ros.identity import Identity
-from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.components import COVERAGE_FACTOR, TRANSLATIONS, unit_of
+from rotcal_ros.foundation.identity import Identity
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 
 Decision = Literal["within", "beyond", "undecided"]
 DRAWS: Final = 20_000

@@ -24,10 +24,10 @@ from typing import Any, Final
 import numpy as np
 from scipy.special import stdtrit
 
-from rotcal_ros.arrays import Floats
-from rotcal_ros.errors import DataError
-from rotcal_ros.results import plain_fields
-from rotcal_ros.units import DEGREE
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.results import plain_fields
+from rotcal_ros.foundation.units import DEGREE
 
 ONLY_SCATTER: Final = (
     "U holds the scatter of the runs alone: nothing is stated about errors that all runs share"

@@ -8,11 +8,11 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.curves.interpolation import SAME_ANGLE, TURN, interpolation_matrix
 from rotcal_ros.curves.measured import MeasuredCurve, covers_circle
-from rotcal_ros.errors import DataError
-from rotcal_ros.units import DEGREE
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.units import DEGREE
 
 SAME: Final = 1e3 * SAME_ANGLE
 """rad; angles of two curves that are closer than this are common, as in a comparison."""

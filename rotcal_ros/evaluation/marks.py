@@ -11,12 +11,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from rotcal_ros.arrays import Floats
-from rotcal_ros.components import unit_of
 from rotcal_ros.evaluation.conformity import decide, tolerance_of
 from rotcal_ros.evaluation.withheld import withheld
-from rotcal_ros.identity import Identity
-from rotcal_ros.results import Result
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.components import unit_of
+from rotcal_ros.foundation.identity import Identity
+from rotcal_ros.foundation.results import Result
 
 WITHIN: Final = "within"
 BEYOND: Final = "beyond"

@@ -19,8 +19,8 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.adjust.distributions import normal_isf
-from rotcal_ros.arrays import Floats
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import ConfigurationError
 
 Model = Callable[[np.random.Generator, int], Floats]
 Progress = Callable[[int, int], None]

@@ -21,12 +21,12 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.adjust.distributions import normal_isf
-from rotcal_ros.arrays import Floats
-from rotcal_ros.catalogue import Calibration
-from rotcal_ros.catalogue.disturbance import Disturbance
-from rotcal_ros.errors import ConfigurationError, RotcalError
-from rotcal_ros.protection import ALL_EFFECTS, EFFECTS, POWER, TOLERABLE, Effect
-from rotcal_ros.results import Result
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
+from rotcal_ros.foundation.protection import ALL_EFFECTS, EFFECTS, POWER, TOLERABLE, Effect
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.methods import Calibration
+from rotcal_ros.methods.disturbance import Disturbance
 
 NOT_STATED = "not stated"
 

@@ -8,9 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
-from rotcal_ros.catalogue.method import Measurements
-from rotcal_ros.components import unit_of
 from rotcal_ros.evaluation.monte_carlo import (
     BLOCK,
     Progress,
@@ -18,8 +15,11 @@ from rotcal_ros.evaluation.monte_carlo import (
     compare_with_linear,
     propagate,
 )
-from rotcal_ros.results import Result, plain_fields
-from rotcal_ros.units import DEGREE
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.components import unit_of
+from rotcal_ros.foundation.results import Result, plain_fields
+from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.methods.method import Measurements
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,12 +8,12 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.curves.interpolation import SAME_ANGLE, TURN, wrapped
 from rotcal_ros.curves.measured import MeasuredCurve, period_of
-from rotcal_ros.errors import BagError, DataError
-from rotcal_ros.tables import csv_rows
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import BagError, DataError
+from rotcal_ros.foundation.tables import csv_rows
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 COLUMNS: Final = ("angle_deg", "deviation_arcsec", "u_arcsec")
 

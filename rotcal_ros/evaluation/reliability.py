@@ -15,11 +15,11 @@ from typing import Any, Final
 import numpy as np
 
 from rotcal_ros.adjust.distributions import noncentrality
-from rotcal_ros.arrays import Bools, Floats, Ints
-from rotcal_ros.catalogue import Calibration
-from rotcal_ros.errors import DataError
-from rotcal_ros.observations import Observation
-from rotcal_ros.results import Residuals, Result
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.foundation.results import Residuals, Result
+from rotcal_ros.methods import Calibration
 
 ALPHA: Final = 0.001
 """Significance of the test of one observation, as is usual in geodesy."""

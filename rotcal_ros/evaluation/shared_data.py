@@ -14,11 +14,11 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.curves.interpolation import SAME_ANGLE
 from rotcal_ros.curves.measured import MeasuredCurve
-from rotcal_ros.errors import DataError
-from rotcal_ros.raw_data import Influence
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.raw_data import Influence
 
 NONLINEAR: Final = 1e-4
 """Part of a standard uncertainty that what is not linear may leave between two evaluations."""

@@ -8,12 +8,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.effect import Effect
-from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.iso230 import Iso230
-from rotcal_ros.results import Result, Verdict
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.results import Result, Verdict
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 SCHEMA: Final = 1
 AGREEMENT: Final = 4.0

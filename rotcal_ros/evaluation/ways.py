@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from rotcal_ros.catalogue import Calibration, Method, changed
-from rotcal_ros.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.evaluation.withheld import withheld
-from rotcal_ros.observations import Observation
-from rotcal_ros.results import Result
+from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
+from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.methods import Calibration, Method, changed
 
 SAME_ANGLE = 1e-9  # rad
 EVALUATIONS = "evaluations"

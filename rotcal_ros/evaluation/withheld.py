@@ -12,11 +12,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Bools, Floats
-from rotcal_ros.components import COVERAGE_FACTOR, unit_of
-from rotcal_ros.gum_numbers import uncertainty
-from rotcal_ros.results import Result
-from rotcal_ros.units import DEGREE
+from rotcal_ros.foundation.arrays import Bools, Floats
+from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
+from rotcal_ros.foundation.gum_numbers import uncertainty
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import DEGREE
 
 SURELY_WRONG: Final = 2.0
 """Times U, hence four standard uncertainties: no honest curve is that far from the truth."""

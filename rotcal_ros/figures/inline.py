@@ -10,8 +10,8 @@ import re
 from html import escape
 from typing import Final
 
-from rotcal_ros.escapes import printable
 from rotcal_ros.figures import style
+from rotcal_ros.foundation.escapes import printable
 
 PROPERTIES: Final = {
     style.INK: "ink",

@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.figures import style
+from rotcal_ros.foundation.arrays import Floats
 
 COVERED_MM: Final = 20.0
 """Places nearer to each other than that in a view share a name there."""

@@ -11,8 +11,8 @@ import warnings
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final, ParamSpec
 
-from rotcal_ros.arrays import Floats
-from rotcal_ros.escapes import printable_lines, shortened
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.escapes import printable_lines, shortened
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes as Axes

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rotcal_ros.arrays import Floats
-from rotcal_ros.errors import GeometryError
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import GeometryError
 
 FLAT: Final = 1e-7
 """Points are taken for a line when the smaller principal spread is this much below the other."""

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
+from rotcal_ros.foundation.arrays import Floats
 
 _LEAST_NORM: Final = 1e-6
 

@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
-from rotcal_ros.errors import GeometryError
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import GeometryError
 
 MIN_ASPECT: Final = 0.01
 """Points whose extent across their longest direction is below this share lie "in a line"."""

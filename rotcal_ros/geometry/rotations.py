@@ -10,8 +10,8 @@ from math import cos, sin
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rotcal_ros.arrays import Floats
-from rotcal_ros.errors import GeometryError
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import GeometryError
 
 
 def wrap_angle(angle: ArrayLike) -> Floats:

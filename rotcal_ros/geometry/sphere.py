@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
-from rotcal_ros.arrays import Bools, Floats, Ints
-from rotcal_ros.errors import GeometryError
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.errors import GeometryError
 
 MAX_STEPS = 50
 CONVERGED = 1e-12

@@ -10,7 +10,9 @@ from math import isfinite
 from threading import Event, Thread
 from typing import Final
 
-from rotcal_ros.errors import ConfigurationError, RotcalError
+from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
+from rotcal_ros.foundation.observations import Command, LengthStatus, ProbeSample, TracerSample
+from rotcal_ros.foundation.plugins import INSTRUMENTS, load
 from rotcal_ros.instrument_plugins.instrument import (
     Instrument,
     InstrumentError,
@@ -21,8 +23,6 @@ from rotcal_ros.instrument_plugins.instrument import (
     Tracker,
 )
 from rotcal_ros.instrument_plugins.settings import InstrumentSettings
-from rotcal_ros.observations import Command, LengthStatus, ProbeSample, TracerSample
-from rotcal_ros.plugins import INSTRUMENTS, load
 
 READ_TIMEOUT_S: Final = 0.1
 PATIENCE_S: Final = 10.0

@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from rotcal_ros.errors import RotcalError
+from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.planning.plan import Point
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from math import isnan
 
-from rotcal_ros.observations import Command, TableSample
-from rotcal_ros.table_motion import is_near
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.observations import Command, TableSample
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.planning.table_motion import is_near
 
 
 class TableRest:

@@ -8,8 +8,7 @@ from typing import Any, Final
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.topic_settings import LENGTH_UNITS, TopicSettings
-from rotcal_ros.instruments.forms import form_of
-from rotcal_ros.observations import (
+from rotcal_ros.foundation.observations import (
     HumiditySample,
     PressureSample,
     ProbeSample,
@@ -17,7 +16,8 @@ from rotcal_ros.observations import (
     TemperatureSample,
     TracerSample,
 )
-from rotcal_ros.units import NANOSECOND
+from rotcal_ros.foundation.units import NANOSECOND
+from rotcal_ros.instruments.forms import form_of
 
 _KELVIN: Final = 273.15
 _CELSIUS: Final[Mapping[str, Callable[[Any], Any]]] = {

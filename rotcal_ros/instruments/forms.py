@@ -19,7 +19,7 @@ from rotcal_ros.bags.names import (
     TEMPERATURE,
     TRACER_LENGTH,
 )
-from rotcal_ros.messages import stamp_ns
+from rotcal_ros.capture.messages import stamp_ns
 
 STAMP: Final = ("header.stamp.sec", "header.stamp.nanosec")
 

@@ -9,20 +9,20 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros import messages
-from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.bags import names
 from rotcal_ros.bags.topic_settings import TopicSettings
-from rotcal_ros.instruments.conventions import Conventions
-from rotcal_ros.instruments.conversion import BareAngles, BareLengths, tracer_samples
-from rotcal_ros.instruments.forms import Form, form_of
-from rotcal_ros.instruments.steps import Position
-from rotcal_ros.observations import (
+from rotcal_ros.capture import messages
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.observations import (
     HumiditySample,
     PressureSample,
     TableSample,
     TemperatureSample,
 )
+from rotcal_ros.instruments.conventions import Conventions
+from rotcal_ros.instruments.conversion import BareAngles, BareLengths, tracer_samples
+from rotcal_ros.instruments.forms import Form, form_of
+from rotcal_ros.instruments.steps import Position
 
 Sent = tuple[Any, int]
 """A message, and when it was sent (ns)."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Final
 
-from rotcal_ros.units import NANOSECOND
+from rotcal_ros.foundation.units import NANOSECOND
 
 _KEPT: Final = 500
 _LEAST: Final = 5

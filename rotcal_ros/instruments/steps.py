@@ -16,10 +16,10 @@ from typing import Any, Final
 
 from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.capture.table import off_in_words
-from rotcal_ros.observations import Command, PointKind, ProbeSample, TableSample
+from rotcal_ros.foundation.observations import Command, PointKind, ProbeSample, TableSample
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
 from rotcal_ros.planning.plan import Plan, Point, Step
-from rotcal_ros.table_motion import is_near
-from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
+from rotcal_ros.planning.table_motion import is_near
 
 HELD_NS: Final = 200_000_000
 """Events are looked at so long after they were stamped: then all streams have come so far."""

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotcal_ros.arrays import Bools, Floats, Ints
-from rotcal_ros.errors import DataError
-from rotcal_ros.results import Directions, RepeatedRuns, Result
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.results import Directions, RepeatedRuns, Result
 
 
 @dataclass(frozen=True, eq=False)

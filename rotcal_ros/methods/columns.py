@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rotcal_ros.arrays import Bools, Floats
-from rotcal_ros.errors import DataError
+from rotcal_ros.foundation.arrays import Bools, Floats
+from rotcal_ros.foundation.errors import DataError
 
 
 def vector(name: str, values: ArrayLike, size: int | None = None) -> Floats:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from rotcal_ros.errors import DataError
+from rotcal_ros.foundation.errors import DataError
 
 RELATIVE: Final = 4.0 * 2.0**-52
 """Share of the root below which an interval is not made smaller."""

@@ -18,26 +18,26 @@ from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
 from rotcal_msgs.msg import TableInForce
 from rotcal_msgs.srv import ApplyTable, GetCorrection, RestoreTable
 
-from rotcal_ros import messages
 from rotcal_ros.bags import names
+from rotcal_ros.capture import messages
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.export import standing
 from rotcal_ros.compensation.feed import Applied, Feed
 from rotcal_ros.compensation.lookup import Correction
 from rotcal_ros.compensation.secret import Secret
-from rotcal_ros.errors import ControllerError, DataError, RotcalError
-from rotcal_ros.identity import Identity
-from rotcal_ros.in_force import UNKNOWN
-from rotcal_ros.middleware import LOCALHOST
+from rotcal_ros.foundation.errors import ControllerError, DataError, RotcalError
+from rotcal_ros.foundation.identity import Identity
+from rotcal_ros.foundation.in_force import UNKNOWN
+from rotcal_ros.foundation.middleware import LOCALHOST
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode, until
 from rotcal_ros.nodes.runtime.health import CALIBRATING
 from rotcal_ros.nodes.runtime.qos import LATCHED
 from rotcal_ros.nodes.runtime.running import run
 from rotcal_ros.nodes.runtime.turns import steady_timer
-from rotcal_ros.observations import Approach
 from rotcal_ros.planning.cell_settings import CellSettings
-from rotcal_ros.units import ARCSEC
 
 
 class BridgeNode(CellNode):

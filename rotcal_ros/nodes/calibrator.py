@@ -23,9 +23,9 @@ from rclpy.action import ActionClient
 from rotcal_msgs.action import Calibrate
 from std_srvs.srv import Trigger
 
-from rotcal_ros.catalogue import Configuration
-from rotcal_ros.errors import RotcalError
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.errors import RotcalError
+from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.methods import Configuration
 from rotcal_ros.nodes.goal.outcome import Feedback, Outcome, planner_lost, text_of
 from rotcal_ros.nodes.runtime.health import Health
 from rotcal_ros.nodes.runtime.peer import Peer

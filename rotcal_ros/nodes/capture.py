@@ -17,6 +17,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.capture import Capture, Record
 from rotcal_ros.capture.rejections import Rejections, kind_of
 from rotcal_ros.capture.stamp_offsets import StampOffsets
+from rotcal_ros.foundation.observations import Command, Observation
 from rotcal_ros.instruments.steps import Order, StepFinder
 from rotcal_ros.nodes.instruments.streams import InstrumentStreams
 from rotcal_ros.nodes.runtime import conversions
@@ -28,7 +29,6 @@ from rotcal_ros.nodes.runtime.plans import REFUSED, RUN, calibration_of, load_me
 from rotcal_ros.nodes.runtime.qos import EVENT
 from rotcal_ros.nodes.runtime.roll_call import LOADING
 from rotcal_ros.nodes.runtime.running import run
-from rotcal_ros.observations import Command, Observation
 
 READINGS_S: Final = 0.01
 """So long readings gather while somebody measures."""

@@ -1,6 +1,6 @@
 """Listening to a cell without taking part in it: python -m rotcal_ros.nodes.cell_check.
 
-Prints what was found as JSON, see :class:`~rotcal_ros.catalogue.check_lines.CellReport`. The
+Prints what was found as JSON, see :class:`~rotcal_ros.methods.check_lines.CellReport`. The
 suite's own capture listens, under a hidden name and with what it says kept to itself, and the
 planner's preflight judges: what is good here is good there.
 
@@ -34,17 +34,18 @@ from rotcal_msgs.msg import CalibrationPlan
 from rotcal_ros.bags import names
 from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.capture.stamp_offsets import OffsetLimits, StampOffsets
-from rotcal_ros.catalogue import Calibration, Configuration
-from rotcal_ros.catalogue.calibration import prepare_to_measure
-from rotcal_ros.catalogue.check_lines import CellReport, CheckLine
-from rotcal_ros.catalogue.configuration import changed, parse_configuration, read_configuration
-from rotcal_ros.catalogue.dry_run import DryRun
-from rotcal_ros.catalogue.method import DEFAULT
-from rotcal_ros.errors import BagError
-from rotcal_ros.escapes import printable
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.escapes import printable
+from rotcal_ros.foundation.middleware import discovery_in_words
+from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.geometry.frames import FrameTree, Pose
 from rotcal_ros.instruments.conventions import Conventions
-from rotcal_ros.middleware import discovery_in_words
+from rotcal_ros.methods import Calibration, Configuration
+from rotcal_ros.methods.calibration import prepare_to_measure
+from rotcal_ros.methods.check_lines import CellReport, CheckLine
+from rotcal_ros.methods.configuration import changed, parse_configuration, read_configuration
+from rotcal_ros.methods.dry_run import DryRun
+from rotcal_ros.methods.method import DEFAULT
 from rotcal_ros.nodes.capture import CaptureNode
 from rotcal_ros.nodes.check.adapter import GROUP, AdapterEars, controller_lines
 from rotcal_ros.nodes.check.drivers import brought_line, driver_lines
@@ -69,9 +70,8 @@ from rotcal_ros.nodes.runtime.qos import LATCHED
 from rotcal_ros.nodes.runtime.running import EndRequest, leave_with
 from rotcal_ros.nodes.runtime.topic_names import TOPIC
 from rotcal_ros.nodes.runtime.turns import steady_timer
+from rotcal_ros.planning.table_motion import PUBLISH_VELOCITY
 from rotcal_ros.sessions.domains import domains_in_use
-from rotcal_ros.table_motion import PUBLISH_VELOCITY
-from rotcal_ros.units import DEGREE
 
 if TYPE_CHECKING:
     from rotcal_ros.nodes.check.heard import Heard

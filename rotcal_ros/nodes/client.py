@@ -21,7 +21,7 @@ from typing import Final
 from rotcal_msgs.action import Calibrate
 
 from rotcal_ros.capture.rejections import kind_of
-from rotcal_ros.machine_load import Patience, in_words
+from rotcal_ros.foundation.machine_load import Patience, in_words
 from rotcal_ros.nodes.calibrator import Calibrator, CalibratorError, GoalRefusedError
 from rotcal_ros.nodes.goal.outcome import Feedback, Outcome
 from rotcal_ros.nodes.runtime.clock_news import jumps_in_words

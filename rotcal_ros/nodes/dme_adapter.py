@@ -19,6 +19,7 @@ from rotcal_ros.dme.client import NOT_STARTED
 from rotcal_ros.dme.driver import Driver
 from rotcal_ros.dme.faults import DmeError
 from rotcal_ros.dme.settings import DmeSettings
+from rotcal_ros.foundation.observations import Command, ProbeSample, TableSample
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.concerns import BLOCKED, show
@@ -28,7 +29,6 @@ from rotcal_ros.nodes.runtime.plans import RUN, calibration_of, load_method, run
 from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
 from rotcal_ros.nodes.runtime.roll_call import LOADING
 from rotcal_ros.nodes.runtime.running import run
-from rotcal_ros.observations import Command, ProbeSample, TableSample
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.safety_settings import SafetySettings

@@ -12,6 +12,7 @@ from rotcal_msgs.msg import ProbePoint, TracerLength
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture.settings import CaptureSettings
+from rotcal_ros.foundation.observations import Command, ProbeSample, TracerSample
 from rotcal_ros.instrument_plugins.driver import InstrumentDriver, Listeners, instrument_of
 from rotcal_ros.instrument_plugins.instrument import InstrumentError, Tracer, Tracker
 from rotcal_ros.instrument_plugins.settings import InstrumentSettings
@@ -24,7 +25,6 @@ from rotcal_ros.nodes.runtime.concerns import COMPLAINT, show
 from rotcal_ros.nodes.runtime.draining import Batch, sent_ns
 from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
 from rotcal_ros.nodes.runtime.running import run
-from rotcal_ros.observations import Command, ProbeSample, TracerSample
 from rotcal_ros.planning.cell_settings import CellSettings
 
 

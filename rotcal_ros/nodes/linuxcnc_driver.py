@@ -22,15 +22,15 @@ from sensor_msgs.msg import JointState
 
 from rotcal_ros.bags import names
 from rotcal_ros.compensation.linuxcnc_machine import agent_command
+from rotcal_ros.foundation.observations import Approach, TableSample
+from rotcal_ros.foundation.units import DEGREE, NANOSECOND
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
 from rotcal_ros.nodes.runtime.running import run
-from rotcal_ros.observations import Approach, TableSample
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.safety_settings import SafetySettings
-from rotcal_ros.units import DEGREE, NANOSECOND
 
 END_TIMEOUT_S: Final = 15.0
 """So long the agent may take to end by itself: less than a node may."""

@@ -20,6 +20,7 @@ from rclpy.qos import qos_profile_action_status_default
 from rotcal_msgs.action import Calibrate
 from std_srvs.srv import Trigger
 
+from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.nodes.goal.outcome import Feedback, Outcome
 from rotcal_ros.nodes.page import sections as page_sections
 from rotcal_ros.nodes.page.offer import WaitingTable
@@ -35,7 +36,6 @@ from rotcal_ros.page.server import PageServer
 from rotcal_ros.page.settings import PageSettings
 from rotcal_ros.page.state import Cell, Standing, Steps
 from rotcal_ros.planning.plan import PAUSED
-from rotcal_ros.units import ARCSEC
 
 PERIOD_S: Final = 0.25
 LAST_WORD_S: Final = 2.0

@@ -15,8 +15,9 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.service_introspection import ServiceIntrospectionState
 from rotcal_msgs.action import Calibrate
 
-from rotcal_ros.catalogue import prepare_to_measure
-from rotcal_ros.errors import RotcalError
+from rotcal_ros.foundation.errors import RotcalError
+from rotcal_ros.foundation.plugins import in_words
+from rotcal_ros.methods import prepare_to_measure
 from rotcal_ros.nodes.goal.asking import obstacle
 from rotcal_ros.nodes.goal.cell_links import CellLinks
 from rotcal_ros.nodes.goal.crew import Codes, Crew
@@ -31,7 +32,6 @@ from rotcal_ros.nodes.runtime.health import CALIBRATING
 from rotcal_ros.nodes.runtime.plans import PlannerParameters, read_continuation
 from rotcal_ros.nodes.runtime.qos import EVENT
 from rotcal_ros.nodes.runtime.running import done_aside, run
-from rotcal_ros.plugins import in_words
 
 RESULT_TIMEOUT_S: Final = 3600
 FEEDBACK_PERIOD_S: Final = 0.1

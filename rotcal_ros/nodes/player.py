@@ -31,17 +31,20 @@ from rotcal_msgs.msg import CalibrationPlan
 from rotcal_msgs.msg import Observation as ObservationMsg
 from rotcal_msgs.srv import FinishCalibration
 
-from rotcal_ros import messages
 from rotcal_ros.bags import names
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import read_blocks
 from rotcal_ros.bags.rosbag2_metadata import INFINITE_NS, qos_profiles
 from rotcal_ros.bags.unread import unread
-from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.capture import messages
 from rotcal_ros.evaluation.marks import marks
-from rotcal_ros.files import write_atomically
-from rotcal_ros.middleware import LOCALHOST
-from rotcal_ros.node_names import NODES, VIEWERS
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.files import write_atomically
+from rotcal_ros.foundation.middleware import LOCALHOST
+from rotcal_ros.foundation.node_names import NODES, VIEWERS
+from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.nodes.replayed_bag import CLOCK, ReplayedBag, of_attempts
 from rotcal_ros.nodes.runtime.channels import importable_type
 from rotcal_ros.nodes.runtime.conversions import time_message
@@ -52,9 +55,6 @@ from rotcal_ros.nodes.runtime.plans import REFUSED, RUN, run_name
 from rotcal_ros.nodes.runtime.qos import EVENT
 from rotcal_ros.nodes.runtime.running import EndRequest, leave_with
 from rotcal_ros.nodes.writing.bookkeeping import NEVER_PAUSE
-from rotcal_ros.observations import Observation
-from rotcal_ros.results import Result
-from rotcal_ros.units import NANOSECOND
 
 VOLATILE_DEPTH: Final = 5000
 """The graph tells no recorder how deep a publisher's queue was: so much is kept for slow ones."""

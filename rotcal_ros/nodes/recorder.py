@@ -11,8 +11,8 @@ from std_srvs.srv import Trigger
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.recorder_settings import RecorderSettings
-from rotcal_ros.clock_jumps import noted
-from rotcal_ros.errors import BagError, RotcalError
+from rotcal_ros.foundation.clock_jumps import noted
+from rotcal_ros.foundation.errors import BagError, RotcalError
 from rotcal_ros.instruments.interpreter import FAST
 from rotcal_ros.nodes.runtime.cell_node import IDLE_S, CellNode, until
 from rotcal_ros.nodes.runtime.draining import GRAPH_PERIOD_S, Batch

@@ -10,7 +10,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros import messages
 from rotcal_ros.bags import names
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Decoder
@@ -18,13 +17,14 @@ from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks
 from rotcal_ros.bags.scan import Scan
 from rotcal_ros.bags.session_identity import require_one_session
-from rotcal_ros.catalogue.configuration import read_topics
-from rotcal_ros.errors import BagError
+from rotcal_ros.capture import messages
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.instruments.conventions import Conventions
+from rotcal_ros.methods.configuration import read_topics
 from rotcal_ros.nodes.runtime.heartbeat import HEARTBEAT
 from rotcal_ros.nodes.runtime.topic_names import CalledOtherwise
-from rotcal_ros.observations import Observation
-from rotcal_ros.units import NANOSECOND
 
 OUTPUTS: Final = frozenset({
     names.OBSERVATION, names.OBSERVATION_RECORDED, "deviations", "compensation_table", HEARTBEAT,

@@ -20,9 +20,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from rotcal_ros import messages
-from rotcal_ros.arrays import Floats
 from rotcal_ros.bags import names
+from rotcal_ros.capture import messages
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.conversions import header
 from rotcal_ros.nodes.runtime.plans import calibration_of
@@ -38,7 +39,6 @@ from rotcal_ros.scene.drawing import (
 )
 from rotcal_ros.scene.layout import Layout, Progress, layout_of
 from rotcal_ros.scene.shapes import Balls, Colour, Disc, Label, Lines, Shape, Transform
-from rotcal_ros.units import DEGREE
 
 
 def markers(shapes: Iterable[Shape], stamp_ns: int) -> MarkerArray:

@@ -9,21 +9,21 @@ from rclpy.qos import QoSProfile
 from rotcal_msgs.msg import ProbePoint, TableInForce, TracerLength
 from sensor_msgs.msg import FluidPressure, JointState, RelativeHumidity, Temperature
 
-from rotcal_ros import messages
 from rotcal_ros.bags import names
 from rotcal_ros.bags.topic_settings import TopicSettings
-from rotcal_ros.catalogue.method import DEFAULT, find_method
-from rotcal_ros.in_force import NONE, UNKNOWN
+from rotcal_ros.capture import messages
+from rotcal_ros.foundation.in_force import NONE, UNKNOWN
+from rotcal_ros.foundation.observations import Command, HumiditySample, PressureSample
+from rotcal_ros.foundation.units import NANOSECOND
+from rotcal_ros.methods.method import DEFAULT, find_method
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED, STREAM
 from rotcal_ros.nodes.runtime.running import run
-from rotcal_ros.observations import Command, HumiditySample, PressureSample
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.safety_settings import SafetySettings
 from rotcal_ros.simulation import CellOutput, SimulatedCell
-from rotcal_ros.units import NANOSECOND
 
 PERIOD_S: Final = 0.01
 LONGEST_TURN_NS: Final = 20_000_000

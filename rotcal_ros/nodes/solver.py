@@ -22,14 +22,17 @@ from rotcal_msgs.msg import Observation as ObservationMsg
 from rotcal_msgs.srv import FinishCalibration
 from std_srvs.srv import Trigger
 
-from rotcal_ros import messages
 from rotcal_ros.bags import names
-from rotcal_ros.catalogue import Calibration, last_accepted
-from rotcal_ros.catalogue.calibration import RunStep
-from rotcal_ros.catalogue.continuation import Recorded
+from rotcal_ros.capture import messages
 from rotcal_ros.compensation.table import table_from_result
-from rotcal_ros.errors import DataError, RotcalError
-from rotcal_ros.in_force import of_axis
+from rotcal_ros.foundation.errors import DataError, RotcalError
+from rotcal_ros.foundation.in_force import of_axis
+from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.foundation.plugins import in_words
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.methods import Calibration, last_accepted
+from rotcal_ros.methods.calibration import RunStep
+from rotcal_ros.methods.continuation import Recorded
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode, until
 from rotcal_ros.nodes.runtime.frames import StaticFrames
@@ -46,9 +49,6 @@ from rotcal_ros.nodes.runtime.plans import (
 from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED
 from rotcal_ros.nodes.runtime.roll_call import LOADING, SOLVING
 from rotcal_ros.nodes.runtime.running import run
-from rotcal_ros.observations import Observation
-from rotcal_ros.plugins import in_words
-from rotcal_ros.results import Result
 
 ARRIVAL_TIMEOUT_S = 10.0
 SOLVE_TIMEOUT_S = 3600.0

@@ -17,9 +17,11 @@ import numpy as np
 from rotcal_msgs.msg import TableAngle
 
 from rotcal_ros.bags import names
-from rotcal_ros.catalogue.calibration import prepare_to_measure
-from rotcal_ros.catalogue.configuration import read_configuration
-from rotcal_ros.catalogue.trial_motion import TRIAL_DEG, TrialMotion, beams_of
+from rotcal_ros.foundation.observations import ProbeSample, TableSample, TracerSample
+from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.methods.calibration import prepare_to_measure
+from rotcal_ros.methods.configuration import read_configuration
+from rotcal_ros.methods.trial_motion import TRIAL_DEG, TrialMotion, beams_of
 from rotcal_ros.nodes.instruments.streams import InstrumentStreams
 from rotcal_ros.nodes.runtime.cell_graph import CellGraph
 from rotcal_ros.nodes.runtime.cell_node import CellNode, until
@@ -27,10 +29,8 @@ from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.health import CALIBRATING
 from rotcal_ros.nodes.runtime.qos import EVENT
 from rotcal_ros.nodes.runtime.running import run
-from rotcal_ros.observations import ProbeSample, TableSample, TracerSample
 from rotcal_ros.planning.safety_settings import SafetySettings
-from rotcal_ros.table_motion import is_near
-from rotcal_ros.units import DEGREE
+from rotcal_ros.planning.table_motion import is_near
 
 START_S: Final = 15.0
 BEFORE_S: Final = 1.0

@@ -20,8 +20,8 @@ from typing import Any, Final
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import QoSProfile
 
-from rotcal_ros.machine_load import patient
-from rotcal_ros.node_names import NODES
+from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.node_names import NODES
 from rotcal_ros.nodes.runtime.heartbeat import HEARTBEAT
 from rotcal_ros.nodes.runtime.peer import Peer
 from rotcal_ros.nodes.runtime.running import SUPERVISOR_VARIABLE

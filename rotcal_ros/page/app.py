@@ -33,7 +33,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rotcal_ros.compensation.secret import Secret
-from rotcal_ros.escapes import printable_data
+from rotcal_ros.foundation.escapes import printable_data
 from rotcal_ros.page.board import Board
 from rotcal_ros.page.state import State, changes
 

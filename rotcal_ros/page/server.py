@@ -11,7 +11,7 @@ from typing import Final
 import uvicorn
 
 from rotcal_ros.compensation.secret import Secret
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.page.app import Actions, make_app
 from rotcal_ros.page.board import Board
 from rotcal_ros.page.settings import LOOPBACK, PageSettings

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from ipaddress import ip_address
 from typing import Final
 
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.settings import setting
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.settings import setting
 
 LOOPBACK: Final = "127.0.0.1"
 

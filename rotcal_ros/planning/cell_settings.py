@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rotcal_ros.components import check_axis
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.in_force import UNKNOWN, check_in_force
-from rotcal_ros.settings import check_ros_name, setting
+from rotcal_ros.foundation.components import check_axis
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.in_force import UNKNOWN, check_in_force
+from rotcal_ros.foundation.settings import check_ros_name, setting
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,8 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from rotcal_ros.adjust.distributions import normal_isf
-from rotcal_ros.arrays import Floats
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import ConfigurationError
 
 RISK: Final = 0.05
 """Of a miss and of a false alarm, where nothing else is asked for."""

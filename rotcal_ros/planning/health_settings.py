@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rotcal_ros.settings import setting
+from rotcal_ros.foundation.settings import setting
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from rotcal_ros.errors import PlanError
-from rotcal_ros.observations import Approach, Command, Observation, PointKind, place_in_words
+from rotcal_ros.foundation.errors import PlanError
+from rotcal_ros.foundation.observations import (
+    Approach,
+    Command,
+    Observation,
+    PointKind,
+    place_in_words,
+)
 
 Point = tuple[float, float, float]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rotcal_ros.planning.policy.names import AS_LISTED, UNTIL_GOAL
-from rotcal_ros.settings import setting
+from rotcal_ros.foundation.settings import setting
+from rotcal_ros.planning.policy_names import AS_LISTED, UNTIL_GOAL
 
 
 @dataclass(frozen=True)

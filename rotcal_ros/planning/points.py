@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
-from rotcal_ros.errors import PlanError
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.planning.plan import Point
 
 _ROUNDING: Final = 1e-9

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.foundation.arrays import Floats, Ints
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rotcal_ros.arrays import Ints
-from rotcal_ros.observations import Observation
+from rotcal_ros.foundation.arrays import Ints
+from rotcal_ros.foundation.observations import Observation
 
 
 def time_order(observations: Sequence[Observation]) -> Ints:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rotcal_ros.observations import Approach
+from rotcal_ros.foundation.observations import Approach
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,11 +8,11 @@ from typing import Any, Final
 
 from threadpoolctl import threadpool_limits
 
-from rotcal_ros import catalogue
-from rotcal_ros.catalogue.continuation import Continuation
-from rotcal_ros.observations import Observation
-from rotcal_ros.planning.policy.choices import Choice, Outcome, Standing
-from rotcal_ros.planning.policy.names import AS_LISTED
+from rotcal_ros import methods
+from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.methods.continuation import Continuation
+from rotcal_ros.planning.choices import Choice, Outcome, Standing
+from rotcal_ros.planning.policy_names import AS_LISTED
 
 ENDLESS: Final = 2**62
 
@@ -36,7 +36,7 @@ class RecordedChoice:
 
 
 def differences(
-    calibration: catalogue.Calibration,
+    calibration: methods.Calibration,
     choices: Sequence[RecordedChoice],
     observations: Iterable[Observation],
 ) -> tuple[str, ...]:
@@ -61,7 +61,7 @@ def differences(
 
 
 def _begun(
-    calibration: catalogue.Calibration, run: int, earlier: Sequence[Observation]
+    calibration: methods.Calibration, run: int, earlier: Sequence[Observation]
 ) -> Continuation:
     """Return what a run was begun with."""
     if run == 0:
@@ -70,7 +70,7 @@ def _begun(
 
 
 def _first_difference(
-    calibration: catalogue.Calibration,
+    calibration: methods.Calibration,
     continuation: Continuation,
     choices: Sequence[RecordedChoice],
     observations: Sequence[Observation],

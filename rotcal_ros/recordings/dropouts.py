@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from rotcal_ros import messages as records
 from rotcal_ros.bags import names
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Decoder
@@ -17,7 +16,8 @@ from rotcal_ros.bags.dropouts import Dropout
 from rotcal_ros.bags.reader import read_blocks
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.verdict import FileVerdict
-from rotcal_ros.errors import BagError
+from rotcal_ros.capture import messages as records
+from rotcal_ros.foundation.errors import BagError
 
 _SENTENCES: Final = 20
 """Sentences in all; more say no more."""

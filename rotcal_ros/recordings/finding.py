@@ -10,9 +10,9 @@ from fnmatch import translate
 from pathlib import Path, PurePath
 
 from rotcal_ros.bags.reader import bag_files, is_storage_name
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.untrusted import read_text
 from rotcal_ros.recordings.remote import is_remote, remote_bags
-from rotcal_ros.untrusted import read_text
 
 Inodes = frozenset[tuple[int, int]]
 

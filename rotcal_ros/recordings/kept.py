@@ -10,10 +10,10 @@ from typing import Any, Final
 
 from rotcal_ros import __version__
 from rotcal_ros.bags.reader import bag_files, sha256_of
-from rotcal_ros.catalogue.configuration import Configuration
-from rotcal_ros.files import write_atomically
+from rotcal_ros.foundation.files import write_atomically
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.recordings.remote import METADATA, is_remote, remote_state
-from rotcal_ros.results import Result
 
 TAIL_BYTES: Final = 1 << 16
 """What is hashed of a file's end: the summary of an MCAP file, the last pages of a database."""

@@ -7,7 +7,7 @@ from typing import Final
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture.rejections import Commonest
-from rotcal_ros.observations import Observation
+from rotcal_ros.foundation.observations import Observation
 
 _TOPICS: Final = {
     "tracer": names.TRACER_LENGTH,

@@ -14,14 +14,14 @@ from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import scan_file
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.scan import Scan
-from rotcal_ros.catalogue.configuration import (
+from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
+from rotcal_ros.foundation.identity import Identity
+from rotcal_ros.methods.configuration import (
     OFFLINE_GROUPS,
     Configuration,
     parse_configuration,
     read_subject,
 )
-from rotcal_ros.errors import BagError, ConfigurationError, DataError
-from rotcal_ros.identity import Identity
 from rotcal_ros.recordings.topics import Topics
 
 Decoders = dict[ChannelDefinition, Decoder]

@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
 from rotcal_ros.bags.reader import is_storage_name
-from rotcal_ros.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.errors import BagError, ConfigurationError
 
 METADATA: Final = "metadata.yaml"
 

@@ -22,8 +22,7 @@ from functools import partial
 from pathlib import Path
 from typing import Final, Literal
 
-from rotcal_ros import catalogue
-from rotcal_ros import messages as records
+from rotcal_ros import methods
 from rotcal_ros.bags import names
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks, sha256_of
@@ -35,22 +34,24 @@ from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session
 from rotcal_ros.bags.time_order import TimeOrder, TimeOrders, sorted_blocks
 from rotcal_ros.bags.unread import note_unread
 from rotcal_ros.bags.verdict import FileVerdict, losses_in_words, session_losses, unread_losses
+from rotcal_ros.capture import messages as records
 from rotcal_ros.capture.attempt import nanoseconds
 from rotcal_ros.capture.stamp_offsets import OffsetLimits, is_of_clocks, rejected_for
-from rotcal_ros.catalogue.configuration import (
+from rotcal_ros.foundation.clock_jumps import read_note
+from rotcal_ros.foundation.errors import BagError, DataError, RotcalError
+from rotcal_ros.foundation.in_force import contradiction, of_axis
+from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.geometry.frames import StaticFrame
+from rotcal_ros.instruments.steps import StepFinder
+from rotcal_ros.methods.configuration import (
     Configuration,
     parse_configuration,
     read_policy,
 )
-from rotcal_ros.catalogue.goal import GoalStanding, goal_standing
-from rotcal_ros.catalogue.method import Trials
-from rotcal_ros.clock_jumps import read_note
-from rotcal_ros.errors import BagError, DataError, RotcalError
-from rotcal_ros.geometry.frames import StaticFrame
-from rotcal_ros.in_force import contradiction, of_axis
-from rotcal_ros.instruments.steps import StepFinder
-from rotcal_ros.observations import Observation
-from rotcal_ros.planning.policy.names import UNTIL_GOAL
+from rotcal_ros.methods.goal import GoalStanding, goal_standing
+from rotcal_ros.methods.method import Trials
+from rotcal_ros.planning.policy_names import UNTIL_GOAL
 from rotcal_ros.recordings.choices import RecordedChoice, differences
 from rotcal_ros.recordings.dropouts import PlacedDropout, placed_in, sentences
 from rotcal_ros.recordings.nothing_captured import doubtful, why_nothing
@@ -65,7 +66,6 @@ from rotcal_ros.recordings.recorded_setup import (
 )
 from rotcal_ros.recordings.streams import SLICE_NS, TIMED, StreamFeeder
 from rotcal_ros.recordings.topics import Part, Topics, of_one_cell
-from rotcal_ros.results import Result
 
 Source = Literal["streams", "observations"]
 
@@ -89,7 +89,7 @@ class Recording:
     ((), 'ok')
     """
 
-    calibration: catalogue.Calibration
+    calibration: methods.Calibration
     source: Source
     observations: tuple[Observation, ...]
     recorded: tuple[Observation, ...]
@@ -155,14 +155,14 @@ class Recording:
         reason = why_nothing(self.observations, self.counts, self.unreadable, self.broken, topics)
         raise DataError(f"the bag yields no observation that was accepted: {reason}")
 
-    def _as_chosen(self) -> catalogue.Calibration | None:
+    def _as_chosen(self) -> methods.Calibration | None:
         """Return the calibration whose policy chose the steps; None where it only listed them."""
         if not self.choices or names.CONFIGURATION not in self.attachments:
             return None
         text = self.attachments[names.CONFIGURATION].decode(errors="replace")
         if read_policy(text) != UNTIL_GOAL:
             return None
-        return catalogue.prepare(parse_configuration(text, "the bag's configuration"))
+        return methods.prepare(parse_configuration(text, "the bag's configuration"))
 
     @property
     def same_as_recorded(self) -> bool:
@@ -171,7 +171,7 @@ class Recording:
         Behind the last recorded one of a run there may be more: nodes that were killed had the
         readings on disk before they could tell what they are.
         """
-        again, live = map(catalogue.last_accepted, (self.observations, self.recorded))
+        again, live = map(methods.last_accepted, (self.observations, self.recorded))
         newest: defaultdict[int, int] = defaultdict(int)
         for (run, _), observation in live.items():
             newest[run] = max(newest[run], observation.window_end_ns)
@@ -254,7 +254,7 @@ def _recording(
     if configuration is None:
         configuration = find_configuration(files, topics, limits)
     topics.follow(configuration.topics.renamed())
-    calibration = catalogue.prepare(configuration)
+    calibration = methods.prepare(configuration)
     make = partial(_feeder, calibration, configuration)
     passes = partial(read_blocks, files, progress, limits)
     found, feeder, order = _read_in_order(passes, topics, make, source, _apart_ns(configuration))
@@ -316,7 +316,7 @@ def _left_alone(verdicts: Sequence[FileVerdict]) -> list[str]:
     ]
 
 
-def _feeder(calibration: catalogue.Calibration, configuration: Configuration) -> StreamFeeder:
+def _feeder(calibration: methods.Calibration, configuration: Configuration) -> StreamFeeder:
     """Return what captures the streams again as they were planned."""
     return StreamFeeder(
         calibration.capture,

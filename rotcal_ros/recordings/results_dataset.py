@@ -14,8 +14,8 @@ from uuid import uuid4
 import numpy as np
 
 from rotcal_ros.bags.parquet import arrow
-from rotcal_ros.escapes import encodable
-from rotcal_ros.files import FolderLock, replace_atomically
+from rotcal_ros.foundation.escapes import encodable
+from rotcal_ros.foundation.files import FolderLock, replace_atomically
 from rotcal_ros.recordings.kept import Outcome
 
 ROWS: Final = 50_000

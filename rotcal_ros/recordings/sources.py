@@ -7,22 +7,22 @@ from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 
-from rotcal_ros.catalogue.configuration import read_configuration
-from rotcal_ros.catalogue.method import Measurements
 from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
-from rotcal_ros.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.evaluation.bidirectional import read_runs, require_runs
 from rotcal_ros.evaluation.combination import CombinationInput
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns
 from rotcal_ros.evaluation.reference import read_reference, without_polygon
 from rotcal_ros.evaluation.ways import EVALUATIONS, way_name
+from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.session_folder import SessionFolder
+from rotcal_ros.foundation.tables import is_table
+from rotcal_ros.foundation.untrusted import load_json, read_bytes, why
+from rotcal_ros.foundation.untrusted import read_text as text_of_file
+from rotcal_ros.methods.configuration import read_configuration
+from rotcal_ros.methods.method import Measurements
 from rotcal_ros.recordings.inputs import Input
 from rotcal_ros.recordings.replay import Recording
-from rotcal_ros.results import Result
-from rotcal_ros.session_folder import SessionFolder
-from rotcal_ros.tables import is_table
-from rotcal_ros.untrusted import load_json, read_bytes, why
-from rotcal_ros.untrusted import read_text as text_of_file
 
 
 @dataclass(frozen=True)

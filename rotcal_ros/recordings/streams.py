@@ -10,19 +10,19 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros import messages as records
-from rotcal_ros.arrays import Ints
 from rotcal_ros.bags import names
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Columns
 from rotcal_ros.bags.topic_settings import TopicSettings
+from rotcal_ros.capture import messages as records
 from rotcal_ros.capture.orders import Orders
 from rotcal_ros.capture.stamp_offsets import REFERENCE, OffsetLimits, StampOffsets
+from rotcal_ros.foundation.arrays import Ints
+from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.instruments.conversion import FEEDBACK, READING
 from rotcal_ros.instruments.forms import STAMP, Form, form_of
 from rotcal_ros.instruments.interpreter import Interpreter, table_samples
 from rotcal_ros.instruments.steps import Order, Position, StepFinder
-from rotcal_ros.observations import Observation
 from rotcal_ros.recordings.topics import Part
 
 _TRACER: Final = (*STAMP, "sequence", "length", "status")

@@ -10,7 +10,6 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
-from rotcal_ros.arrays import Ints
 from rotcal_ros.bags import names
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Decoder
@@ -18,8 +17,9 @@ from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import read_blocks
 from rotcal_ros.bags.reading_limits import ReadingLimits
 from rotcal_ros.bags.scan import Contents
-from rotcal_ros.catalogue import Configuration
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.arrays import Ints
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.methods import Configuration
 
 _OWN: Final = (names.PLAN, names.OBSERVATION, names.TABLE_ANGLE, names.PROBE_TARGET)
 _PACKAGE: Final = "rotcal_msgs/"

@@ -23,7 +23,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, Final
 
-from rotcal_ros.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.recordings.kept import Outcome
 from rotcal_ros.recordings.many import Job, solve_bag
 

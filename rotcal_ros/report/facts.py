@@ -11,11 +11,11 @@ from datetime import datetime, timezone
 from typing import Final
 
 from rotcal_ros import __version__
-from rotcal_ros.circumstances import Circumstances, Counts, Range
-from rotcal_ros.identity import Identity
-from rotcal_ros.in_force import in_words
-from rotcal_ros.results import Result
-from rotcal_ros.units import NANOSECOND
+from rotcal_ros.foundation.circumstances import Circumstances, Counts, Range
+from rotcal_ros.foundation.identity import Identity
+from rotcal_ros.foundation.in_force import in_words
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import NANOSECOND
 
 NOT_STATED: Final = "not stated"
 ONLY_THIS_ITEM: Final = (

@@ -8,15 +8,21 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.components import COVERAGE_FACTOR, unit_of
-from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.bidirectional import runs_of
 from rotcal_ros.evaluation.conformity import RULE, conformities
 from rotcal_ros.evaluation.iso230 import iso230
 from rotcal_ros.evaluation.withheld import not_covered
-from rotcal_ros.gum_numbers import place_of, uncertainty, value, value_to, value_with_uncertainty
-from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.gum_numbers import (
+    place_of,
+    uncertainty,
+    value,
+    value_to,
+    value_with_uncertainty,
+)
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 FEW_SENTENCES: Final = 2
 """Components up to which each one has its sentence; more of them have a table of ranges."""

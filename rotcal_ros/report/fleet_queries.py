@@ -9,8 +9,8 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Final
 
-from rotcal_ros.components import COVERAGE_FACTOR
-from rotcal_ros.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.recordings.results_dataset import parts
 
 ENOUGH: Final = 5

@@ -14,8 +14,8 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from rotcal_ros.components import COMPONENTS, unit_of
-from rotcal_ros.files import write_atomically
+from rotcal_ros.foundation.components import COMPONENTS, unit_of
+from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.report.fleet_queries import Bag, asked, bags_by_table
 from rotcal_ros.report.template import render
 

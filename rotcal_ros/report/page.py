@@ -10,17 +10,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from rotcal_ros.catalogue import find_method, method_names
-from rotcal_ros.catalogue.goal import GoalStanding
 from rotcal_ros.evaluation.marks import marks
 from rotcal_ros.evaluation.withheld import withheld
 from rotcal_ros.figures import Figure, curves
 from rotcal_ros.figures.residuals import residual_figures
-from rotcal_ros.in_force import UNKNOWN
-from rotcal_ros.observations import Observation
+from rotcal_ros.foundation.in_force import UNKNOWN
+from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.methods import find_method, method_names
+from rotcal_ros.methods.goal import GoalStanding
 from rotcal_ros.report import facts, first_page, iso230, sections, verification
 from rotcal_ros.report.template import render
-from rotcal_ros.results import Result
 
 TITLE: Final = "Calibration report of a rotary table"
 NO_ADJUSTMENT: Final = "No adjustment or repair between measurements is part of this report."

@@ -16,8 +16,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.files import replace_atomically, write_atomically, write_durably
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.files import replace_atomically, write_atomically, write_durably
 
 HTML: Final = ".html"
 PDF: Final = ".pdf"

@@ -12,16 +12,16 @@ from typing import Any
 
 from rotcal_ros import __version__
 from rotcal_ros.bags import names
-from rotcal_ros.catalogue import find_method, method_names
-from rotcal_ros.catalogue.measurements import PlannedMeasurements
-from rotcal_ros.catalogue.method import Measurements
-from rotcal_ros.errors import DataError
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.methods import find_method, method_names
+from rotcal_ros.methods.measurements import PlannedMeasurements
+from rotcal_ros.methods.method import Measurements
 from rotcal_ros.recordings.replay import Recording
 from rotcal_ros.recordings.sources import Source
 from rotcal_ros.report.page import TITLE, ReportInput, render_report
 from rotcal_ros.report.printing import write_page
 from rotcal_ros.report.verification import acting_section
-from rotcal_ros.results import Result
 
 
 def write_recorded(

@@ -9,23 +9,28 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.catalogue.goal import GoalStanding
-from rotcal_ros.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.curves.measured import measured_curve
-from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.budget import WHOLE, contributions
 from rotcal_ros.evaluation.harmonics import HarmonicContent, harmonic_content
 from rotcal_ros.evaluation.reliability import Reliability, reliability
 from rotcal_ros.figures import style
-from rotcal_ros.gum_numbers import place_of, uncertainty, value_to, value_with_uncertainty
-from rotcal_ros.identity import Identity
+from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.gum_numbers import (
+    place_of,
+    uncertainty,
+    value_to,
+    value_with_uncertainty,
+)
+from rotcal_ros.foundation.identity import Identity
+from rotcal_ros.foundation.protection import TOLERABLE
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
+from rotcal_ros.methods.goal import GoalStanding
 from rotcal_ros.planning.plan_figures import PlanFigures
-from rotcal_ros.protection import TOLERABLE
 from rotcal_ros.report.facts import NOT_STATED
 from rotcal_ros.report.first_page import degrees
 from rotcal_ros.report.template import render
-from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE
 
 BUDGET = "Uncertainty budget"
 

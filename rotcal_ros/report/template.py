@@ -9,8 +9,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from rotcal_ros import __version__
-from rotcal_ros.escapes import printable_lines
 from rotcal_ros.figures.inline import inline
+from rotcal_ros.foundation.escapes import printable_lines
 
 
 def render(template: str, **values: Any) -> str:

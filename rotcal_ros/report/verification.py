@@ -8,14 +8,14 @@ from markupsafe import escape
 from matplotlib.axes import Axes
 
 from rotcal_ros.compensation.earlier import effect_in_force
-from rotcal_ros.components import COVERAGE_FACTOR
-from rotcal_ros.escapes import printable_lines
 from rotcal_ros.evaluation.verification import ISO_FIGURES, Positioning, Verification
 from rotcal_ros.figures import style
-from rotcal_ros.in_force import in_words, known_hash
+from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.escapes import printable_lines
+from rotcal_ros.foundation.in_force import in_words, known_hash
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.report.template import render
-from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC, DEGREE
 
 TITLE = "Before and after compensation"
 _WORDS = {

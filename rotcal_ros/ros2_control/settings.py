@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.settings import check_ros_name, setting
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.settings import check_ros_name, setting
 
 Interface = Literal["auto", "goals", "trajectory", "positions"]
 

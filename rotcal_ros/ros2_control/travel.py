@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from itertools import accumulate, pairwise
 from math import ceil, floor, inf, isfinite, pi, sqrt
 
-from rotcal_ros.errors import DataError
-from rotcal_ros.observations import Approach
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.planning.table_motion import TOWARDS, approached
 from rotcal_ros.ros2_control.settings import TableAdapterSettings
-from rotcal_ros.table_motion import TOWARDS, approached
-from rotcal_ros.units import DEGREE
 
 TURN = 2 * pi
 SHORTEST_S = 0.1

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
+from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.planning.plan import Step
 from rotcal_ros.scene.layout import Layout, State

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from rotcal_ros.arrays import Floats
+from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.planning.plan import Point
 
 Colour: TypeAlias = tuple[float, float, float, float]

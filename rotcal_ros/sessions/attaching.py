@@ -11,15 +11,15 @@ from queue import Empty, SimpleQueue
 from threading import Thread
 from typing import Any, Final, NoReturn
 
-from rotcal_ros.catalogue import read_configuration
-from rotcal_ros.errors import BagError, ConfigurationError, DataError
-from rotcal_ros.files import FolderLock
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
+from rotcal_ros.foundation.files import FolderLock
+from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.session_folder import MEETING_POINT, SessionFolder
+from rotcal_ros.foundation.untrusted import NotAFileError, load_json, read_text
+from rotcal_ros.methods import read_configuration
 from rotcal_ros.report.terminal.console import progress_bar, say
-from rotcal_ros.session_folder import MEETING_POINT, SessionFolder
 from rotcal_ros.sessions.display import NO_MACHINE, Display
 from rotcal_ros.sessions.person import Person
-from rotcal_ros.untrusted import NotAFileError, load_json, read_text
 
 GREETING_TIMEOUT_S: Final = 10.0
 _POLL_S: Final = 0.2

@@ -12,15 +12,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from rotcal_ros.catalogue.check_lines import CellReport, CheckLine
-from rotcal_ros.catalogue.configuration import node_parameters, read_configuration
-from rotcal_ros.errors import ConfigurationError, RotcalError
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
+from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.records import record
+from rotcal_ros.foundation.settings import check_ros_name
+from rotcal_ros.methods.check_lines import CellReport, CheckLine
+from rotcal_ros.methods.configuration import node_parameters, read_configuration
 from rotcal_ros.planning.cell_settings import CellSettings
-from rotcal_ros.records import record
 from rotcal_ros.sessions.environment import node_environment
 from rotcal_ros.sessions.processes import Processes
-from rotcal_ros.settings import check_ros_name
 
 _GRACE_S: Final = 30.0
 """Time for the start of the process and for what is worked out of the plan."""

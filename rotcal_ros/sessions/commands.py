@@ -6,7 +6,7 @@ import json
 import sys
 from typing import Final
 
-from rotcal_ros.node_names import NODES, VIEWERS, further_nodes
+from rotcal_ros.foundation.node_names import NODES, VIEWERS, further_nodes
 from rotcal_ros.sessions.session import Session
 
 CLIENT: Final = "client"

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Final
 
 from rotcal_ros.bags import names
-from rotcal_ros.catalogue import Calibration, Configuration
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.planning.policy.names import AS_LISTED
-from rotcal_ros.settings import declarations
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.settings import declarations
+from rotcal_ros.methods import Calibration, Configuration
+from rotcal_ros.planning.policy_names import AS_LISTED
 
 BYTES_PER_MESSAGE: Final = 100.0
 """Of a reading in a bag, with its index; compression leaves about half of it."""

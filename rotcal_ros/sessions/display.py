@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
-from rotcal_ros.circumstances import SIMULATED
-from rotcal_ros.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.circumstances import SIMULATED
+from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.planning.plan import PAUSED, STOPPED
 from rotcal_ros.report.terminal.console import say
-from rotcal_ros.units import ARCSEC
 
 if TYPE_CHECKING:
     from rich.progress import Progress

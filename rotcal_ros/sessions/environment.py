@@ -7,8 +7,8 @@ import time
 from importlib.util import find_spec
 from typing import Final
 
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.middleware import middleware
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.middleware import middleware
 from rotcal_ros.report.terminal.console import say
 from rotcal_ros.sessions.domains import DEFAULT_DOMAIN, free_domain
 

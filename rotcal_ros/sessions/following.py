@@ -18,12 +18,12 @@ from types import FrameType
 from typing import Any, Final, NoReturn
 
 from rotcal_ros.bags.reindex import finish_interrupted
-from rotcal_ros.catalogue.configuration import node_parameters
-from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.evaluation.marks import marks
-from rotcal_ros.files import FolderLock, write_atomically
-from rotcal_ros.machine_load import patient
-from rotcal_ros.node_names import VIEWERS
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.files import FolderLock, write_atomically
+from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.node_names import VIEWERS
+from rotcal_ros.methods.configuration import node_parameters
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.recordings.sources import read_source
 from rotcal_ros.report.terminal.console import progress_bar, say

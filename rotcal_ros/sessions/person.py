@@ -7,7 +7,7 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from rotcal_ros.catalogue import Configuration
+from rotcal_ros.methods import Configuration
 from rotcal_ros.planning.plan import PAUSED, RELEASED, STOPPED
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
 
 TERMINATE_TIMEOUT_S: Final = 25.0
 _POLL_S: Final = 0.05

@@ -10,21 +10,21 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.catalogue.configuration import read_policy
 from rotcal_ros.compensation.adding import combined
 from rotcal_ros.compensation.export import ExportFiles, prepare_export
 from rotcal_ros.compensation.table import CompensationTable, table_from_result
 from rotcal_ros.compensation.writing import write_files
-from rotcal_ros.errors import BagError, RotcalError
-from rotcal_ros.files import write_atomically
-from rotcal_ros.planning.policy.names import UNTIL_GOAL
+from rotcal_ros.foundation.errors import BagError, RotcalError
+from rotcal_ros.foundation.files import write_atomically
+from rotcal_ros.foundation.session_folder import SessionFolder
+from rotcal_ros.foundation.untrusted import load_json, read_text
+from rotcal_ros.methods.configuration import read_policy
+from rotcal_ros.planning.policy_names import UNTIL_GOAL
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.recordings.sources import Source, read_source
 from rotcal_ros.report.terminal.console import say
-from rotcal_ros.session_folder import SessionFolder
 from rotcal_ros.sessions.session import Session
 from rotcal_ros.simulation import SimulatedCell
-from rotcal_ros.untrusted import load_json, read_text
 
 FORMATS: Final = ("csv", "linuxcnc")
 """Controller files that need no settings of the user's machine."""

@@ -13,7 +13,7 @@ from types import FrameType
 from typing import Any, Final, NoReturn
 
 from rotcal_ros.bags.unread import note_unread
-from rotcal_ros.errors import BagError, ConfigurationError, DataError
+from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.report.terminal.console import progress, say
 from rotcal_ros.sessions.processes import Processes
 

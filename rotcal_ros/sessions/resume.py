@@ -10,18 +10,18 @@ from typing import Final
 
 from rotcal_ros.bags.reader import bag_files
 from rotcal_ros.bags.session_identity import require_one_session
-from rotcal_ros.catalogue import Calibration
-from rotcal_ros.catalogue.continuation import Continuation
-from rotcal_ros.errors import BagError, ConfigurationError
-from rotcal_ros.files import FolderLock, write_atomically
-from rotcal_ros.observations import Observation
-from rotcal_ros.planning.policy.names import AS_LISTED
+from rotcal_ros.foundation.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.files import FolderLock, write_atomically
+from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.foundation.session_folder import SessionFolder
+from rotcal_ros.foundation.untrusted import read_text
+from rotcal_ros.methods import Calibration
+from rotcal_ros.methods.continuation import Continuation
+from rotcal_ros.planning.policy_names import AS_LISTED
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.report.terminal.console import progress, say
-from rotcal_ros.session_folder import SessionFolder
 from rotcal_ros.sessions.disk_space import require_space
 from rotcal_ros.sessions.session import Session, checked_calibration
-from rotcal_ros.untrusted import read_text
 
 LOCK_TIMEOUT_S: Final = 40.0
 """Nodes whose ``rotcal run`` was killed end by themselves, and close their bag, within this."""

@@ -9,17 +9,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rotcal_ros.bags.reader import bag_files
-from rotcal_ros.catalogue import (
+from rotcal_ros.foundation.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.files import FolderLock, make_folder, write_atomically
+from rotcal_ros.foundation.session_folder import SessionFolder
+from rotcal_ros.methods import (
     Calibration,
     Configuration,
     changed,
     prepare_to_measure,
     read_configuration,
 )
-from rotcal_ros.catalogue.continuation import Continuation
-from rotcal_ros.errors import BagError, ConfigurationError
-from rotcal_ros.files import FolderLock, make_folder, write_atomically
-from rotcal_ros.session_folder import SessionFolder
+from rotcal_ros.methods.continuation import Continuation
 from rotcal_ros.sessions.disk_space import require_space
 
 

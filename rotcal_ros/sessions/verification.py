@@ -16,8 +16,6 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.catalogue import Calibration
-from rotcal_ros.catalogue.configuration import Configuration, read_configuration
 from rotcal_ros.compensation import plain_csv
 from rotcal_ros.compensation.adding import combined
 from rotcal_ros.compensation.effect import Effect, effect_of_result
@@ -25,16 +23,20 @@ from rotcal_ros.compensation.export import CONTENTS, ExportFiles
 from rotcal_ros.compensation.held import held_table, in_force_of
 from rotcal_ros.compensation.table import CompensationTable, table_from_result
 from rotcal_ros.compensation.writing import PROVENANCE, of_the_controller
-from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230, iso230
 from rotcal_ros.evaluation.verification import Verification, positioning
-from rotcal_ros.files import write_atomically
-from rotcal_ros.in_force import NONE
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.files import write_atomically
+from rotcal_ros.foundation.in_force import NONE
+from rotcal_ros.foundation.records import record
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.session_folder import REQUEST, VERIFICATION, SessionFolder
+from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.foundation.untrusted import load_json, read_text, why
+from rotcal_ros.methods import Calibration
+from rotcal_ros.methods.configuration import Configuration, read_configuration
 from rotcal_ros.recordings.sources import Source, read_source
-from rotcal_ros.records import record
 from rotcal_ros.report.terminal.console import say
-from rotcal_ros.results import Result
-from rotcal_ros.session_folder import REQUEST, VERIFICATION, SessionFolder
 from rotcal_ros.sessions.environment import require_ros
 from rotcal_ros.sessions.following import calibrate
 from rotcal_ros.sessions.products import export_files, write_exports, write_truth
@@ -42,8 +44,6 @@ from rotcal_ros.sessions.resume import resume_session
 from rotcal_ros.sessions.session import Session, checked_calibration, prepare_session
 from rotcal_ros.sessions.viewers import Viewers
 from rotcal_ros.simulation.positioning import true_runs
-from rotcal_ros.units import DEGREE
-from rotcal_ros.untrusted import load_json, read_text, why
 
 CONTROLLERS: Final = ("linuxcnc", "sinumerik", "csv")
 TABLES: Final = {"after": "compensation", "again": "compensation_added"}

@@ -20,8 +20,8 @@ from threading import Thread
 from types import TracebackType
 from typing import Any, Final
 
-from rotcal_ros.errors import RotcalError
-from rotcal_ros.files import write_atomically
+from rotcal_ros.foundation.errors import RotcalError
+from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.planning.plan import PAUSED
 from rotcal_ros.report.terminal.console import say
 from rotcal_ros.sessions.session import Session

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats, Stamps
-from rotcal_ros.observations import HumiditySample, PressureSample
-from rotcal_ros.refraction import Air, ciddor
+from rotcal_ros.foundation.arrays import Floats, Stamps
+from rotcal_ros.foundation.observations import HumiditySample, PressureSample
+from rotcal_ros.foundation.refraction import Air, ciddor
+from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.simulation.noise import IndexedNoise, Source
 from rotcal_ros.simulation.settings import SimulatedAirSettings
 from rotcal_ros.simulation.temperature import SENSOR, SimulatedTemperature
-from rotcal_ros.units import NANOSECOND
 
 
 class SimulatedAir:

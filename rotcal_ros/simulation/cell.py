@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
-from rotcal_ros.observations import (
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.observations import (
     Command,
     HumiditySample,
     PressureSample,
@@ -18,6 +18,7 @@ from rotcal_ros.observations import (
     TemperatureSample,
     TracerSample,
 )
+from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.simulation.air import SimulatedAir
 from rotcal_ros.simulation.external_table import ExternalTable
 from rotcal_ros.simulation.instrument import Table
@@ -25,7 +26,6 @@ from rotcal_ros.simulation.settings import SimulationSettings
 from rotcal_ros.simulation.table import SimulatedTable, truth
 from rotcal_ros.simulation.temperature import SimulatedTemperature
 from rotcal_ros.simulation.ticks import Ticks
-from rotcal_ros.units import NANOSECOND
 
 
 @dataclass(frozen=True, slots=True)

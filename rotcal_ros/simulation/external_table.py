@@ -7,11 +7,11 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats, Stamps
-from rotcal_ros.observations import Approach, TableSample
+from rotcal_ros.foundation.arrays import Floats, Stamps
+from rotcal_ros.foundation.observations import Approach, TableSample
+from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.simulation.settings import TableSettings
 from rotcal_ros.simulation.table import table_poses
-from rotcal_ros.units import DEGREE
 
 HISTORY: Final = 1000
 """Angles that are remembered; readings are never made further back than a fraction of these."""

@@ -7,9 +7,15 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats, Stamps
-from rotcal_ros.errors import ControllerError
-from rotcal_ros.observations import Approach, Command, PointKind, ProbeSample, TracerSample
+from rotcal_ros.foundation.arrays import Floats, Stamps
+from rotcal_ros.foundation.errors import ControllerError
+from rotcal_ros.foundation.observations import (
+    Approach,
+    Command,
+    PointKind,
+    ProbeSample,
+    TracerSample,
+)
 from rotcal_ros.simulation.external_table import ExternalTable
 from rotcal_ros.simulation.table import SimulatedTable
 

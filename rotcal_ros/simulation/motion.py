@@ -9,8 +9,8 @@ from math import sqrt
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats, Stamps
-from rotcal_ros.units import NANOSECOND
+from rotcal_ros.foundation.arrays import Floats, Stamps
+from rotcal_ros.foundation.units import NANOSECOND
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
+from rotcal_ros.foundation.arrays import Floats
 
 _BLOCK = 512
 

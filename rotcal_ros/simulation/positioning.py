@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
-from rotcal_ros.observations import Approach
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.simulation.settings import SimulationSettings
 from rotcal_ros.simulation.table import correction, deviations
-from rotcal_ros.units import ARCSEC
 
 
 def true_runs(settings: SimulationSettings, targets: Floats, runs: int) -> tuple[Floats, Floats]:

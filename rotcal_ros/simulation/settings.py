@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.settings import group, setting
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.settings import group, setting
 
 if TYPE_CHECKING:
     from rotcal_ros.simulation.instrument import Instrument, Table

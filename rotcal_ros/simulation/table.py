@@ -7,14 +7,14 @@ from functools import lru_cache
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats, Ints, Stamps
 from rotcal_ros.compensation import plain_csv
-from rotcal_ros.components import COMPONENTS
-from rotcal_ros.observations import Approach, TableSample
+from rotcal_ros.foundation.arrays import Floats, Ints, Stamps
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.observations import Approach, TableSample
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 from rotcal_ros.simulation.motion import Limits, Motion
 from rotcal_ros.simulation.noise import IndexedNoise, Source
 from rotcal_ros.simulation.settings import AngularHarmonics, LinearHarmonics, TableSettings
-from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE
 
 
 def harmonics(series: LinearHarmonics | AngularHarmonics, angles: Floats) -> Floats:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats, Stamps
-from rotcal_ros.observations import TemperatureSample
+from rotcal_ros.foundation.arrays import Floats, Stamps
+from rotcal_ros.foundation.observations import TemperatureSample
+from rotcal_ros.foundation.units import MICROMETRE, NANOSECOND
 from rotcal_ros.simulation.noise import IndexedNoise, Source
 from rotcal_ros.simulation.settings import TemperatureSettings
-from rotcal_ros.units import MICROMETRE, NANOSECOND
 
 SENSOR = "air"
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotcal_ros.arrays import Stamps
-from rotcal_ros.units import NANOSECOND
+from rotcal_ros.foundation.arrays import Stamps
+from rotcal_ros.foundation.units import NANOSECOND
 
 
 class Ticks:

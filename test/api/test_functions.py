@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import rotcal_ros as rc
-from rotcal_ros.circumstances import Circumstances
-from rotcal_ros.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns
-from rotcal_ros.identity import Identity
-from rotcal_ros.results import RepeatedRuns
+from rotcal_ros.foundation.circumstances import Circumstances
+from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
+from rotcal_ros.foundation.identity import Identity
+from rotcal_ros.foundation.results import RepeatedRuns
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "examples" / "data"

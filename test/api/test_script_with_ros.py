@@ -9,7 +9,7 @@ import pytest
 import warm
 
 import rotcal_ros as rc
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
 
 ROOT = Path(__file__).parents[2]
 pytestmark = [pytest.mark.ros, pytest.mark.slow]

@@ -10,13 +10,12 @@ import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from rotcal_ros import catalogue
+from rotcal_ros import methods
 from rotcal_ros.bags import names
 from rotcal_ros.bags.rosbag2_metadata import OfferedQos, qos_text
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
-from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
-from rotcal_ros.observations import (
+from rotcal_ros.foundation.observations import (
     Command,
     Observation,
     ProbeSample,
@@ -24,6 +23,7 @@ from rotcal_ros.observations import (
     TemperatureSample,
     TracerSample,
 )
+from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
 from rotcal_ros.simulation.cell import SimulatedCell
 
 MSG_DEFS = Path(__file__).parents[2] / "msg_defs"
@@ -186,7 +186,7 @@ class Run:
 def simulate(configuration_text: str = CONFIGURATION) -> Run:
     """Run a small calibration on the simulated cell, capturing live, one record at a time."""
     configuration = parse_configuration(configuration_text)
-    calibration = catalogue.prepare(configuration)
+    calibration = methods.prepare(configuration)
     plan, capture = calibration.plan, calibration.capture()
     cell = SimulatedCell(configuration.simulation, START_NS)
     run = Run()

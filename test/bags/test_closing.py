@@ -14,13 +14,13 @@ from faulty_disk import Fault, FaultyDisk, File, faults
 from mcap.reader import NonSeekingReader, SeekingReader
 from rosbags.rosbag2 import Reader
 
-from rotcal_ros import disk
 from rotcal_ros.bags import names
 from rotcal_ros.bags.closing import JOURNAL_SUFFIX, InterruptedSession, OpenEnd, open_end
 from rotcal_ros.bags.reader import bag_files, check_files
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation import disk
+from rotcal_ros.foundation.errors import BagError
 
 DATA_END = 0x0F
 LONG = bool(os.environ.get("ROTCAL_LONG_TESTS"))

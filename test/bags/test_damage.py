@@ -16,7 +16,7 @@ from rotcal_ros.bags.mcap_records import CHUNK, DATA_END, MAGIC, MESSAGE_INDEX
 from rotcal_ros.bags.mcap_scan import McapScan
 from rotcal_ros.bags.verdict import FileVerdict
 from rotcal_ros.bags.writer_settings import WriterSettings
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
 
 N_MESSAGES = 600
 

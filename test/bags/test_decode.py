@@ -12,13 +12,13 @@ from bag_samples import STORE, TYPES, encode, floats, serialised
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotcal_ros import messages as records
 from rotcal_ros.bags import decode, names
 from rotcal_ros.bags.blocks import HEADER_TYPE, Block
 from rotcal_ros.bags.decode import Columns, Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
-from rotcal_ros.errors import BagError
-from rotcal_ros.observations import (
+from rotcal_ros.capture import messages as records
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.observations import (
     Approach,
     Command,
     LengthStatus,

@@ -9,7 +9,7 @@ from bag_samples import MSG_DEFS, STORE
 from rosbags.typesys import get_types_from_msg
 
 from rotcal_ros.bags.definitions import collect_definition
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
 
 NAMES = sorted(f"rotcal_msgs/msg/{p.stem}" for p in (MSG_DEFS / "msg").glob("*.msg"))
 

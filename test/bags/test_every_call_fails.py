@@ -15,13 +15,13 @@ import pytest
 from faulty_disk import CALLS, Fault, FaultyDisk, faults
 from mcap.stream_reader import StreamReader
 
-from rotcal_ros import disk
 from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import bag_files, check_files, session_files
 from rotcal_ros.bags.session_verdict import judge_session
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation import disk
+from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.nodes.writing.recording import Channel, Messages, Receipt, Recording
 
 ALL = bool(os.environ.get("ROTCAL_LONG_TESTS"))

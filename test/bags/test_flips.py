@@ -11,7 +11,7 @@ import small_bag
 from test_index_check import records
 
 from rotcal_ros.bags.repair import repair
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
 
 LONG = bool(os.environ.get("ROTCAL_LONG_TESTS"))
 DATA = small_bag.small_bag(enable_data_crcs=True)

@@ -21,7 +21,7 @@ from rotcal_ros.bags.message_compression import (
 )
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS
 from rotcal_ros.bags.unpacking import Unpacker
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
 
 MESSAGE = b"\0\1\0\0" + b"length" * 5000
 

@@ -10,7 +10,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from rotcal_ros.bags.decode import MAX_DEFINITION, Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
 
 LINE = "=" * 80 + "\n"
 LITTLE = b"\0\1\0\0"

@@ -11,8 +11,8 @@ from bag_samples import simulate, write_run
 from rotcal_ros.bags.closing import open_end
 from rotcal_ros.bags.reader import check_files
 from rotcal_ros.bags.writer_settings import WriterSettings
-from rotcal_ros.machine_load import patient
-from rotcal_ros.observations import ProbeSample, TableSample, TracerSample
+from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.observations import ProbeSample, TableSample, TracerSample
 
 HERE = Path(__file__).parent / "node"
 

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from rotcal_ros.bags.parquet import write_topics
 from rotcal_ros.cli.main import rotcal
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
 
 BAG = Path(__file__).parents[2] / "examples" / "data" / "ball_plate_bag"
 

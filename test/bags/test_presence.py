@@ -8,7 +8,7 @@ import pytest
 from rotcal_ros.bags.reader import check_files, session_files
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
 
 SETTINGS = WriterSettings(min_free_bytes=0, split_bytes=1)
 

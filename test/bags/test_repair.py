@@ -17,7 +17,7 @@ from rotcal_ros.bags.reader import bag_files, check_files, read_blocks, session_
 from rotcal_ros.bags.repair import repair
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.recordings.replay import read_recording
 
 

@@ -30,7 +30,7 @@ from rotcal_ros.bags.session_identity import require_one_session, session_of
 from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
 
 SECOND_NS = 10**9
 

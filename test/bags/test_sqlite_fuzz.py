@@ -18,7 +18,7 @@ from sqlite_mutations import mutate, payloads, write_bag
 from rotcal_ros.bags.reader import check_files
 from rotcal_ros.bags.repair import repair
 from rotcal_ros.bags.verdict import FileVerdict
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
 
 SEEDS = int(os.environ.get("ROTCAL_FUZZ_SQLITE", "60"))
 N_MESSAGES = 150

@@ -18,8 +18,8 @@ from rotcal_ros.bags.reader import bag_files, check_files, session_files
 from rotcal_ros.bags.rosbag2_metadata import FileInfo
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
-from rotcal_ros.errors import BagError
-from rotcal_ros.files import DurableFile
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.files import DurableFile
 
 
 def tracer_message(number: int) -> bytes:
@@ -198,7 +198,7 @@ def test_little_free_space_stops_in_good_order(
 ) -> None:
     writer, channels = open_writer(tmp_path / "bag", WriterSettings(min_free_bytes=1000))
     fill(writer, channels, 5)
-    monkeypatch.setattr("rotcal_ros.disk.free_bytes", lambda _: 999)
+    monkeypatch.setattr("rotcal_ros.foundation.disk.free_bytes", lambda _: 999)
     with pytest.raises(BagError, match="keeps free"):
         writer.sync()
     (verdict,) = check_files((writer.path,))

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from rotcal_ros.capture import Capture, CaptureRules, CaptureSettings, Record
-from rotcal_ros.catalogue import find_method
-from rotcal_ros.observations import (
+from rotcal_ros.foundation.observations import (
     Approach,
     LengthStatus,
     Observation,
@@ -19,6 +18,7 @@ from rotcal_ros.observations import (
     TemperatureSample,
     TracerSample,
 )
+from rotcal_ros.methods import find_method
 from rotcal_ros.planning.plan import Plan, Step
 
 MS = 1_000_000

@@ -8,7 +8,7 @@ import pytest
 from capture_scenes import MS, RULES, SETTINGS, make_plan, make_scene, replay
 
 from rotcal_ros.capture import Capture
-from rotcal_ros.observations import HumiditySample, PressureSample, TemperatureSample
+from rotcal_ros.foundation.observations import HumiditySample, PressureSample, TemperatureSample
 
 PLAN = make_plan()
 ALL = replace(SETTINGS, pressure_expected=True, humidity_expected=True)

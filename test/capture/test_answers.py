@@ -6,7 +6,7 @@ from capture_scenes import MS, RULES, SECOND, SETTINGS, make_plan, make_scene, p
 
 from rotcal_ros.capture import Capture
 from rotcal_ros.capture.capture import Answers
-from rotcal_ros.observations import PointKind
+from rotcal_ros.foundation.observations import PointKind
 
 PLAN = make_plan()
 

@@ -26,8 +26,8 @@ from hypothesis import strategies as st
 
 from rotcal_ros.capture import Capture, CaptureSettings
 from rotcal_ros.capture import streams as streams_module
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.observations import LengthStatus, PointKind
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.observations import LengthStatus, PointKind
 
 PLAN = make_plan()
 

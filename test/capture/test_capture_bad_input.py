@@ -21,7 +21,7 @@ from capture_scenes import (
 )
 
 from rotcal_ros.capture import Capture, CaptureSettings
-from rotcal_ros.observations import LengthStatus, PointKind
+from rotcal_ros.foundation.observations import LengthStatus, PointKind
 
 PLAN = make_plan()
 IMPATIENT = replace(SETTINGS, clock_tolerance_s=3.0)

@@ -19,7 +19,12 @@ from capture_scenes import (
 )
 
 from rotcal_ros.capture import Capture
-from rotcal_ros.observations import LengthStatus, PointKind, TableSample, TemperatureSample
+from rotcal_ros.foundation.observations import (
+    LengthStatus,
+    PointKind,
+    TableSample,
+    TemperatureSample,
+)
 
 PLAN = make_plan()
 BEGIN = 150 * MS

@@ -4,7 +4,7 @@ import pytest
 from settings_page import assert_documented
 
 from rotcal_ros.capture import CaptureSettings
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.foundation.errors import ConfigurationError
 
 
 def test_every_setting_is_as_documented():

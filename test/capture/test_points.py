@@ -12,7 +12,7 @@ from capture_scenes import MS, SETTINGS, make_plan, make_scene, probe_sample, re
 from rotcal_ros.capture import Capture, CaptureRules
 from rotcal_ros.capture.points import points
 from rotcal_ros.capture.window import Reduced
-from rotcal_ros.observations import PointKind
+from rotcal_ros.foundation.observations import PointKind
 
 KINDS = [PointKind.CENTRE, PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST]
 

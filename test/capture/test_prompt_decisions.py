@@ -8,7 +8,7 @@ import pytest
 from capture_scenes import MS, RULES, SETTINGS, make_plan, make_scene, probe_sample, table_off
 
 from rotcal_ros.capture import Capture
-from rotcal_ros.observations import LengthStatus, PointKind
+from rotcal_ros.foundation.observations import LengthStatus, PointKind
 
 PLAN = make_plan()
 

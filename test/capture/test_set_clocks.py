@@ -9,7 +9,12 @@ from capture_scenes import MS, RULES, SECOND, SETTINGS, make_plan, make_scene
 from rotcal_ros.capture import Capture
 from rotcal_ros.capture.beam import Beam
 from rotcal_ros.capture.streams import Stream
-from rotcal_ros.observations import ProbeSample, TableSample, TemperatureSample, TracerSample
+from rotcal_ros.foundation.observations import (
+    ProbeSample,
+    TableSample,
+    TemperatureSample,
+    TracerSample,
+)
 
 PLAN = make_plan()
 

@@ -6,7 +6,7 @@ import pytest
 from capture_scenes import MS, RULES, SECOND, SETTINGS, length_of, make_plan, make_scene
 
 from rotcal_ros.capture import Capture
-from rotcal_ros.observations import LengthStatus, TracerSample
+from rotcal_ros.foundation.observations import LengthStatus, TracerSample
 
 PLAN = make_plan()
 ONE = replace(SETTINGS, window_samples=1, clock_tolerance_s=0.3)

@@ -19,8 +19,8 @@ from rotcal_ros.capture.table import (
     why_not_at_rest,
 )
 from rotcal_ros.capture.window import Fault, Reduced, classify, mean_and_scatter, reduce_window
-from rotcal_ros.observations import LengthStatus
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.observations import LengthStatus
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 SETTINGS = CaptureSettings(
     position_tolerance_arcsec=16.0, velocity_tolerance_deg_s=0.5, table_silence_s=2.0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from capture_scenes import MS, SETTINGS, make_plan, make_scene, probe_sample, replay
 
-from rotcal_ros.observations import PointKind
+from rotcal_ros.foundation.observations import PointKind
 
 RADIUS, TIP = 0.0125, 0.002
 AWAY = (0.3e-3, -0.2e-3, 0.1e-3)

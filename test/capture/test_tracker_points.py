@@ -8,8 +8,8 @@ from itertools import permutations
 import pytest
 from capture_scenes import make_plan, make_scene, replay
 
-from rotcal_ros.catalogue.plane_mirror.plausibility import TrackerCheck
-from rotcal_ros.observations import PointKind
+from rotcal_ros.foundation.observations import PointKind
+from rotcal_ros.methods.plane_mirror.plausibility import TrackerCheck
 from rotcal_ros.planning.plan import Plan
 
 KINDS = (PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST)

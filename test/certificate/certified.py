@@ -4,8 +4,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import rotcal_ros as rc
-from rotcal_ros.circumstances import Circumstances, Range
-from rotcal_ros.identity import Identity
+from rotcal_ros.foundation.circumstances import Circumstances, Range
+from rotcal_ros.foundation.identity import Identity
 
 DATA = Path(__file__).parents[2] / "examples" / "data"
 IDENTITY = {

@@ -14,8 +14,8 @@ from certified import IDENTITY, certified
 
 from rotcal_ros.certificate import document as written
 from rotcal_ros.certificate.document import certificate
-from rotcal_ros.errors import ConfigurationError, DataError
-from rotcal_ros.results import Result
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.results import Result
 
 NAMES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
 ISSUED = date(2026, 3, 20)

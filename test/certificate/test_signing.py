@@ -12,7 +12,7 @@ from lxml import etree
 
 from rotcal_ros.certificate.document import certificate
 from rotcal_ros.certificate.signing import signed, verify
-from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
 
 
 def identity_of(name):

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "examples" / "data"

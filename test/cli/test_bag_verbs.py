@@ -16,12 +16,12 @@ import pytest
 from click.testing import CliRunner, Result
 from mcap.writer import Writer
 
-from rotcal_ros import catalogue
+from rotcal_ros import methods
 from rotcal_ros.cli.main import rotcal
-from rotcal_ros.errors import DataError
-from rotcal_ros.planning.policy.choices import Choice, Standing
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.results import Result as Solution
+from rotcal_ros.planning.choices import Choice, Standing
 from rotcal_ros.recordings.choices import RecordedChoice
-from rotcal_ros.results import Result as Solution
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "bags"))
 import bag_samples
@@ -71,9 +71,9 @@ def stand_in(verdict: str) -> Any:
 @pytest.fixture
 def solver(monkeypatch: pytest.MonkeyPatch) -> Any:
     def install(verdict: str) -> None:
-        method = catalogue.find_method("tracer_multistation")
+        method = methods.find_method("tracer_multistation")
         changed = dataclasses.replace(method, solve=stand_in(verdict))
-        monkeypatch.setattr("rotcal_ros.catalogue.configuration.find_method", lambda _: changed)
+        monkeypatch.setattr("rotcal_ros.methods.configuration.find_method", lambda _: changed)
 
     install("ok")
     return install

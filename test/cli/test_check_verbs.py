@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from rotcal_ros.catalogue import prepare_to_measure, read_configuration
-from rotcal_ros.catalogue.tracer.timing import cell_time, plan_seconds
 from rotcal_ros.cli.main import rotcal
-from rotcal_ros.methods.tracer import TracerProblem, solve
-from rotcal_ros.planning.tracer_design.scene import on_table
-from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods import prepare_to_measure, read_configuration
+from rotcal_ros.methods.tracer.design.scene import on_table
+from rotcal_ros.methods.tracer.solver import TracerProblem, solve
+from rotcal_ros.methods.tracer.timing import cell_time, plan_seconds
 
 ROOT = Path(__file__).parents[2]
 PLATE = ROOT / "examples" / "data" / "result_ball_plate.json"

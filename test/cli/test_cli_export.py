@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from rotcal_ros.circumstances import Circumstances
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.compensation.controllers import controller_names
-from rotcal_ros.identity import Identity
-from rotcal_ros.protection import Protection
-from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.circumstances import Circumstances
+from rotcal_ros.foundation.identity import Identity
+from rotcal_ros.foundation.protection import Protection
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC
 
 ANGLES = np.arange(24) * np.pi / 12
 

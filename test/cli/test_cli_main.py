@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 import rotcal_ros
 from rotcal_ros.cli import main
-from rotcal_ros.errors import BagError, ConfigurationError, ObservabilityError
+from rotcal_ros.foundation.errors import BagError, ConfigurationError, ObservabilityError
 
 
 def run(*arguments):

@@ -7,8 +7,8 @@ from click.testing import CliRunner
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, iso230
 from rotcal_ros.evaluation.verification import Positioning, Verification
+from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.report.verification import verification_section
-from rotcal_ros.units import ARCSEC
 
 ANGLES = np.arange(12) * np.pi / 6
 

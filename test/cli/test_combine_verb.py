@@ -12,9 +12,9 @@ from two_groups import GRID, plate_problem
 from rotcal_ros.cli.combine import command
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.evaluation.component_groups import ENLARGEMENTS
-from rotcal_ros.methods.ball_plate import solve
-from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods.ball_plate.solver import solve
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from rotcal_ros.cli.main import VERBS, rotcal
 
 ROOT = Path(__file__).parents[2]
-HEAVY = {"numpy", "scipy", "rich", "matplotlib", "mcap", "rclpy", "yaml", "rotcal_ros.catalogue"}
+HEAVY = {"numpy", "scipy", "rich", "matplotlib", "mcap", "rclpy", "yaml", "rotcal_ros.methods"}
 SCRIPT = """
 import sys
 from rotcal_ros.cli.main import rotcal

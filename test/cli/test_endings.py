@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from rotcal_ros.api.evaluating import write_report
 from rotcal_ros.cli.main import rotcal
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.recordings.replay import read_recording
 
 pytestmark = pytest.mark.usefixtures("without_figures")

@@ -11,11 +11,11 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
-from rotcal_ros.catalogue import find_method
-from rotcal_ros.catalogue.configuration import dump_configuration
 from rotcal_ros.cli.main import rotcal
-from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods import find_method
+from rotcal_ros.methods.configuration import dump_configuration
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 
@@ -244,7 +244,7 @@ def test_uncertainty_in_words(configuration):
 
 def test_uncertainty_of_a_method_without_trials(configuration, monkeypatch):
     bare = replace(find_method("tracer_multistation"), trials=None)
-    monkeypatch.setattr("rotcal_ros.catalogue.configuration.find_method", lambda _name: bare)
+    monkeypatch.setattr("rotcal_ros.methods.configuration.find_method", lambda _name: bare)
     ran = run("uncertainty", configuration, "--trials", 10)
     assert ran.exit_code == 2
     assert "no Monte Carlo trials" in ran.stderr

@@ -9,10 +9,10 @@ import pytest
 from click.testing import CliRunner
 from few_runs import few_runs
 
-from rotcal_ros.catalogue import read_configuration
-from rotcal_ros.catalogue.calibration import prepare_to_measure
 from rotcal_ros.cli.tracer_design import command
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods import read_configuration
+from rotcal_ros.methods.calibration import prepare_to_measure
 
 GOAL = Path(__file__).parents[2] / "config" / "tracer_goal.yaml"
 

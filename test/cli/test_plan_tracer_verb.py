@@ -12,9 +12,9 @@ import yaml
 from click.testing import CliRunner
 from few_runs import few_runs
 
-from rotcal_ros.catalogue import prepare, read_configuration
 from rotcal_ros.cli import main
-from rotcal_ros.planning.tracer_design import ordering
+from rotcal_ros.methods import prepare, read_configuration
+from rotcal_ros.methods.tracer.design import ordering
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "plan_promise.py"
 spec = importlib.util.spec_from_file_location("plan_promise", SCRIPT)

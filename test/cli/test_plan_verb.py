@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from rotcal_ros.cli import main
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.units import ARCSEC
 
 CONFIG = Path(__file__).parents[2] / "config"
 PAPER = "0,8,12,18,21,28,32,37,42,50,58,62"

@@ -8,10 +8,10 @@ from xml.etree import ElementTree
 import pytest
 from click.testing import CliRunner
 
-from rotcal_ros.circumstances import Circumstances
 from rotcal_ros.cli.main import rotcal
-from rotcal_ros.identity import Identity
-from rotcal_ros.results import Result
+from rotcal_ros.foundation.circumstances import Circumstances
+from rotcal_ros.foundation.identity import Identity
+from rotcal_ros.foundation.results import Result
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 

@@ -14,8 +14,8 @@ NEVER = (
     "rich",
     "rosbags.rosbag2",
     "rotcal_ros.compensation.controller",
-    "rotcal_ros.planning.policy.lengths",
-    "rotcal_ros.planning.tracer_design.candidates",
+    "rotcal_ros.methods.tracer.policy.lengths",
+    "rotcal_ros.methods.tracer.design.candidates",
     "rotcal_ros.simulation.cell",
     "scipy.interpolate",
     "scipy.optimize",
@@ -69,17 +69,16 @@ def test_loading_costs_little_beside_what_nobody_can_do_without(tmp_path):
 @pytest.mark.parametrize("method", METHODS)
 def test_a_bag_is_solved_with_its_own_method_alone(method):
     loaded = loaded_by(*solve(method))
-    assert f"rotcal_ros.methods.{method}" in loaded
-    others = {f"rotcal_ros.{room}.{m}" for room in ("methods", "catalogue") for m in METHODS}
-    others -= {f"rotcal_ros.{room}.{method}" for room in ("methods", "catalogue")}
+    assert f"rotcal_ros.methods.{method}.solver" in loaded
+    others = {f"rotcal_ros.methods.{m}" for m in METHODS if m != method}
     assert not loaded & (others | set(NEVER))
 
 
 @pytest.mark.parametrize("method", [(), ("tracer_six",)])
 def test_what_can_be_set_is_told_without_what_plans_captures_and_solves(method):
     loaded = loaded_by("settings", *method, "--json")
-    assert "rotcal_ros.catalogue.settings_reference" in loaded
+    assert "rotcal_ros.methods.settings_reference" in loaded
     solvers = {f"rotcal_ros.methods.{m}" for m in (*METHODS, "tracer_six")}
-    entries = {f"rotcal_ros.catalogue.{m}.method" for m in (*METHODS, "tracer_six")}
-    never = {"rotcal_ros.catalogue.calibration", "rotcal_ros.capture.capture", "scipy"}
+    entries = {f"rotcal_ros.methods.{m}.method" for m in (*METHODS, "tracer_six")}
+    never = {"rotcal_ros.methods.calibration", "rotcal_ros.capture.capture", "scipy"}
     assert not loaded & (solvers | entries | never | set(NEVER))

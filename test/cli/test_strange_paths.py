@@ -11,8 +11,8 @@ import strange_paths as strange
 from click.testing import CliRunner
 
 from rotcal_ros.cli import main
-from rotcal_ros.escapes import printable_lines
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.escapes import printable_lines
+from rotcal_ros.foundation.machine_load import patient
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 

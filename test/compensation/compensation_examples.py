@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.protection import Protection
-from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.protection import Protection
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC
 
 TAU = 2.0 * np.pi
 

@@ -17,7 +17,7 @@ from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.feed import Feed
 from rotcal_ros.compensation.network_settings import AdsSettings
 from rotcal_ros.compensation.plain_csv import PlainCsv
-from rotcal_ros.errors import ConfigurationError, ControllerError
+from rotcal_ros.foundation.errors import ConfigurationError, ControllerError
 
 pytest.importorskip("pyads")
 from rotcal_ros.compensation.ads_link import AdsLink

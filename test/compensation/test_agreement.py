@@ -6,7 +6,7 @@ import pytest
 from test_feed import made_before, table_of
 
 from rotcal_ros.compensation.agreement import Accepted, Machine, agreeing, words_of
-from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
 
 DAY_NS = 86_400 * 10**9
 MACHINE = {"this cell": Machine("C", "4711")}

@@ -12,8 +12,8 @@ from compensation_examples import even, result_of
 
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 NOW = datetime(2026, 1, 2, tzinfo=timezone.utc)
 PARTS = ((1, 40.0, 0.2), (2, 15.0, 1.0), (5, 6.0, 0.5), (9, 2.0, 2.0))

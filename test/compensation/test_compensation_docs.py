@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from rotcal_ros.compensation.controllers import controller_names, make_controller
-from rotcal_ros.settings import declarations
+from rotcal_ros.foundation.settings import declarations
 
 DOCS = Path(__file__).parents[2] / "docs" / "compensation.md"
 

@@ -17,8 +17,8 @@ from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.compensation.volumetric import volumetric_files
 from rotcal_ros.compensation.writing import check_stem, write_files
-from rotcal_ros.errors import BagError, ConfigurationError, DataError
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
+from rotcal_ros.foundation.units import ARCSEC
 
 NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=timezone.utc)
 

@@ -5,15 +5,15 @@ import pytest
 from compensation_examples import TAU, even, result_of, wavy
 from scipy.interpolate import CubicSpline
 
-from rotcal_ros.circumstances import Circumstances
 from rotcal_ros.compensation.lookup import Correction
 from rotcal_ros.compensation.resample import averaged, resample
 from rotcal_ros.compensation.table import CompensationTable, table_from_result
 from rotcal_ros.curves.interpolation import harmonic_estimator, interpolation_matrix
-from rotcal_ros.errors import ConfigurationError, DataError
-from rotcal_ros.identity import Identity
-from rotcal_ros.observations import Approach
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.circumstances import Circumstances
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.identity import Identity
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.units import ARCSEC
 
 
 def test_correction_is_minus_the_deviation_and_zero_at_the_first_angle():

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from compensation_examples import TAU, even, result_of, wavy
 
-from rotcal_ros import plugins
 from rotcal_ros.compensation.controller_folder import STATE_FOLDER, ControllerFolder
 from rotcal_ros.compensation.controllers import controller_names, make_controller
 from rotcal_ros.compensation.linuxcnc import load
 from rotcal_ros.compensation.table import CompensationTable, table_from_result
 from rotcal_ros.compensation.writing import check_file_name, check_stem, write_files
-from rotcal_ros.errors import BagError, ConfigurationError, ControllerError
-from rotcal_ros.observations import Approach
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation import plugins
+from rotcal_ros.foundation.errors import BagError, ConfigurationError, ControllerError
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 UP, DOWN = Approach.POSITIVE, Approach.NEGATIVE
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from rotcal_ros.compensation.controllers import controller_names, make_controller
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
-from rotcal_ros.errors import BagError, ConfigurationError
-from rotcal_ros.observations import Approach
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.units import ARCSEC
 
 NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=timezone.utc)
 

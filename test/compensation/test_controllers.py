@@ -17,9 +17,9 @@ from rotcal_ros.compensation.controllers import controller_names, make_controlle
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.compensation.writing import of_the_controller
-from rotcal_ros.errors import ConfigurationError, DataError
-from rotcal_ros.observations import Approach
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=timezone.utc)
 UP, DOWN = Approach.POSITIVE, Approach.NEGATIVE

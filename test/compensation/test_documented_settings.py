@@ -10,7 +10,7 @@ from settings_page import assert_documented
 
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.controllers import controller_names, make_controller
-from rotcal_ros.settings import declarations
+from rotcal_ros.foundation.settings import declarations
 
 DOCS = Path(__file__).parents[2] / "docs" / "compensation.md"
 NUMBER = r"[-+\d.e]+"

@@ -5,7 +5,7 @@ import pytest
 from compensation_examples import TAU, even
 
 from rotcal_ros.compensation.effect import effect
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.units import ARCSEC
 
 
 def axis(angle, parts):

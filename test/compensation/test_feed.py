@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from compensation_examples import even, result_of, wavy
 
-from rotcal_ros.catalogue.configuration import changed, read_configuration
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.controller_folder import STATE_FOLDER, ControllerFolder
 from rotcal_ros.compensation.feed import Feed
 from rotcal_ros.compensation.table import table_from_result
-from rotcal_ros.errors import ConfigurationError, ControllerError, DataError
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.errors import ConfigurationError, ControllerError, DataError
+from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods.configuration import changed, read_configuration
 
 CONFIGURATION = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"
 SECOND = 1_000_000_000

@@ -14,8 +14,8 @@ from rotcal_ros.compensation.controller_folder import STATE_FOLDER, ControllerFo
 from rotcal_ros.compensation.feed import Feed
 from rotcal_ros.compensation.journal import Entry, Journal
 from rotcal_ros.compensation.table import table_from_result
-from rotcal_ros.errors import ConfigurationError, ControllerError, DataError
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.errors import ConfigurationError, ControllerError, DataError
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 
 @pytest.fixture

@@ -10,8 +10,8 @@ from test_feed import COMP, Cell, applied, table_of, trims, undone
 
 from rotcal_ros.compensation.controller_folder import STATE_FOLDER, ControllerFolder
 from rotcal_ros.compensation.secret import Secret
-from rotcal_ros.errors import ConfigurationError, ControllerError, DataError
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.errors import ConfigurationError, ControllerError, DataError
+from rotcal_ros.foundation.units import ARCSEC
 
 
 @pytest.fixture

@@ -18,10 +18,10 @@ from rotcal_ros.compensation.rows import (
     mean_deg,
 )
 from rotcal_ros.compensation.table import CompensationTable, table_from_result
-from rotcal_ros.components import check_axis
-from rotcal_ros.errors import ConfigurationError, DataError
-from rotcal_ros.observations import Approach
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.components import check_axis
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.units import ARCSEC
 
 UP, DOWN = Approach.POSITIVE, Approach.NEGATIVE
 

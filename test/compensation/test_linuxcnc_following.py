@@ -11,7 +11,7 @@ from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.linuxcnc import Following
 from rotcal_ros.compensation.table import table_from_result
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 NOW = datetime(2026, 1, 2, tzinfo=timezone.utc)
 FAST = Following(20000 * DEGREE, 2000 * DEGREE, 0.001)

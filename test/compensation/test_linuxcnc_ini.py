@@ -13,7 +13,7 @@ from rotcal_ros.compensation.linuxcnc_hookup import hook_up
 from rotcal_ros.compensation.linuxcnc_ini import Ini
 from rotcal_ros.compensation.linuxcnc_machine import Joint, agent_command
 from rotcal_ros.compensation.table import table_from_result
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.foundation.errors import ConfigurationError
 
 NOW = datetime(2026, 1, 2, tzinfo=timezone.utc)
 TEXT = """# a machine

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from rotcal_ros.compensation.linuxcnc import LinuxCnc, load
 from rotcal_ros.compensation.resample import resample
 from rotcal_ros.compensation.table import table_from_result
-from rotcal_ros.errors import BagError
-from rotcal_ros.observations import Approach
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 TABLE = "0 .010 -.005\n90 .050 .030\n180 -.020 -.040\n270 .015 -.010\n360 .010 -.005\n"
 INI = "[JOINT_0]\nCOMP_FILE = a.comp\nCOMP_FILE_TYPE = 1\n"

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from rotcal_ros.catalogue.configuration import changed, read_configuration
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.feed import Feed
 from rotcal_ros.compensation.network_settings import AdsSettings, OpcUaSettings, secret
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.methods.configuration import changed, read_configuration
 
 CONFIGURATION = Path(__file__).parents[2] / "config" / "tracer_demo.yaml"
 OPCUA = {

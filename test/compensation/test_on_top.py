@@ -16,9 +16,9 @@ from rotcal_ros.compensation.held import held_table, in_force_of
 from rotcal_ros.compensation.plain_csv import PlainCsv
 from rotcal_ros.compensation.table import CompensationTable, table_from_result
 from rotcal_ros.compensation.writing import write_files
-from rotcal_ros.errors import BagError, ConfigurationError, DataError
-from rotcal_ros.observations import Approach
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 NOW = datetime(2025, 1, 1, tzinfo=timezone.utc)
 WAYS = (Approach.POSITIVE, Approach.NEGATIVE)

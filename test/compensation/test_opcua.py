@@ -10,7 +10,7 @@ from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.feed import Feed
 from rotcal_ros.compensation.network_settings import OpcUaSettings
 from rotcal_ros.compensation.opcua_link import OpcUaLink
-from rotcal_ros.errors import ConfigurationError, ControllerError, DataError
+from rotcal_ros.foundation.errors import ConfigurationError, ControllerError, DataError
 
 pytest.importorskip("asyncua")
 import opcua_bench

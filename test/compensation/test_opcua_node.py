@@ -13,7 +13,7 @@ pytest.importorskip("asyncua")
 import opcua_bench
 from test_opcua import CSV, Machine, csv_of
 
-from rotcal_ros.errors import ControllerError
+from rotcal_ros.foundation.errors import ControllerError
 
 pytestmark = pytest.mark.slow
 

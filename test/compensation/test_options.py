@@ -3,7 +3,7 @@
 import pytest
 
 from rotcal_ros.compensation.options import parse_options, parse_revolutions
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.foundation.errors import ConfigurationError
 
 
 def test_values_are_what_they_look_like():

@@ -12,14 +12,14 @@ import pytest
 from compensation_examples import TAU, even, result_of, wavy
 from warm import WarmServer
 
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.units import ARCSEC
 
 pytestmark = pytest.mark.slow
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_controller"
 BRIDGE = """
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
-from rotcal_ros.settings import load
+from rotcal_ros.foundation.settings import load
 import sys
 print(load(BridgeSettings, {"controller": "mydrive", "options": sys.argv[1:]}, "bridge").options)
 """

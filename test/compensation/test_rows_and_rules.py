@@ -13,9 +13,9 @@ from rotcal_ros.compensation.rows import (
     require_zero_at_start,
 )
 from rotcal_ros.compensation.rules import PeriodicTable, periodic
-from rotcal_ros.errors import BagError, ConfigurationError
-from rotcal_ros.observations import Approach
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 UP, DOWN = Approach.POSITIVE, Approach.NEGATIVE
 

@@ -9,9 +9,9 @@ from compensation_examples import d4_table, even, result_of, two_ways
 
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.table import table_from_result
-from rotcal_ros.errors import BagError, ConfigurationError
-from rotcal_ros.observations import Approach
-from rotcal_ros.units import DEGREE
+from rotcal_ros.foundation.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.units import DEGREE
 
 UP, DOWN = Approach.POSITIVE, Approach.NEGATIVE
 

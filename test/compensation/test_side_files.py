@@ -16,8 +16,8 @@ from rotcal_ros.compensation.linuxcnc import UNKNOWN_LIMITS
 from rotcal_ros.compensation.quality import ResidualBudget
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.compensation.volumetric import volumetric_files
-from rotcal_ros.errors import ConfigurationError, DataError
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=timezone.utc)
 

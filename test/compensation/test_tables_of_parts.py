@@ -12,9 +12,9 @@ import rotcal_ros as rc
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.compensation.volumetric import volumetric_files
-from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.combination import CombinationInput, combine
-from rotcal_ros.methods.ball_plate import solve
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.methods.ball_plate.solver import solve
 
 NOW = datetime(2026, 1, 1, tzinfo=timezone.utc)
 SIX = replace(solve(plate_problem()), measured_on="none")

@@ -17,10 +17,10 @@ from independent_controls import CONTROLS
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.compensation.volumetric import volumetric_files
-from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods.arrivals import Arrivals, mean_of_runs
-from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC, DEGREE
 
 NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=timezone.utc)
 SPACING = 5.0 * DEGREE

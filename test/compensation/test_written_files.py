@@ -16,9 +16,9 @@ from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.parsing import number, only_file, parse_rows
 from rotcal_ros.compensation.writing import of_the_controller
-from rotcal_ros.errors import BagError
-from rotcal_ros.observations import Approach
-from rotcal_ros.units import DEGREE
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.units import DEGREE
 
 POSITIVE, NEGATIVE = Approach.POSITIVE, Approach.NEGATIVE
 NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=timezone.utc)

@@ -4,11 +4,11 @@ import time
 from pathlib import Path
 from threading import Lock
 
-from rotcal_ros.catalogue import changed, prepare
-from rotcal_ros.catalogue.configuration import read_configuration
 from rotcal_ros.dme.client import DmeClient
 from rotcal_ros.dme.driver import Measuring
 from rotcal_ros.dme.settings import DmeSettings
+from rotcal_ros.methods import changed, prepare
+from rotcal_ros.methods.configuration import read_configuration
 
 DEMO = Path(__file__).parents[2] / "config" / "ball_plate_demo.yaml"
 SMALL = (

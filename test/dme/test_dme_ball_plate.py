@@ -5,8 +5,8 @@ import pytest
 from dme_plates import measure, small
 from known_truth import normalized_errors
 
-from rotcal_ros.components import COMPONENTS
 from rotcal_ros.dme.server import DmeServer, serving
+from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.simulation import SimulatedCell
 
 pytestmark = pytest.mark.slow

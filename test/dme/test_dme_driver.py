@@ -9,7 +9,7 @@ from wire import DEADLINE_S, wait_for
 
 from rotcal_ros.dme.driver import Driver, Measuring
 from rotcal_ros.dme.settings import DmeSettings
-from rotcal_ros.observations import Approach, Command, PointKind
+from rotcal_ros.foundation.observations import Approach, Command, PointKind
 from rotcal_ros.planning.plan import Step
 
 TARGET = Command(3, 0, 0.5, Approach.POSITIVE, PointKind.SURFACE, 0, (0.1, 0.0, 0.0))

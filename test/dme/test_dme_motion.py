@@ -9,8 +9,8 @@ from rotcal_ros.dme.client import TableAxis, standing_of, way_to_turn
 from rotcal_ros.dme.driver import Go, Touch, around_ball
 from rotcal_ros.dme.faults import DmeError, ProtocolError
 from rotcal_ros.dme.settings import DmeSettings
-from rotcal_ros.observations import Approach
-from rotcal_ros.table_motion import TableSpeed
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.planning.table_motion import TableSpeed
 
 
 def axis(turn_by="goto_r", **settings):

@@ -13,7 +13,7 @@ from dme_plates import measure, small
 
 from rotcal_ros.dme.link import DmeLink
 from rotcal_ros.dme.server import DmeServer, serving
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
 
 BUILD_S = 120
 

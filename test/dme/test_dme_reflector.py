@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from dme_plates import settings, small
 
-from rotcal_ros.catalogue import changed, prepare
-from rotcal_ros.catalogue.configuration import read_configuration
 from rotcal_ros.dme.client import DmeClient
 from rotcal_ros.dme.driver import Measuring
 from rotcal_ros.dme.server import DmeServer, serving
-from rotcal_ros.observations import LengthStatus, PointKind, TracerSample
+from rotcal_ros.foundation.observations import LengthStatus, PointKind, TracerSample
+from rotcal_ros.methods import changed, prepare
+from rotcal_ros.methods.configuration import read_configuration
 
 OWN = Path(__file__).parents[2] / "examples" / "own_cell"
 CHANGES = (

@@ -8,7 +8,7 @@ from wire import ANSWERS, DEADLINE_S, wait_for
 from rotcal_ros.dme.client import DmeClient
 from rotcal_ros.dme.faults import DmeError, NotClearedError
 from rotcal_ros.dme.settings import DmeSettings
-from rotcal_ros.observations import Approach
+from rotcal_ros.foundation.observations import Approach
 
 STARTING = (
     "EndSession", "StartSession", "GetDMEVersion", "IsHomed", "Home", "EnumTools", "ChangeTool",

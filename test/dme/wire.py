@@ -5,7 +5,7 @@ import time
 from threading import Thread
 
 from rotcal_ros.dme.grammar import parse_call
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
 
 ANSWERS = {
     "GetDMEVersion": ['DMEVersion("1.4.3")'],

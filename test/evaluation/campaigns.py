@@ -3,8 +3,8 @@
 import numpy as np
 
 from rotcal_ros.evaluation.combination import CombinationInput, combine
-from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC
 
 TAU = 2.0 * np.pi
 

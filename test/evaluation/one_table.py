@@ -12,20 +12,23 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
-from rotcal_ros.catalogue.plane_mirror.mirror_physics import measure, ring_cell, table_pose
-from rotcal_ros.catalogue.tracer.plan import block_of_targets
-from rotcal_ros.catalogue.tracer.settings import TracerPlanSettings
 from rotcal_ros.curves.interpolation import TURN
 from rotcal_ros.curves.measured import MeasuredCurve
-from rotcal_ros.methods import ball_plate, plane_mirror, tracer, tracer_six
-from rotcal_ros.methods.ball_plate import BallPlateProblem
-from rotcal_ros.methods.plane_mirror import PlaneMirrorProblem
-from rotcal_ros.methods.tracer import TracerProblem
-from rotcal_ros.methods.tracer_six import SixProblem
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods.ball_plate import solver as ball_plate
+from rotcal_ros.methods.ball_plate.solver import BallPlateProblem
+from rotcal_ros.methods.plane_mirror import solver as plane_mirror
+from rotcal_ros.methods.plane_mirror.mirror_physics import measure, ring_cell, table_pose
+from rotcal_ros.methods.plane_mirror.solver import PlaneMirrorProblem
+from rotcal_ros.methods.tracer import solver as tracer
+from rotcal_ros.methods.tracer.plan import block_of_targets
+from rotcal_ros.methods.tracer.settings import TracerPlanSettings
+from rotcal_ros.methods.tracer.solver import TracerProblem
+from rotcal_ros.methods.tracer_six import solver as tracer_six
+from rotcal_ros.methods.tracer_six.solver import SixProblem
 from rotcal_ros.planning.points import block
-from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC
 
 BALLS: Final = (0, 3, 4, 9, 14, 20)
 MOUNT: Final = np.array([0.065, 0.0, 0.12])

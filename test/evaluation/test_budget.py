@@ -3,7 +3,7 @@
 import numpy as np
 
 from rotcal_ros.evaluation.budget import REST, WHOLE, contributions
-from rotcal_ros.results import Result
+from rotcal_ros.foundation.results import Result
 
 
 def result(std, details):

@@ -9,17 +9,17 @@ from campaigns import TAU, about_mean, campaign, combined, result_of, three, tru
 from click.testing import CliRunner
 from scipy import stats
 
-from rotcal_ros.circumstances import Circumstances
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.compensation.table import check_verdict, table_from_result
 from rotcal_ros.compensation.volumetric import volumetric_files
 from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
-from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.evaluation.combination import CombinationInput, combine
-from rotcal_ros.identity import Identity
-from rotcal_ros.protection import EFFECTS, Protection
-from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.circumstances import Circumstances
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.identity import Identity
+from rotcal_ros.foundation.protection import EFFECTS, Protection
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC
 
 # Angles.
 

@@ -7,9 +7,9 @@ import pytest
 from scipy import linalg, stats
 
 from rotcal_ros.curves.measured import MeasuredCurve
-from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.compare import TOO_ALIKE, Comparison, compare, compare_all
-from rotcal_ros.units import ARCSEC, MICROMETRE
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 
 TAU = 2.0 * np.pi
 

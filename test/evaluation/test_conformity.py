@@ -7,9 +7,9 @@ import pytest
 from scipy.stats import norm
 
 from rotcal_ros.evaluation.conformity import conformance_probability, conformities, decide
-from rotcal_ros.identity import Identity
-from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC, MICROMETRE
+from rotcal_ros.foundation.identity import Identity
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,10 @@ import pytest
 from chances import LONG
 
 from rotcal_ros.curves.measured import MeasuredCurve
-from rotcal_ros.errors import BagError, DataError
 from rotcal_ros.evaluation.compare import compare, compare_all
 from rotcal_ros.evaluation.reference import read_reference, without_polygon
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.errors import BagError, DataError
+from rotcal_ros.foundation.units import ARCSEC
 
 TAU = 2.0 * np.pi
 

@@ -3,10 +3,10 @@ from statistics import mean, stdev
 import numpy as np
 import pytest
 
-from rotcal_ros.errors import BagError, DataError
 from rotcal_ros.evaluation.bidirectional import read_runs
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, iso230
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.errors import BagError, DataError
+from rotcal_ros.foundation.units import ARCSEC
 
 SPREAD = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.bidirectional import require_runs, with_device
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, iso230
-from rotcal_ros.results import RepeatedRuns, Result
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.results import RepeatedRuns, Result
+from rotcal_ros.foundation.units import ARCSEC
 
 TARGETS = np.deg2rad(np.arange(8) * 45.0)
 UP = np.array([0.0, 6.0, 40.0, 5.0, -1.0, -11.0, -3.0, -1.0]) * ARCSEC

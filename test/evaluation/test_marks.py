@@ -12,11 +12,11 @@ from click.testing import CliRunner
 
 from rotcal_ros.cli.console import print_outcome
 from rotcal_ros.evaluation.marks import COLOURS, Mark, marks
-from rotcal_ros.identity import Identity
+from rotcal_ros.foundation.identity import Identity
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.report.page import ReportInput, render_report
 from rotcal_ros.report.terminal.tables import print_result
-from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC, MICROMETRE
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 

@@ -2,12 +2,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, norm
 
-from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.evaluation.monte_carlo import (
     compare_with_linear,
     numerical_tolerance,
     propagate,
 )
+from rotcal_ros.foundation.errors import ConfigurationError
 
 
 def gaussian(rng, count):

@@ -10,7 +10,6 @@ import pytest
 from scipy.stats import norm
 from scipy.stats.mstats import mquantiles
 
-from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.evaluation import monte_carlo
 from rotcal_ros.evaluation.monte_carlo import (
     Propagation,
@@ -19,8 +18,9 @@ from rotcal_ros.evaluation.monte_carlo import (
     propagate,
 )
 from rotcal_ros.evaluation.propagated import Propagated, propagated
-from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC
 
 
 def model(rng, count):

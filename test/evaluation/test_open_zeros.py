@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 from two_groups import ALTERNATING, ANGLES, ARCSEC, GRID, plate_problem
 
-from rotcal_ros.catalogue import find_method
 from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
-from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.bidirectional import runs_of
 from rotcal_ros.evaluation.combination import CombinationInput, combine
 from rotcal_ros.evaluation.compare import compare
 from rotcal_ros.evaluation.conformity import conformities
 from rotcal_ros.evaluation.harmonics import harmonic_content
 from rotcal_ros.evaluation.quick_check import quick_check
-from rotcal_ros.identity import Identity
-from rotcal_ros.methods.ball_plate import solve
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.identity import Identity
+from rotcal_ros.foundation.results import RepeatedRuns
+from rotcal_ros.methods import find_method
+from rotcal_ros.methods.ball_plate.solver import solve
 from rotcal_ros.planning.check_rule import CheckRule
-from rotcal_ros.results import RepeatedRuns
 
 NOISE = 0.05 * ARCSEC
 SIX = solve(plate_problem())

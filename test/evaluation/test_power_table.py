@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotcal_ros.catalogue import prepare, read_configuration
-from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.evaluation.power_table import Bench, PowerRow, power_rows
-from rotcal_ros.protection import EFFECTS, PARTICULAR, Protection
-from rotcal_ros.units import MICROMETRE
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.protection import EFFECTS, PARTICULAR, Protection
+from rotcal_ros.foundation.units import MICROMETRE
+from rotcal_ros.methods import prepare, read_configuration
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "what_could_be_wrong.md"

@@ -5,8 +5,8 @@ import pytest
 from scipy import stats
 
 from rotcal_ros.curves.measured import MeasuredCurve
-from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.evaluation.quick_check import quick_check
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.planning.check_rule import CheckRule
 
 TAU = 2.0 * np.pi

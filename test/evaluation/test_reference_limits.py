@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from rotcal_ros.curves.measured import MeasuredCurve
-from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.reference import read_reference, without_polygon
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.units import ARCSEC
 
 TAU = 2.0 * np.pi
 

@@ -10,12 +10,12 @@ from click.testing import CliRunner
 from scipy import stats
 
 from rotcal_ros.adjust.distributions import noncentrality
-from rotcal_ros.catalogue import parse_configuration, prepare
-from rotcal_ros.catalogue.configuration import dump_configuration
 from rotcal_ros.cli.main import rotcal
-from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.reliability import effects_on_deviations, reliability
-from rotcal_ros.results import Residuals
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.results import Residuals
+from rotcal_ros.methods import parse_configuration, prepare
+from rotcal_ros.methods.configuration import dump_configuration
 
 
 def residuals(redundancy, used=None, std=1e-6, coordinates=1):

@@ -15,16 +15,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import rotcal_ros as rc
-from rotcal_ros.catalogue import changed, prepare
-from rotcal_ros.catalogue.configuration import read_configuration
-from rotcal_ros.catalogue.measurements import read_measurements
 from rotcal_ros.curves.measured import measured_curve
-from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.combination import CombinationInput, combine
 from rotcal_ros.evaluation.compare import compare
-from rotcal_ros.observations import Observation, PointKind
-from rotcal_ros.raw_data import MOST_INFLUENCES, Influence, RawData
-from rotcal_ros.results import Result
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.observations import Observation, PointKind
+from rotcal_ros.foundation.raw_data import MOST_INFLUENCES, Influence, RawData
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.methods import changed, prepare
+from rotcal_ros.methods.configuration import read_configuration
+from rotcal_ros.methods.measurements import read_measurements
 
 TAU = 2.0 * np.pi
 SLACK = 0.2 if LONG else 0.4

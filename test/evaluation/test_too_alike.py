@@ -13,11 +13,11 @@ from chances import LONG
 from rotcal_ros.curves.measured import measured_curve
 from rotcal_ros.evaluation.combination import CombinationInput, combine
 from rotcal_ros.evaluation.compare import compare
-from rotcal_ros.methods import tracer
-from rotcal_ros.methods.ball_plate import BallPlateProblem
-from rotcal_ros.methods.ball_plate import solve as solve_plate
-from rotcal_ros.methods.tracer_six import SixProblem
-from rotcal_ros.methods.tracer_six import solve as solve_six
+from rotcal_ros.methods.ball_plate.solver import BallPlateProblem
+from rotcal_ros.methods.ball_plate.solver import solve as solve_plate
+from rotcal_ros.methods.tracer import solver as tracer
+from rotcal_ros.methods.tracer_six.solver import SixProblem
+from rotcal_ros.methods.tracer_six.solver import solve as solve_six
 
 ANGLES = 2 * np.pi * np.arange(14) / 14
 AROUND = 2 * np.pi * np.arange(3) / 3

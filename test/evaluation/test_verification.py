@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, iso230
 from rotcal_ros.evaluation.verification import Positioning, Verification, positioning
-from rotcal_ros.results import Directions, Result
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.results import Directions, Result
+from rotcal_ros.foundation.units import ARCSEC
 
 ANGLES = np.arange(4) * np.pi / 2
 BEFORE = np.array([10.0, 0.0, 4.0, 2.0])

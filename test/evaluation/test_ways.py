@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotcal_ros.catalogue import changed, find_method, prepare
-from rotcal_ros.catalogue.configuration import read_configuration
-from rotcal_ros.components import COMPONENTS
 from rotcal_ros.evaluation.ways import Evaluation, evaluate, in_words, largest_differences, ways
-from rotcal_ros.protection import Protection
-from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.protection import Protection
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.methods import changed, find_method, prepare
+from rotcal_ros.methods.configuration import read_configuration
 
 DEMO = Path(__file__).parents[2] / "config" / "ball_plate_demo.yaml"
 STEPS = (0, 2, 4, 6, 8, 10, 1)

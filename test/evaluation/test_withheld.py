@@ -5,15 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotcal_ros.catalogue import prepare
-from rotcal_ros.catalogue.configuration import parse_configuration
-from rotcal_ros.catalogue.tracer import disturbances
-from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.evaluation.withheld import not_covered, withheld
+from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.geometry.rotations import rotation_about_z
+from rotcal_ros.methods import prepare
+from rotcal_ros.methods.configuration import parse_configuration
+from rotcal_ros.methods.tracer import disturbances
 from rotcal_ros.report.terminal import columns
 from rotcal_ros.report.terminal.tables import print_result
-from rotcal_ros.units import ARCSEC, MICROMETRE
 
 TEXT = (Path(__file__).parents[2] / "config" / "tracer_demo.yaml").read_text()
 CHANGES = {

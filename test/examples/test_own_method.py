@@ -16,13 +16,13 @@ from one_table import by_ball_plate
 from warm import WarmServer
 
 from rotcal_polygon.simulation import PolygonSimulationSettings, SimulatedAutocollimator
-from rotcal_ros.machine_load import patient
-from rotcal_ros.methods import ball_plate
+from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.settings import load
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.methods.ball_plate import solver as ball_plate
 from rotcal_ros.sessions.domains import free_domain
-from rotcal_ros.settings import load
 from rotcal_ros.simulation.settings import TableSettings
 from rotcal_ros.simulation.table import SimulatedTable, deviations
-from rotcal_ros.units import ARCSEC, DEGREE
 
 pytestmark = pytest.mark.slow
 

@@ -11,9 +11,9 @@ from rotcal_polygon.calibration import check
 from rotcal_polygon.plan import plan
 from rotcal_polygon.protections import protections
 from rotcal_polygon.settings import PolygonPlanSettings, PolygonSolverSettings
-from rotcal_ros.errors import ObservabilityError
-from rotcal_ros.protection import EFFECTS, ordered, unprotected
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.errors import ObservabilityError
+from rotcal_ros.foundation.protection import EFFECTS, ordered, unprotected
+from rotcal_ros.foundation.units import ARCSEC
 
 N = 12
 SIGMA = 0.05 * ARCSEC

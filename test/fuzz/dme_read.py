@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from mutations import harmed_bytes
 
-from rotcal_ros.errors import RotcalError
+from rotcal_ros.foundation.errors import RotcalError
 
 ROOT: Final = Path(__file__).parents[2]
 LIMIT_S: Final = 0.05
@@ -116,7 +116,7 @@ def _serve(listener: socket.socket, script: bytes) -> None:
 
 @cache
 def _simulation() -> Any:
-    from rotcal_ros.catalogue.configuration import changed, read_configuration
+    from rotcal_ros.methods.configuration import changed, read_configuration
 
     configuration = read_configuration(ROOT / "config" / "ball_plate_dme.yaml")
     return changed(configuration, ("simulation.time_scale=1000.0",)).simulation

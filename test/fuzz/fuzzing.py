@@ -24,7 +24,7 @@ from typing import Any, Final
 from properties import require_one_line
 from targets import TARGETS, Target
 
-from rotcal_ros.errors import RotcalError
+from rotcal_ros.foundation.errors import RotcalError
 
 CORPUS: Final = Path(__file__).parent / "corpus"
 """Inputs that were findings once: a folder for each target."""

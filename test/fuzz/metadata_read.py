@@ -71,7 +71,7 @@ def read_description(path: Path) -> None:
 
 @cache
 def _setup() -> Any:
-    from rotcal_ros.catalogue.configuration import read_configuration
+    from rotcal_ros.methods.configuration import read_configuration
 
     return read_configuration(bags.DATA / "tracer.yaml")
 

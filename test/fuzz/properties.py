@@ -14,7 +14,7 @@ class suppress_rotcal(suppress):  # noqa: N801  reads like contextlib's
     """Let an expected error pass, if it is one line."""
 
     def __init__(self) -> None:
-        from rotcal_ros.errors import RotcalError
+        from rotcal_ros.foundation.errors import RotcalError
 
         super().__init__(RotcalError)
 
@@ -33,7 +33,7 @@ def require_one_line(error: BaseException) -> None:
 
 
 def require_visible(text: str) -> None:
-    from rotcal_ros.escapes import printable_lines
+    from rotcal_ros.foundation.escapes import printable_lines
 
     unseen = sorted(set(text) - set(printable_lines(text)))
     assert not unseen, f"shown as they are: {unseen!r}"

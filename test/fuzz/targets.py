@@ -52,20 +52,20 @@ def _configurations() -> Iterable[bytes]:
 
 
 def _read_configuration(path: Path) -> None:
-    from rotcal_ros.catalogue.configuration import node_parameters, read_configuration
+    from rotcal_ros.methods.configuration import node_parameters, read_configuration
 
     node_parameters(read_configuration(path))
 
 
 def _read_plan(path: Path) -> None:
-    from rotcal_ros.catalogue.calibration import prepare_to_measure
-    from rotcal_ros.catalogue.configuration import read_configuration
+    from rotcal_ros.methods.calibration import prepare_to_measure
+    from rotcal_ros.methods.configuration import read_configuration
 
     prepare_to_measure(read_configuration(path))
 
 
 def _read_recorded_configuration(path: Path) -> None:
-    from rotcal_ros.catalogue.configuration import (
+    from rotcal_ros.methods.configuration import (
         OFFLINE_GROUPS,
         parse_configuration,
         read_policy,
@@ -80,7 +80,7 @@ def _read_recorded_configuration(path: Path) -> None:
 
 
 def _read_setup(path: Path) -> None:
-    from rotcal_ros.catalogue.setup_file import read_setup
+    from rotcal_ros.methods.setup_file import read_setup
 
     read_setup(path)
 
@@ -99,8 +99,8 @@ def _read_goal(path: Path) -> None:
 
 
 def _read_options(path: Path) -> None:
-    from rotcal_ros.catalogue.configuration import changed, parse_configuration
     from rotcal_ros.compensation.options import parse_options
+    from rotcal_ros.methods.configuration import changed, parse_configuration
 
     text = path.read_bytes().decode(errors="replace")
     with suppress_rotcal():
@@ -113,15 +113,15 @@ def _read_options(path: Path) -> None:
 
 @cache
 def _setup(name: str) -> Any:
-    from rotcal_ros.catalogue.configuration import read_configuration
+    from rotcal_ros.methods.configuration import read_configuration
 
     return read_configuration(DATA / name)
 
 
 def _table(setup: str, targets: str = "") -> Callable[[Path], None]:
     def read(path: Path) -> None:
-        from rotcal_ros.catalogue.measurements import read_measurements
-        from rotcal_ros.tables import is_table
+        from rotcal_ros.foundation.tables import is_table
+        from rotcal_ros.methods.measurements import read_measurements
 
         is_table(path)
         beside = DATA / targets if targets else None
@@ -131,7 +131,7 @@ def _table(setup: str, targets: str = "") -> Callable[[Path], None]:
 
 
 def _read_targets(path: Path) -> None:
-    from rotcal_ros.catalogue.tracer.table import read_targets
+    from rotcal_ros.methods.tracer.table import read_targets
 
     read_targets(path)
 
@@ -190,8 +190,8 @@ def _read_report(path: Path) -> None:
 
 
 def _read_continuation(path: Path) -> None:
-    from rotcal_ros.catalogue.continuation import Continuation
-    from rotcal_ros.untrusted import read_text
+    from rotcal_ros.foundation.untrusted import read_text
+    from rotcal_ros.methods.continuation import Continuation
 
     with suppress(UnicodeDecodeError):
         text = read_text(path)
@@ -199,8 +199,8 @@ def _read_continuation(path: Path) -> None:
 
 
 def _continuations() -> Iterable[bytes]:
-    from rotcal_ros.catalogue.calibration import prepare
-    from rotcal_ros.catalogue.continuation import continued
+    from rotcal_ros.methods.calibration import prepare
+    from rotcal_ros.methods.continuation import continued
 
     calibration = prepare(_setup("tracer.yaml"))
     first = calibration.nominal_observations()[:3]

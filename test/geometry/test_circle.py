@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from rotcal_ros.errors import GeometryError
+from rotcal_ros.foundation.errors import GeometryError
 from rotcal_ros.geometry.circle import circle_centre_jacobian, fit_circle
 
 

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rotcal_ros.errors import GeometryError
+from rotcal_ros.foundation.errors import GeometryError
 from rotcal_ros.geometry.plane import fit_plane
 from rotcal_ros.geometry.rotations import rotation_from_vector
 

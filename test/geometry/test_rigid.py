@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from rotcal_ros.errors import GeometryError
+from rotcal_ros.foundation.errors import GeometryError
 from rotcal_ros.geometry.rigid import align, require_spread
 from rotcal_ros.geometry.rotations import rotation_from_vector
 

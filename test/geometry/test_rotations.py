@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from rotcal_ros.errors import GeometryError
+from rotcal_ros.foundation.errors import GeometryError
 from rotcal_ros.geometry.rotations import (
     cross_matrix,
     fit_rotation,

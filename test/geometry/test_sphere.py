@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from rotcal_ros.errors import GeometryError
+from rotcal_ros.foundation.errors import GeometryError
 from rotcal_ros.geometry.sphere import fit_spheres
 
 BALL, TIP = 0.0125, 0.0015

@@ -10,7 +10,15 @@ from threading import Thread
 
 import pytest
 
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.observations import (
+    Approach,
+    Command,
+    LengthStatus,
+    PointKind,
+    TableSample,
+)
 from rotcal_ros.instrument_plugins import driver
 from rotcal_ros.instrument_plugins.driver import InstrumentDriver, Listeners, instrument_of
 from rotcal_ros.instrument_plugins.instrument import (
@@ -22,8 +30,6 @@ from rotcal_ros.instrument_plugins.instrument import (
 )
 from rotcal_ros.instrument_plugins.settings import InstrumentSettings
 from rotcal_ros.instrument_plugins.table_rest import TableRest
-from rotcal_ros.machine_load import patient
-from rotcal_ros.observations import Approach, Command, LengthStatus, PointKind, TableSample
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_instrument" / "mytracer.py"
 SPEC = importlib.util.spec_from_file_location("mytracer", EXAMPLE)

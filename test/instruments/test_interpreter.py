@@ -8,11 +8,11 @@ import pytest
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.topic_settings import TopicSettings
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.observations import LengthStatus
+from rotcal_ros.foundation.settings import load
 from rotcal_ros.instruments.forms import not_understood
 from rotcal_ros.instruments.interpreter import Interpreter
-from rotcal_ros.observations import LengthStatus
-from rotcal_ros.settings import load
 
 SECOND = 1_000_000_000
 FLOAT = "std_msgs/msg/Float64"

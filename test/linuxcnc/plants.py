@@ -3,7 +3,7 @@
 import numpy as np
 from real_linuxcnc import Axis, Running, plant_hal
 
-from rotcal_ros.units import DEGREE
+from rotcal_ros.foundation.units import DEGREE
 
 ORDERS = np.arange(1, 5)
 REFERENCE_DEG = 0.0

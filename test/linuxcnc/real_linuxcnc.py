@@ -13,7 +13,7 @@ import pytest
 
 from rotcal_ros.compensation.linuxcnc_ini import Ini
 from rotcal_ros.compensation.linuxcnc_machine import agent_command
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
 
 HERE = Path(__file__).parent
 DEADLINE_S = 60.0

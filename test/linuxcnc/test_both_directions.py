@@ -8,8 +8,8 @@ from plants import REFERENCE_DEG, SMALLER, Plant, machine_with, true_deviations
 
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
-from rotcal_ros.results import Directions, Result
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.results import Directions, Result
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 pytestmark = pytest.mark.linuxcnc
 

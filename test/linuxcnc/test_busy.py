@@ -9,7 +9,7 @@ from real_linuxcnc import HERE
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.feed import work_of
 from rotcal_ros.compensation.linuxcnc_machine import AGENT
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
 
 
 @pytest.mark.linuxcnc

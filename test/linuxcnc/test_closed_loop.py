@@ -15,12 +15,12 @@ from real_linuxcnc import HERE
 
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
-from rotcal_ros.results import Result
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.sessions import commands
 from rotcal_ros.sessions.following import calibrate
 from rotcal_ros.sessions.session import prepare_session
 from rotcal_ros.sessions.viewers import Viewers
-from rotcal_ros.units import ARCSEC, DEGREE
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")

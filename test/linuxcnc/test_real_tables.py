@@ -13,9 +13,9 @@ from real_linuxcnc import Axis, Running
 from rotcal_ros.compensation import linuxcnc
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.machine_load import patient
-from rotcal_ros.observations import Approach
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 pytestmark = pytest.mark.linuxcnc
 

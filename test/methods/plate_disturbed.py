@@ -3,10 +3,10 @@
 import numpy as np
 from plate_data import RADIUS, grid_rows, in_cmm_order, make_truth, measure, rotate_z
 
-from rotcal_ros.components import COMPONENTS
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
-from rotcal_ros.planning.ball_plan import plan_measurement
-from rotcal_ros.units import ARCSEC, MICROMETRE
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
+from rotcal_ros.methods.ball_plate.design.ball_plan import plan_measurement
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 
 DEMO_PLATE = [0, 2, 5, 9, 11, 15, 17, 21, 24, 26, 29, 33]
 NOISE = 5e-8

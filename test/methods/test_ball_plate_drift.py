@@ -14,10 +14,10 @@ from plate_disturbed import (
     on_plate,
 )
 
-from rotcal_ros.components import COMPONENTS
-from rotcal_ros.errors import ObservabilityError
-from rotcal_ros.methods.ball_plate import closure, plate_trials, solve
-from rotcal_ros.methods.ball_plate.estimate import solved as solve_exactly
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.errors import ObservabilityError
+from rotcal_ros.methods.ball_plate.solver import closure, plate_trials, solve
+from rotcal_ros.methods.ball_plate.solver.estimate import solved as solve_exactly
 
 
 @pytest.mark.parametrize("degree", [1, 2])

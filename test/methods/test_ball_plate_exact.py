@@ -8,9 +8,9 @@ from chances import LONG
 from exact_plate import RADIUS, ExactPlate, about_z
 from plate_data import PAPER_PLATE
 
-from rotcal_ros.components import COMPONENTS
-from rotcal_ros.methods.ball_plate import BallPlateProblem, solve
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods.ball_plate.solver import BallPlateProblem, solve
 
 SIGMA = 5e-8
 FAR = {

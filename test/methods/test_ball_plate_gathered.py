@@ -9,10 +9,10 @@ from plate_data import simulated
 from plate_disturbed import EIGHT, NOISE
 from plate_disturbed import at_one_place as world
 
-from rotcal_ros.components import COMPONENTS
-from rotcal_ros.methods.ball_plate import gathering, solve
-from rotcal_ros.methods.ball_plate.estimate import solved
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.methods.ball_plate.solver import gathering, solve
+from rotcal_ros.methods.ball_plate.solver.estimate import solved
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 
 
 def worst(result, truth):

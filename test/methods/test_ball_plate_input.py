@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from plate_data import PAPER_PLATE, RADIUS
 
-from rotcal_ros.catalogue.ball_plate.plate import Plate, parse_plate
-from rotcal_ros.catalogue.ball_plate.solver_settings import BallPlateSolverSettings
-from rotcal_ros.catalogue.measurements import read_measurements
-from rotcal_ros.catalogue.setup_file import read_setup
-from rotcal_ros.errors import ConfigurationError, DataError
-from rotcal_ros.methods.ball_plate.separability import separability
-from rotcal_ros.planning.ball_layout import best_layout
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.methods.ball_plate.design.ball_layout import best_layout
+from rotcal_ros.methods.ball_plate.plate import Plate, parse_plate
+from rotcal_ros.methods.ball_plate.solver.separability import separability
+from rotcal_ros.methods.ball_plate.solver_settings import BallPlateSolverSettings
+from rotcal_ros.methods.measurements import read_measurements
+from rotcal_ros.methods.setup_file import read_setup
 
 PLATES = Path(__file__).parents[2] / "config" / "plates"
 GOOD = {"grid": 72, "ball_steps": PAPER_PLATE, "circle_radius_m": 0.185, "ball_diameter_m": 0.025}

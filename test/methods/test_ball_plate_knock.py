@@ -7,7 +7,7 @@ import pytest
 from chances import LONG
 from exact_plate import ExactPlate, about_z
 
-from rotcal_ros.methods.ball_plate import solve
+from rotcal_ros.methods.ball_plate.solver import solve
 
 SIGMA = 5e-8
 GRID = 24

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from rotcal_ros.methods.ball_plate import harmonics, spectral
-from rotcal_ros.methods.ball_plate.model import FIELDS
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, grid_angles
-from rotcal_ros.methods.ball_plate.spectral import solve_spectral
+from rotcal_ros.methods.ball_plate.solver import harmonics, spectral
+from rotcal_ros.methods.ball_plate.solver.model import FIELDS
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, grid_angles
+from rotcal_ros.methods.ball_plate.solver.spectral import solve_spectral
 
 GRID, RADIUS = 72, 0.185
 BALLS = (0, 8, 12, 18, 21, 28)

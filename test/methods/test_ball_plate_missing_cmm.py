@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from plate_data import PAPER_PLATE, RADIUS, Truth, in_cmm_order, measure, simulated
 
-from rotcal_ros.components import COMPONENTS
-from rotcal_ros.errors import ObservabilityError
-from rotcal_ros.methods.ball_plate import solve
-from rotcal_ros.methods.ball_plate.gaps import gap_cells, solve_with_gaps
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.errors import ObservabilityError
+from rotcal_ros.methods.ball_plate.solver import solve
+from rotcal_ros.methods.ball_plate.solver.gaps import gap_cells, solve_with_gaps
 
 SIGMA = 5e-8
 EIGHT = [0, 3, 7, 12, 18, 22, 27, 31]

@@ -9,9 +9,9 @@ from chances import LONG
 from chances import share as by_chance
 from exact_plate import ExactPlate
 
-from rotcal_ros.components import COMPONENTS
-from rotcal_ros.methods.ball_plate import plate_trials, solve
-from rotcal_ros.methods.ball_plate.noise import Noise
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.methods.ball_plate.solver import plate_trials, solve
+from rotcal_ros.methods.ball_plate.solver.noise import Noise
 
 SIGMA = 5e-8
 SIX = [0, 3, 4, 9, 14, 20]

@@ -21,21 +21,21 @@ from plate_disturbed import (
     on_plate,
 )
 
-from rotcal_ros.components import COMPONENTS
-from rotcal_ros.errors import DataError
-from rotcal_ros.methods.ball_plate import closure, solve
-from rotcal_ros.methods.ball_plate.estimate import least_squares
-from rotcal_ros.methods.ball_plate.order_effects import (
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.protection import EFFECTS
+from rotcal_ros.methods.ball_plate.design.ball_plan import plan_measurement
+from rotcal_ros.methods.ball_plate.solver import closure, solve
+from rotcal_ros.methods.ball_plate.solver.estimate import least_squares
+from rotcal_ros.methods.ball_plate.solver.order_effects import (
     drift_error,
     found_size,
     knock_error,
     needed,
     order_effects,
 )
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
-from rotcal_ros.methods.ball_plate.response import unit_std
-from rotcal_ros.planning.ball_plan import plan_measurement
-from rotcal_ros.protection import EFFECTS
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
+from rotcal_ros.methods.ball_plate.solver.response import unit_std
 
 
 @pytest.mark.parametrize("part", [0.02, 0.37, 0.97])

@@ -8,10 +8,10 @@ from chances import LONG, share
 from exact_plate import ExactPlate
 from plate_data import PAPER_PLATE
 
-from rotcal_ros.components import COMPONENTS
-from rotcal_ros.errors import ObservabilityError
-from rotcal_ros.methods.ball_plate import plate_trials, solve
-from rotcal_ros.results import Result
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.errors import ObservabilityError
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.methods.ball_plate.solver import plate_trials, solve
 
 SIX = [0, 3, 4, 9, 14, 20]
 SIGMA = 5e-8

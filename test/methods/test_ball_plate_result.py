@@ -9,11 +9,11 @@ from dense_ball_plate import solve_dense
 from plate_data import RADIUS, in_cmm_order, rotate_z, simulated
 from scipy.stats import chi2, f
 
-from rotcal_ros.components import COMPONENTS
-from rotcal_ros.errors import PlanError
-from rotcal_ros.methods.ball_plate import select, solve
-from rotcal_ros.methods.ball_plate.estimate import factored
-from rotcal_ros.methods.ball_plate.rejection import judge_centres
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.errors import PlanError
+from rotcal_ros.methods.ball_plate.solver import select, solve
+from rotcal_ros.methods.ball_plate.solver.estimate import factored
+from rotcal_ros.methods.ball_plate.solver.rejection import judge_centres
 
 BALLS = [0, 3, 4, 9, 14, 20]
 N = 24 * len(BALLS)
@@ -233,7 +233,7 @@ def test_a_knock_is_found_whatever_states_the_noise(std, turned):
 
 def test_covariances_are_given_up_to_a_size(monkeypatch):
     problem, _ = simulated(24, BALLS)
-    module = sys.modules["rotcal_ros.methods.ball_plate.solve"]
+    module = sys.modules["rotcal_ros.methods.ball_plate.solver.solve"]
     monkeypatch.setattr(module, "COVARIANCE_LIMIT", 24)
     assert set(solve(problem).covariance) == set(COMPONENTS)
     monkeypatch.setattr(module, "COVARIANCE_LIMIT", 23)

@@ -7,10 +7,10 @@ import pytest
 from exact_plate import ExactPlate
 from plate_data import PAPER_PLATE, RADIUS, grid_rows
 
-from rotcal_ros.errors import DataError
-from rotcal_ros.methods.ball_plate import solve
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
-from rotcal_ros.methods.ball_plate.screening import screen
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.methods.ball_plate.solver import solve
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
+from rotcal_ros.methods.ball_plate.solver.screening import screen
 
 GRID = 72
 STEP = 2 * np.pi / GRID

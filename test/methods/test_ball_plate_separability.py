@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from plate_data import simulated
 
-from rotcal_ros.errors import ObservabilityError
-from rotcal_ros.methods.ball_plate import select
-from rotcal_ros.methods.ball_plate.model import design_matrix
-from rotcal_ros.methods.ball_plate.separability import (
+from rotcal_ros.foundation.errors import ObservabilityError
+from rotcal_ros.methods.ball_plate.solver import select
+from rotcal_ros.methods.ball_plate.solver.model import design_matrix
+from rotcal_ros.methods.ball_plate.solver.separability import (
     require_separable,
     separability,
     separability_of,

@@ -8,10 +8,10 @@ balls, whatever plate and machine are.
 import numpy as np
 import pytest
 
-from rotcal_ros.components import COMPONENTS
-from rotcal_ros.errors import DataError, PlanError
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.errors import DataError, PlanError
 from rotcal_ros.geometry.rotations import rotation_about_z, rotation_from_vector
-from rotcal_ros.methods.ball_plate import BallPlateProblem, closed_form, select, solve
+from rotcal_ros.methods.ball_plate.solver import BallPlateProblem, closed_form, select, solve
 
 N, BALLS, RADIUS, SIGMA = 12, np.array([0, 1, 3, 5, 8, 9]), 0.2, 5e-8
 

@@ -7,11 +7,11 @@ import pytest
 from chances import LONG, share
 from plate_data import PAPER_PLATE, RADIUS, grid_rows, in_cmm_order, rotate_z, simulated
 
-from rotcal_ros.components import COMPONENTS
-from rotcal_ros.errors import DataError, ObservabilityError, PlanError
-from rotcal_ros.methods.ball_plate import BallPlateProblem, select, solve
-from rotcal_ros.methods.ball_plate.spectral import solve_spectral
-from rotcal_ros.results import Result
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.errors import DataError, ObservabilityError, PlanError
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.methods.ball_plate.solver import BallPlateProblem, select, solve
+from rotcal_ros.methods.ball_plate.solver.spectral import solve_spectral
 
 
 def at(place_of, grid=72, balls=PAPER_PLATE, direction=1.0, noise=1e-7):

@@ -11,15 +11,15 @@ from hypothesis import strategies as st
 from plate_data import PAPER_PLATE, RADIUS, simulated
 from scipy.optimize import lsq_linear
 
-from rotcal_ros.errors import ObservabilityError, PlanError
-from rotcal_ros.methods.ball_plate import closed_form, model, solve
-from rotcal_ros.methods.ball_plate.estimate import least_squares
-from rotcal_ros.methods.ball_plate.gaps import gap_cells, solve_with_gaps
-from rotcal_ros.methods.ball_plate.general import solve_general
-from rotcal_ros.methods.ball_plate.model import FIELDS, TABLE_COMPONENTS
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, select
-from rotcal_ros.methods.ball_plate.separability import separability
-from rotcal_ros.methods.ball_plate.spectral import solve_spectral
+from rotcal_ros.foundation.errors import ObservabilityError, PlanError
+from rotcal_ros.methods.ball_plate.solver import closed_form, model, solve
+from rotcal_ros.methods.ball_plate.solver.estimate import least_squares
+from rotcal_ros.methods.ball_plate.solver.gaps import gap_cells, solve_with_gaps
+from rotcal_ros.methods.ball_plate.solver.general import solve_general
+from rotcal_ros.methods.ball_plate.solver.model import FIELDS, TABLE_COMPONENTS
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, select
+from rotcal_ros.methods.ball_plate.solver.separability import separability
+from rotcal_ros.methods.ball_plate.solver.spectral import solve_spectral
 
 AGREE = 1e-9
 

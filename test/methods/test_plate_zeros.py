@@ -8,10 +8,10 @@ import pytest
 from plate_data import simulated
 from two_groups import ALTERNATING, ANGLES, ARCSEC, GRID, RADIUS, plate_problem
 
-from rotcal_ros.components import COMPONENTS
-from rotcal_ros.errors import DataError
-from rotcal_ros.methods.ball_plate import solve
-from rotcal_ros.results import FreeDirection, Result, Zeros
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.results import FreeDirection, Result, Zeros
+from rotcal_ros.methods.ball_plate.solver import solve
 
 OFFSET = "the offset between the odd and even table positions is not measured"
 

@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from chances import LONG
 
-from rotcal_ros import catalogue
-from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
+from rotcal_ros import methods
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
-from rotcal_ros.errors import DataError, PlanError
 from rotcal_ros.evaluation.bidirectional import runs_of
 from rotcal_ros.evaluation.iso230 import iso230
-from rotcal_ros.observations import Approach
+from rotcal_ros.foundation.errors import DataError, PlanError
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
 from rotcal_ros.planning.visits import visits
-from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC, DEGREE
 
 TARGETS, RUNS = 8, 5
 BACKLASH, REPEATABILITY, LENGTH_STD = 3.0 * ARCSEC, 0.5 * ARCSEC, 5e-8
@@ -42,7 +42,7 @@ def calibration(**plan):
             "simulation": {"tracer": {"mount_m": MOUNT.tolist(), "dead_distance_m": 0.0}},
         },
     )
-    return catalogue.prepare(parse_configuration(text))
+    return methods.prepare(parse_configuration(text))
 
 
 def truth(angles):

@@ -9,8 +9,10 @@ import pytest
 from plate_data import simulated
 from six_scene import scene
 
-from rotcal_ros.catalogue.plane_mirror.mirror_physics import measure, measure_direct, paper_cell
-from rotcal_ros.methods import ball_plate, plane_mirror, tracer_six
+from rotcal_ros.methods.ball_plate import solver as ball_plate
+from rotcal_ros.methods.plane_mirror import solver as plane_mirror
+from rotcal_ros.methods.plane_mirror.mirror_physics import measure, measure_direct, paper_cell
+from rotcal_ros.methods.tracer_six import solver as tracer_six
 
 PAGE = Path(__file__).parents[2] / "docs" / "conventions.md"
 WAYS = ("direct", "stitching", "registration", "joint")

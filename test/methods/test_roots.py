@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from rotcal_ros.errors import DataError
+from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.methods.roots import root_between
 
 FUNCTIONS = {

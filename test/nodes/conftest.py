@@ -8,8 +8,8 @@ import pytest
 import warm
 from live_cell import DEMO, SHORT, LiveCell
 
-from rotcal_ros.catalogue.configuration import changed, read_configuration
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.methods.configuration import changed, read_configuration
 
 sys.path.append(str(Path(__file__).parents[1] / "compensation"))
 

@@ -11,8 +11,8 @@ from threading import Thread
 
 import pytest
 
-from rotcal_ros.machine_load import Patience, in_words
-from rotcal_ros.node_names import NODES
+from rotcal_ros.foundation.machine_load import Patience, in_words
+from rotcal_ros.foundation.node_names import NODES
 from rotcal_ros.sessions.environment import node_environment
 from rotcal_ros.sessions.processes import Processes
 

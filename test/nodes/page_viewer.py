@@ -8,7 +8,7 @@ from threading import Thread
 
 from live_cell import wait_until
 
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
 
 
 def address(live, name="operator_page"):

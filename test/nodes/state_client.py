@@ -6,7 +6,7 @@ from live_cell import DEADLINE_S
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
 
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.nodes.runtime.peer import Peer
 
 

@@ -14,8 +14,8 @@ import yaml
 from live_cell import DEADLINE_S, DEMO, SHORT, LiveCell, process_of, wait_until
 from pseudo_terminal import PseudoTerminal
 
-from rotcal_ros.catalogue.configuration import changed, read_configuration
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.methods.configuration import changed, read_configuration
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.recordings.sources import read_source
 

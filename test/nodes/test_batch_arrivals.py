@@ -7,8 +7,8 @@ pytest.importorskip("rclpy")
 from builtin_interfaces.msg import Time
 from sensor_msgs.msg import JointState
 
+from rotcal_ros.capture.messages import stamp_ns
 from rotcal_ros.capture.stamp_offsets import OffsetLimits, StampOffsets
-from rotcal_ros.messages import stamp_ns
 from rotcal_ros.nodes.runtime.draining import received_ns, sent_ns
 
 SECOND = 1_000_000_000

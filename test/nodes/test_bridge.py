@@ -13,9 +13,9 @@ import yaml
 from live_cell import DEADLINE_S
 
 from rotcal_ros.compensation.table import CompensationTable, table_from_result
-from rotcal_ros.machine_load import patient
-from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 rclpy = pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")

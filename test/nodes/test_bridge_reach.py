@@ -11,8 +11,8 @@ import pytest
 from live_cell import DEADLINE_S
 from test_bridge import SECRET, Bench, table
 
-from rotcal_ros.machine_load import patient
-from rotcal_ros.middleware import middleware
+from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.middleware import middleware
 
 rclpy = pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")

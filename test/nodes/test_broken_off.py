@@ -9,9 +9,9 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
-from rotcal_ros.catalogue import prepare
-from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
-from rotcal_ros.catalogue.continuation import Continuation, Recorded
+from rotcal_ros.methods import prepare
+from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
+from rotcal_ros.methods.continuation import Continuation, Recorded
 from rotcal_ros.nodes.goal import run as goal_run
 from rotcal_ros.nodes.goal.crew import Codes, GoalError
 from rotcal_ros.nodes.goal.measuring import Measuring

@@ -12,8 +12,8 @@ from live_cell import DEMO, SUITE
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
-from rotcal_ros.catalogue.configuration import changed, read_configuration
-from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.methods.configuration import changed, read_configuration
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.ros import Calibrator, CalibratorError, GoalRefusedError
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import warm
 
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.sessions.domains import domains_in_use, free_domain
 
 pytest.importorskip("rclpy")

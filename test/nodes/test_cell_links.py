@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
-from rotcal_ros.catalogue import changed, prepare, read_configuration
+from rotcal_ros.methods import changed, prepare, read_configuration
 from rotcal_ros.nodes.goal import run as goal_run
 from rotcal_ros.nodes.goal.cell_links import CellLinks
 from rotcal_ros.nodes.goal.crew import GoalError

@@ -9,8 +9,8 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
-from rotcal_ros.catalogue.configuration import changed, read_configuration
 from rotcal_ros.instrument_plugins.instrument import Tracer, Tracker
+from rotcal_ros.methods.configuration import changed, read_configuration
 from rotcal_ros.nodes.check import drivers as check_drivers
 from rotcal_ros.nodes.check.drivers import brought, brought_line, driver_lines
 

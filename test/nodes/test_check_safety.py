@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
-from rotcal_ros.catalogue.configuration import changed, read_configuration
+from rotcal_ros.methods.configuration import changed, read_configuration
 from rotcal_ros.nodes.cell_check import safety_lines
 
 PLAIN = read_configuration(Path(__file__).parents[2] / "config" / "tracer.yaml")

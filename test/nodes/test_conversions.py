@@ -16,12 +16,10 @@ from rclpy.serialization import deserialize_message, serialize_message  # noqa: 
 from two_groups import ARCSEC, GRID, plate_problem  # noqa: E402
 
 import rotcal_ros as rc  # noqa: E402
-from rotcal_ros import messages  # noqa: E402
+from rotcal_ros.capture import messages  # noqa: E402
 from rotcal_ros.compensation.table import check_verdict, table_from_result  # noqa: E402
-from rotcal_ros.errors import DataError  # noqa: E402
-from rotcal_ros.methods.ball_plate import solve  # noqa: E402
-from rotcal_ros.nodes.runtime import conversions  # noqa: E402
-from rotcal_ros.observations import (  # noqa: E402
+from rotcal_ros.foundation.errors import DataError  # noqa: E402
+from rotcal_ros.foundation.observations import (  # noqa: E402
     Approach,
     Command,
     LengthStatus,
@@ -32,7 +30,9 @@ from rotcal_ros.observations import (  # noqa: E402
     TemperatureSample,
     TracerSample,
 )
-from rotcal_ros.results import Directions, Result, Zeros  # noqa: E402
+from rotcal_ros.foundation.results import Directions, Result, Zeros  # noqa: E402
+from rotcal_ros.methods.ball_plate.solver import solve  # noqa: E402
+from rotcal_ros.nodes.runtime import conversions  # noqa: E402
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 

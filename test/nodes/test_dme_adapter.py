@@ -14,10 +14,10 @@ from rotcal_msgs.msg import CalibrationPlan, ProbeTarget, TableAngle
 from std_msgs.msg import Header
 
 from rotcal_ros.capture.orders import Orders
+from rotcal_ros.foundation.observations import Approach, Command, PointKind
 from rotcal_ros.nodes import dme_adapter
 from rotcal_ros.nodes.dme_adapter import LOOKS_FIRST, DmeAdapter
 from rotcal_ros.nodes.runtime.plans import RUN, run_name
-from rotcal_ros.observations import Approach, Command, PointKind
 
 ORDER = Command(1, 0, 0.5, Approach.POSITIVE, PointKind.SURFACE, 0, (0.1, 0.0, 0.0))
 

@@ -10,7 +10,7 @@ import pytest
 from dme_relay import ERROR, NEVER_DONE, Relay
 from live_cell import SUITE, LiveCell, wait_until
 
-from rotcal_ros.catalogue.configuration import changed, read_configuration
+from rotcal_ros.methods.configuration import changed, read_configuration
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")

@@ -13,10 +13,10 @@ from rclpy.serialization import deserialize_message
 from rotcal_msgs.msg import Pause, TableAngle
 from std_msgs.msg import Bool
 
-from rotcal_ros.catalogue import prepare
-from rotcal_ros.catalogue.configuration import read_configuration
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.methods import prepare
+from rotcal_ros.methods.configuration import read_configuration
 from rotcal_ros.recordings.replay import read_recording
-from rotcal_ros.results import Result
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")

@@ -10,7 +10,7 @@ import yaml
 from live_cell import SUITE, LiveCell
 
 from rotcal_ros.api.reading import read_result
-from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
+from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
 from rotcal_ros.recordings.replay import read_recording
 
 pytest.importorskip("rclpy")

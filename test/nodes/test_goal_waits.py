@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
-from rotcal_ros import machine_load
+from rotcal_ros.foundation import machine_load
 from rotcal_ros.nodes.goal import watch as goal_watch
 from rotcal_ros.nodes.goal.crew import Codes, Crew, GoalError
 from rotcal_ros.nodes.goal.progress import Progress

@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.nodes.runtime import running
 from rotcal_ros.nodes.runtime.health import CALIBRATING
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import warm
 
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from live_cell import SUITE, LiveCell
 
-from rotcal_ros.catalogue import prepare
-from rotcal_ros.catalogue.configuration import changed, read_configuration
-from rotcal_ros.components import COMPONENTS
-from rotcal_ros.errors import DataError
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.methods import prepare
+from rotcal_ros.methods.configuration import changed, read_configuration
 from rotcal_ros.recordings.replay import read_recording
-from rotcal_ros.results import Result
 from rotcal_ros.simulation import SimulatedCell
 
 pytest.importorskip("rclpy")

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from live_cell import SUITE, LiveCell
 
-from rotcal_ros.catalogue.configuration import changed, parse_configuration, read_configuration
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.methods.configuration import changed, parse_configuration, read_configuration
 from rotcal_ros.recordings.replay import read_recording
-from rotcal_ros.results import Result
 from rotcal_ros.simulation import SimulatedCell
 
 pytest.importorskip("rclpy")

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from live_cell import SUITE, LiveCell
 
-from rotcal_ros.catalogue.configuration import changed, parse_configuration, read_configuration
-from rotcal_ros.components import COMPONENTS
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods.configuration import changed, parse_configuration, read_configuration
 from rotcal_ros.recordings.replay import read_recording
-from rotcal_ros.results import Result
 from rotcal_ros.simulation import SimulatedCell
-from rotcal_ros.units import ARCSEC
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")

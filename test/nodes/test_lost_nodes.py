@@ -13,7 +13,7 @@ import pytest
 import warm
 from live_cell import process_of, wait_until
 
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.recordings.replay import read_recording
 
 pytest.importorskip("rclpy")

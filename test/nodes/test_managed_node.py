@@ -11,7 +11,7 @@ from rclpy.parameter import Parameter  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
-from rotcal_ros.errors import ConfigurationError  # noqa: E402
+from rotcal_ros.foundation.errors import ConfigurationError  # noqa: E402
 from rotcal_ros.nodes.runtime.cell_node import CellNode  # noqa: E402
 from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED  # noqa: E402
 

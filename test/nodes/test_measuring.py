@@ -9,9 +9,9 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
-from rotcal_ros.catalogue import prepare
-from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
-from rotcal_ros.catalogue.continuation import Continuation
+from rotcal_ros.methods import prepare
+from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
+from rotcal_ros.methods.continuation import Continuation
 from rotcal_ros.nodes.goal.cell_links import CellLinks
 from rotcal_ros.nodes.goal.measuring import Measuring
 from rotcal_ros.nodes.goal.progress import Progress

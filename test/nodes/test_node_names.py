@@ -12,8 +12,7 @@ from unittest.mock import MagicMock
 import pytest
 import yaml
 
-from rotcal_ros.catalogue.configuration import GROUPS
-from rotcal_ros.node_names import (
+from rotcal_ros.foundation.node_names import (
     DRIVERS,
     EXECUTABLES,
     FURTHER_NODES,
@@ -22,6 +21,7 @@ from rotcal_ros.node_names import (
     VIEWERS,
     further_nodes,
 )
+from rotcal_ros.methods.configuration import GROUPS
 from rotcal_ros.sessions import commands
 
 ROOT = Path(__file__).parents[2]
@@ -94,7 +94,7 @@ def test_a_simulated_machine_behind_dme_is_no_node():
 
 
 def test_the_names_are_known_without_numpy():
-    code = "import sys, rotcal_ros.node_names; sys.exit('numpy' in sys.modules)"
+    code = "import sys, rotcal_ros.foundation.node_names; sys.exit('numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
 
 

@@ -11,7 +11,7 @@ import pytest
 import warm
 
 from rotcal_ros.api.reading import read_result
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")

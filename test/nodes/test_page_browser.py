@@ -9,8 +9,8 @@ from live_cell import SUITE, LiveCell
 from page_viewer import address
 from test_bridge import SECRET, Bench, table
 
-from rotcal_ros.catalogue.configuration import changed, read_configuration
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.methods.configuration import changed, read_configuration
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.units import ARCSEC
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -20,7 +20,7 @@ def solution(**changes):
 
 
 def shown(message, tolerance_arcsec=0.0):
-    from rotcal_ros.identity import Identity
+    from rotcal_ros.foundation.identity import Identity
     from rotcal_ros.nodes.page import sections as page_sections
 
     return page_sections.deviations(message, Identity(tolerance_arcsec=tolerance_arcsec))

@@ -9,11 +9,11 @@ pytest.importorskip("rclpy")
 
 from rclpy.parameter import Parameter
 
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.settings import group, setting
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.parameters import read_settings
 from rotcal_ros.nodes.runtime.running import default_context
-from rotcal_ros.settings import group, setting
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from builtin_interfaces.msg import Time
 from rotcal_msgs.msg import CalibrationPlan
 
 from rotcal_ros.capture.heard import PATIENCE_S
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.nodes.runtime import planners_plans
 from rotcal_ros.nodes.runtime.concerns import FOREIGN_PLAN
 from rotcal_ros.nodes.runtime.planners_plans import PlannersPlans

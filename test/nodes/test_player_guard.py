@@ -8,7 +8,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros.bags import names
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.nodes.player import Player, ReplayGuard
 
 NAMELESS = "_NODE_NAME_UNKNOWN_"

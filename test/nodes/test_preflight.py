@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from rotcal_ros.catalogue import prepare
-from rotcal_ros.catalogue.configuration import changed, read_configuration
+from rotcal_ros.methods import prepare
+from rotcal_ros.methods.configuration import changed, read_configuration
 from rotcal_ros.nodes.goal.preflight import doubts, expected_air, faults, without_air
 
 CONFIG = Path(__file__).parents[2] / "config"

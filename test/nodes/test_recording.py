@@ -6,7 +6,7 @@ import pytest
 
 from rotcal_ros.bags.reader import scan_file
 from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.nodes.writing.recording import Channel, Messages, Receipt, Recording
 
 CHANNEL = Channel("/cell/a", "std_msgs/msg/Float64", "float64 data", "", "")

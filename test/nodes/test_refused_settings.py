@@ -6,16 +6,16 @@ import pytest
 import yaml
 from live_cell import DEMO, wait_until
 
-from rotcal_ros.catalogue.configuration import (
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.settings import declarations
+from rotcal_ros.methods.configuration import (
     GROUPS,
     dump_configuration,
     parse_configuration,
     read_configuration,
     settings_classes,
 )
-from rotcal_ros.catalogue.method import find_method, method_names
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.settings import declarations
+from rotcal_ros.methods.method import find_method, method_names
 
 BAD_CONFIGURATION = 601
 WRONG = (

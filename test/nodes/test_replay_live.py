@@ -8,8 +8,8 @@ import pytest
 import warm
 
 from rotcal_ros.bags import names
-from rotcal_ros.catalogue.configuration import changed, read_configuration
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.methods.configuration import changed, read_configuration
 from rotcal_ros.recordings.replay import read_recording
 
 pytest.importorskip("rclpy")

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -19,7 +19,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.rosbag2_metadata import OfferedQos, qos_text
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.nodes.player import offered_qos
 from rotcal_ros.nodes.replayed_bag import ReplayedBag
 from rotcal_ros.nodes.runtime.channels import importable_type

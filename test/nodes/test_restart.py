@@ -10,8 +10,8 @@ import pytest
 from known_truth import normalized_errors
 from live_cell import SUITE, LiveCell, wait_until
 
-from rotcal_ros.catalogue import prepare
-from rotcal_ros.catalogue.configuration import changed, read_configuration
+from rotcal_ros.methods import prepare
+from rotcal_ros.methods.configuration import changed, read_configuration
 from rotcal_ros.recordings.replay import read_recording
 
 pytest.importorskip("rclpy")

@@ -11,7 +11,7 @@ from mcap.reader import SeekingReader
 from rosbags.rosbag2 import Reader
 
 from rotcal_ros.bags.session_identity import session_of
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.recordings.replay import read_recording
 
 pytest.importorskip("rclpy")

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from live_cell import DEADLINE_S, DEMO, SHORT, wait_until
 
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.recordings.sources import read_source
 

@@ -9,9 +9,9 @@ import pytest
 from jumping_clock import JumpingClock
 from live_cell import SUITE
 
-from rotcal_ros.catalogue.configuration import parse_configuration
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.methods.configuration import parse_configuration
 from rotcal_ros.recordings.replay import read_recording
-from rotcal_ros.results import Result
 from rotcal_ros.simulation import SimulatedCell
 
 pytest.importorskip("rclpy")

@@ -12,13 +12,13 @@ pytest.importorskip("rotcal_msgs")
 from clock_source import BEGIN_S
 from live_cell import DEMO, SUITE
 
-from rotcal_ros.catalogue.configuration import (
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.methods.configuration import (
     changed,
     node_parameters,
     parse_configuration,
     read_configuration,
 )
-from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.nodes.runtime.sim_clock import SimClock
 from rotcal_ros.recordings.replay import read_recording
 

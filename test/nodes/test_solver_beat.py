@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -13,7 +13,7 @@ pytest.importorskip("rotcal_msgs")
 from live_cell import wait_until
 from rclpy.executors import SingleThreadedExecutor
 
-from rotcal_ros.errors import DataError
+from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.nodes.runtime.roll_call import SOLVING
 from rotcal_ros.nodes.runtime.running import default_context
 from rotcal_ros.nodes.solver import SolverNode

@@ -11,9 +11,9 @@ from live_cell import SUITE, wait_until
 from lone_adapters import expect
 from test_slow_nodes import stand_still
 
-from rotcal_ros.catalogue.configuration import parse_configuration
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.methods.configuration import parse_configuration
 from rotcal_ros.recordings.replay import read_recording
-from rotcal_ros.results import Result
 from rotcal_ros.simulation import SimulatedCell
 
 pytest.importorskip("rclpy")

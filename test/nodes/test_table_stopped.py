@@ -13,7 +13,8 @@ pytest.importorskip("rotcal_msgs")
 
 from rotcal_msgs.msg import TableAngle
 
-from rotcal_ros.machine_load import AwakeClock
+from rotcal_ros.foundation.machine_load import AwakeClock
+from rotcal_ros.foundation.observations import Approach, TableSample
 from rotcal_ros.nodes.instruments import joint_controllers
 from rotcal_ros.nodes.instruments.joint_controllers import (
     PositionController,
@@ -21,7 +22,6 @@ from rotcal_ros.nodes.instruments.joint_controllers import (
     Word,
 )
 from rotcal_ros.nodes.table_adapter import TableAdapter
-from rotcal_ros.observations import Approach, TableSample
 from rotcal_ros.ros2_control.obeyed import JointWatch
 from rotcal_ros.ros2_control.settings import TableAdapterSettings
 from rotcal_ros.ros2_control.travel import way_to, way_to_rest

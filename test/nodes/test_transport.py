@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from live_cell import wait_until
 
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")

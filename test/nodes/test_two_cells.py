@@ -18,9 +18,9 @@ from known_truth import normalized_errors
 from live_cell import DEADLINE_S, wait_until
 
 from rotcal_ros.api.reading import read_result
-from rotcal_ros.catalogue import prepare
-from rotcal_ros.catalogue.configuration import read_configuration
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.methods import prepare
+from rotcal_ros.methods.configuration import read_configuration
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.sessions.domains import free_domain
 from rotcal_ros.sessions.environment import node_environment

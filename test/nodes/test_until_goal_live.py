@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from live_cell import wait_until
 
 from rotcal_ros.cli.main import rotcal as rotcal_verbs
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.recordings.replay import read_recording
 
 pytest.importorskip("rclpy")

@@ -10,7 +10,7 @@ import pytest
 import warm
 from live_cell import wait_until
 
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.recordings.sources import read_source
 
 pytest.importorskip("rclpy")

@@ -11,7 +11,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from rotcal_ros.compensation.secret import Secret
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.page import app as page_app
 from rotcal_ros.page.app import STATIC, Answer, make_app
 from rotcal_ros.page.board import Board

@@ -9,17 +9,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotcal_ros.errors import ObservabilityError, PlanError
-from rotcal_ros.methods.ball_plate import BallPlateProblem
-from rotcal_ros.methods.ball_plate.general import solve_general
-from rotcal_ros.planning.ball_layout import (
+from rotcal_ros.foundation.errors import ObservabilityError, PlanError
+from rotcal_ros.methods.ball_plate.design.ball_layout import (
     best_layout,
     count_layouts,
     rate,
 )
-from rotcal_ros.planning.ball_plan import spread_out
-from rotcal_ros.planning.effort import required_effort, unit_std
-from rotcal_ros.planning.layout_variance import mean_variances, proven_bound
+from rotcal_ros.methods.ball_plate.design.ball_plan import spread_out
+from rotcal_ros.methods.ball_plate.design.effort import required_effort, unit_std
+from rotcal_ros.methods.ball_plate.design.layout_variance import mean_variances, proven_bound
+from rotcal_ros.methods.ball_plate.solver import BallPlateProblem
+from rotcal_ros.methods.ball_plate.solver.general import solve_general
 
 PAPER_PLATE = [0, 8, 12, 18, 21, 28, 32, 37, 42, 50, 58, 62]
 RADIUS = 0.185

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from rotcal_ros.catalogue.ball_plate.plan import ball_plate_plan, measuring_order
-from rotcal_ros.catalogue.ball_plate.plate import Plate
-from rotcal_ros.catalogue.ball_plate.settings import CENTRE, BallPlatePlanSettings
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.observations import Approach, PointKind
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.observations import Approach, PointKind
+from rotcal_ros.methods.ball_plate.plan import ball_plate_plan, measuring_order
+from rotcal_ros.methods.ball_plate.plate import Plate
+from rotcal_ros.methods.ball_plate.settings import CENTRE, BallPlatePlanSettings
 
 PLATE = Plate(grid=12, ball_steps=(0, 3, 4, 8), circle_radius_m=0.2, ball_diameter_m=0.025)
 AXIS = (1.0, -2.0, 0.5)

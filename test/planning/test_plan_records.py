@@ -5,8 +5,8 @@ from dataclasses import asdict, fields
 import numpy as np
 import pytest
 
-from rotcal_ros.errors import PlanError
-from rotcal_ros.observations import Approach, PointKind
+from rotcal_ros.foundation.errors import PlanError
+from rotcal_ros.foundation.observations import Approach, PointKind
 from rotcal_ros.planning.plan import PAUSED, Pause, Plan, Step
 from rotcal_ros.planning.table_angles import TableAngleSettings, table_angles
 from rotcal_ros.planning.visits import Visit, visits

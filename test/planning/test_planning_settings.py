@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from settings_page import assert_documented, rows
 
+from rotcal_ros.foundation.settings import load
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.planner_settings import PlannerSettings
 from rotcal_ros.planning.table_angles import TableAngleSettings, table_angles
-from rotcal_ros.settings import load
 
 
 @pytest.mark.parametrize(

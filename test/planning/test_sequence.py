@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from rotcal_ros.catalogue import changed, prepare, read_configuration
-from rotcal_ros.catalogue.tracer.calibration import problem
-from rotcal_ros.errors import PlanError
-from rotcal_ros.methods import tracer
-from rotcal_ros.planning.sequence_choice import (
+from rotcal_ros.foundation.errors import PlanError
+from rotcal_ros.methods import changed, prepare, read_configuration
+from rotcal_ros.methods.tracer import solver as tracer
+from rotcal_ros.methods.tracer.calibration import problem
+from rotcal_ros.methods.tracer.design.sequence_choice import (
     MeasuringOrder,
     best_order,
     improved,
@@ -20,7 +20,7 @@ from rotcal_ros.planning.sequence_choice import (
     nearest_next,
     shortest_possible,
 )
-from rotcal_ros.planning.sequence_forecast import Forecast, OrderForecast
+from rotcal_ros.methods.tracer.design.sequence_forecast import Forecast, OrderForecast
 from rotcal_ros.planning.sequence_time import PAPER, Drive, TimeModel, duration
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.planning.emergency_stop import StopSources
 from rotcal_ros.planning.safety_settings import SafetySettings
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rotcal_ros.catalogue import changed, prepare, read_configuration
-from rotcal_ros.catalogue.tracer.calibration import problem
+from rotcal_ros.methods import changed, prepare, read_configuration
+from rotcal_ros.methods.tracer.calibration import problem
 from rotcal_ros.planning.time_order import time_order
 
 PAPER = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"

@@ -3,9 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from rotcal_ros.catalogue.tracer.plan import tracer_plan
-from rotcal_ros.catalogue.tracer.settings import TracerPlanSettings
-from rotcal_ros.errors import PlanError
+from rotcal_ros.foundation.errors import PlanError
+from rotcal_ros.methods.tracer.plan import tracer_plan
+from rotcal_ros.methods.tracer.settings import TracerPlanSettings
 
 PAPER = TracerPlanSettings(table_start_deg=-145.0, table_step_deg=30.0, table_positions=11)
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotcal_ros.errors import ObservabilityError
-from rotcal_ros.planning.effort import unit_std
-from rotcal_ros.planning.plate_trade import bound, plate_trade
+from rotcal_ros.foundation.errors import ObservabilityError
+from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods.ball_plate.design.effort import unit_std
+from rotcal_ros.methods.ball_plate.design.trade import bound, plate_trade
+from rotcal_ros.methods.tracer.design.settings import TracerDesignSettings
+from rotcal_ros.methods.tracer.design.trade import trade
 from rotcal_ros.planning.sequence_time import PAPER
-from rotcal_ros.planning.tracer_design.settings import TracerDesignSettings
-from rotcal_ros.planning.tracer_trade import trade
-from rotcal_ros.units import ARCSEC
 
 M = 11
 GOAL = 1.202 * ARCSEC

@@ -15,7 +15,7 @@ from bag_samples import CONFIGURATION, START_NS, STORE, TYPES, encode, simulate
 from mcap.writer import CompressionType, Writer
 
 from rotcal_ros.bags import names
-from rotcal_ros.observations import Command, Observation
+from rotcal_ros.foundation.observations import Command, Observation
 
 SECOND = 1_000_000_000
 

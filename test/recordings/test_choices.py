@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from chances import LONG
 
-from rotcal_ros.catalogue import changed, prepare, prepare_to_measure, read_configuration
-from rotcal_ros.catalogue.continuation import ATTEMPTS_PER_RUN, continued
-from rotcal_ros.errors import ConfigurationError, PlanError
-from rotcal_ros.planning.policy.choices import Outcome
+from rotcal_ros.foundation.errors import ConfigurationError, PlanError
+from rotcal_ros.methods import changed, prepare, prepare_to_measure, read_configuration
+from rotcal_ros.methods.continuation import ATTEMPTS_PER_RUN, continued
+from rotcal_ros.planning.choices import Outcome
 from rotcal_ros.recordings.choices import RecordedChoice, differences
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"

@@ -11,9 +11,15 @@ from bag_samples import CONFIGURATION, START_NS, Run, encode, open_writer
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture.stamp_offsets import OffsetLimits, StampOffsets
-from rotcal_ros.catalogue import prepare
-from rotcal_ros.catalogue.configuration import changed, parse_configuration
-from rotcal_ros.observations import Command, Observation, ProbeSample, TableSample, TracerSample
+from rotcal_ros.foundation.observations import (
+    Command,
+    Observation,
+    ProbeSample,
+    TableSample,
+    TracerSample,
+)
+from rotcal_ros.methods import prepare
+from rotcal_ros.methods.configuration import changed, parse_configuration
 from rotcal_ros.recordings.replay import read_recording
 
 SECOND = 1_000_000_000

@@ -5,8 +5,8 @@ import os
 import pytest
 from fleet_bags import RECORDING, configuration_text
 
-from rotcal_ros.catalogue.configuration import parse_configuration
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.methods.configuration import parse_configuration
 from rotcal_ros.recordings.finding import find_bags
 from rotcal_ros.recordings.many import Job, solve_bag
 

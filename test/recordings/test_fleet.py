@@ -12,7 +12,7 @@ pytest.importorskip("pyarrow")
 import deadly_work
 from fleet_bags import configuration_text, write_bag, write_fleet
 
-from rotcal_ros.catalogue.configuration import parse_configuration
+from rotcal_ros.methods.configuration import parse_configuration
 from rotcal_ros.recordings.finding import find_bags
 from rotcal_ros.recordings.many import Job, solve_bag
 from rotcal_ros.recordings.results_dataset import ResultsDataset

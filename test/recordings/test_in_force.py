@@ -7,11 +7,11 @@ import pytest
 from bag_samples import START_NS, STORE, encode, open_writer, serialised
 
 from rotcal_ros.bags import names
-from rotcal_ros.errors import ConfigurationError, DataError
-from rotcal_ros.in_force import agreed, check_in_force, contradiction
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.in_force import agreed, check_in_force, contradiction
+from rotcal_ros.foundation.results import Result
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.recordings.replay import read_recording
-from rotcal_ros.results import Result
 
 KIND = "rotcal_msgs/msg/TableInForce"
 BAG = Path(__file__).parents[2] / "examples" / "data" / "ball_plate_bag"

@@ -6,7 +6,7 @@ import stat
 import pytest
 from fleet_bags import configuration_text, write_bag
 
-from rotcal_ros.catalogue.configuration import parse_configuration
+from rotcal_ros.methods.configuration import parse_configuration
 from rotcal_ros.recordings.kept import TAIL_BYTES, fingerprint
 from rotcal_ros.recordings.many import Job, solve_bag
 

@@ -16,10 +16,10 @@ from bag_samples import CONFIGURATION as SAMPLE
 from bag_samples import simulate, write_run
 from click.testing import CliRunner
 
-from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
 from rotcal_ros.cli.main import rotcal
-from rotcal_ros.errors import BagError, ConfigurationError
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
 from rotcal_ros.recordings import workers
 from rotcal_ros.recordings.finding import find_bags
 from rotcal_ros.recordings.many import Job, solve_bag

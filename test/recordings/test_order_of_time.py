@@ -23,7 +23,7 @@ from rearranged import (
     write_sqlite,
 )
 
-from rotcal_ros.catalogue.configuration import parse_configuration
+from rotcal_ros.methods.configuration import parse_configuration
 from rotcal_ros.recordings.replay import read_recording
 
 FIRST_NS = START_NS + 2_000_000

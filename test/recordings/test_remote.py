@@ -11,9 +11,9 @@ import time
 import pytest
 from fleet_bags import configuration_text, write_bag
 
-from rotcal_ros.catalogue.configuration import parse_configuration
-from rotcal_ros.errors import BagError
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.methods.configuration import parse_configuration
 from rotcal_ros.recordings.finding import find_bags
 from rotcal_ros.recordings.many import Job, solve_bag
 

@@ -9,10 +9,10 @@ import pytest
 pytest.importorskip("pyarrow")
 import pyarrow.parquet as parquet
 
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.results import Result
 from rotcal_ros.recordings.kept import Outcome
 from rotcal_ros.recordings.results_dataset import ResultsDataset, parts
-from rotcal_ros.results import Result
 
 
 def outcome(name, key="k", ecc=(0.0, 1e-6, 3e-6)):

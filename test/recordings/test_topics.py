@@ -3,7 +3,7 @@
 import pytest
 
 from rotcal_ros.bags import names
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.recordings.topics import Topics
 
 LENGTHS = {names.TRACER_LENGTH: "lengths"}

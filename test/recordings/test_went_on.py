@@ -4,7 +4,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 from rotcal_ros.bags import names
-from rotcal_ros.observations import Observation, PointKind
+from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.recordings.replay import known_then
 
 OBSERVED = Observation(

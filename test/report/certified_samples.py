@@ -7,12 +7,12 @@ from html.parser import HTMLParser
 
 import numpy as np
 
-from rotcal_ros.circumstances import Circumstances, Counts, Range
-from rotcal_ros.identity import Identity, Instrument, Instruments
-from rotcal_ros.protection import EFFECTS, Protection
+from rotcal_ros.foundation.circumstances import Circumstances, Counts, Range
+from rotcal_ros.foundation.identity import Identity, Instrument, Instruments
+from rotcal_ros.foundation.protection import EFFECTS, Protection
+from rotcal_ros.foundation.results import Rejection, Residuals, Result
+from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.report.page import TITLE, ReportInput
-from rotcal_ros.results import Rejection, Residuals, Result
-from rotcal_ros.units import ARCSEC
 
 IDENTITY = Identity(
     item="rotary table", maker="Maker", model="T 400", serial="0815", place="hall 3",

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from certified_samples import CIRCUMSTANCES, Clauses, report, result, text_of
 
-from rotcal_ros.circumstances import Circumstances
 from rotcal_ros.evaluation.verification import Positioning, Verification
 from rotcal_ros.evaluation.withheld import withheld
+from rotcal_ros.foundation.circumstances import Circumstances
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.report.page import render_report
 from rotcal_ros.report.verification import verification_section
-from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC
 
 COMMON = {
     "7.8.2.1 a": "Calibration report of a rotary table",  # a title
@@ -158,7 +158,7 @@ def test_a_band_far_from_the_injected_truth_is_not_valid():
 
 @pytest.mark.usefixtures("without_figures")
 def test_what_u_does_not_cover_is_said_beside_it():
-    from rotcal_ros.protection import Protection
+    from rotcal_ros.foundation.protection import Protection
 
     bare = result(protections=(Protection("knock", "not protected", "nothing sees it"),))
     assert "It does not cover: knock." in text_of(render_report(report(bare)))

@@ -5,11 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from rotcal_ros.catalogue.plane_mirror import figures as mirror_figures
-from rotcal_ros.catalogue.plane_mirror.mirror_physics import measure, paper_cell
-from rotcal_ros.methods.plane_mirror import solve
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.methods.plane_mirror import figures as mirror_figures
+from rotcal_ros.methods.plane_mirror.mirror_physics import measure, paper_cell
+from rotcal_ros.methods.plane_mirror.solver import solve
 from rotcal_ros.report.page import ReportInput, render_report
-from rotcal_ros.results import Result
 
 TITLES = ["The ways side by side", "Tracker stations and nests", "Angles of incidence",
           "Nest residuals"]  # fmt: skip

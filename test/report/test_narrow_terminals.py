@@ -19,9 +19,9 @@ import pytest
 
 from rotcal_ros.evaluation.monte_carlo import Propagation
 from rotcal_ros.evaluation.propagated import Propagated
+from rotcal_ros.foundation.results import Result
 from rotcal_ros.report.terminal.columns import Column, stacked
 from rotcal_ros.report.terminal.tables import print_result, print_uncertainty
-from rotcal_ros.results import Result
 
 DATA = Path(__file__).parents[2] / "examples" / "data"
 CONFIG = Path(__file__).parents[2] / "config"

@@ -5,12 +5,12 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from rotcal_ros.catalogue.goal import GoalStanding
+from rotcal_ros.foundation.protection import Protection
+from rotcal_ros.foundation.results import Rejection, Residuals, Result
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.methods.goal import GoalStanding
 from rotcal_ros.planning.plan_figures import Compared, PlanFigures
-from rotcal_ros.protection import Protection
 from rotcal_ros.report.page import ReportInput, render_report
-from rotcal_ros.results import Rejection, Residuals, Result
-from rotcal_ros.units import ARCSEC, DEGREE
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 

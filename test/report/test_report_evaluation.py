@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rotcal_ros.foundation.results import RepeatedRuns, Result
+from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.report.page import ReportInput, render_report
-from rotcal_ros.results import RepeatedRuns, Result
-from rotcal_ros.units import ARCSEC
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 

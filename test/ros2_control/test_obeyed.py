@@ -5,7 +5,7 @@ from math import isnan, nan, pi
 import numpy as np
 import pytest
 
-from rotcal_ros.observations import Approach, TableSample
+from rotcal_ros.foundation.observations import Approach, TableSample
 from rotcal_ros.ros2_control.obeyed import JointWatch
 from rotcal_ros.ros2_control.settings import TableAdapterSettings
 from rotcal_ros.ros2_control.travel import way_to

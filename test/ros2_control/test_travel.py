@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rotcal_ros.errors import DataError
-from rotcal_ros.observations import Approach
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.ros2_control.settings import TableAdapterSettings
 from rotcal_ros.ros2_control.travel import way_to, way_to_rest
 

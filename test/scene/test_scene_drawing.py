@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotcal_ros.catalogue import prepare, read_configuration
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.methods import prepare, read_configuration
 from rotcal_ros.scene.drawing import (
     COLOURS,
     Errors,
@@ -17,7 +18,6 @@ from rotcal_ros.scene.drawing import (
 from rotcal_ros.scene.layout import Layout, Progress, State, layout_of
 from rotcal_ros.scene.shapes import Transform
 from rotcal_ros.simulation import SimulatedCell
-from rotcal_ros.units import ARCSEC, DEGREE
 
 CONFIG = Path(__file__).parents[2] / "config"
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from rotcal_ros.catalogue.continuation import Continuation
+from rotcal_ros.methods.continuation import Continuation
 from rotcal_ros.sessions.commands import client_command, node_command, node_names
 from rotcal_ros.sessions.session import prepare_session
 

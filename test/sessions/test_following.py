@@ -5,9 +5,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
-from rotcal_ros.errors import ConfigurationError, DataError
-from rotcal_ros.session_folder import SessionFolder
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.session_folder import SessionFolder
+from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
 from rotcal_ros.sessions import following
 from rotcal_ros.sessions.following import _follow, _result_of_cancelling
 from rotcal_ros.sessions.person import Person

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
 
 PROGRAM = """
 import os, signal, sys

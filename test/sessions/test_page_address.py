@@ -5,8 +5,8 @@ import time
 
 import pytest
 
-from rotcal_ros.machine_load import patient
-from rotcal_ros.node_names import VIEWERS
+from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.node_names import VIEWERS
 from rotcal_ros.sessions import environment
 from rotcal_ros.sessions.commands import CLIENT
 from rotcal_ros.sessions.following import RunningSession

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
+from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
 from rotcal_ros.sessions import person as module
 from rotcal_ros.sessions.person import Person
 

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from rotcal_ros.machine_load import patient
+from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.sessions import processes
 from rotcal_ros.sessions.processes import Processes
 

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import pytest
 from two_groups import GRID, plate_problem
 
-from rotcal_ros.methods.ball_plate import solve
-from rotcal_ros.session_folder import SessionFolder
+from rotcal_ros.foundation.session_folder import SessionFolder
+from rotcal_ros.methods.ball_plate.solver import solve
 from rotcal_ros.sessions.products import write_products
 
 

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from rotcal_ros.catalogue import prepare
-from rotcal_ros.catalogue.configuration import changed, read_configuration
-from rotcal_ros.errors import BagError, ConfigurationError
-from rotcal_ros.files import FolderLock
+from rotcal_ros.foundation.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.files import FolderLock
+from rotcal_ros.methods import prepare
+from rotcal_ros.methods.configuration import changed, read_configuration
 from rotcal_ros.sessions.disk_space import expected_bytes
 from rotcal_ros.sessions.display import describe
 from rotcal_ros.sessions.environment import node_environment

@@ -9,8 +9,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "bags"))
 import bag_samples
 
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.files import FolderLock
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.files import FolderLock
 from rotcal_ros.sessions.following import calibrate, running
 from rotcal_ros.sessions.resume import resume_session
 

@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 import yaml
 
-from rotcal_ros.catalogue import changed, prepare, read_configuration
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.observations import Approach
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.session_folder import SessionFolder
+from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods import changed, prepare, read_configuration
 from rotcal_ros.recordings.sources import Source, read_source
 from rotcal_ros.report.verification import verification_section
-from rotcal_ros.session_folder import SessionFolder
 from rotcal_ros.sessions import verification
 from rotcal_ros.sessions.session import Session
 from rotcal_ros.simulation.positioning import true_runs
-from rotcal_ros.units import ARCSEC
 
 DEMO = Path(__file__).parents[2] / "config" / "verify_demo.yaml"
 QUIET = (

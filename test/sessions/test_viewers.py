@@ -9,10 +9,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from rotcal_ros.errors import ConfigurationError, DataError
-from rotcal_ros.files import FolderLock
-from rotcal_ros.machine_load import patient
-from rotcal_ros.session_folder import SessionFolder
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.files import FolderLock
+from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.sessions import viewers as module
 from rotcal_ros.sessions.attaching import Attachment, running_sessions, watch
 from rotcal_ros.sessions.viewers import History, Viewers

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from rotcal_ros.capture import Capture
-from rotcal_ros.catalogue import find_method, prepare
-from rotcal_ros.catalogue.configuration import read_configuration
-from rotcal_ros.catalogue.tracer.plan import tracer_plan
-from rotcal_ros.catalogue.tracer.settings import TracerPlanSettings
+from rotcal_ros.methods import find_method, prepare
+from rotcal_ros.methods.configuration import read_configuration
+from rotcal_ros.methods.tracer.plan import tracer_plan
+from rotcal_ros.methods.tracer.settings import TracerPlanSettings
 from rotcal_ros.simulation import SimulatedCell
 
 pytestmark = pytest.mark.slow

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotcal_ros.catalogue.tracer.simulation_settings import (
+from rotcal_ros.foundation.observations import Approach, Command, LengthStatus, PointKind
+from rotcal_ros.methods.tracer.simulation_settings import (
     FaultSettings,
     SimulatedProbeSettings,
     SimulatedTracerSettings,
     TracerSimulationSettings,
 )
-from rotcal_ros.observations import Approach, Command, LengthStatus, PointKind
 from rotcal_ros.simulation import SimulatedCell
 from rotcal_ros.simulation.settings import AngularHarmonics, TableSettings, TemperatureSettings
 

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from rotcal_ros.catalogue.tracer.simulation_settings import TracerSimulationSettings
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.observations import Approach
-from rotcal_ros.settings import load
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.settings import load
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.methods.tracer.simulation_settings import TracerSimulationSettings
 from rotcal_ros.simulation import SimulatedCell
 from rotcal_ros.simulation.positioning import true_runs
 from rotcal_ros.simulation.settings import TableSettings
 from rotcal_ros.simulation.table import SimulatedTable, correction, truth
-from rotcal_ros.units import ARCSEC, DEGREE
 
 ECC = {"amplitudes_arcsec": [20.0], "phases_deg": [0.0]}
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rotcal_ros.components import COMPONENTS
-from rotcal_ros.observations import Approach
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.simulation.settings import AngularHarmonics, LinearHarmonics, TableSettings
 from rotcal_ros.simulation.table import (
     SimulatedTable,

@@ -17,8 +17,8 @@ from math import gcd
 import numpy as np
 
 from rotcal_ros.adjust.distributions import normal_isf
-from rotcal_ros.arrays import Bools, Floats, Ints
-from rotcal_ros.errors import ObservabilityError
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.errors import ObservabilityError
 
 FALSE_ALARM = 0.01
 """Probability that good readings lose any one at all."""

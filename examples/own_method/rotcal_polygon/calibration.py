@@ -12,13 +12,13 @@ from rotcal_polygon.plan import NAME
 from rotcal_polygon.protections import protections
 from rotcal_polygon.settings import PolygonPlanSettings
 from rotcal_ros.adjust.distributions import chi2_sf
-from rotcal_ros.arrays import Floats
-from rotcal_ros.catalogue.configuration import Configuration
-from rotcal_ros.errors import DataError
-from rotcal_ros.observations import Observation
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.foundation.results import Rejection, Residuals, Result
+from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.planning.plan import Plan
-from rotcal_ros.results import Rejection, Residuals, Result
-from rotcal_ros.units import ARCSEC
 
 SIGNIFICANCE = 0.01
 """Level of the chi-square test of the stated noise."""

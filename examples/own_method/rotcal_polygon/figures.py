@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.figures import Figure, style
 from rotcal_ros.figures.residuals import residual_figures
-from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC
 
 
 def figures(result: Result, _truth: Mapping[str, Any] | None) -> Sequence[Figure]:

@@ -11,9 +11,9 @@ from rotcal_polygon.settings import PolygonPlanSettings, PolygonSolverSettings
 from rotcal_polygon.simulation import PolygonSimulationSettings
 from rotcal_ros.capture.points import mean_point, points
 from rotcal_ros.capture.rules import CaptureRules
-from rotcal_ros.catalogue.configuration import Configuration
-from rotcal_ros.catalogue.method import Method, See, TableReader
-from rotcal_ros.observations import PointKind
+from rotcal_ros.foundation.observations import PointKind
+from rotcal_ros.methods.configuration import Configuration
+from rotcal_ros.methods.method import Method, See, TableReader
 from rotcal_ros.planning.plan import Plan
 
 

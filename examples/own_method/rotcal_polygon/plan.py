@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from rotcal_polygon.adjustment import separable
 from rotcal_polygon.settings import PolygonPlanSettings
-from rotcal_ros.catalogue.configuration import Configuration
-from rotcal_ros.errors import ConfigurationError, PlanError
-from rotcal_ros.observations import Approach, PointKind
+from rotcal_ros.foundation.errors import ConfigurationError, PlanError
+from rotcal_ros.foundation.observations import Approach, PointKind
+from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.planning.plan import Move, Pause, Plan, Step
-from rotcal_ros.units import DEGREE
 
 NAME = "polygon"
 NOWHERE = (0.0, 0.0, 0.0)

@@ -7,7 +7,7 @@ added, larger and larger, until the verdict turned in 95 % of 200 measurements.
 from __future__ import annotations
 
 from rotcal_polygon.adjustment import PolygonProblem
-from rotcal_ros.protection import Protection
+from rotcal_ros.foundation.protection import Protection
 
 
 def protections(problem: PolygonProblem) -> tuple[Protection, ...]:

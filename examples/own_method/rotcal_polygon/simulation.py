@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
-from rotcal_ros.observations import Command, ProbeSample
-from rotcal_ros.settings import group, setting
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.observations import Command, ProbeSample
+from rotcal_ros.foundation.settings import group, setting
+from rotcal_ros.foundation.units import ARCSEC, NANOSECOND
 from rotcal_ros.simulation.instrument import Instrument, Table
 from rotcal_ros.simulation.noise import IndexedNoise
 from rotcal_ros.simulation.settings import SimulationSettings
 from rotcal_ros.simulation.temperature import SimulatedTemperature
-from rotcal_ros.units import ARCSEC, NANOSECOND
 
 FACES, MOUNTING, READING = 1001, 1002, 1003
 """Streams of random numbers; those below 1000 belong to rotcal_ros."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from rotcal_polygon.plan import face_at
-from rotcal_ros.catalogue.calibration import prepare
-from rotcal_ros.catalogue.configuration import Configuration
-from rotcal_ros.catalogue.measurements import PlannedMeasurements, StepFinder
-from rotcal_ros.errors import DataError
-from rotcal_ros.tables import Header, Row, Table, hashes
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.tables import Header, Row, Table, hashes
+from rotcal_ros.methods.calibration import prepare
+from rotcal_ros.methods.configuration import Configuration
+from rotcal_ros.methods.measurements import PlannedMeasurements, StepFinder
 
 FARTHEST_RAD = 0.02
 """No autocollimator reads more than a degree."""

@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING, Final
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-from rotcal_ros import messages
+from rotcal_ros.capture import messages
 from rotcal_ros.capture.heard import publisher_of
-from rotcal_ros.catalogue import Configuration
-from rotcal_ros.catalogue.check_lines import CheckLine
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.escapes import printable
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.escapes import printable
+from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.methods import Configuration
+from rotcal_ros.methods.check_lines import CheckLine
 from rotcal_ros.nodes.instruments.joint_controllers import interface_of
 from rotcal_ros.nodes.runtime.cell_graph import deaf_listeners
 from rotcal_ros.nodes.runtime.draining import Batch, InstrumentSubscription
 from rotcal_ros.nodes.runtime.hearing import origin_of
 from rotcal_ros.ros2_control.obeyed import JointWatch
 from rotcal_ros.ros2_control.settings import TableAdapterSettings
-from rotcal_ros.units import DEGREE
 
 if TYPE_CHECKING:
     from rotcal_ros.nodes.check.heard import Heard

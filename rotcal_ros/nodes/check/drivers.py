@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
 from rotcal_ros.bags import names
-from rotcal_ros.catalogue.check_lines import CheckLine
-from rotcal_ros.errors import RotcalError
+from rotcal_ros.foundation.errors import RotcalError
+from rotcal_ros.foundation.node_names import FURTHER_NODES
 from rotcal_ros.instrument_plugins.driver import instrument_of
 from rotcal_ros.instrument_plugins.instrument import Tracer, Tracker
-from rotcal_ros.node_names import FURTHER_NODES
+from rotcal_ros.methods.check_lines import CheckLine
 
 if TYPE_CHECKING:
     from rotcal_ros.nodes.check.heard import Heard

@@ -14,9 +14,9 @@ from typing import Any
 
 from rclpy.node import Node
 
+from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.nodes.runtime.draining import Batch, DrainedSubscription, sent_ns
 from rotcal_ros.nodes.runtime.qos import adapted_qos
-from rotcal_ros.units import NANOSECOND
 
 _MOST_FRAMES = 8
 _KEPT = 5000

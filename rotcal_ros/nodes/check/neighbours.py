@@ -6,8 +6,8 @@ import os
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
-from rotcal_ros.catalogue.check_lines import CheckLine
-from rotcal_ros.node_names import NODES, further_nodes
+from rotcal_ros.foundation.node_names import NODES, further_nodes
+from rotcal_ros.methods.check_lines import CheckLine
 from rotcal_ros.nodes.runtime.cell_graph import CellGraph
 from rotcal_ros.sessions.domains import DEFAULT_DOMAIN, domains_in_use
 

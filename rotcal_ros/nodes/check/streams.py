@@ -8,9 +8,9 @@ from typing import Any, Final
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture.stamp_offsets import DOUBT_S
-from rotcal_ros.catalogue.check_lines import CheckLine, State
 from rotcal_ros.instruments.conventions import single_shots
 from rotcal_ros.instruments.interpreter import FAST
+from rotcal_ros.methods.check_lines import CheckLine, State
 from rotcal_ros.nodes.check.drivers import brought_line
 from rotcal_ros.nodes.check.header_watch import HeaderWatch
 from rotcal_ros.nodes.check.heard import Heard

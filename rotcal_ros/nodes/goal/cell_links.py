@@ -19,12 +19,13 @@ from rotcal_msgs.msg import Observation as ObservationMsg
 from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
 from std_srvs.srv import Trigger
 
-from rotcal_ros import messages
 from rotcal_ros.bags import names
+from rotcal_ros.capture import messages
 from rotcal_ros.capture.heard import Believed, Offers, publisher_of
 from rotcal_ros.evaluation.withheld import withheld_by
-from rotcal_ros.middleware import discovery_in_words
-from rotcal_ros.node_names import PREFLIGHT_NODES, VIEWERS
+from rotcal_ros.foundation.middleware import discovery_in_words
+from rotcal_ros.foundation.node_names import PREFLIGHT_NODES, VIEWERS
+from rotcal_ros.foundation.observations import Command, Observation
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_graph import ORDERS, CellGraph
 from rotcal_ros.nodes.runtime.cell_node import CellNode
@@ -35,7 +36,6 @@ from rotcal_ros.nodes.runtime.managed_node import not_active
 from rotcal_ros.nodes.runtime.plans import RUN
 from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED
 from rotcal_ros.nodes.runtime.topic_names import TOPIC, plain_name
-from rotcal_ros.observations import Command, Observation
 
 
 class CellServices:

@@ -7,8 +7,8 @@ from typing import Final
 
 from rotcal_msgs.action import Calibrate
 
-from rotcal_ros.machine_load import Patience
-from rotcal_ros.node_names import PREFLIGHT_NODES
+from rotcal_ros.foundation.machine_load import Patience
+from rotcal_ros.foundation.node_names import PREFLIGHT_NODES
 from rotcal_ros.nodes.runtime.health import Health
 from rotcal_ros.nodes.runtime.identity import process_of
 

@@ -6,18 +6,18 @@ from itertools import count
 from typing import Final
 
 from rotcal_ros.capture.failed_steps import FailedSteps
-from rotcal_ros.catalogue import Calibration
-from rotcal_ros.catalogue.continuation import ATTEMPTS_PER_RUN, Continuation
-from rotcal_ros.errors import DataError
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.methods import Calibration
+from rotcal_ros.methods.continuation import ATTEMPTS_PER_RUN, Continuation
 from rotcal_ros.nodes.goal.asking import Asking
 from rotcal_ros.nodes.goal.cell_links import Attempt
 from rotcal_ros.nodes.goal.crew import Codes, GoalError
 from rotcal_ros.nodes.goal.watch import GoalWatch, HaltedError
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.latest import WAITING_FOR
+from rotcal_ros.planning.choices import Choice, Outcome, Standing
 from rotcal_ros.planning.plan import Pause
-from rotcal_ros.planning.policy.choices import Choice, Outcome, Standing
-from rotcal_ros.planning.policy.names import AS_LISTED
+from rotcal_ros.planning.policy_names import AS_LISTED
 
 SETTLING_S: Final = 1.2
 """So long after a clock was set the capture takes nothing (1 s), once it has noticed."""

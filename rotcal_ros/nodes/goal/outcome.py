@@ -10,12 +10,12 @@ from typing import Any
 from action_msgs.msg import GoalStatus
 from rotcal_msgs.action import Calibrate
 
-from rotcal_ros.catalogue import Configuration
-from rotcal_ros.catalogue.configuration import configuration_text
-from rotcal_ros.errors import DataError
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.untrusted import load_json, read_text, why
+from rotcal_ros.methods import Configuration
+from rotcal_ros.methods.configuration import configuration_text
 from rotcal_ros.planning.plan import PAUSED
-from rotcal_ros.results import Result
-from rotcal_ros.untrusted import load_json, read_text, why
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,19 +10,19 @@ from typing import Final
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture import CaptureSettings
-from rotcal_ros.catalogue import Calibration, Configuration
-from rotcal_ros.escapes import printable
+from rotcal_ros.foundation.escapes import printable
+from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.instruments.plausibility import (
     air_in_words,
     length_in_words,
     position_in_words,
     small_in_words,
 )
+from rotcal_ros.methods import Calibration, Configuration
 from rotcal_ros.nodes.instruments.table_feedback import joint_doubts, joint_faults, number_in
 from rotcal_ros.nodes.runtime.concerns import OFFSET
 from rotcal_ros.nodes.runtime.latest import FRAME, NOW, RATE, REFUSED
 from rotcal_ros.nodes.runtime.topic_names import name_in
-from rotcal_ros.observations import PointKind
 from rotcal_ros.planning.plan import Plan
 
 _AIR: Final = {

@@ -19,12 +19,13 @@ from std_srvs.srv import Trigger
 
 from rotcal_ros.capture.heard import Believed
 from rotcal_ros.capture.rejections import Commonest
-from rotcal_ros.catalogue import Calibration, Configuration
-from rotcal_ros.catalogue.continuation import Continuation, Recorded
-from rotcal_ros.errors import DataError, RotcalError
-from rotcal_ros.files import write_atomically
+from rotcal_ros.foundation.errors import DataError, RotcalError
+from rotcal_ros.foundation.files import write_atomically
+from rotcal_ros.foundation.node_names import PREFLIGHT_NODES, VIEWERS
+from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.instruments.conventions import single_shots
-from rotcal_ros.node_names import PREFLIGHT_NODES, VIEWERS
+from rotcal_ros.methods import Calibration, Configuration
+from rotcal_ros.methods.continuation import Continuation, Recorded
 from rotcal_ros.nodes.goal.asking import Asking
 from rotcal_ros.nodes.goal.cell_links import CellLinks
 from rotcal_ros.nodes.goal.crew import SOLVER, Codes, GoalError
@@ -38,7 +39,6 @@ from rotcal_ros.nodes.runtime.hearing import BELIEVED
 from rotcal_ros.nodes.runtime.plans import RUN, run_name
 from rotcal_ros.nodes.runtime.sim_clock import unlike_clocks
 from rotcal_ros.nodes.runtime.topic_names import TOPICS, names_at_odds, topics_value
-from rotcal_ros.session_folder import SessionFolder
 
 MOST_IN_VAIN: Final = 2
 """So many runs without a newly accepted step follow each other at most, when nodes are lost."""

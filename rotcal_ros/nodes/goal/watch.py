@@ -8,10 +8,10 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from rotcal_ros import machine_load
 from rotcal_ros.bags import names
 from rotcal_ros.capture.heard import Offers, started_anew
-from rotcal_ros.machine_load import Patience
+from rotcal_ros.foundation import machine_load
+from rotcal_ros.foundation.machine_load import Patience
 from rotcal_ros.nodes.goal.cell_links import CellLinks
 from rotcal_ros.nodes.goal.crew import Codes, Crew, GoalError
 from rotcal_ros.nodes.goal.pauses import Pauses
@@ -26,7 +26,7 @@ from rotcal_ros.nodes.runtime.latest import HOPELESS, SILENT
 from rotcal_ros.nodes.runtime.roll_call import Overload
 from rotcal_ros.planning.plan import Pause
 from rotcal_ros.planning.planner_settings import PlannerSettings
-from rotcal_ros.planning.policy.names import AS_LISTED
+from rotcal_ros.planning.policy_names import AS_LISTED
 
 ASTRAY_TIMEOUT_S: Final = 5.0
 """So long capture and solver may be without the plan of the goal."""

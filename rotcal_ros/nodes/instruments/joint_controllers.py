@@ -11,12 +11,12 @@ from builtin_interfaces.msg import Duration
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.qos import EVENT
 from rotcal_ros.ros2_control.settings import TableAdapterSettings
 from rotcal_ros.ros2_control.travel import Way
-from rotcal_ros.units import NANOSECOND
 
 SETPOINT_PERIOD_S: Final = 0.02
 LATEST_S: Final = 1.5 * SETPOINT_PERIOD_S

@@ -13,17 +13,7 @@ from sensor_msgs.msg import JointState
 from rotcal_ros.bags import names
 from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.capture.stamp_offsets import OffsetLimits, StampOffsets
-from rotcal_ros.catalogue import Configuration
-from rotcal_ros.instruments.conventions import single_shots
-from rotcal_ros.instruments.forms import OWN
-from rotcal_ros.instruments.interpreter import FAST, Interpreter
-from rotcal_ros.instruments.rates import Rates
-from rotcal_ros.instruments.steps import Position
-from rotcal_ros.nodes.instruments.topics import InstrumentTopics
-from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.draining import Batch, received_ns, sent_ns
-from rotcal_ros.nodes.runtime.latest import FRAME, JOINT, MOST_JOINTS, NOW, RATE, SILENT, reading
-from rotcal_ros.observations import (
+from rotcal_ros.foundation.observations import (
     HumiditySample,
     LengthStatus,
     PressureSample,
@@ -32,6 +22,16 @@ from rotcal_ros.observations import (
     TemperatureSample,
     TracerSample,
 )
+from rotcal_ros.instruments.conventions import single_shots
+from rotcal_ros.instruments.forms import OWN
+from rotcal_ros.instruments.interpreter import FAST, Interpreter
+from rotcal_ros.instruments.rates import Rates
+from rotcal_ros.instruments.steps import Position
+from rotcal_ros.methods import Configuration
+from rotcal_ros.nodes.instruments.topics import InstrumentTopics
+from rotcal_ros.nodes.runtime.cell_node import CellNode
+from rotcal_ros.nodes.runtime.draining import Batch, received_ns, sent_ns
+from rotcal_ros.nodes.runtime.latest import FRAME, JOINT, MOST_JOINTS, NOW, RATE, SILENT, reading
 
 
 class JointReadings:

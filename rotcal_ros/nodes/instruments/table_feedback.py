@@ -6,13 +6,13 @@ from collections.abc import Iterator, Mapping
 from math import isfinite
 
 from rotcal_ros.bags import names
-from rotcal_ros.catalogue import Configuration
-from rotcal_ros.escapes import printable
+from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.instruments.conventions import Conventions
 from rotcal_ros.instruments.plausibility import angle_in_words
+from rotcal_ros.methods import Configuration
 from rotcal_ros.nodes.runtime.latest import JOINT, MOST_JOINTS, NOW
 from rotcal_ros.nodes.runtime.topic_names import name_in
-from rotcal_ros.table_motion import PUBLISH_VELOCITY
+from rotcal_ros.planning.table_motion import PUBLISH_VELOCITY
 
 Values = Mapping[str, str]
 

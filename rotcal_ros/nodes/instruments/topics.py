@@ -8,17 +8,17 @@ from typing import Any
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.topic_settings import TopicSettings
-from rotcal_ros.catalogue import Configuration
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.settings import load
 from rotcal_ros.instruments.conventions import Conventions
 from rotcal_ros.instruments.forms import not_understood
+from rotcal_ros.methods import Configuration
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.channels import message_type
 from rotcal_ros.nodes.runtime.draining import Batch, InstrumentSubscription
 from rotcal_ros.nodes.runtime.heartbeat import BEAT_PERIOD_S
 from rotcal_ros.nodes.runtime.latest import REFUSED
 from rotcal_ros.nodes.runtime.topic_names import TOPICS, given_topics, other_names
-from rotcal_ros.settings import load
 
 
 class InstrumentTopics:

@@ -12,11 +12,12 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from rotcal_msgs.msg import DeviationArray
 
-from rotcal_ros.catalogue import Calibration
-from rotcal_ros.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.evaluation.marks import measurement, tolerance
 from rotcal_ros.evaluation.withheld import withheld_by
-from rotcal_ros.identity import Identity
+from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
+from rotcal_ros.foundation.identity import Identity
+from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.methods import Calibration
 from rotcal_ros.nodes.runtime.health import Health
 from rotcal_ros.page.state import (
     Cell,
@@ -28,7 +29,6 @@ from rotcal_ros.page.state import (
     Recording,
 )
 from rotcal_ros.planning.plan import Point
-from rotcal_ros.units import DEGREE
 
 SILENT: Final = 3
 MOST_TARGETS: Final = 400

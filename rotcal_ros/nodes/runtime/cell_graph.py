@@ -11,7 +11,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 
 from rotcal_ros.bags import names
-from rotcal_ros.node_names import VIEWERS
+from rotcal_ros.foundation.node_names import VIEWERS
 from rotcal_ros.nodes.runtime.qos import EVENT
 
 ORDERS: Final = (names.TABLE_ANGLE, names.PROBE_TARGET)

@@ -17,7 +17,8 @@ from rotcal_msgs.msg import ProbeTarget, TableAngle
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture.orders import Orders
-from rotcal_ros.machine_load import Patience
+from rotcal_ros.foundation.machine_load import Patience
+from rotcal_ros.foundation.observations import Command
 from rotcal_ros.nodes.runtime.health import CALIBRATING, Health, Values
 from rotcal_ros.nodes.runtime.hearing import Hearing
 from rotcal_ros.nodes.runtime.managed_node import ManagedNode
@@ -25,7 +26,6 @@ from rotcal_ros.nodes.runtime.parameters import declare_settings, given_paramete
 from rotcal_ros.nodes.runtime.qos import EVENT
 from rotcal_ros.nodes.runtime.topic_names import other_names
 from rotcal_ros.nodes.runtime.turns import steady_timer
-from rotcal_ros.observations import Command
 from rotcal_ros.planning.health_settings import HealthSettings
 
 T = TypeVar("T")

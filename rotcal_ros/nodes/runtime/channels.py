@@ -15,7 +15,7 @@ from rclpy.qos import QoSProfile
 
 from rotcal_ros.bags.definitions import collect_definition
 from rotcal_ros.bags.rosbag2_metadata import INFINITE_NS, OfferedQos, qos_text
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.nodes.writing.recording import Channel
 
 _FEEDBACK: Final = "_FeedbackMessage"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
-from rotcal_ros.clock_jumps import ClockJump, ClockWatch
+from rotcal_ros.foundation.clock_jumps import ClockJump, ClockWatch
 
 JUMPS: Final = "clock_jumps"
 """Value in a beat: how often the clock of a node's machine has jumped."""

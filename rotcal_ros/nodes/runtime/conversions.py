@@ -1,4 +1,4 @@
-"""Dataclasses into messages; the way back is rotcal_ros.messages, as for the replay of bags."""
+"""Dataclasses into messages; the way back is capture/messages.py, as for the replay of bags."""
 
 from __future__ import annotations
 
@@ -26,13 +26,12 @@ from rotcal_msgs.msg import Observation as ObservationMsg
 from sensor_msgs.msg import FluidPressure, JointState, RelativeHumidity, Temperature
 from std_msgs.msg import Header
 
-from rotcal_ros import messages
+from rotcal_ros.capture import messages
 from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.components import COVERAGE_FACTOR, unit_of
-from rotcal_ros.errors import DataError
-from rotcal_ros.in_force import UNKNOWN
-from rotcal_ros.nodes.goal.progress import Progress
-from rotcal_ros.observations import (
+from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.in_force import UNKNOWN
+from rotcal_ros.foundation.observations import (
     Command,
     HumiditySample,
     Observation,
@@ -42,10 +41,11 @@ from rotcal_ros.observations import (
     TemperatureSample,
     TracerSample,
 )
+from rotcal_ros.foundation.results import FreeDirection as OpenZero
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.nodes.goal.progress import Progress
+from rotcal_ros.planning.choices import Choice
 from rotcal_ros.planning.plan import MACHINE_FRAME
-from rotcal_ros.planning.policy.choices import Choice
-from rotcal_ros.results import FreeDirection as OpenZero
-from rotcal_ros.results import Result
 
 TABLE: Final = "table_base"
 MACHINE: Final = MACHINE_FRAME

@@ -9,8 +9,8 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from rotcal_ros.bags import names
+from rotcal_ros.capture.messages import static_frames
 from rotcal_ros.geometry.frames import StaticFrame
-from rotcal_ros.messages import static_frames
 
 try:
     from tf2_msgs.msg import TFMessage

@@ -18,7 +18,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from rotcal_ros.machine_load import AwakeClock
+from rotcal_ros.foundation.machine_load import AwakeClock
+from rotcal_ros.foundation.plugins import culprit
 from rotcal_ros.nodes.runtime.clock_news import ClockNews
 from rotcal_ros.nodes.runtime.draining import Batch, DrainedSubscription
 from rotcal_ros.nodes.runtime.heartbeat import BEAT_PERIOD_S, BUSY, HEARTBEAT, LEAVING, Heartbeat
@@ -29,7 +30,6 @@ from rotcal_ros.nodes.runtime.roll_call import RollCall
 from rotcal_ros.nodes.runtime.sim_clock import SimClock
 from rotcal_ros.nodes.runtime.turns import UNWAITED, steady_timer
 from rotcal_ros.planning.health_settings import HealthSettings
-from rotcal_ros.plugins import culprit
 
 HEAR_PERIOD_S: Final = 0.1
 """So often the beats of the others are heard, all together."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 from uuid import uuid4
 
-from rotcal_ros.node_names import NODES
-from rotcal_ros.units import NANOSECOND
+from rotcal_ros.foundation.node_names import NODES
+from rotcal_ros.foundation.units import NANOSECOND
 
 SESSION_VARIABLE: Final = "ROTCAL_SESSION"
 """Environment variable: what all processes of one session have in common.

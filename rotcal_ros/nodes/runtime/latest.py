@@ -8,8 +8,7 @@ from __future__ import annotations
 from typing import Final
 
 from rotcal_ros.capture import Record
-from rotcal_ros.instruments.steps import Position
-from rotcal_ros.observations import (
+from rotcal_ros.foundation.observations import (
     HumiditySample,
     LengthStatus,
     PressureSample,
@@ -17,7 +16,8 @@ from rotcal_ros.observations import (
     TableSample,
     TracerSample,
 )
-from rotcal_ros.observations import TemperatureSample as Thermometer
+from rotcal_ros.foundation.observations import TemperatureSample as Thermometer
+from rotcal_ros.instruments.steps import Position
 
 NOW: Final = "now."
 """How the values of the capture begin that tell the latest reading of a topic."""

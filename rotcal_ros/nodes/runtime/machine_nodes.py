@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Final
 
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.node_names import further_nodes
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.node_names import further_nodes
 
 AS_CONFIGURED: Final = "as_configured"
 OWN: Final = "own"

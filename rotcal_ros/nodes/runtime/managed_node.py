@@ -11,7 +11,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from rotcal_ros.errors import RotcalError
+from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.nodes.runtime.turns import handle_events, steady_timer, with_unwaited_events
 
 

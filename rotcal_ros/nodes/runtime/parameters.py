@@ -15,7 +15,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from rotcal_ros.settings import Declaration, declarations, load
+from rotcal_ros.foundation.settings import Declaration, declarations, load
 
 T = TypeVar("T")
 

@@ -10,24 +10,24 @@ from typing import Any, Final
 from rotcal_msgs.action import Calibrate
 from rotcal_msgs.msg import CalibrationPlan
 
-from rotcal_ros.catalogue import Calibration, prepare
-from rotcal_ros.catalogue.configuration import (
+from rotcal_ros.capture.messages import stamp_ns
+from rotcal_ros.foundation.errors import ConfigurationError, DataError, PlanError, RotcalError
+from rotcal_ros.foundation.plugins import nearest
+from rotcal_ros.foundation.settings import to_mapping
+from rotcal_ros.foundation.untrusted import read_text, why
+from rotcal_ros.methods import Calibration, prepare
+from rotcal_ros.methods.configuration import (
     GROUPS,
     Configuration,
     dump_configuration,
     parse_configuration,
     settings_classes,
 )
-from rotcal_ros.catalogue.continuation import Continuation
-from rotcal_ros.catalogue.method import DEFAULT, find_method
-from rotcal_ros.errors import ConfigurationError, DataError, PlanError, RotcalError
-from rotcal_ros.messages import stamp_ns
+from rotcal_ros.methods.continuation import Continuation
+from rotcal_ros.methods.method import DEFAULT, find_method
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.parameters import read_settings
 from rotcal_ros.planning.safety_settings import SafetySettings
-from rotcal_ros.plugins import nearest
-from rotcal_ros.settings import to_mapping
-from rotcal_ros.untrusted import read_text, why
 
 SAFETY, HEALTH = "safety", "health"
 FROM_THE_START: Final = (SAFETY, HEALTH)

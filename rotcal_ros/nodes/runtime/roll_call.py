@@ -26,8 +26,9 @@ OVER_S: Final = 60.0
 class RollCall:
     """Who is there: ``seen`` is name -> when it last answered, by a clock of the caller (s).
 
-    That clock stands while the caller does, see :class:`~rotcal_ros.machine_load.AwakeClock`.
-    ``slow`` is name -> seconds, ``lost`` is name -> why, both as of the latest look.
+    That clock stands while the caller does, see
+    :class:`~rotcal_ros.foundation.machine_load.AwakeClock`. ``slow`` is name -> seconds, ``lost``
+    is name -> why, both as of the latest look.
     """
 
     settings: HealthSettings = field(default_factory=HealthSettings)

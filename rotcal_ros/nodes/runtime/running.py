@@ -22,9 +22,9 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
 from threadpoolctl import threadpool_limits
 
-from rotcal_ros.errors import ConfigurationError, RotcalError
-from rotcal_ros.machine_load import Patience
-from rotcal_ros.middleware import ROS_DEFAULT_RANGE, middleware, without_security
+from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
+from rotcal_ros.foundation.machine_load import Patience
+from rotcal_ros.foundation.middleware import ROS_DEFAULT_RANGE, middleware, without_security
 from rotcal_ros.nodes.runtime.cell_node import CellNode, until
 from rotcal_ros.nodes.runtime.memory import end_without_memory
 from rotcal_ros.nodes.runtime.turns import wake_after_jumps

@@ -6,10 +6,10 @@ import math
 import time
 from typing import Any, Final
 
-from rotcal_ros.catalogue import Configuration
-from rotcal_ros.node_names import PREFLIGHT_NODES
+from rotcal_ros.foundation.node_names import PREFLIGHT_NODES
+from rotcal_ros.foundation.units import NANOSECOND
+from rotcal_ros.methods import Configuration
 from rotcal_ros.nodes.runtime.concerns import SIM_CLOCK
-from rotcal_ros.units import NANOSECOND
 
 SIM_TIME: Final = "sim_time_s"
 """Value in a beat: the time of ``/clock`` in s; only of nodes that follow it."""

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final
 
 from rotcal_ros.bags import names
-from rotcal_ros.catalogue import Configuration
+from rotcal_ros.methods import Configuration
 from rotcal_ros.nodes.writing.recording import Recording
 
 TOPIC: Final = "topic."

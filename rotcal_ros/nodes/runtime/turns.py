@@ -24,7 +24,7 @@ from rclpy.executors import Executor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
-from rotcal_ros.clock_jumps import ClockWatch
+from rotcal_ros.foundation.clock_jumps import ClockWatch
 
 _LOOK_S: Final = 0.1
 

@@ -10,11 +10,11 @@ from rclpy.serialization import deserialize_message
 from rotcal_msgs.msg import Observation as ObservationMsg
 from std_srvs.srv import Trigger
 
-from rotcal_ros import messages
 from rotcal_ros.bags.reader import read_blocks
-from rotcal_ros.catalogue.continuation import Recorded
-from rotcal_ros.errors import BagError
-from rotcal_ros.observations import Observation
+from rotcal_ros.capture import messages
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.methods.continuation import Recorded
 
 
 class RecordedSession:

@@ -17,7 +17,7 @@ from typing import Final
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.errors import BagError
+from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.nodes.runtime.draining import Batch
 from rotcal_ros.nodes.runtime.memory import end_without_memory
 

@@ -15,11 +15,11 @@ from rotcal_ros.bags.reader import bag_files
 from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.bags.session_identity import file_head
 from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.errors import BagError
-from rotcal_ros.files import write_atomically
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.files import write_atomically
+from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.nodes.writing.recorded_session import observations_in
-from rotcal_ros.observations import Observation
-from rotcal_ros.session_folder import SessionFolder
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ from rclpy.utilities import get_rmw_implementation_identifier
 
 from rotcal_ros import __version__
 from rotcal_ros.bags import names
-from rotcal_ros.catalogue.configuration import read_subject
-from rotcal_ros.distribution import distribution, rclpy_version
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.foundation.distribution import distribution, rclpy_version
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.methods.configuration import read_subject
 from rotcal_ros.nodes.runtime.cell_node import CellNode, until
 from rotcal_ros.nodes.writing.recording import Recording
 

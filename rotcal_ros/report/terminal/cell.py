@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from rotcal_ros.catalogue.check_lines import CellReport, CheckLine
-from rotcal_ros.escapes import printable
+from rotcal_ros.foundation.escapes import printable
+from rotcal_ros.methods.check_lines import CellReport, CheckLine
 
 if TYPE_CHECKING:
     from rich.console import Console

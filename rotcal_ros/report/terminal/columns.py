@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from textwrap import wrap
 from typing import Any, Final
 
-from rotcal_ros.arrays import Floats, Ints
-from rotcal_ros.components import COVERAGE_FACTOR
-from rotcal_ros.escapes import printable, table_cell
-from rotcal_ros.gum_numbers import value, value_with_uncertainty
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.escapes import printable, table_cell
+from rotcal_ros.foundation.gum_numbers import value, value_with_uncertainty
 from rotcal_ros.report.terminal.console import tell
 
 BORDER: Final = 1

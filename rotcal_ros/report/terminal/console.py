@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from rotcal_ros.bags.unread import note_told
-from rotcal_ros.escapes import printable
+from rotcal_ros.foundation.escapes import printable
 
 if TYPE_CHECKING:
     from rich.progress import Progress

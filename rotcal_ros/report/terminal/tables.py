@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
-from rotcal_ros.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.evaluation.iso230 import ONLY_SCATTER, Iso230
 from rotcal_ros.evaluation.marks import marks
 from rotcal_ros.evaluation.withheld import withheld
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.report.terminal.columns import (
     Column,
     Titled,
@@ -20,8 +22,6 @@ from rotcal_ros.report.terminal.columns import (
     print_tables,
     print_words,
 )
-from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC, DEGREE
 
 if TYPE_CHECKING:  # a result is printed without what compares and combines
     from rotcal_ros.evaluation.compare import Comparison

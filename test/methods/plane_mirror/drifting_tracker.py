@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rotcal_ros.methods.plane_mirror import PlaneMirrorProblem, TrackerNoise
-from rotcal_ros.observations import PointKind
+from rotcal_ros.foundation.observations import PointKind
+from rotcal_ros.methods.plane_mirror.solver import PlaneMirrorProblem, TrackerNoise
 
 ARCSEC = np.pi / 648000.0
 STATIONS = [range(s, min(s + 4, 17)) for s in range(0, 16, 3)]

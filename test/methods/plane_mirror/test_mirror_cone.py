@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 
 from rotcal_ros.geometry.rotations import rotation_from_vector
-from rotcal_ros.methods.plane_mirror import cone
-from rotcal_ros.methods.plane_mirror.layout import Pairs
-from rotcal_ros.methods.plane_mirror.normals import tangent_frame
-from rotcal_ros.methods.plane_mirror.outcomes import registered_response
-from rotcal_ros.methods.plane_mirror.stitching import (
+from rotcal_ros.methods.plane_mirror.solver import cone
+from rotcal_ros.methods.plane_mirror.solver.layout import Pairs
+from rotcal_ros.methods.plane_mirror.solver.normals import tangent_frame
+from rotcal_ros.methods.plane_mirror.solver.outcomes import registered_response
+from rotcal_ros.methods.plane_mirror.solver.stitching import (
     islands,
     joining_map,
     stitch,

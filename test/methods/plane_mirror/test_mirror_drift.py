@@ -8,12 +8,12 @@ from chances import LONG, most, share
 from drifting_tracker import ARCSEC, Creep, campaign
 from scipy.stats import binom
 
-from rotcal_ros.methods.plane_mirror import check_nests, solve
-from rotcal_ros.methods.plane_mirror.correction import KNOCK
-from rotcal_ros.methods.plane_mirror.drift import find_drift
-from rotcal_ros.methods.plane_mirror.layout import nest_rounds
-from rotcal_ros.methods.plane_mirror.prepare import prepare
-from rotcal_ros.observations import PointKind
+from rotcal_ros.foundation.observations import PointKind
+from rotcal_ros.methods.plane_mirror.solver import check_nests, solve
+from rotcal_ros.methods.plane_mirror.solver.correction import KNOCK
+from rotcal_ros.methods.plane_mirror.solver.drift import find_drift
+from rotcal_ros.methods.plane_mirror.solver.layout import nest_rounds
+from rotcal_ros.methods.plane_mirror.solver.prepare import prepare
 
 WAYS = ("stitching", "registration", "joint")
 RUNS = 600 if LONG else 100

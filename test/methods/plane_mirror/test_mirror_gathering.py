@@ -10,17 +10,17 @@ from chances import LONG
 from drifting_tracker import campaign
 from gathered_worlds import ARCSEC, carried_world, mirror_world
 
-from rotcal_ros.errors import DataError
-from rotcal_ros.methods.plane_mirror import (
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.observations import PointKind
+from rotcal_ros.methods.plane_mirror.solver import (
     PlaneMirrorProblem,
     TrackerNoise,
     mirror_trials,
     solve,
 )
-from rotcal_ros.methods.plane_mirror.gathering import settled
-from rotcal_ros.methods.plane_mirror.linear import linear
-from rotcal_ros.methods.plane_mirror.prepare import prepare
-from rotcal_ros.observations import PointKind
+from rotcal_ros.methods.plane_mirror.solver.gathering import settled
+from rotcal_ros.methods.plane_mirror.solver.linear import linear
+from rotcal_ros.methods.plane_mirror.solver.prepare import prepare
 
 WAYS = ("stitching", "registration", "joint")
 KINDS = {

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotcal_ros.catalogue.plane_mirror.mirror_physics import measure, ring_cell
-from rotcal_ros.methods.plane_mirror import TrackerNoise, solve
+from rotcal_ros.methods.plane_mirror.mirror_physics import measure, ring_cell
+from rotcal_ros.methods.plane_mirror.solver import TrackerNoise, solve
 
 # One opponent for the test and for the benchmark.
 sys.path.append(str(Path(__file__).parents[3] / "benchmarks"))

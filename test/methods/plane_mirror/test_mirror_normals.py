@@ -5,9 +5,9 @@ import pytest
 from scipy.optimize import least_squares
 
 from rotcal_ros.geometry.rotations import rotation_from_vector
-from rotcal_ros.methods.plane_mirror import TrackerNoise
-from rotcal_ros.methods.plane_mirror.layout import Pairs
-from rotcal_ros.methods.plane_mirror.normals import (
+from rotcal_ros.methods.plane_mirror.solver import TrackerNoise
+from rotcal_ros.methods.plane_mirror.solver.layout import Pairs
+from rotcal_ros.methods.plane_mirror.solver.normals import (
     fit_normals,
     image_response,
     incidence,

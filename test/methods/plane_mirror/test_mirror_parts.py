@@ -6,10 +6,18 @@ from mirror_scene import measured
 from scipy.optimize import least_squares
 
 from rotcal_ros.geometry.rotations import rotation_from_vector
-from rotcal_ros.methods.plane_mirror.direct import direct_readings, direct_response, fit_circle
-from rotcal_ros.methods.plane_mirror.layout import Reflectors, find_nests
-from rotcal_ros.methods.plane_mirror.nest_tests import nest_fit
-from rotcal_ros.methods.plane_mirror.registration import Poses, adjust_stations, place_stations
+from rotcal_ros.methods.plane_mirror.solver.direct import (
+    direct_readings,
+    direct_response,
+    fit_circle,
+)
+from rotcal_ros.methods.plane_mirror.solver.layout import Reflectors, find_nests
+from rotcal_ros.methods.plane_mirror.solver.nest_tests import nest_fit
+from rotcal_ros.methods.plane_mirror.solver.registration import (
+    Poses,
+    adjust_stations,
+    place_stations,
+)
 
 
 def registered(seed=3):

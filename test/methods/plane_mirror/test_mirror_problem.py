@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from settings_page import rows
 
-from rotcal_ros.errors import DataError
-from rotcal_ros.methods.plane_mirror import TrackerNoise, problem_from_observations
-from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem, noise_of
-from rotcal_ros.methods.plane_mirror_settings import MirrorSolverSettings
-from rotcal_ros.observations import Approach, PointKind
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.observations import Approach, PointKind
+from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods.plane_mirror.solver import TrackerNoise, problem_from_observations
+from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem, noise_of
+from rotcal_ros.methods.plane_mirror.solver_settings import MirrorSolverSettings
 from rotcal_ros.planning.plan import Step
-from rotcal_ros.units import ARCSEC
 
 DIRECT, MIRRORED, NEST = PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST
 

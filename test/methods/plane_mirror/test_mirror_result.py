@@ -8,16 +8,16 @@ from chances import LONG
 from mirror_scene import PLACES, measured
 from scipy.optimize import least_squares
 
-from rotcal_ros.catalogue.plane_mirror.mirror_physics import (
+from rotcal_ros.foundation.observations import PointKind
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.methods.plane_mirror.mirror_physics import (
     measure,
     paper_cell,
     ring_cell,
 )
-from rotcal_ros.methods.plane_mirror import TrackerNoise, solve
-from rotcal_ros.methods.plane_mirror.prepare import prepare
-from rotcal_ros.methods.plane_mirror.screening import repeats
-from rotcal_ros.observations import PointKind
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.methods.plane_mirror.solver import TrackerNoise, solve
+from rotcal_ros.methods.plane_mirror.solver.prepare import prepare
+from rotcal_ros.methods.plane_mirror.solver.screening import repeats
 
 DIRECT, MIRRORED, NEST = PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST
 WAYS = ("direct", "stitching", "registration", "joint")

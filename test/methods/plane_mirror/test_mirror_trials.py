@@ -4,13 +4,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotcal_ros.catalogue.plane_mirror.mirror_physics import (
+from rotcal_ros.evaluation.monte_carlo import compare_with_linear, propagate
+from rotcal_ros.methods.plane_mirror.mirror_physics import (
     measure,
     measure_direct,
     paper_cell,
 )
-from rotcal_ros.evaluation.monte_carlo import compare_with_linear, propagate
-from rotcal_ros.methods.plane_mirror import mirror_trials, solve
+from rotcal_ros.methods.plane_mirror.solver import mirror_trials, solve
 
 
 def problem_of(way, lean=0.06):

@@ -8,7 +8,10 @@ import pytest
 from chances import LONG
 from scipy.stats import chi2
 
-from rotcal_ros.catalogue.plane_mirror.mirror_physics import (
+from rotcal_ros.foundation.observations import PointKind
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.methods.plane_mirror.mirror_physics import (
     TrackerStation,
     add_noise,
     measure,
@@ -16,11 +19,8 @@ from rotcal_ros.catalogue.plane_mirror.mirror_physics import (
     paper_cell,
     ring_cell,
 )
-from rotcal_ros.methods.plane_mirror import TrackerNoise, solve
-from rotcal_ros.methods.plane_mirror.prepare import prepare
-from rotcal_ros.observations import PointKind
-from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.methods.plane_mirror.solver import TrackerNoise, solve
+from rotcal_ros.methods.plane_mirror.solver.prepare import prepare
 
 MIRROR_WAYS = ("stitching", "registration", "joint")
 REFLECTOR = np.array([[0.3, 0.1, 0.1]])

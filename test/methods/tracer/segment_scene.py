@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from tracer_scene import arc, low_ring, simulate
 
-from rotcal_ros.methods.tracer import TracerProblem
+from rotcal_ros.methods.tracer.solver import TracerProblem
 
 LENGTH_STD, TARGET_STD = 2e-7, 1e-6
 

@@ -7,10 +7,10 @@ import pytest
 from chances import LONG, most, scatter, share, squares
 from tracer_scene import arc, low_ring, simulate
 
-from rotcal_ros.methods.tracer.joins import adjust_at_equal_places
-from rotcal_ros.methods.tracer.reported import Slope, with_reported
-from rotcal_ros.methods.tracer.solve import result_of, solve
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods.tracer.solver.joins import adjust_at_equal_places
+from rotcal_ros.methods.tracer.solver.reported import Slope, with_reported
+from rotcal_ros.methods.tracer.solver.solve import result_of, solve
 
 STD = 4e-8
 CORNERS = np.array(

@@ -5,7 +5,7 @@ import pytest
 from chances import LONG, most, scatter, share, squares
 from tracer_scene import arc, low_ring, paper_block, simulate
 
-from rotcal_ros.methods.tracer import solve
+from rotcal_ros.methods.tracer.solver import solve
 
 RUNS = 300 if LONG else 40
 CASES = {

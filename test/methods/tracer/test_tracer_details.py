@@ -8,8 +8,8 @@ from scipy_tracer import DenseNetwork
 from test_result_details import assert_documented, documented
 from tracer_scene import arc, low_ring, simulate
 
-from rotcal_ros.methods.tracer import TracerLimits, solve
-from rotcal_ros.methods.tracer.solution import adjust
+from rotcal_ros.methods.tracer.solver import TracerLimits, solve
+from rotcal_ros.methods.tracer.solver.solution import adjust
 
 VARIANTS = [
     {"variant": "station"},

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy_tracer import DenseNetwork
 
-from rotcal_ros.methods.tracer import TracerProblem, solve
-from rotcal_ros.methods.tracer.grid import arrange
-from rotcal_ros.methods.tracer.network import relax
-from rotcal_ros.methods.tracer.start import find_start
-from rotcal_ros.methods.tracer.station import adjust_stations
+from rotcal_ros.methods.tracer.solver import TracerProblem, solve
+from rotcal_ros.methods.tracer.solver.grid import arrange
+from rotcal_ros.methods.tracer.solver.network import relax
+from rotcal_ros.methods.tracer.solver.start import find_start
+from rotcal_ros.methods.tracer.solver.station import adjust_stations
 
 STD = 2e-7
 

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from chances import LONG, most
 
-from rotcal_ros.methods.tracer import TracerProblem, length_view, solve
-from rotcal_ros.methods.tracer.angles import bearing_slopes
-from rotcal_ros.methods.tracer.gathering import groups_of
-from rotcal_ros.methods.tracer.solution import adjust
+from rotcal_ros.methods.tracer.solver import TracerProblem, length_view, solve
+from rotcal_ros.methods.tracer.solver.angles import bearing_slopes
+from rotcal_ros.methods.tracer.solver.gathering import groups_of
+from rotcal_ros.methods.tracer.solver.solution import adjust
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from gathered_worlds import NOISE, TARGET_STD, above, world

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from rotcal_ros.adjust.low_rank import LowRank
-from rotcal_ros.methods.tracer import solve
-from rotcal_ros.methods.tracer.adjustment import StationCovariance
-from rotcal_ros.methods.tracer.error_motion import circle_tested, error_motion_of
-from rotcal_ros.methods.tracer.joint import network_covariance
-from rotcal_ros.methods.tracer.solution import adjust
-from rotcal_ros.methods.tracer.uncertainty import angle_uncertainty, circle_test
+from rotcal_ros.methods.tracer.solver import solve
+from rotcal_ros.methods.tracer.solver.adjustment import StationCovariance
+from rotcal_ros.methods.tracer.solver.error_motion import circle_tested, error_motion_of
+from rotcal_ros.methods.tracer.solver.joint import network_covariance
+from rotcal_ros.methods.tracer.solver.solution import adjust
+from rotcal_ros.methods.tracer.solver.uncertainty import angle_uncertainty, circle_test
 
 
 def full_circle(m, n=6, **options):

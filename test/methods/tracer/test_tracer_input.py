@@ -7,11 +7,11 @@ import pytest
 from chances import LONG, most
 from tracer_scene import arc, low_ring, simulate
 
-from rotcal_ros.errors import ConfigurationError, DataError, ObservabilityError
-from rotcal_ros.methods.tracer import TracerProblem, solve
-from rotcal_ros.methods.tracer.screening import critical_value
-from rotcal_ros.methods.tracer_settings import TracerLimits
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.foundation.errors import ConfigurationError, DataError, ObservabilityError
+from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods.tracer.solver import TracerProblem, solve
+from rotcal_ros.methods.tracer.solver.screening import critical_value
+from rotcal_ros.methods.tracer.solver_settings import TracerLimits
 
 SCENE = simulate(seed=1)
 VARIANTS = [

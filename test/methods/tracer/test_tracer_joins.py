@@ -7,9 +7,9 @@ import pytest
 from chances import LONG
 from tracer_scene import arc, low_ring, simulate
 
-from rotcal_ros.errors import DataError
-from rotcal_ros.methods.tracer.joins import Pairs, Runs, _joins, adjust_joined, join_of
-from rotcal_ros.methods.tracer.solve import solve
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.methods.tracer.solver.joins import Pairs, Runs, _joins, adjust_joined, join_of
+from rotcal_ros.methods.tracer.solver.solve import solve
 
 STD = 2e-7
 OFFSET = 37e-6

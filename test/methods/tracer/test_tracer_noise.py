@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from chances import LONG, most, scatter, share, squares
 
-from rotcal_ros.methods.tracer import TracerLimits, TracerProblem, solve
-from rotcal_ros.methods.tracer.solution import adjust
-from rotcal_ros.results import Result
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.methods.tracer.solver import TracerLimits, TracerProblem, solve
+from rotcal_ros.methods.tracer.solver.solution import adjust
 
 ARCSEC = np.pi / 648000
 LENGTH, TARGET = 2e-7, 1e-6

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, MILLIMETRE
 from rotcal_ros.geometry.plane import fit_plane
-from rotcal_ros.methods.tracer.angles import algorithm_error, scatter, table_motion
-from rotcal_ros.units import ARCSEC, DEGREE, MILLIMETRE
+from rotcal_ros.methods.tracer.solver.angles import algorithm_error, scatter, table_motion
 
 TABLE_1 = MILLIMETRE * np.array(
     [

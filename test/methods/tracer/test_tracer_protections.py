@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from chances import LONG, most
 
-from rotcal_ros.methods.tracer import TracerProblem, solve
-from rotcal_ros.methods.tracer import protections as patterns
-from rotcal_ros.methods.tracer.response import respond
-from rotcal_ros.methods.tracer.solution import adjust
-from rotcal_ros.protection import EFFECTS
+from rotcal_ros.foundation.protection import EFFECTS
+from rotcal_ros.methods.tracer.solver import TracerProblem, solve
+from rotcal_ros.methods.tracer.solver import protections as patterns
+from rotcal_ros.methods.tracer.solver.response import respond
+from rotcal_ros.methods.tracer.solver.solution import adjust
 
 STATIONS, TARGETS, RADIUS = 12, 24, 0.09
 LENGTH, TARGET = 2e-7, 1e-6

@@ -8,23 +8,23 @@ from scipy.stats import chi2, norm
 from tracer_scene import arc, low_ring, simulate
 
 from rotcal_ros.adjust.low_rank import LowRank
-from rotcal_ros.errors import ObservabilityError
-from rotcal_ros.methods.tracer.error_motion import ErrorMotion
-from rotcal_ros.methods.tracer.grid import arrange
-from rotcal_ros.methods.tracer.joins import Pairs, Runs, adjust_joined, join_of
-from rotcal_ros.methods.tracer.noise import Noise
-from rotcal_ros.methods.tracer.observability import (
+from rotcal_ros.foundation.errors import ObservabilityError
+from rotcal_ros.methods.tracer.solver.error_motion import ErrorMotion
+from rotcal_ros.methods.tracer.solver.grid import arrange
+from rotcal_ros.methods.tracer.solver.joins import Pairs, Runs, adjust_joined, join_of
+from rotcal_ros.methods.tracer.solver.noise import Noise
+from rotcal_ros.methods.tracer.solver.observability import (
     check_counts,
     check_station_spread,
     name_direction,
     weakest_direction,
 )
-from rotcal_ros.methods.tracer.schur import eliminate
-from rotcal_ros.methods.tracer.solution import adjust
-from rotcal_ros.methods.tracer.solve import solve
-from rotcal_ros.methods.tracer.uncertainty import GlobalTest
-from rotcal_ros.methods.tracer.verdict import Closure, Evidence, closures, judge
-from rotcal_ros.methods.tracer_settings import TracerLimits
+from rotcal_ros.methods.tracer.solver.schur import eliminate
+from rotcal_ros.methods.tracer.solver.solution import adjust
+from rotcal_ros.methods.tracer.solver.solve import solve
+from rotcal_ros.methods.tracer.solver.uncertainty import GlobalTest
+from rotcal_ros.methods.tracer.solver.verdict import Closure, Evidence, closures, judge
+from rotcal_ros.methods.tracer.solver_settings import TracerLimits
 
 LIMITS = TracerLimits()
 GOOD = Evidence(

@@ -5,11 +5,11 @@ import pytest
 from segment_scene import LENGTH_STD, Dense, measure
 from tracer_scene import low_ring, paper_block
 
-from rotcal_ros.errors import ConfigurationError, DataError, ObservabilityError
-from rotcal_ros.methods.tracer import TracerProblem, solve
-from rotcal_ros.methods.tracer.prediction import predicted
-from rotcal_ros.methods.tracer.solution import adjust
-from rotcal_ros.methods.tracer.trials import cumulative_deviations, tracer_trials
+from rotcal_ros.foundation.errors import ConfigurationError, DataError, ObservabilityError
+from rotcal_ros.methods.tracer.solver import TracerProblem, solve
+from rotcal_ros.methods.tracer.solver.prediction import predicted
+from rotcal_ros.methods.tracer.solver.solution import adjust
+from rotcal_ros.methods.tracer.solver.trials import cumulative_deviations, tracer_trials
 
 
 def dense_covariance(dense, x):

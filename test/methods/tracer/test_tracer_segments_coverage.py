@@ -5,7 +5,7 @@ import pytest
 from chances import LONG, most
 from segment_scene import measure
 
-from rotcal_ros.methods.tracer import solve
+from rotcal_ros.methods.tracer.solver import solve
 
 RUNS = 60 if LONG else 15
 

@@ -7,11 +7,11 @@ from scipy.stats import norm
 from segment_scene import LENGTH_STD, Dense, measure
 from test_tracer_segments import ecc_covariance
 
-from rotcal_ros.methods.tracer import solve
-from rotcal_ros.methods.tracer.jumps import Jump
-from rotcal_ros.methods.tracer.prediction import predicted
-from rotcal_ros.methods.tracer.solution import adjust
-from rotcal_ros.protection import EFFECTS, PARTICULAR
+from rotcal_ros.foundation.protection import EFFECTS, PARTICULAR
+from rotcal_ros.methods.tracer.solver import solve
+from rotcal_ros.methods.tracer.solver.jumps import Jump
+from rotcal_ros.methods.tracer.solver.prediction import predicted
+from rotcal_ros.methods.tracer.solver.solution import adjust
 
 FRINGE = 0.3164e-6
 

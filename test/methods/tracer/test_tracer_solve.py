@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from scipy_tracer import DenseNetwork, locate_station
 from tracer_scene import arc, low_ring, simulate
 
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.geometry.rotations import rotation_about_z
-from rotcal_ros.methods.tracer import solve
-from rotcal_ros.methods.tracer.station import Misfit
-from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.methods.tracer.solver import solve
+from rotcal_ros.methods.tracer.solver.station import Misfit
 
 VARIANTS = [
     {"variant": "station"},

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from tracer_scene import low_ring, paper_block, simulate
 
-from rotcal_ros.methods.tracer.grid import arrange
-from rotcal_ros.methods.tracer.start import find_start, start_candidates
+from rotcal_ros.methods.tracer.solver.grid import arrange
+from rotcal_ros.methods.tracer.solver.start import find_start, start_candidates
 
 
 def exact(layout=low_ring, flat=False, gap=True):

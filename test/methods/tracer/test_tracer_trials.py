@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from tracer_scene import arc, low_ring, simulate
 
-from rotcal_ros.methods.tracer import TracerLimits, solve, tracer_trials
-from rotcal_ros.methods.tracer.angles import table_motion
-from rotcal_ros.methods.tracer.trials import NetworkGain, cumulative_deviations
+from rotcal_ros.methods.tracer.solver import TracerLimits, solve, tracer_trials
+from rotcal_ros.methods.tracer.solver.angles import table_motion
+from rotcal_ros.methods.tracer.solver.trials import NetworkGain, cumulative_deviations
 
 VARIANTS = (
     {"variant": "station"},
@@ -73,7 +73,7 @@ def test_trials_of_a_fixed_datum_settle_without_help(options, monkeypatch):
     def refuse(*_):
         pytest.fail("a trial was solved alone")
 
-    monkeypatch.setattr("rotcal_ros.methods.tracer.trials.relax", refuse)
+    monkeypatch.setattr("rotcal_ros.methods.tracer.solver.trials.relax", refuse)
     values = tracer_trials(problem(options))(np.random.default_rng(7), 200)
     assert values.shape == (200, 11)
 
@@ -109,7 +109,7 @@ def test_what_has_not_settled_is_solved_alone(options, monkeypatch):
     trials = tracer_trials(problem(options))
     lengths, places, wobble = trials.draw(np.random.default_rng(5), 3)
     settled = trials.solve(lengths, places, wobble)
-    monkeypatch.setattr("rotcal_ros.methods.tracer.trials.MOST_STEPS", 1)
+    monkeypatch.setattr("rotcal_ros.methods.tracer.solver.trials.MOST_STEPS", 1)
     alone = trials.solve(lengths, places, wobble)
     exact = 1e-9 if options["datum"] == "free" else 5e-12
     np.testing.assert_allclose(alone, settled, atol=exact)
@@ -137,7 +137,7 @@ def test_draws_have_the_stated_deviations():
 @pytest.mark.parametrize("count", [1, 4, 5, 9])
 def test_trials_come_in_any_number_from_chunks(count, monkeypatch):
     trials = tracer_trials(problem(VARIANTS[0]))
-    monkeypatch.setattr("rotcal_ros.methods.tracer.trials.PLACES", 4 * 11 * 24)
+    monkeypatch.setattr("rotcal_ros.methods.tracer.solver.trials.PLACES", 4 * 11 * 24)
     values = trials(np.random.default_rng(1), count)
     assert values.shape == (count, 11)
     assert len(np.unique(values[:, 5])) == count

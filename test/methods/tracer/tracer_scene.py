@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotcal_ros.methods.tracer import TracerProblem
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.methods.tracer.solver import TracerProblem
 
 
 @dataclass(frozen=True)

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from six_scene import good_targets, scene
 
-from rotcal_ros.methods.tracer_six import SixProblem
-from rotcal_ros.methods.tracer_six.curves import (
+from rotcal_ros.methods.tracer_six.solver import SixProblem
+from rotcal_ros.methods.tracer_six.solver.curves import (
     curve_jacobian,
     log_slope,
     rotation_vector,
     table_curves,
 )
-from rotcal_ros.methods.tracer_six.layout import lay_out
-from rotcal_ros.methods.tracer_six.rig import relax, slopes
-from rotcal_ros.methods.tracer_six.solution import find_start
+from rotcal_ros.methods.tracer_six.solver.layout import lay_out
+from rotcal_ros.methods.tracer_six.solver.rig import relax, slopes
+from rotcal_ros.methods.tracer_six.solver.solution import find_start
 
 
 def turn(vectors):

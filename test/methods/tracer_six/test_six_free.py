@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from six_scene import good_targets, on_circle, scene
 
-from rotcal_ros.components import COMPONENTS
-from rotcal_ros.methods.tracer_six import SixProblem
-from rotcal_ros.methods.tracer_six.layout import lay_out
-from rotcal_ros.methods.tracer_six.rig import relax
-from rotcal_ros.methods.tracer_six.solution import adjust, find_start
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.methods.tracer_six.solver import SixProblem
+from rotcal_ros.methods.tracer_six.solver.layout import lay_out
+from rotcal_ros.methods.tracer_six.solver.rig import relax
+from rotcal_ros.methods.tracer_six.solver.solution import adjust, find_start
 
 
 def free(rng, places, **options):

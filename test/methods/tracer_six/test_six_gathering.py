@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from six_scene import scene
 
-from rotcal_ros.components import COMPONENTS
-from rotcal_ros.methods.tracer_six import SixProblem, solve
-from rotcal_ros.methods.tracer_six.solution import PLACE, adjust, groups_of
-from rotcal_ros.methods.tracer_six.timing import taken
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.methods.tracer_six.solver import SixProblem, solve
+from rotcal_ros.methods.tracer_six.solver.solution import PLACE, adjust, groups_of
+from rotcal_ros.methods.tracer_six.solver.timing import taken
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from gathered_worlds import chosen

@@ -7,9 +7,9 @@ import numpy as np
 from chances import LONG
 from six_scene import good_targets, scene
 
-from rotcal_ros.methods.tracer_six import SixProblem, solve
-from rotcal_ros.methods.tracer_six.solution import adjust
-from rotcal_ros.protection import POWER
+from rotcal_ros.foundation.protection import POWER
+from rotcal_ros.methods.tracer_six.solver import SixProblem, solve
+from rotcal_ros.methods.tracer_six.solver.solution import adjust
 
 M, N = 6, 16
 SCATTER = (5e-8, 2.5e-7)

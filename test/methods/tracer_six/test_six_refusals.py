@@ -5,9 +5,9 @@ import pytest
 from chances import LONG
 from six_scene import good_targets, on_circle, scene
 
-from rotcal_ros.components import COMPONENTS
-from rotcal_ros.errors import ConfigurationError, DataError, ObservabilityError
-from rotcal_ros.methods.tracer_six import SixProblem, solve
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.errors import ConfigurationError, DataError, ObservabilityError
+from rotcal_ros.methods.tracer_six.solver import SixProblem, solve
 
 COLUMNS = ("position", "place", "target", "length", "arrival")
 

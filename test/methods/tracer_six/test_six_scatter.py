@@ -7,10 +7,10 @@ from six_coverage import KINDS, TWELVE, coverage
 from six_linear import Linear, linear_coverage
 from six_scene import good_targets, on_circle, scene
 
-from rotcal_ros.errors import ObservabilityError
-from rotcal_ros.methods.tracer_six import SixProblem, solve
-from rotcal_ros.methods.tracer_six.scatter import enlargement, stated
-from rotcal_ros.methods.tracer_six.solution import adjust
+from rotcal_ros.foundation.errors import ObservabilityError
+from rotcal_ros.methods.tracer_six.solver import SixProblem, solve
+from rotcal_ros.methods.tracer_six.solver.scatter import enlargement, stated
+from rotcal_ros.methods.tracer_six.solver.solution import adjust
 
 LEAST = 0.92 if LONG else 0.9
 NONE = {"scatter_translation_std": 0.0, "scatter_rotation_std": 0.0}

@@ -6,8 +6,8 @@ from chances import LONG
 from six_coverage import coverage
 from six_scene import good_targets, scene
 
-from rotcal_ros.components import COMPONENTS
-from rotcal_ros.methods.tracer_six import SixProblem, solve
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.methods.tracer_six.solver import SixProblem, solve
 
 KNOWN = {"scatter_translation_std": 0.0, "scatter_rotation_std": 0.0}
 

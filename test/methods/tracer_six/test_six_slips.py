@@ -9,11 +9,11 @@ from scipy.stats import norm
 from six_coverage import TWELVE
 from six_scene import good_targets, scene
 
-from rotcal_ros.components import COMPONENTS
-from rotcal_ros.methods.tracer import TracerLimits
-from rotcal_ros.methods.tracer_six import SixProblem, solve
-from rotcal_ros.methods.tracer_six.solution import adjust
-from rotcal_ros.protection import TOLERABLE
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.protection import TOLERABLE
+from rotcal_ros.methods.tracer.solver import TracerLimits
+from rotcal_ros.methods.tracer_six.solver import SixProblem, solve
+from rotcal_ros.methods.tracer_six.solver.solution import adjust
 
 FRINGE = 0.3164e-6
 M, N = 5, 12

@@ -5,9 +5,9 @@ import pytest
 from scipy_tracer_six import SparseSix
 from six_scene import LENGTH_STD, TARGET_STD, good_targets, on_circle, scene
 
-from rotcal_ros.components import COMPONENTS
-from rotcal_ros.methods.tracer_six import SixProblem, solve
-from rotcal_ros.methods.tracer_six.solution import adjust
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.methods.tracer_six.solver import SixProblem, solve
+from rotcal_ros.methods.tracer_six.solver.solution import adjust
 
 KNOWN = {"scatter_translation_std": 0.0, "scatter_rotation_std": 0.0}
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from chances import LONG
 
-from rotcal_ros.methods.tracer_six import SixProblem, solve
+from rotcal_ros.methods.tracer_six.solver import SixProblem, solve
 
 RADIUS, ANGLES, TARGETS = 0.13, 12, 16
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from six_scene import good_targets, on_circle, scene
 
-from rotcal_ros.components import COMPONENTS
-from rotcal_ros.methods.tracer_six import SixProblem, six_trials, solve
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.methods.tracer_six.solver import SixProblem, six_trials, solve
 
 
 @pytest.mark.parametrize("known", [0.0, 2e-7])

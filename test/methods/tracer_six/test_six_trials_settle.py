@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotcal_ros.components import COMPONENTS
-from rotcal_ros.methods.tracer import TracerLimits
-from rotcal_ros.methods.tracer_six import SixProblem, six_trials, solve
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.methods.tracer.solver import TracerLimits
+from rotcal_ros.methods.tracer_six.solver import SixProblem, six_trials, solve
 
 ANGLES = np.radians(45.0 * np.arange(8))
 KEEP_ALL = TracerLimits(

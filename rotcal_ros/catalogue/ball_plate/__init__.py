@@ -1,1 +1,0 @@
-"""Ball plate, reduced three-rosette: everything that this method brings."""

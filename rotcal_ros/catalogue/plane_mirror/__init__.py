@@ -1,1 +1,0 @@
-"""Laser tracker and plane mirror: everything that this method brings."""

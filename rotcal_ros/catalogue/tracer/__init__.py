@@ -1,1 +1,0 @@
-"""Laser tracer, multi-station: everything that this method brings."""

@@ -1,0 +1,1 @@
+"""What every room stands on: results, observations, settings, errors, files, units."""

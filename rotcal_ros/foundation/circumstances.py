@@ -1,0 +1,97 @@
+"""Under which circumstances a result came about: who and what, when, how warm, how many.
+
+They follow from the configuration and the observations that count, live and offline alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, Final
+
+from rotcal_ros.foundation.identity import Identity
+from rotcal_ros.foundation.records import record
+
+SIMULATED: Final = "SIMULATED"
+"""How all that comes from a simulation is marked."""
+NOTHING_MEASURED: Final = f"{SIMULATED}: no instrument measured this"
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """Mean and extremes of a quantity over the observations that count."""
+
+    mean: float
+    lowest: float
+    highest: float
+
+    @classmethod
+    def of(cls, values: Collection[float | None]) -> Range | None:
+        """Return the range of the values that are known; None without any."""
+        known = [value for value in values if value is not None]
+        return cls(sum(known) / len(known), min(known), max(known)) if known else None
+
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """How many steps there were.
+
+    ``planned``: in the plan, for a policy those on offer; ``used``: observed and accepted;
+    ``skipped``: not measured or given up, 0 where a policy chooses; ``retried``: accepted after
+    one attempt or more had been rejected.
+    """
+
+    planned: int
+    used: int
+    skipped: int
+    retried: int
+
+
+@dataclass(frozen=True, slots=True)
+class Circumstances:
+    """Circumstances of a measurement.
+
+    ``simulated``: no instrument measured, a simulation did. Times are nanoseconds since 1970 of
+    the machine's clock, None where a table has none; ``temperature_c`` degrees Celsius,
+    ``pressure_pa`` of the air, ``humidity`` relative, 0 to 1. ``refraction`` says in words who
+    corrects the lengths for the index of refraction of the air; empty without lengths.
+    """
+
+    simulated: bool = False
+    axis: str = ""
+    identity: Identity = field(default_factory=Identity)
+    begun_ns: int | None = None
+    ended_ns: int | None = None
+    temperature_c: Range | None = None
+    pressure_pa: Range | None = None
+    humidity: Range | None = None
+    refraction: str = ""
+    counts: Counts | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what is known in plain types, as it stands in result.json."""
+        data = asdict(self) | {"identity": self.identity.to_dict()}
+        return {k: v for k, v in data.items() if v not in (None, "", {})}
+
+    @classmethod
+    def joined(cls, parts: Sequence[Circumstances]) -> Circumstances:
+        """Return what holds for a result from several: what all that say something agree on.
+
+        It is as old as the first measurement whose time is known, and ended when all did.
+        """
+        axes = {part.axis for part in parts} - {""}
+        begun = [part.begun_ns for part in parts if part.begun_ns is not None]
+        ended = [part.ended_ns for part in parts if part.ended_ns is not None]
+        return cls(
+            simulated=any(part.simulated for part in parts),
+            axis=axes.pop() if len(axes) == 1 else "",
+            identity=Identity.joined([part.identity for part in parts]),
+            begun_ns=min(begun, default=None),
+            ended_ns=max(ended) if ended and len(ended) == len(parts) else None,
+        )
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Circumstances:
+        """Rebuild them from :meth:`to_dict`; raises ValueError or ConfigurationError."""
+        identity = Identity.from_dict(data.get("identity", {}))
+        return record(cls, {**data, "identity": identity}, "circumstances")

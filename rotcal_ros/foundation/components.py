@@ -1,0 +1,41 @@
+"""A rotary axis and its six deviations: their names, and how people are shown them."""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
+
+TRANSLATIONS: Final = ("EXC", "EYC", "EZC")
+"""ISO 230-1 names, in metres."""
+ROTATIONS: Final = ("EAC", "EBC", "ECC")
+"""ISO 230-1 names, in radians."""
+COMPONENTS: Final = (*TRANSLATIONS, *ROTATIONS)
+
+COVERAGE_FACTOR: Final = 2.0
+"""People are shown expanded uncertainties U = k u with this k; files hold k = 1."""
+HALF_OF_95_PERCENT: Final = 1.959963984540054
+"""Standard deviations of a normal distribution in half an interval of exactly 95 %."""
+
+
+def unit_of(component: str) -> tuple[float, str]:
+    """Return factor and label of the unit in which a deviation is shown.
+
+    >>> import rotcal_ros as rc
+    >>> factor, label = rc.unit_of("ECC")
+    >>> f"{2 * rc.ARCSEC / factor:g} {label}"
+    '2 arcsec'
+    """
+    return (MICROMETRE, "µm") if component in TRANSLATIONS else (ARCSEC, "arcsec")
+
+
+def check_axis(axis: str) -> str:
+    """Return ``axis`` when it can stand in a controller file, else raise ConfigurationError."""
+    if not re.fullmatch(r"[A-Z][A-Z0-9_]{0,15}", axis):
+        raise ConfigurationError(
+            f"axis name {axis!r}: expected a capital letter followed by at most 15 capitals, "
+            "digits or underscores, such as C or C1"
+        )
+    return axis

@@ -1,0 +1,69 @@
+"""The errors of rotcal: one small family.
+
+The text of every error says what was found, where (file, station, ball, row), what was
+expected, and what to do.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from rotcal_ros.foundation.escapes import printable, shortened
+
+LONGEST: Final = 2000
+"""Characters of an error; of a longer one the middle is left out."""
+
+
+class RotcalError(Exception):
+    """Base of all errors that rotcal raises on purpose.
+
+    ``exit_code`` is the exit code of the command line (see docs/conventions.md).
+
+    >>> import rotcal_ros as rc
+    >>> try:
+    ...     rc.read_bag("no_such_bag")
+    ... except rc.RotcalError as error:
+    ...     print(error.exit_code)
+    2
+    """
+
+    exit_code = 2
+
+    def __init__(self, text: str = "", log: str = "") -> None:
+        """Say ``text``; ``log`` has further lines: a list, or what another process said.
+
+        Whatever names of others are in it, the text is one line of visible characters that can be
+        read at a glance.
+        """
+        super().__init__(shortened(printable(text), LONGEST))
+        self.log = log
+
+
+class ConfigurationError(RotcalError):
+    """A configuration, set-up or parameter is missing, misspelt or out of range."""
+
+
+class PlanError(RotcalError):
+    """A measuring plan is impossible or does not fit the data."""
+
+
+class BagError(RotcalError):
+    """A bag or table cannot be read or written."""
+
+
+class DataError(RotcalError):
+    """The data are contradictory, implausible or too few."""
+
+    exit_code = 3
+
+
+class GeometryError(DataError):
+    """Points do not determine the wanted plane, circle, sphere or transform."""
+
+
+class ObservabilityError(DataError):
+    """The geometry cannot tell what was asked; the text names the weak direction."""
+
+
+class ControllerError(RotcalError):
+    """A controller does not answer, is in use, or holds something else than it should."""

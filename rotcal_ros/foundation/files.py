@@ -1,0 +1,227 @@
+"""Files that survive a crash: exclusive creation, whole records, explicit sync."""
+
+from __future__ import annotations
+
+import errno
+import os
+import secrets
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager, suppress
+from pathlib import Path
+
+from rotcal_ros.foundation import disk
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.untrusted import require_plain
+
+
+class DurableFile:
+    """A new binary file for an appending writer; never replaces an existing one.
+
+    ``write`` puts all bytes into the file or none: after a failure (full disk) the file ends
+    where the failed record would have begun. Nothing is buffered here, so what was written
+    survives the death of this process, and what was synced that of the machine. Where somebody
+    else cuts the file or writes into it, its size never again is :meth:`tell`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND
+        self._descriptor = disk.open_file(path, flags)
+        self._size = 0
+        self._closed = False
+        self._sync_error: OSError | None = None
+
+    def write(self, data: bytes) -> int:
+        """Append ``data``; on OSError the file is as it was before."""
+        with _undone(self._descriptor, self._size):
+            _write_whole(self._descriptor, data)
+        self._size += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        """Return the size of the file."""
+        return self._size
+
+    def flush(self) -> None:
+        """Do nothing: nothing is buffered."""
+
+    def sync(self) -> None:
+        """Return when everything written is on the medium.
+
+        After one failure every further call fails: the system may have dropped what it could not
+        write, and would then call the rest safe.
+        """
+        if self._closed:
+            raise OSError(errno.EBADF, f"{self.path} is closed")
+        if self._sync_error is not None:
+            raise self._sync_error
+        try:
+            disk.sync(self._descriptor)
+        except OSError as error:
+            self._sync_error = error
+            raise
+
+    def close(self) -> None:
+        """Close the file; a second call does nothing."""
+        if not self._closed:
+            self._closed = True
+            disk.close(self._descriptor)
+
+
+class FolderLock:
+    """The right to write in ``folder``; the system takes it back when the process dies.
+
+    Children that inherit ``descriptor`` hold the right as well. Raises BagError when another
+    process holds it.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.descriptor = disk.open_file(folder, os.O_RDONLY)
+        try:
+            disk.lock(self.descriptor)
+        except BlockingIOError:
+            self.release()
+            raise BagError(f"another process still writes in {folder}; end it first") from None
+        except OSError:
+            self.release()
+            raise
+
+    def release(self) -> None:
+        """Give the right back; a second call does nothing."""
+        if self.descriptor >= 0:
+            with suppress(OSError):  # whatever it says, the descriptor and its lock are gone
+                disk.close(self.descriptor)
+            self.descriptor = -1
+
+
+def write_atomically(path: Path, text: str, encoding: str = "utf-8") -> None:
+    """Write ``text`` so that ``path`` holds either the old or the new content, never half."""
+    replace_atomically(path, lambda temporary: write_durably(temporary, text, encoding))
+
+
+def replace_atomically(path: Path, write: Callable[[Path], object]) -> None:
+    """Let ``write`` make a file at the path it gets, sync it, and put it in the place of ``path``.
+
+    ``path`` holds either the old or the new content, never half. What ``write`` raises is passed
+    on; the unfinished file is removed. It is made in a folder of its own that nobody else may
+    enter: under a name that can be guessed, a planted link would lead the writing elsewhere.
+    OSError where ``path`` is a device, a pipe or a folder.
+    """
+    require_plain(path)
+    with scratch_folder(path.parent) as scratch:
+        temporary = scratch / path.name
+        write(temporary)
+        sync_file(temporary)
+        disk.replace(temporary, path)
+    sync_folder(path.parent)
+
+
+@contextmanager
+def scratch_folder(parent: Path) -> Iterator[Path]:
+    """Make a folder in ``parent`` for unfinished files; it is gone afterwards.
+
+    Nobody else may enter it: under a name that can be guessed, a planted link would lead the
+    writing elsewhere. Where a failing disk does not let it go, it stays behind.
+    """
+    folder = parent / f".rotcal-{secrets.token_hex(8)}"
+    disk.make_folder(folder, 0o700)
+    try:
+        yield folder
+    finally:
+        with suppress(OSError):
+            for left in folder.iterdir():
+                disk.remove(left)
+            disk.remove_folder(folder)
+
+
+def write_durably(path: Path, content: str | bytes, encoding: str = "utf-8") -> None:
+    """Write ``content`` into a new file, line ends as they are; it is on the medium afterwards."""
+    with closing(DurableFile(path)) as file:
+        file.write(content.encode(encoding) if isinstance(content, str) else content)
+        file.sync()
+
+
+def replace_tail(path: Path, end: int, data: bytes) -> None:
+    """Put ``data`` in the place of all that stands from byte ``end`` on; on the medium afterwards.
+
+    Who dies meanwhile leaves a part of it; the bytes before ``end`` never change.
+    """
+    descriptor = disk.open_file(path, os.O_WRONLY | os.O_APPEND | os.O_NOFOLLOW)
+    try:
+        disk.truncate(descriptor, end)
+        _write_whole(descriptor, data)
+        disk.sync(descriptor)
+    finally:
+        with suppress(OSError):  # what is synced is safe
+            disk.close(descriptor)
+
+
+def remove_durably(path: Path) -> None:
+    """Remove a file, if there is one; its name does not come back after a crash."""
+    if path.exists():
+        disk.remove(path)
+        sync_folder(path.parent)
+
+
+def append_line(path: Path, line: bytes) -> None:
+    """Append ``line``, which ends in a line break, to a file that may not exist yet.
+
+    It is on the medium afterwards; on OSError it was never there. What a crash cut off before
+    it is taken away. ``path`` must be no link.
+    """
+    descriptor = disk.open_file(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW)
+    try:
+        sync_folder(path.parent)
+        with open(descriptor, "rb", closefd=False) as file:
+            end = file.read().rfind(b"\n") + 1
+        disk.truncate(descriptor, end)
+        with _undone(descriptor, end):
+            _write_whole(descriptor, line)
+            disk.sync(descriptor)
+    finally:
+        with suppress(OSError):  # the line is safe or was never there
+            disk.close(descriptor)
+
+
+def make_folder(path: Path) -> None:
+    """Make a new folder and what is missing above it, with names that survive a crash.
+
+    Raises FileExistsError when there is anything at ``path``.
+    """
+    for folder in reversed([above for above in path.parents if not above.exists()]):
+        with suppress(FileExistsError):  # somebody else was as quick
+            disk.make_folder(folder)
+        sync_folder(folder.parent)
+    disk.make_folder(path)
+    sync_folder(path.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Make the names of new files in ``folder`` durable."""
+    sync_file(folder)
+
+
+def sync_file(path: Path) -> None:
+    """Return when what stands in a file is on the medium, whoever wrote it."""
+    descriptor = disk.open_file(path, os.O_RDONLY)
+    try:
+        disk.sync(descriptor)
+    finally:
+        disk.close(descriptor)
+
+
+def _write_whole(descriptor: int, data: bytes) -> None:
+    remaining = memoryview(data)
+    while remaining:
+        remaining = remaining[disk.write(descriptor, remaining) :]
+
+
+@contextmanager
+def _undone(descriptor: int, size: int) -> Iterator[None]:
+    """Cut the file back to ``size`` when what is done inside fails."""
+    try:
+        yield
+    except OSError:
+        with suppress(OSError):
+            disk.truncate(descriptor, size)
+        raise

@@ -1,0 +1,138 @@
+"""What was calibrated, where, by whom, and with which instruments: group ``identity``.
+
+All of it is text that only people and certificates read; nothing is computed from it but the
+comparison with the tolerance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from datetime import date
+from typing import Any, Final
+
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.settings import group, load, setting, to_mapping
+
+_OF_THE_ITEM: Final = ("item", "maker", "model", "serial")
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """One instrument that took part; empty texts are not known."""
+
+    maker: str = setting("", doc="manufacturer")
+    model: str = setting("", doc="type or model")
+    serial: str = setting("", doc="serial number, in quotes")
+    calibrated: str = setting("", doc="date of its last calibration, as 2026-03-31")
+    certificate: str = setting("", doc="number of the certificate of that calibration")
+
+    def __post_init__(self) -> None:
+        """Refuse a date that is none."""
+        _check_date("calibrated", self.calibrated)
+
+    @property
+    def known(self) -> bool:
+        """Whether anything is said about it."""
+        return self != Instrument()
+
+
+@dataclass(frozen=True)
+class Instruments:
+    """The instruments of a cell, by what they do in it."""
+
+    tracer: Instrument = group(Instrument)
+    tracker: Instrument = group(Instrument)
+    machine: Instrument = group(Instrument)
+    ball_plate: Instrument = group(Instrument)
+    mirror: Instrument = group(Instrument)
+    thermometer: Instrument = group(Instrument)
+    barometer: Instrument = group(Instrument)
+    hygrometer: Instrument = group(Instrument)
+
+    @property
+    def known(self) -> Mapping[str, Instrument]:
+        """Those of which anything is said, by name."""
+        named = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: instrument for name, instrument in named.items() if instrument.known}
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What a calibration is about: the item, the place, the people; empty texts are not known.
+
+    The axis is that of the group ``cell``. ``tolerance_arcsec`` is the largest deviation, either
+    way, that a rotation (ECC, EAC, EBC) may have, ``tolerance_um`` that of a displacement.
+    """
+
+    item: str = setting("", doc="what was calibrated, e.g. rotary table")
+    maker: str = setting("", doc="its manufacturer")
+    model: str = setting("", doc="its type or model")
+    serial: str = setting("", doc="its serial number, in quotes")
+    place: str = setting("", doc="where it was calibrated")
+    operator: str = setting("", doc="who measured")
+    laboratory: str = setting("", doc="who is responsible for the calibration")
+    laboratory_address: str = setting("", doc="address of the laboratory")
+    laboratory_email: str = setting("", doc="where the laboratory is reached")
+    laboratory_country: str = setting("", doc="country of the laboratory, two letters of ISO 3166")
+    customer: str = setting("", doc="for whom it was calibrated")
+    customer_address: str = setting("", doc="address of the customer")
+    customer_number: str = setting("", doc="number of the order, or of the item at the customer's")
+    certificate_number: str = setting("", doc="number of the certificate, in quotes")
+    received: str = setting("", doc="date on which the item was received, as 2026-03-31")
+    tolerance_arcsec: float = setting(
+        0.0, doc="arcsec, largest rotation that the item may show, either way; 0: none agreed",
+        minimum=0.0,
+    )  # fmt: skip
+    tolerance_um: float = setting(
+        0.0, doc="um, largest displacement that the item may show, either way; 0: none agreed",
+        minimum=0.0,
+    )  # fmt: skip
+    instruments: Instruments = group(Instruments)
+
+    def __post_init__(self) -> None:
+        """Refuse a date or a country that is none."""
+        _check_date("received", self.received)
+        country = self.laboratory_country
+        if country and not (len(country) == 2 and country.isascii() and country.isupper()):
+            raise ConfigurationError(
+                f"laboratory_country: {country!r}: expected two capital letters of ISO 3166, as DE"
+            )
+
+    @property
+    def title(self) -> str:
+        """The item in one line; empty when nothing is said about it."""
+        words = [self.item, self.maker, self.model, f"no. {self.serial}" if self.serial else ""]
+        return " ".join(word for word in words if word)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Identity]) -> Identity:
+        """Return the identity of all ``parts``, or of the item alone, as far as they agree."""
+        if parts and all(part == parts[0] for part in parts):
+            return parts[0]
+        known = {name: {getattr(part, name) for part in parts} - {""} for name in _OF_THE_ITEM}
+        return cls(**{name: texts.pop() for name, texts in known.items() if len(texts) == 1})
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what is known, without the empty texts, in plain types."""
+        return _without_nothing(to_mapping(self))
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Identity:
+        """Rebuild it from :meth:`to_dict`; raises ConfigurationError for what it cannot be."""
+        return load(cls, data, "identity")
+
+
+def _check_date(name: str, text: str) -> None:
+    try:
+        # It takes 20260331 and 2026-W14-2 as well, which no xs:date of a certificate may be.
+        whole = not text or date.fromisoformat(text).isoformat() == text
+    except ValueError:
+        whole = False
+    if not whole:
+        raise ConfigurationError(f"{name}: {text!r} is no date: expected one as 2026-03-31")
+
+
+def _without_nothing(values: Mapping[str, Any]) -> dict[str, Any]:
+    plain = {k: _without_nothing(v) if isinstance(v, Mapping) else v for k, v in values.items()}
+    return {name: value for name, value in plain.items() if value not in ("", 0.0, {})}

@@ -1,0 +1,84 @@
+"""Which table a controller held while it was measured: a hash, none, or not known."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import Final
+
+from rotcal_ros.foundation.errors import ConfigurationError
+
+UNKNOWN: Final = "unknown"
+NONE: Final = "none"
+
+
+def check_in_force(state: str) -> str:
+    """Return ``state``; ConfigurationError unless it is a SHA-256, "none" or "unknown"."""
+    if _is_state(state):
+        return state
+    raise ConfigurationError(
+        f"table in force {state!r}: expected the SHA-256 of the controller's files (64 digits, "
+        f"contents_sha256 of the side file), '{NONE}' or '{UNKNOWN}'"
+    )
+
+
+def _is_state(state: str) -> bool:
+    return state in (UNKNOWN, NONE) or re.fullmatch(r"[0-9a-f]{64}", state) is not None
+
+
+def of_axis(announcements: Iterable[tuple[str, str]], axis: str) -> tuple[str, ...]:
+    """Return the states among ``announcements`` (axis, state) that are about ``axis``.
+
+    One that names no axis is about the only one that its cell has.
+    """
+    return tuple(state for about, state in announcements if about in ("", axis))
+
+
+def agreed(states: Iterable[str]) -> str:
+    """Return what all ``states`` agree on; else it is unknown.
+
+    A hash outlives "unknown": whoever adds to it finds this very table at the controller, or is
+    refused. "none" does not: nobody can tell later that there was no table. What a foreign cell
+    announces may be no state at all: then nothing is known.
+    """
+    stated = set(states) - {""}
+    known = stated - {UNKNOWN}
+    if len(known) != 1 or not all(map(_is_state, known)) or stated == {NONE, UNKNOWN}:
+        return UNKNOWN
+    return known.pop()
+
+
+def contradiction(states: Iterable[str]) -> str:
+    """Return in words how ``states`` contradict each other; empty when they do not."""
+    stated = set(states) - {""}
+    if stated == {NONE, UNKNOWN}:
+        return (
+            f"'{NONE}' was stated as the table in force, and '{UNKNOWN}' was announced too, by "
+            f"somebody who could not tell: which was is {UNKNOWN}"
+        )
+    known = sorted(stated - {UNKNOWN})
+    if wrong := [state for state in known if not _is_state(state)]:
+        return (
+            f"the cell announced {wrong[0]!r}, which is no table in force (a SHA-256, '{NONE}' or "
+            f"'{UNKNOWN}'): which was is {UNKNOWN}"
+        )
+    if len(known) < 2:
+        return ""
+    return (
+        f"more than one table was in force ({', '.join(s[:12] for s in known)}): which is "
+        f"{UNKNOWN}"
+    )
+
+
+def known_hash(state: str) -> bool:
+    """Return whether ``state`` names a table."""
+    return state not in (UNKNOWN, NONE, "")
+
+
+def in_words(state: str) -> str:
+    """Return what was in force during a measurement, for people."""
+    if known_hash(state):
+        return f"measured on top of the table {state[:12]}: the deviations are what it leaves"
+    if state == NONE:
+        return "measured with no table in force: the deviations are the whole"
+    return "not known which table was in force: the whole deviation, or what a table leaves"

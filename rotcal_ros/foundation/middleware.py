@@ -1,0 +1,78 @@
+"""How our nodes talk to each other: over UDP, so that a killed one hangs nobody."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.resources import files
+from typing import Final
+
+from rotcal_ros.foundation.distribution import distribution, rclpy_version
+
+RANGE: Final = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+LOCALHOST: Final = "LOCALHOST"
+ROS_DEFAULT_RANGE: Final = "SUBNET"
+_PROFILES: Final = {
+    "FASTDDS_DEFAULT_PROFILES_FILE": "fastdds",
+    "FASTRTPS_DEFAULT_PROFILES_FILE": "fastrtps",
+}
+"""Variable -> how our files for it begin: of Fast DDS 3, and of Fast DDS 2 (Jazzy)."""
+_OF_DISTRIBUTION: Final = {
+    "jazzy": "FASTRTPS_DEFAULT_PROFILES_FILE",
+    "kilted": "FASTDDS_DEFAULT_PROFILES_FILE",
+}
+_LOOPBACK: Final = "loopback.xml"
+_NETWORK: Final = "network.xml"
+_TRANSPORTS: Final = "FASTDDS_BUILTIN_TRANSPORTS"
+_OWN: Final = (*_PROFILES, "ROS_STATIC_PEERS")
+_FAST_DDS: Final = ("", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
+
+
+def middleware(environment: Mapping[str, str], default_range: str = LOCALHOST) -> dict[str, str]:
+    """Return the variables that settle discovery and transport.
+
+    ``environment`` holds what the user has set, ``default_range`` the range of discovery
+    otherwise. Profiles and peers of the user's own, and other middlewares than Fast DDS, are left
+    alone.
+
+    ROS's own LOCALHOST makes Fast DDS use shared memory, whatever its profile says; therefore
+    our profile confines it to the loopback interface instead.
+    """
+    wanted = environment.get(RANGE) or default_range
+    fast_dds = environment.get("RMW_IMPLEMENTATION", "") in _FAST_DDS
+    if not fast_dds or any(map(environment.get, _OWN)):
+        return {RANGE: wanted}
+    if wanted == LOCALHOST:
+        return {RANGE: "SYSTEM_DEFAULT", **_profiles(_LOOPBACK)}
+    transports = environment.get(_TRANSPORTS) or "UDPv4"
+    return {RANGE: wanted, _TRANSPORTS: transports, **_profiles(_NETWORK)}
+
+
+def _profiles(kind: str) -> dict[str, str]:
+    """Return the profile of the Fast DDS that is here: each prints errors about the other's."""
+    folder = files("rotcal_ros") / "nodes"
+    variable = _OF_DISTRIBUTION.get(distribution(rclpy_version()))
+    wanted = _PROFILES if variable is None else {variable: _PROFILES[variable]}
+    return {name: str(folder / f"{begin}_{kind}") for name, begin in wanted.items()}
+
+
+def without_security(environment: Mapping[str, str], why: str) -> str:
+    """Return what it means that ROS does not start with its security on; empty: it is off."""
+    if environment.get("ROS_SECURITY_ENABLE", "").lower() != "true":
+        return ""
+    return (
+        f"ROS does not start with ROS_SECURITY_ENABLE=true ({why.splitlines()[0]}): the Fast DDS "
+        "of the wheels has no security plug-ins, and a keystore must be there; use a full ROS 2 "
+        "installation, or unset ROS_SECURITY_ENABLE and shut the network off instead "
+        "(docs/security.md)"
+    )
+
+
+def discovery_in_words(environment: Mapping[str, str]) -> str:
+    """Return where a process looks for others, and what those on other machines need."""
+    confined = any(environment.get(name, "").endswith(_LOOPBACK) for name in _PROFILES)
+    reach = LOCALHOST if confined else environment.get(RANGE) or ROS_DEFAULT_RANGE
+    domain = environment.get("ROS_DOMAIN_ID") or "0"
+    return (
+        f"looked for with ROS_DOMAIN_ID={domain} and {RANGE}={reach}: others need the same domain"
+        + (f", and those on other machines {RANGE}=SUBNET here" if reach == LOCALHOST else "")
+    )

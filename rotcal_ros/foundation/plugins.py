@@ -1,0 +1,120 @@
+"""What installed packages bring: methods, controllers, instruments, found by their entry points.
+
+The built-in ones are found the same way, see ``setup.py``; there is no built-in instrument.
+"""
+
+from __future__ import annotations
+
+import difflib
+import sys
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from traceback import walk_tb
+from types import FrameType
+from typing import Any, Final
+
+from rotcal_ros.foundation.errors import ConfigurationError
+
+METHODS: Final = "rotcal_ros.methods"
+METHOD_SETTINGS: Final = "rotcal_ros.method_settings"
+"""Of those methods whose settings can be told without loading the method."""
+CONTROLLERS: Final = "rotcal_ros.controllers"
+INSTRUMENTS: Final = "rotcal_ros.instruments"
+KINDS: Final = {METHODS: "method", CONTROLLERS: "controller", INSTRUMENTS: "instrument"}
+_OWN: Final = "rotcal_ros"
+_LONGEST: Final = 80
+"""Characters of a name that is compared with those that are known."""
+
+
+@cache
+def _found(group: str) -> dict[str, EntryPoint]:
+    return {point.name: point for point in sorted(entry_points(group=group))}
+
+
+def names(group: str) -> tuple[str, ...]:
+    """Return the names that ``group`` offers, in alphabetical order; loads nothing."""
+    return tuple(_found(group))
+
+
+@cache
+def load(group: str, name: str, what: str) -> Any:
+    """Return what the entry point ``name`` of ``group`` names.
+
+    Raises ConfigurationError, with the nearest name, when there is none; ``what`` says in words
+    what was looked for.
+    """
+    found = _found(group)
+    if name not in found:
+        raise ConfigurationError(f"unknown {what} {name!r:.80}{nearest(name, found)}")
+    try:
+        return found[name].load()
+    except Exception as error:  # of somebody else's code
+        why = error if isinstance(error, ImportError) else f"{type(error).__name__}: {error}"
+        package = _package(found[name])
+        raise ConfigurationError(
+            f"the {what} {name!r} ({package}) cannot be loaded: {why}"
+        ) from error
+
+
+def culprit(error: BaseException) -> str:
+    """Return in words in which plug-in of another package ``error`` came up; empty: in none.
+
+    It is the innermost one on the way from where the error was caught to where it was raised, also
+    when it was raised by what the plug-in had called. Of several plug-ins in one package it is the
+    one whose module, and whose object, was at work; all of them where nothing tells.
+    """
+    frames = reversed(list(walk_tb(error.__traceback__)))
+    place, suspects = "", []
+    for frame, line in frames:
+        module = str(frame.f_globals.get("__name__", ""))
+        if not place:
+            suspects = _foreign(module.partition(".")[0])
+            place = f"{frame.f_code.co_filename}, line {line}" if suspects else ""
+        for nearer in (_in_module, _at_work):
+            suspects = [s for s in suspects if nearer(s[1], frame)] or suspects
+    if not suspects:
+        return ""
+    named = " or ".join(f"{what} {point.name!r}" for what, point in suspects)
+    return f"in the {named} ({_package(suspects[0][1])}: {place})"
+
+
+def in_words(error: BaseException) -> str:
+    """Return an exception that nobody expected, with the plug-in that it came up in."""
+    place = culprit(error)
+    return f"{type(error).__name__}{f' {place}' if place else ''}: {error}"
+
+
+def _foreign(package: str) -> list[tuple[str, EntryPoint]]:
+    """Return the plug-ins that another ``package`` brings, with their kinds in words."""
+    return [
+        (what, point)
+        for group, what in KINDS.items()
+        for point in _found(group).values()
+        if point.module.partition(".")[0] == package != _OWN
+    ]
+
+
+def _in_module(point: EntryPoint, frame: FrameType) -> bool:
+    return bool(frame.f_globals.get("__name__", "") == point.module)
+
+
+def _at_work(point: EntryPoint, frame: FrameType) -> bool:
+    """Return whether ``frame`` is one of a method of what ``point`` names."""
+    named = getattr(sys.modules.get(point.module), point.attr, None)
+    self = frame.f_locals.get("self")
+    return named is not None and (named is self or named is type(self))
+
+
+def _package(point: EntryPoint) -> str:
+    """Return name and version of the package that brings ``point``."""
+    if point.dist is None:
+        return point.module
+    return f"{point.dist.metadata['Name']} {point.dist.version}"
+
+
+def nearest(name: str, known: Any) -> str:
+    """Return a hint at the name that was probably meant, or at all that are known."""
+    near = difflib.get_close_matches(name[:_LONGEST], list(known), n=1)
+    if near:
+        return f"; did you mean {near[0]!r}?"
+    return f"; known: {', '.join(known) or 'none'}"

@@ -1,0 +1,615 @@
+"""The one form of result that all methods share.
+
+A method takes a frozen problem and returns a :class:`Result`; the solver node, the offline
+replay, the report, the comparison and the export never ask which method it was. Deviations are
+*actual - commanded*; absent components are absent, never zero.
+
+A result from its machine-readable form: every entry checked before anybody computes with it.
+
+What is read here can be printed, drawn, compared and exported; a file that was cut or edited ends
+in one error with the entry that is wrong.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from importlib import import_module
+from typing import Any, Final, Literal, get_args
+
+import numpy as np
+
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.circumstances import SIMULATED, Circumstances
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.in_force import UNKNOWN, check_in_force
+from rotcal_ros.foundation.protection import Effect, Protection, ordered, unprotected
+from rotcal_ros.foundation.raw_data import RawData
+from rotcal_ros.foundation.records import record
+from rotcal_ros.foundation.units import DEGREE
+
+SCHEMA: Final = 1
+FILE_NAMES: Final = {"table_position": "table_index", "angles": "angles_rad"}
+"""Names that files use for something, where they differ from ours."""
+RUNS: Final = "runs"
+"""Where a file has the repeated runs: among the details."""
+
+Verdict = Literal["ok", "suspect", "failed"]
+COUNTS_FROM: Final = (
+    "first angle",
+    "first angle of each group",
+    "mean",
+    "mean of each group",
+    UNKNOWN,
+)
+"""What the deviations of a method count from: there, or on average over there, they are zero."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rejection:
+    """An observation that was not used: its row ``index`` and the reason."""
+
+    index: int
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Residuals:
+    """One row per observation, used or not; all arrays have shape (n,).
+
+    ``residual`` is observed - computed in the unit of the observations, metres for all built-in
+    methods; ``redundancy`` lies in [0, 1] and
+    ``test_value`` is the normalised residual (dimensionless). Rows that were not used keep
+    their residual against the final solution and have ``used`` False. An observation has
+    ``coordinates`` values (a length one, a point three); ``std`` is the standard deviation (m)
+    of each as the solution weighs it, rms over its coordinates. None: unknown.
+    """
+
+    table_position: Ints
+    target: Ints
+    residual: Floats
+    redundancy: Floats
+    test_value: Floats
+    used: Bools
+    std: Floats | None = None
+    coordinates: int = 1
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class RepeatedRuns:
+    """Deviations of every arrival at ``targets`` (m,) rad in n runs, in radians.
+
+    ``forward`` and ``reverse`` (m, n) are None for a direction without arrivals and NaN where one
+    is missing. ``repeatability_std`` is the scatter that the measurement does not explain.
+    """
+
+    targets: Floats
+    forward: Floats | None
+    reverse: Floats | None
+    repeatability_std: float | None = None
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Directions:
+    """A deviation for approaches from either side, at the ``angles`` (k,) rad that have both.
+
+    ``forward`` (k,) with increasing and ``reverse`` (k,) with decreasing angle count from the same
+    zero as the deviations of the result, which are their mean. ``covariance`` (2 k, 2 k) is that
+    of both together, forward first. Raises DataError when the shapes do not fit, or for NaN.
+    """
+
+    angles: Floats
+    forward: Floats
+    reverse: Floats
+    covariance: Floats
+
+    def __post_init__(self) -> None:
+        for name in ("forward", "reverse"):
+            _require_numbers(f"the direction {name}", self.angles, getattr(self, name))
+        wanted, found = (2 * len(self.angles),) * 2, np.shape(self.covariance)
+        if found != wanted or not np.all(np.isfinite(self.covariance)):
+            raise DataError(
+                f"the covariance of both directions has shape {found} or is not finite, expected "
+                f"{wanted} finite numbers: forward, then reverse, at {len(self.angles)} angles"
+            )
+
+    @property
+    def reversal(self) -> Floats:
+        """B_i of ISO 230-2 (k,): forward - reverse."""
+        return self.forward - self.reverse
+
+    @property
+    def reversal_std(self) -> Floats:
+        """The standard uncertainties (k,) of the reversal, from the joint covariance."""
+        k = len(self.angles)
+        difference = np.hstack([np.eye(k), -np.eye(k)])
+        variance = np.sum((difference @ self.covariance) * difference, axis=1)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)), dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class FreeDirection:
+    """One number t that the data leave open: deviations are known up to t times ``columns``.
+
+    ``columns`` maps components to (n,) arrays over the angles of the result; what they do to the
+    mean of a curve is of no concern, for no method knows that one. ``name`` says between what
+    the zeros differ, such as "the odd and even table positions".
+    """
+
+    name: str
+    columns: Mapping[str, Floats]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Zeros:
+    """What deviations count from, and what of that no observation joins.
+
+    ``counts_from`` is one of COUNTS_FROM. The zero of a whole curve is nobody's: all methods lack
+    it, and none of the ``free`` directions is it. A result with ``free`` directions is never ok,
+    for its uncertainties hold within each part alone; ``within`` is the verdict on them there.
+    """
+
+    counts_from: str = UNKNOWN
+    free: tuple[FreeDirection, ...] = ()
+    within: Verdict = "ok"
+
+    def __post_init__(self) -> None:
+        if self.counts_from not in COUNTS_FROM:
+            raise DataError(
+                f"counts_from {self.counts_from!r}: expected one of {', '.join(COUNTS_FROM)}"
+            )
+
+    def of(self, component: str, n: int) -> Floats:
+        """Return the columns (n, q) of one component, zeros for directions without it."""
+        columns = [d.columns.get(component, np.zeros(n)) for d in self.free]
+        return np.column_stack(columns) if columns else np.zeros((n, 0))
+
+    def mapped(self, matrix: Floats) -> Zeros:
+        """Return the same for deviations that are ``matrix`` (m, n) @ those of here."""
+        moved = (
+            FreeDirection(d.name, {c: matrix @ column for c, column in d.columns.items()})
+            for d in self.free
+        )
+        return replace(self, free=tuple(moved))
+
+    def open_components(self) -> tuple[str, ...]:
+        """Return the components that some free direction touches, in the order of COMPONENTS."""
+        return tuple(c for c in COMPONENTS if any(c in d.columns for d in self.free))
+
+    def in_words(self, components: Iterable[str] = COMPONENTS) -> str:
+        """Return which offsets of ``components`` are open; empty where there is none."""
+        wanted = set(components)
+        touched: dict[str, set[str]] = {}
+        for direction in self.free:
+            if found := wanted & direction.columns.keys():
+                touched.setdefault(direction.name, set()).update(found)
+        return "; ".join(
+            f"the offset between {name} is not measured "
+            f"({', '.join(c for c in COMPONENTS if c in found)})"
+            for name, found in touched.items()
+        )
+
+
+@dataclass(frozen=True)
+class Result:
+    """Deviations of a rotary table with their uncertainties, and how far to trust them.
+
+    ``angles`` (n,) are the commanded table angles in radians. ``deviations``, ``std`` map ISO
+    230-1 names to (n,) arrays, ``covariance`` to (n, n) arrays. ``adjacent_deviations`` (n - 1,)
+    are the deviations of the steps between neighbouring angles, in radians. ``sigma0`` is
+    the a posteriori standard deviation of unit weight; 1 means that the stated noise fits.
+    ``details`` are for people: nothing but the figures of a method reads them. ``protections``
+    say what was done about each effect that could spoil the result; empty when not stated.
+    ``directions`` maps the components that were measured from both sides to what they are from
+    each; ``deviations`` then holds the mean. ``measured_on`` is the compensation table in force
+    meanwhile: the hash of the controller's files, "none" or "unknown". ``circumstances`` say who
+    measured what, when and how warm it was; a method leaves them to those who call it. ``zeros``
+    say what the deviations count from, and what of that is open. ``raw_data``: the observations
+    that it rests on, so that nobody counts them twice.
+
+    >>> import rotcal_ros as rc
+    >>> result = rc.read_result("examples/data/result_ball_plate.json")
+    >>> result.verdict, result.angles.shape, result.deviations["ECC"].shape
+    ('ok', (12,), (12,))
+    """
+
+    method: str
+    angles: Floats
+    deviations: Mapping[str, Floats]
+    std: Mapping[str, Floats]
+    covariance: Mapping[str, Floats]
+    sigma0: float
+    dof: int
+    n_observations: int
+    rejected: tuple[Rejection, ...] = ()
+    verdict: Verdict = "ok"
+    warnings: tuple[str, ...] = ()
+    adjacent_deviations: Floats | None = None
+    adjacent_std: Floats | None = None
+    residuals: Residuals | None = None
+    details: Mapping[str, Any] = field(default_factory=dict)
+    runs: RepeatedRuns | None = None
+    protections: tuple[Protection, ...] = ()
+    directions: Mapping[str, Directions] = field(default_factory=dict)
+    measured_on: str = UNKNOWN
+    circumstances: Circumstances = field(default_factory=Circumstances)
+    zeros: Zeros = field(default_factory=Zeros)
+    raw_data: RawData = field(default_factory=RawData)
+
+    @property
+    def simulated(self) -> bool:
+        """Whether a simulation was measured instead of a table."""
+        return self.circumstances.simulated
+
+    @property
+    def unprotected(self) -> tuple[Effect, ...]:
+        """Effects that may have spoiled the result without a trace in the data."""
+        return unprotected(self.protections)
+
+    @property
+    def verdict_line(self) -> str:
+        """The verdict as people read it: never without what it does not cover."""
+        verdict = f"{self.verdict} ({SIMULATED})" if self.simulated else self.verdict
+        if self.zeros.free:
+            verdict = f"{verdict}, {self.zeros.in_words()}"
+        if not self.protections:
+            return f"{verdict}, protection against drift and the like not stated"
+        against = ", ".join(self.unprotected)
+        return f"{verdict}, not protected against {against}" if against else verdict
+
+    @property
+    def verdict_within(self) -> Verdict:
+        """The verdict on each part with a zero of its own, else the verdict itself."""
+        return self.zeros.within if self.zeros.free else self.verdict
+
+    def doubted(self) -> Result:
+        """Return the result suspect at best, within its parts too."""
+        within, verdict = _at_best_suspect(self.zeros.within), _at_best_suspect(self.verdict)
+        return replace(self, verdict=verdict, zeros=replace(self.zeros, within=within))
+
+    def counted_from(self, counts_from: str, free: Iterable[FreeDirection] = ()) -> Result:
+        """Return the result with its :class:`Zeros`: suspect at best where some are open."""
+        zeros = Zeros(counts_from, tuple(free), self.verdict)
+        verdict = _at_best_suspect(self.verdict) if zeros.free else self.verdict
+        return replace(self, verdict=verdict, zeros=zeros)
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Names of the deviations that were measured, in the order of COMPONENTS."""
+        return tuple(name for name in COMPONENTS if name in self.deviations)
+
+    @property
+    def all_details(self) -> Mapping[str, Any]:
+        """The details with the repeated runs among them, as a file has them."""
+        if self.runs is None:
+            return self.details
+        runs = {name: value for name, value in asdict(self.runs).items() if value is not None}
+        return {**self.details, RUNS: runs}
+
+    def __post_init__(self) -> None:
+        """Refuse deviations and uncertainties that are no numbers, or not one per angle.
+
+        Raises DataError: a component that was not measured is absent, never NaN.
+        """
+        for what, columns in (("", self.deviations), ("std of ", self.std)):
+            for name, values in columns.items():
+                _require_numbers(f"{self.method}: {what}{name}", self.angles, values)
+        for direction in self.zeros.free:
+            for name, values in direction.columns.items():
+                _require_numbers(f"{self.method}: free direction of {name}", self.angles, values)
+        if self.zeros.free and self.verdict == "ok":
+            raise DataError(
+                f"{self.method}: the verdict is ok although {self.zeros.in_words()}: expected "
+                "suspect, nothing bounds the error of such an offset"
+            )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the machine-readable form described in docs/conventions.md (SI, plain types)."""
+        data: dict[str, Any] = {
+            "schema": SCHEMA,
+            "method": self.method,
+            "simulated": self.simulated,
+            "circumstances": self.circumstances.to_dict(),
+            "angles_rad": self.angles,
+            "deviations": self.deviations,
+            "std": self.std,
+            "covariance": self.covariance,
+        }
+        if self.adjacent_deviations is not None:
+            data["adjacent_deviations_rad"] = self.adjacent_deviations
+        if self.adjacent_std is not None:
+            data["adjacent_std_rad"] = self.adjacent_std
+        if self.directions:
+            data["directions"] = {
+                name: {FILE_NAMES.get(key, key): v for key, v in plain_fields(both).items()}
+                for name, both in self.directions.items()
+            }
+        if self.zeros.counts_from != UNKNOWN:
+            data["zeros"] = plain_fields(self.zeros) | {
+                "free": [plain_fields(direction) for direction in self.zeros.free]
+            }
+        if self.measured_on != UNKNOWN:
+            data["measured_on"] = self.measured_on
+        data |= {
+            "sigma0": self.sigma0,
+            "dof": self.dof,
+            "n_observations": self.n_observations,
+            "n_rejected": len(self.rejected),
+            "rejected": [{"index": r.index, "why": r.why} for r in self.rejected],
+            "verdict": self.verdict,
+            "verdict_line": self.verdict_line,
+            "not_protected": list(self.unprotected),
+            "warnings": list(self.warnings),
+            "protections": [plain_fields(p) for p in self.protections],
+            "details": self.all_details,
+        }
+        if self.raw_data.hashes:
+            data["raw_data"] = self.raw_data.to_dict()
+        if self.residuals is not None:
+            columns = plain_fields(self.residuals)
+            data["residuals"] = {FILE_NAMES.get(name, name): c for name, c in columns.items()}
+        return {name: _plain(value) for name, value in data.items()}
+
+    def to_json(self) -> str:
+        """Return :meth:`to_dict` as JSON; every float round-trips to the last bit."""
+        return json.dumps(self.to_dict(), indent=1, allow_nan=False)
+
+    def to_dataframe(self) -> Any:
+        """Return a pandas DataFrame: a row for each angle, SI, ``EXC`` with ``EXC_std`` and so on.
+
+        A component whose zeros are open has ``EXC_free_0`` ... too, the free directions: its
+        values are known up to any multiple of these, and its std holds where they are equal.
+
+        pandas is needed for this alone; ImportError says so when it is not there.
+        """
+        try:
+            pandas = import_module("pandas")
+        except ImportError as error:
+            raise ImportError("Result.to_dataframe() needs pandas: pip install pandas") from error
+        columns = {"angle_rad": self.angles}
+        for name, values in self.deviations.items():
+            columns |= {name: values, f"{name}_std": self.std[name]}
+            touching = (d.columns[name] for d in self.zeros.free if name in d.columns)
+            columns |= {f"{name}_free_{k}": column for k, column in enumerate(touching)}
+        return pandas.DataFrame(columns)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Result:
+        """Rebuild a result from :meth:`to_dict`; raises DataError when it is not one."""
+        return result_from(data)
+
+
+def _at_best_suspect(verdict: Verdict) -> Verdict:
+    return "suspect" if verdict == "ok" else verdict
+
+
+def _require_numbers(name: str, angles: Floats, values: Floats) -> None:
+    """Raise DataError unless there is one finite value for every angle (rad)."""
+    if np.shape(values) != np.shape(angles):
+        raise DataError(
+            f"{name} has shape {np.shape(values)}, expected one number for each of the "
+            f"{len(angles)} angles"
+        )
+    bad = np.flatnonzero(~np.isfinite(values))
+    if bad.size:
+        row = int(bad[0])
+        raise DataError(
+            f"{name} is {values[row]} at {angles[row] / DEGREE:g} deg (row {row}): expected a "
+            "finite number; a component that was not measured is left out"
+        )
+
+
+def plain_fields(record: Any) -> dict[str, Any]:
+    """Return the fields of a dataclass as plain values for JSON."""
+    return {field.name: _plain(getattr(record, field.name)) for field in fields(record)}
+
+
+def _plain(value: Any) -> Any:
+    """Return arrays, mappings and tuples as lists and dicts of plain values, NaN as None."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, float) and value != value:
+        return None  # JSON has no NaN; reading null back into an array gives NaN again
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return value
+
+
+_WHOLE: Final[Mapping[str, type]] = {
+    "table_position": np.int64,
+    "target": np.int64,
+    "used": np.bool_,
+}
+"""Columns of the residuals that are no floats."""
+_ROUNDING: Final = 1e-6
+"""Of the largest variance, by which a covariance may exceed what the variances allow."""
+
+
+@dataclass(frozen=True)
+class _Plain:
+    """The entries of a file that are no arrays."""
+
+    method: str
+    sigma0: float
+    dof: int
+    n_observations: int
+    rejected: tuple[Rejection, ...]
+    verdict: str
+    warnings: tuple[str, ...]
+    details: Mapping[str, Any]
+    protections: tuple[Protection, ...]
+    measured_on: str = UNKNOWN
+
+
+def result_from(data: Any) -> Result:
+    """Return the result that ``data`` (see :meth:`Result.to_dict`) states.
+
+    Raises DataError, with the entry, when it is none or does not fit together.
+    """
+    if not isinstance(data, Mapping) or data.get("schema") != SCHEMA:
+        raise DataError(f"not a rotcal result of schema {SCHEMA}: no matching 'schema' entry")
+    try:
+        return _result(data)
+    except KeyError as error:
+        raise DataError(f"no whole rotcal result: the entry {error} is missing") from error
+    except (ArithmeticError, AttributeError, ConfigurationError, TypeError, ValueError) as error:
+        raise DataError(f"damaged rotcal result: {error}") from error
+
+
+def _result(data: Mapping[str, Any]) -> Result:
+    for each in fields(_Plain)[:-1]:
+        data[each.name]
+    plain = record(_Plain, {f.name: data[f.name] for f in fields(_Plain) if f.name in data})
+    if plain.verdict not in get_args(Verdict):
+        raise ValueError(f"verdict: {plain.verdict!r} is none of {', '.join(get_args(Verdict))}")
+    angles = _column(data["angles_rad"], "angles_rad")
+    n, runs = len(angles), _runs(plain.details.get(RUNS))
+    deviations = _columns(data["deviations"], "deviations", (n,))
+    std = _columns(data["std"], "std", (n,))
+    if n == 0 or not std.keys() >= deviations.keys():
+        raise ValueError("expected angles, and a std for each of the deviations")
+    if any(np.any(column < 0.0) for column in std.values()):
+        raise ValueError("std: expected no negative number")
+    return Result(
+        method=plain.method,
+        angles=angles,
+        deviations=deviations,
+        std=std,
+        covariance=_covariances(data["covariance"], n),
+        sigma0=plain.sigma0,
+        dof=plain.dof,
+        n_observations=plain.n_observations,
+        rejected=plain.rejected,
+        verdict=data["verdict"],
+        warnings=plain.warnings,
+        protections=ordered(plain.protections),
+        adjacent_deviations=_optional(data, "adjacent_deviations_rad", (n - 1,)),
+        adjacent_std=_optional(data, "adjacent_std_rad", (n - 1,)),
+        residuals=None if data.get("residuals") is None else _residuals(data["residuals"]),
+        details={k: v for k, v in plain.details.items() if not (runs and k == RUNS)},
+        runs=runs,
+        directions=_directions(data.get("directions", {})),
+        measured_on=check_in_force(plain.measured_on),
+        circumstances=Circumstances.from_dict(data["circumstances"]),
+        raw_data=RawData.from_dict(data["raw_data"], n) if "raw_data" in data else RawData(),
+        zeros=_zeros(data.get("zeros", {}), n),
+    )
+
+
+def _zeros(data: Mapping[str, Any], n: int) -> Zeros:
+    if data and data["within"] not in get_args(Verdict):
+        raise ValueError(f"zeros.within: {data['within']!r:.60} is no verdict")
+    free = [
+        FreeDirection(str(d["name"]), _columns(d["columns"], "zeros.free", (n,)))
+        for d in data.get("free", ())
+    ]
+    counts_from = str(data.get("counts_from", UNKNOWN))
+    return Zeros(counts_from, tuple(free), data.get("within", "ok"))
+
+
+def _runs(data: Any) -> RepeatedRuns | None:
+    if not isinstance(data, Mapping) or "targets" not in data:
+        return None
+    targets = _column(data["targets"], "runs.targets")
+    sides = {name: _side(data.get(name), len(targets), name) for name in ("forward", "reverse")}
+    shapes = {np.shape(side) for side in sides.values() if side is not None}
+    if len(shapes) > 1:
+        raise ValueError(f"runs: forward and reverse have different shapes {sorted(shapes)}")
+    repeatability = data.get("repeatability_std")
+    if not isinstance(repeatability, float | int | None):
+        raise ValueError(f"runs.repeatability_std: expected a number, found {repeatability!r:.60}")
+    return RepeatedRuns(targets=targets, **sides, repeatability_std=repeatability)
+
+
+def _side(values: Any, targets: int, name: str) -> Floats | None:
+    if values is None:
+        return None
+    side = _floats(values, f"runs.{name}")
+    if side.ndim != 2 or len(side) != targets:
+        raise ValueError(f"runs.{name}: expected a row for each of {targets} targets")
+    return side
+
+
+def _directions(data: Any) -> dict[str, Directions]:
+    columns = [field.name for field in fields(Directions)]
+    return {
+        name: Directions(
+            **{c: _floats(both[FILE_NAMES.get(c, c)], f"directions.{name}.{c}") for c in columns}
+        )
+        for name, both in dict(data).items()
+    }
+
+
+def _residuals(data: Mapping[str, Any]) -> Residuals:
+    names = [field.name for field in fields(Residuals) if field.name not in ("std", "coordinates")]
+    columns: dict[str, Any] = {}
+    for name in names:
+        key = FILE_NAMES.get(name, name)
+        whole = _WHOLE.get(name)
+        columns[name] = (
+            _floats(data[key], f"residuals.{key}")
+            if whole is None
+            else np.asarray(data[key], whole)
+        )
+    shape = np.shape(columns["residual"])
+    std, coordinates = _optional(data, "std", shape), data.get("coordinates", 1)
+    if len(shape) != 1 or any(np.shape(column) != shape for column in columns.values()):
+        raise ValueError("residuals: expected columns of one length")
+    if coordinates not in (1, 3):
+        raise ValueError(f"residuals.coordinates: expected 1 or 3, found {coordinates!r:.60}")
+    return Residuals(**columns, std=std, coordinates=coordinates)
+
+
+def _columns(data: Any, where: str, shape: tuple[int, ...]) -> dict[str, Floats]:
+    """Return arrays of finite numbers by component, all of one ``shape``."""
+    columns = {name: _floats(values, f"{where}.{name}") for name, values in dict(data).items()}
+    for name, column in columns.items():
+        if column.shape != shape or not np.all(np.isfinite(column)):
+            raise ValueError(f"{where}.{name}: expected finite numbers of the shape {shape}")
+    return columns
+
+
+def _covariances(data: Any, n: int) -> dict[str, Floats]:
+    """Return covariance matrices by component; none exceeds what its variances allow."""
+    found = _columns(data, "covariance", (n, n))
+    for name, matrix in found.items():
+        std = np.sqrt(np.maximum(np.diagonal(matrix), 0.0))
+        bound = np.outer(std, std) + _ROUNDING * float(np.max(std**2, initial=0.0))
+        if np.any(np.abs(matrix) > bound):
+            raise ValueError(f"covariance.{name}: no covariance, it contradicts its variances")
+    return found
+
+
+def _column(values: Any, where: str) -> Floats:
+    column = _floats(values, where)
+    if column.ndim != 1 or not np.all(np.isfinite(column)):
+        raise ValueError(f"{where}: expected a list of finite numbers")
+    return column
+
+
+def _optional(data: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> Floats | None:
+    values = data.get(name)
+    if values is None:
+        return None
+    column = _floats(values, name)
+    if column.shape != shape:
+        raise ValueError(f"{name}: expected numbers of the shape {shape}")
+    return column
+
+
+def _floats(values: Any, where: str) -> Floats:
+    """Return numbers as an array; null is NaN. ValueError for texts, which numpy would read."""
+    try:
+        found = np.asarray(values)
+        if found.dtype.kind in "US":
+            raise ValueError("it holds texts")
+        numbers = found.astype(np.float64)
+    except (ArithmeticError, TypeError, ValueError) as error:
+        raise ValueError(f"{where}: no array of numbers: {error}") from error
+    if np.any(np.isinf(numbers)):
+        raise ValueError(f"{where}: it holds infinite numbers")
+    return numbers

@@ -1,0 +1,212 @@
+"""Settings: typed, documented and range-checked fields of frozen dataclasses.
+
+One declaration serves everybody: the YAML reader checks against it, the ROS nodes declare their
+parameters from it (description, unit, range), and ``docs/settings.md`` is written from it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+import types
+import typing
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import MISSING, dataclass
+from typing import Any, TypeVar
+
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.plugins import nearest
+
+T = TypeVar("T")
+
+_EXPONENT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+")
+"""A number as people write it: without point, or sign of the exponent, YAML 1.1 reads a text."""
+_NO_TEXT = re.compile("[\0\ud800-\udfff]")
+"""What no message of ROS and no file in UTF-8 can hold; all else is escaped where it is shown."""
+_LARGEST = 1 << 63
+_ROS_NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+
+
+@dataclass(frozen=True, slots=True)
+class SettingInfo:
+    """What a setting means: ``description`` with the unit, and its inclusive range."""
+
+    description: str
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Declaration:
+    """One setting as it was declared: ``name`` is dotted below its group.
+
+    ``kind`` is the type of a value, or of the elements of a list (``is_list``); a fixed ``length``
+    of a list is None where any number will do. ``default`` is MISSING for a setting that has to
+    be given.
+    """
+
+    name: str
+    kind: type
+    is_list: bool
+    length: int | None
+    optional: bool
+    default: Any
+    info: SettingInfo
+
+
+def setting(
+    default: Any = MISSING,
+    *,
+    doc: str,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    choices: Sequence[str] = (),
+) -> Any:
+    """Declare a field of a settings dataclass.
+
+    ``doc`` names the unit. Without a default the setting is required. A list setting is a
+    tuple; its range holds for every element. The choices of a Literal are those of its type.
+    """
+    metadata = {"setting": SettingInfo(doc, minimum, maximum, tuple(choices))}
+    if default is MISSING:
+        return dataclasses.field(metadata=metadata, kw_only=True)
+    return dataclasses.field(default=default, metadata=metadata, kw_only=True)
+
+
+def group(cls: type[Any]) -> Any:
+    """Declare a nested group of settings, all at their defaults unless given."""
+    return dataclasses.field(default_factory=cls, kw_only=True)
+
+
+def load(cls: type[T], values: Mapping[str, Any] | None, where: str) -> T:
+    """Build the settings dataclass ``cls`` from a nested mapping.
+
+    ``where`` names the place in error texts, e.g. ``demo.yaml: plan``. Raises
+    ConfigurationError for unknown names (with the nearest known one), missing required
+    settings, wrong types and values out of range.
+    """
+    values = {} if values is None else values
+    if not isinstance(values, Mapping):
+        raise ConfigurationError(f"{where}: expected a group of settings, found {values!r:.80}")
+    hints = typing.get_type_hints(cls)
+    fields = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    for name in values:
+        if name not in fields:
+            hint = nearest(str(name), fields)
+            raise ConfigurationError(f"{where}: unknown setting {name!r:.80}{hint}")
+    loaded: dict[str, Any] = {}
+    for name, field in fields.items():
+        if name in values:
+            place, hint = f"{where}.{name}", hints[name]
+            if dataclasses.is_dataclass(hint):
+                loaded[name] = load(typing.cast(type, hint), values[name], place)
+            else:
+                loaded[name] = _checked(values[name], _declaration(field, hint), place)
+        elif field.default is MISSING and field.default_factory is MISSING:
+            what = "a group of settings" if dataclasses.is_dataclass(hints[name]) else ""
+            what = what or field.metadata["setting"].description
+            raise ConfigurationError(f"{where}: setting {name!r} is missing ({what})")
+    try:
+        return cls(**loaded)
+    except ConfigurationError as error:  # settings that do not go together
+        raise ConfigurationError(f"{where}: {error}") from error
+
+
+def to_mapping(settings: Any) -> dict[str, Any]:
+    """Return the nested mapping that :func:`load` turns into an equal object."""
+    return {
+        f.name: to_mapping(value) if dataclasses.is_dataclass(value) else _plain(value)
+        for f in dataclasses.fields(settings)
+        for value in [getattr(settings, f.name)]
+    }
+
+
+def declarations(cls: type[Any], prefix: str = "") -> Iterator[Declaration]:
+    """Yield every setting that ``cls`` declares, nested groups flattened."""
+    hints = typing.get_type_hints(cls)
+    for field in dataclasses.fields(cls):
+        if dataclasses.is_dataclass(hints[field.name]):
+            yield from declarations(hints[field.name], f"{prefix}{field.name}.")
+        else:
+            yield _declaration(field, hints[field.name], prefix)
+
+
+def _declaration(field: dataclasses.Field[Any], hint: Any, prefix: str = "") -> Declaration:
+    """Return what the field of a settings dataclass declares."""
+    info: SettingInfo = field.metadata["setting"]
+    optional = typing.get_origin(hint) in (types.UnionType, typing.Union)
+    if optional:
+        hint = next(h for h in typing.get_args(hint) if h is not types.NoneType)
+    length, is_list = None, typing.get_origin(hint) is tuple
+    if is_list:
+        arguments = typing.get_args(hint)
+        hint, length = arguments[0], None if Ellipsis in arguments else len(arguments)
+    if typing.get_origin(hint) is typing.Literal:
+        info = dataclasses.replace(info, choices=typing.get_args(hint))
+        hint = str
+    return Declaration(prefix + field.name, hint, is_list, length, optional, field.default, info)
+
+
+def _plain(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _checked(value: Any, declared: Declaration, place: str) -> Any:
+    """Return ``value`` as the declared type, or raise with place, finding and expectation."""
+    if declared.optional and value is None:
+        return None
+    if not declared.is_list:
+        return _scalar(value, declared, place)
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        raise ConfigurationError(f"{place}: expected a list, found {value!r:.80}")
+    if declared.length not in (None, len(value)):
+        raise ConfigurationError(
+            f"{place}: expected {declared.length} values, found {len(value)}: {value!r:.80}"
+        )
+    return tuple(_scalar(v, declared, f"{place}[{i}]") for i, v in enumerate(value))
+
+
+def _scalar(value: Any, declared: Declaration, place: str) -> Any:
+    kind, info = declared.kind, declared.info
+    if isinstance(value, int) and abs(value) > _LARGEST:
+        raise ConfigurationError(f"{place}: a number of more than 64 bits ({info.description})")
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if kind is float and isinstance(value, str) and _EXPONENT.fullmatch(value):
+        value = float(value)
+    fits = isinstance(value, kind) and not (kind is int and isinstance(value, bool))
+    if not fits:
+        raise ConfigurationError(
+            f"{place}: expected {kind.__name__} ({info.description}), found {value!r:.80}"
+        )
+    if kind is str and _NO_TEXT.search(value):
+        raise ConfigurationError(f"{place}: no text: {value!r:.60} holds NUL or half a character")
+    if kind is float and not math.isfinite(value):
+        raise ConfigurationError(f"{place}: expected a finite number, found {value!r}")
+    low, high = info.minimum, info.maximum
+    if (low is not None and value < low) or (high is not None and value > high):
+        bounds = f"{'-inf' if low is None else low} to {'inf' if high is None else high}"
+        raise ConfigurationError(
+            f"{place}: {value!r} is out of range {bounds} ({info.description})"
+        )
+    if info.choices and value not in info.choices:
+        hint = nearest(str(value), info.choices)
+        raise ConfigurationError(
+            f"{place}: {value!r:.80} is none of {', '.join(info.choices)}{hint}"
+        )
+    return value
+
+
+def check_ros_name(name: str, what: str) -> str:
+    """Return ``name`` when a topic or namespace of ROS may be called so: ``/cell/tracer``.
+
+    Raises ConfigurationError, with ``what`` it names, for anything else.
+    """
+    if not _ROS_NAME.fullmatch(name):
+        raise ConfigurationError(
+            f"{what}: {name!r} is no name in ROS: expected words of letters, digits and "
+            "underscores that do not begin with a digit, with '/' between them"
+        )
+    return name

@@ -1,0 +1,187 @@
+"""Lengths that count vacuum wavelengths, corrected for the index of refraction of the air.
+
+A tracer that corrects nothing reads n D - P, with the index n at that time, the distance D and a
+constant P, about the optical path where it reads zero. What is recorded stays as it was read: the
+correction is part of solving.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from rotcal_ros.capture.settings import CaptureSettings
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.observations import Observation, PointKind
+from rotcal_ros.foundation.refraction import EQUATIONS, Air, Equation, Sensors, index_std
+from rotcal_ros.foundation.results import Directions, Result
+from rotcal_ros.methods.air_settings import AirSettings
+
+Observations = Sequence[Observation]
+BY_INSTRUMENT: Final = "corrected by the instrument, not here"
+_COLUMNS: Final = {
+    "temperature_c": ("temperature", "temperature"),
+    "pressure_pa": ("air_pressure", "pressure"),
+    "humidity": ("relative_humidity", "humidity"),
+}
+"""Column of an observation and setting of the air -> topic, quantity of the capture."""
+
+
+@dataclass(frozen=True)
+class Refraction:
+    """What is done about the index of refraction; ``lengths``: whether the method has any."""
+
+    settings: AirSettings
+    source: str
+    lengths: bool
+
+    @property
+    def equation(self) -> Equation | None:
+        """The equation that corrects; None where nothing is corrected here."""
+        return EQUATIONS.get(self.settings.refraction) if self.lengths else None
+
+    def require_sources(self, capture: CaptureSettings) -> None:
+        """Raise ConfigurationError, before anything moves, for air that nobody will tell."""
+        if self.equation is None:
+            return
+        for column, (topic, quantity) in _COLUMNS.items():
+            expected = getattr(capture, f"{quantity}_expected")
+            if getattr(self.settings, column) is None and not expected:
+                raise ConfigurationError(
+                    f"{self.source}: air: refraction {self.settings.refraction} needs {column}: "
+                    f"publish {topic} and set capture.{quantity}_expected: true, or give "
+                    f"air.{column}"
+                )
+
+    def required(self, capture: CaptureSettings) -> frozenset[str]:
+        """Return the quantities of the capture without which a length cannot be corrected."""
+        if self.equation is None:
+            return frozenset()
+        return frozenset(
+            quantity
+            for column, (_, quantity) in _COLUMNS.items()
+            if getattr(self.settings, column) is None and getattr(capture, f"{quantity}_expected")
+        )
+
+    def corrected(self, observations: Observations) -> tuple[Observation, ...]:
+        """Return the observations with lengths of distance instead of optical path.
+
+        Raises DataError where an observation does not tell the air.
+        """
+        return self._over(observations, 0.0)
+
+    def solve(self, observations: Observations, solve: Callable[[Any], Result]) -> Result:
+        """Solve corrected observations; what the index is uncertain by is part of the result.
+
+        One error of the sensors and of the equation is common to all lengths: the solution with
+        every index larger by its standard uncertainty tells what that does to each deviation.
+        """
+        if self.equation is None:
+            return solve(tuple(observations))
+        result = solve(self.corrected(observations))
+        return with_common(result, solve(self._over(observations, 1.0)))
+
+    def in_words(self, observations: Observations) -> str:
+        """Say who corrects, by what, and how uncertain it is; empty without lengths."""
+        if not self.lengths:
+            return ""
+        equation, settings = self.equation, self.settings
+        if equation is None:
+            return BY_INSTRUMENT
+        air = self._air(observations)
+        index = equation.index(air, settings.vacuum_wavelength_nm, settings.co2_ppm)
+        std = float(np.max(self._std(air, equation)))
+        return (
+            f"{equation.name} with {settings.vacuum_wavelength_nm:g} nm in vacuum, CO2 "
+            f"{settings.co2_ppm:g} umol/mol, dead path {settings.dead_path_m:g} m: index "
+            f"{index.min():.8f} to {index.max():.8f}, standard uncertainty {std:.1e} from "
+            f"{settings.temperature_std_k:g} K, {settings.pressure_std_pa:g} Pa, "
+            f"{settings.humidity_std:g} of humidity and {equation.std:.0e} of the equation, "
+            "common to all lengths and part of the uncertainties"
+        )
+
+    def _over(self, observations: Observations, errors: float) -> tuple[Observation, ...]:
+        """Return the observations corrected with every index ``errors`` of its std larger."""
+        equation, settings = self.equation, self.settings
+        if equation is None or not observations:
+            return tuple(observations)
+        air = self._air(observations)
+        index = equation.index(air, settings.vacuum_wavelength_nm, settings.co2_ppm)
+        index = index + errors * self._std(air, equation)
+        return tuple(
+            _divided(o, n, settings.dead_path_m)
+            for o, n in zip(observations, index.tolist(), strict=True)
+        )
+
+    def _std(self, air: Air, equation: Equation) -> Floats:
+        settings = self.settings
+        sensors = Sensors(
+            settings.temperature_std_k, settings.pressure_std_pa, settings.humidity_std
+        )
+        wavelength, co2 = settings.vacuum_wavelength_nm, settings.co2_ppm
+        return index_std(equation, air, sensors, wavelength, co2)
+
+    def _air(self, observations: Observations) -> Air:
+        return Air(**{column: self._column(observations, column) for column in _COLUMNS})
+
+    def _column(self, observations: Observations, column: str) -> Floats:
+        """Return what was captured, else what is given; DataError where it is neither."""
+        given, (topic, quantity) = getattr(self.settings, column), _COLUMNS[column]
+        values = [getattr(o, column) for o in observations]
+        known = [given if value is None else value for value in values]
+        if None in known:
+            step = observations[known.index(None)].step
+            raise DataError(
+                f"step {step}: its length cannot be corrected by {self.settings.refraction}, the "
+                f"{column} of the air is not known: capture {topic} "
+                f"(capture.{quantity}_expected: true) or give air.{column}"
+            )
+        return np.array(known, dtype=np.float64)
+
+
+def _divided(observation: Observation, index: float, dead_path_m: float) -> Observation:
+    """Return the observation with its length in metres of distance, not of optical path.
+
+    (n D - P + d) / n - d is D less a constant, but for P - d times the changes of the index.
+    """
+    if observation.kind != PointKind.REFLECTOR:
+        return observation
+    mean = tuple((length + dead_path_m) / index - dead_path_m for length in observation.mean)
+    return replace(observation, mean=mean)
+
+
+def with_common(result: Result, moved: Result) -> Result:
+    """Return a result whose uncertainties hold an error that is common to all that was measured.
+
+    ``moved`` is the result with this error at its standard uncertainty: the differences of the
+    deviations are fully correlated.
+    """
+    if moved.components != result.components or len(moved.angles) != len(result.angles):
+        raise DataError(
+            "the index of refraction cannot be judged: other angles or deviations are solved with "
+            "every index larger by its standard uncertainty"
+        )
+    shift = {n: moved.deviations[n] - values for n, values in result.deviations.items()}
+    return replace(
+        result,
+        std={n: np.hypot(values, shift[n]) for n, values in result.std.items()},
+        covariance={n: c + np.outer(shift[n], shift[n]) for n, c in result.covariance.items()},
+        adjacent_std=_adjacent_std(result, moved),
+        directions={n: _both(d, moved.directions[n]) for n, d in result.directions.items()},
+    )
+
+
+def _adjacent_std(result: Result, moved: Result) -> Floats | None:
+    before, after = result.adjacent_deviations, moved.adjacent_deviations
+    if result.adjacent_std is None or before is None or after is None:
+        return result.adjacent_std
+    return np.asarray(np.hypot(result.adjacent_std, after - before), dtype=np.float64)
+
+
+def _both(sides: Directions, moved: Directions) -> Directions:
+    shift = np.append(moved.forward - sides.forward, moved.reverse - sides.reverse)
+    return replace(sides, covariance=sides.covariance + np.outer(shift, shift))

@@ -1,0 +1,269 @@
+"""Where to put the balls: the layout with the smallest predicted uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import chain, combinations, islice
+from math import comb
+
+import numpy as np
+
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.components import COMPONENTS, ROTATIONS
+from rotcal_ros.foundation.errors import PlanError
+from rotcal_ros.methods.ball_plate.design.layout_variance import mean_variances, proven_bound
+
+EXHAUSTIVE_LIMIT = 4_000_000
+"""Layouts up to which all are looked at; beyond it exchange search takes over."""
+BATCH = 16384
+WEIGHTS = (1.0, 1.0, 1.0, 1.0)
+_INDEX = {"ECC": 0, "EXC": 1, "EYC": 1, "EAC": 2, "EBC": 2, "EZC": 3}
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A layout of balls and what it promises when all CMM positions are measured.
+
+    ``variances`` (4,) are the mean variances for unit noise as of
+    :func:`layout_variance.mean_variances`, ``score`` their weighted sum, ``bound`` what no layout
+    of so many balls can beat (proven), ``evaluated`` the number of layouts looked at.
+    ``optimal`` says that all layouts were covered, so that none is better.
+    """
+
+    grid: int
+    steps: tuple[int, ...]
+    variances: tuple[float, float, float, float]
+    score: float
+    bound: float
+    evaluated: int
+    optimal: bool
+
+    @property
+    def gap(self) -> float:
+        """How far the score lies above the proven bound, as part of the bound."""
+        return self.score / self.bound - 1.0
+
+    def predicted_std(self, sigma: float, radius: float) -> dict[str, float]:
+        """Return the rms standard deviation of the six components, metres and radians.
+
+        ``sigma`` is the standard deviation of a ball centre and ``radius`` that of the ball
+        circle, both in metres.
+        """
+        scale = {name: 1.0 / radius if name in ROTATIONS else 1.0 for name in COMPONENTS}
+        std = np.sqrt(self.variances)
+        return {name: sigma * scale[name] * float(std[_INDEX[name]]) for name in COMPONENTS}
+
+
+def rate(grid: int, steps: Ints | list[int], weights: tuple[float, ...] = WEIGHTS) -> Layout:
+    """Return what one given layout promises; PlanError when it separates nothing."""
+    layout = np.unique(np.asarray(steps, dtype=np.int64))
+    if len(layout) < 4 or layout[0] < 0 or layout[-1] >= grid:
+        raise PlanError(f"a layout needs at least 4 different steps in 0..{grid - 1}, not {steps}")
+    variances = mean_variances(grid, layout[None])
+    if not np.isfinite(variances).all():
+        raise PlanError(f"balls at {layout.tolist()} of {grid} do not separate table and CMM")
+    return _layout(grid, layout, variances[0], np.array(weights), 1, False)
+
+
+def best_layout(
+    grid: int,
+    n_balls: int,
+    *,
+    min_gap: int = 1,
+    subset_of: list[int] | None = None,
+    weights: tuple[float, ...] = WEIGHTS,
+    seed: int = 0,
+    starts: int = 40,
+    exact: bool = True,
+    progress: Progress | None = None,
+) -> Layout:
+    """Find the layout of ``n_balls`` on a grid with the smallest weighted mean variance.
+
+    ``min_gap`` keeps neighbours at least so many steps apart; ``subset_of`` restricts the steps
+    to those of an existing plate; ``weights`` belong to ECC, translations in the plane, tilts
+    and EZC (rotations times radius). Layouts that differ by a rotation or a reflection are
+    equal, so only one of them is looked at; up to ``EXHAUSTIVE_LIMIT`` all are. Beyond it, or
+    without ``exact``, an exchange search runs from ``starts`` random layouts (``seed``).
+    ``progress(done, total)`` is called now and then. Raises PlanError when no such layout
+    exists or none separates.
+    """
+    weight = _checked(grid, n_balls, min_gap, subset_of, weights)
+    places = np.arange(grid) if subset_of is None else np.unique(np.array(subset_of) % grid)
+    if subset_of is None:
+        batches, count = _necklaces(grid, n_balls, min_gap), count_layouts(grid, n_balls, min_gap)
+    else:
+        batches, count = _subsets(grid, places, n_balls, min_gap), comb(len(places), n_balls)
+    if exact and count <= EXHAUSTIVE_LIMIT:
+        found = _exhaustive(grid, batches, weight, count, progress)
+    else:
+        found = _exchange(grid, n_balls, places, min_gap, weight, seed, starts, progress)
+    if found is None:
+        raise PlanError(
+            f"no layout of {n_balls} balls on {grid} steps with gaps of at least {min_gap} "
+            "separates table, plate and CMM; use more balls"
+        )
+    return found
+
+
+def count_layouts(grid: int, n_balls: int, min_gap: int = 1) -> int:
+    """Return how many layouts the exhaustive search enumerates (reflections counted twice)."""
+    return sum(
+        comb(grid - n_balls * gap + n_balls - 2, n_balls - 2)
+        for gap in range(min_gap, grid // n_balls + 1)
+    )
+
+
+def _checked(
+    grid: int, n_balls: int, min_gap: int, subset_of: list[int] | None, weights: tuple[float, ...]
+) -> Floats:
+    weight = np.array(weights, dtype=np.float64)
+    if weight.shape != (4,) or not (weight >= 0.0).all() or not weight.any():
+        raise PlanError(f"four weights of at least 0 are needed (ECC, xy, tilt, z), not {weights}")
+    if n_balls < 4:
+        raise PlanError(f"{n_balls} balls cannot separate table, plate and CMM: at least 4")
+    if min_gap < 1 or n_balls * min_gap > grid:
+        raise PlanError(f"{n_balls} balls {min_gap} steps apart do not fit on {grid} steps")
+    if subset_of is not None and len(set(subset_of)) < n_balls:
+        raise PlanError(f"the plate has only {len(set(subset_of))} of {n_balls} wanted balls")
+    return weight
+
+
+def _necklaces(grid: int, n_balls: int, min_gap: int) -> Iterator[Ints]:
+    """Yield batches of layouts, the smallest gap first, one of each mirrored pair.
+
+    A few layouts whose smallest gap occurs twice come more than once; none is left out.
+    """
+    for gap in range(min_gap, grid // n_balls + 1):
+        free = grid - n_balls * gap  # to be shared out among the other gaps
+        for chosen in _choices(range(free + n_balls - 2), n_balls - 2):
+            edge = np.full((len(chosen), 1), -1), np.full((len(chosen), 1), free + n_balls - 2)
+            others = np.diff(np.hstack([edge[0], chosen, edge[1]])) - 1 + gap
+            others = others[others[:, 0] <= others[:, -1]]
+            start = np.zeros((len(others), 1), dtype=np.int64)
+            yield np.hstack([start, start + gap, gap + np.cumsum(others[:, :-1], axis=1)])
+
+
+def _subsets(grid: int, places: Ints, n_balls: int, min_gap: int) -> Iterator[Ints]:
+    """Yield batches of all subsets of the places that keep the gaps."""
+    for layouts in _choices(places.tolist(), n_balls):
+        gaps = np.diff(np.hstack([layouts, layouts[:, :1] + grid]))
+        yield layouts[gaps.min(axis=1) >= min_gap]
+
+
+def _choices(values: Iterable[int], count: int) -> Iterator[Ints]:
+    """Yield all combinations of ``count`` values in batches (L, count)."""
+    every = combinations(values, count)
+    while True:
+        flat = np.fromiter(chain.from_iterable(islice(every, BATCH)), dtype=np.int64)
+        if not len(flat):
+            return
+        yield flat.reshape(-1, count)
+
+
+def _exhaustive(
+    grid: int, batches: Iterator[Ints], weights: Floats, count: int, progress: Progress | None
+) -> Layout | None:
+    """Look at all layouts."""
+    best, seen = None, 0
+    for layouts in batches:
+        seen += len(layouts)
+        if len(layouts):
+            found = _best_of(grid, layouts, weights)
+            if found[0] < (np.inf if best is None else best[0]):
+                best = found
+        if progress is not None:
+            progress(min(seen, count), count)
+    return None if best is None else _layout(grid, *best[1:], weights, seen, True)
+
+
+def _exchange(
+    grid: int,
+    n_balls: int,
+    places: Ints,
+    min_gap: int,
+    weights: Floats,
+    seed: int,
+    starts: int,
+    progress: Progress | None,
+) -> Layout | None:
+    """Move one ball at a time to where it helps most, from several random layouts."""
+    rng = np.random.default_rng(seed)
+    best: Layout | None = None
+    evaluated = 0
+    for start in range(starts):
+        layout = _random_layout(rng, grid, n_balls, places, min_gap)
+        score, variances = np.inf, np.full(4, np.inf)
+        while True:
+            neighbours = _neighbours(grid, layout, places, min_gap)
+            evaluated += len(neighbours)
+            found = _best_of(grid, neighbours, weights)
+            if not found[0] < score:
+                break
+            score, layout, variances = found
+        if np.isfinite(score) and (best is None or score < best.score):
+            best = _layout(grid, layout, variances, weights, evaluated, False)
+        if progress is not None:
+            progress(start + 1, starts)
+    return None if best is None else replace(best, evaluated=evaluated)
+
+
+def _random_layout(
+    rng: np.random.Generator, grid: int, n_balls: int, places: Ints, min_gap: int
+) -> Ints:
+    """Draw places one by one among those that keep the gaps; start again when stuck."""
+    for _ in range(1000):
+        chosen: list[int] = []
+        free = places
+        while len(chosen) < n_balls and len(free):
+            chosen.append(int(rng.choice(free)))
+            away = np.abs((free - chosen[-1] + grid // 2) % grid - grid // 2)
+            free = free[away >= min_gap]
+        if len(chosen) == n_balls:
+            return np.sort(np.array(chosen))
+    raise PlanError(f"no random layout of {n_balls} balls keeps gaps of {min_gap} steps")
+
+
+def _neighbours(grid: int, layout: Ints, places: Ints, min_gap: int) -> Ints:
+    """Return the layout itself and all that differ in one ball, (L, R)."""
+    found = [layout[None]]
+    for ball in range(len(layout)):
+        others = np.delete(layout, ball)
+        away = np.abs((places[:, None] - others + grid // 2) % grid - grid // 2).min(axis=1)
+        free = places[(away >= min_gap) & (places != layout[ball])]
+        moved = np.hstack([np.tile(others, (len(free), 1)), free[:, None]])
+        found.append(np.sort(moved, axis=1))
+    return np.vstack(found)
+
+
+def _best_of(grid: int, layouts: Ints, weights: Floats) -> tuple[float, Ints, Floats]:
+    """Return score, layout and variances (4,) of the best of ``layouts`` (L, R)."""
+    variances = mean_variances(grid, layouts)
+    scores = _scores(variances, weights)
+    first = int(np.argmin(scores))
+    return float(scores[first]), layouts[first], variances[first]
+
+
+def _scores(variances: Floats, weights: Floats) -> Floats:
+    """Return the weighted sums (L,); layouts that do not separate count as infinite."""
+    good = np.isfinite(variances).all(axis=1)
+    scores = np.full(len(variances), np.inf)
+    scores[good] = variances[good] @ weights
+    return scores
+
+
+def _layout(
+    grid: int, steps: Ints, variances: Floats, weights: Floats, evaluated: int, optimal: bool
+) -> Layout:
+    first, second, third, fourth = variances.tolist()
+    return Layout(
+        grid=grid,
+        steps=tuple(np.sort(steps).tolist()),
+        variances=(first, second, third, fourth),
+        score=float(variances @ weights),
+        bound=float(proven_bound(grid, len(steps)) @ weights),
+        evaluated=evaluated,
+        optimal=optimal,
+    )

@@ -1,0 +1,217 @@
+"""Figures of the ball plate method: plate, machine, and residuals by ball and position.
+
+Vectors are drawn radial, tangential (counter-clockwise) and along the axis at their place on
+the ball circle; that holds for all groups of table positions, whatever their frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from rotcal_ros.figures import Figure, style
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import DEGREE, MICROMETRE, MILLIMETRE
+
+_DIRECTIONS: Final = ("radial", "tangential", "axial")
+_COLOURS: Final = (style.BLUE, style.ORANGE, style.GREEN)
+
+
+def figures(result: Result, _truth: Mapping[str, Any] | None = None) -> list[Figure]:
+    """Return the figures that only this method can fill."""
+    if not {"groups", "residual_rows", "grid"} <= result.details.keys():
+        return []
+    return [
+        Figure(
+            "Set-up in plan view",
+            "Balls on the plate at table angle zero, and the positions of the table at which they "
+            "were touched, from above.",
+            set_up(result),
+            "set-up",
+        ),
+        Figure(
+            "Errors of the plate",
+            "Place of each ball on the plate less its nominal place, with k = 2: manufacture and "
+            "clamping. Mean radius, and the plate's shift, tilt and turn in the mean, are partly "
+            "a matter of definition (docs/ball_plate.md).",
+            plate_errors(result),
+        ),
+        Figure(
+            "Errors of the machine",
+            "Systematic error of the coordinate measuring machine at each measuring position, "
+            "with k = 2.",
+            machine_errors(result),
+        ),
+        Figure(
+            "Residuals by ball and position",
+            "Observed − computed per ball, over the table position (left) and over the measuring "
+            "position (right). A column or a row that stands out names a table position, a "
+            "machine position or a ball; crosses were rejected.",
+            residual_maps(result),
+            "residuals",
+        ),
+        Figure(
+            "Normalised residuals",
+            "Test value of each centre in the order of measurement; a rejected one is a cross.",
+            centre_tests(result),
+            "residuals",
+        ),
+    ]
+
+
+@style.styled
+def set_up(result: Result) -> str:
+    """Draw the circle of the balls about the axis with the grid of table positions, to scale."""
+    radius = float(result.details["radius"]) / MILLIMETRE
+    (ax,) = style.grid(height=4.6)
+    turn = np.linspace(0.0, 2.0 * np.pi, 181)
+    ax.plot(radius * np.cos(turn), radius * np.sin(turn), color=style.GREY, linewidth=0.9)
+    for number, group in enumerate(result.details["groups"]):
+        steps = np.asarray(group["ball_steps"])
+        grid = _group_grid(result, group)
+        at = 2.0 * np.pi * steps / grid + group["turn"]
+        stops = 2.0 * np.pi * np.arange(grid) / grid + group["turn"]
+        rays = np.array([0.25, 0.95]) * radius
+        for angle in stops:
+            ax.plot(rays * np.cos(angle), rays * np.sin(angle), color=style.MISSING, linewidth=0.8)
+        x, y = radius * np.cos(at), radius * np.sin(at)
+        label = "" if number else "balls, by grid step"
+        ax.plot(x, y, "o", color=style.BLUE, markersize=7, label=label)
+        for step, point in zip(steps.tolist(), zip(x, y, strict=True), strict=True):
+            ax.annotate(str(step), point, xytext=(7, 5), textcoords="offset points")
+    ax.plot(0.0, 0.0, "+", color=style.INK, markersize=10, label="axis of the table")
+    ax.set_aspect("equal")
+    ax.margins(0.12)
+    ax.set_xlabel("x / mm")
+    ax.set_ylabel("y / mm")
+    return style.svg(ax)
+
+
+@style.styled
+def plate_errors(result: Result) -> str:
+    """Draw the plate errors of every ball as bars with k = 2 whiskers."""
+    (ax,) = style.grid(height=3.0)
+    for number, group in enumerate(result.details["groups"]):
+        steps = np.asarray(group["ball_steps"])
+        angle = 2.0 * np.pi * steps / _group_grid(result, group)
+        values = _local(np.asarray(group["plate_errors"]), angle) / MICROMETRE
+        band = COVERAGE_FACTOR * _local_std(np.asarray(group["plate_errors_std"]), angle)
+        place = np.arange(len(steps)) + number * (len(steps) + 1)
+        for i, (name, colour) in enumerate(zip(_DIRECTIONS, _COLOURS, strict=True)):
+            ax.bar(
+                place + 0.27 * (i - 1), values[:, i], 0.25, yerr=band[:, i] / MICROMETRE,
+                color=colour, ecolor=style.INK, capsize=1.5, label="" if number else name,
+            )  # fmt: skip
+    labels = [step for group in result.details["groups"] for step in [*group["ball_steps"], ""]]
+    ax.set_xticks(np.arange(len(labels) - 1), [str(label) for label in labels[:-1]])
+    ax.axhline(0.0, color=style.GREY, linewidth=0.8)
+    ax.set_xlabel("ball (grid step)")
+    ax.set_ylabel("plate error / µm")
+    return style.svg(ax)
+
+
+@style.styled
+def machine_errors(result: Result) -> str:
+    """Draw the machine's errors over the angle of the measuring position with k = 2 bands."""
+    panels = style.grid(3, 1, height=1.7, sharex=True)
+    for group in result.details["groups"]:
+        angle = 2.0 * np.pi * np.asarray(group["cmm_positions"]) / _group_grid(result, group)
+        values = _local(np.asarray(group["cmm_errors"]), angle) / MICROMETRE
+        band = COVERAGE_FACTOR * _local_std(np.asarray(group["cmm_errors_std"]), angle)
+        place = (angle + group["turn"]) / DEGREE
+        for i, ax in enumerate(panels):
+            style.curve_with_band(ax, place, values[:, i], band[:, i] / MICROMETRE, "")
+            ax.set_ylabel(f"{_DIRECTIONS[i]} / µm")
+    label = "measuring position on the ball circle / °"
+    style.angle_axis(panels[-1], np.array([0.0, 360.0]), label)
+    return style.svg(panels[0])
+
+
+@style.styled
+def residual_maps(result: Result) -> str:
+    """Draw radial, tangential and axial residuals as maps by ball and both kinds of position."""
+    rows, more = result.residuals, result.details["residual_rows"]
+    if rows is None or not len(rows.target):
+        return ""
+    cmm = np.asarray(more["cmm_index"], dtype=np.int64)
+    grid = int(result.details["grid"])
+    vectors = _local(np.asarray(more["vector"], dtype=np.float64), 2.0 * np.pi * cmm / grid)
+    vectors /= MICROMETRE
+    largest = float(np.quantile(np.abs(vectors[rows.used]), 0.999)) if rows.used.any() else 1.0
+    balls, ball = np.unique(rows.target, return_inverse=True)
+    panels = style.grid(3, 2, height=0.9 + 0.14 * len(balls), sharex="col", sharey=True)
+    for i, name in enumerate(_DIRECTIONS):
+        for ax, position in zip(panels[2 * i :], (rows.table_position, cmm), strict=False):
+            count = max(grid, int(position.max()) + 1)  # more where both sides were measured
+            _draw_map(ax, position, ball, vectors[:, i], (count, len(balls)), largest)
+            ax.plot(
+                position[~rows.used], ball[~rows.used], "x", color=style.INK, markersize=6,
+                markeredgewidth=1.4,
+            )  # fmt: skip
+        panels[2 * i].set_ylabel(f"{name}: ball")
+        panels[2 * i].set_yticks(np.arange(len(balls)), [str(step) for step in balls], fontsize=6)
+    panels[-2].set_xlabel("table position")
+    panels[-1].set_xlabel("measuring position")
+    figure = panels[0].figure
+    figure.colorbar(panels[0].images[0], ax=panels, label="residual / µm", shrink=0.5)
+    return style.svg(panels[0])
+
+
+@style.styled
+def centre_tests(result: Result) -> str:
+    """Draw the test value of every centre in the order of measurement."""
+    rows = result.residuals
+    if rows is None or not len(rows.target):
+        return ""
+    (ax,) = style.grid(height=2.2)
+    order = np.asarray(result.details["residual_rows"]["row"])
+    ax.plot(order[rows.used], rows.test_value[rows.used], ".", color=style.BLUE, markersize=3)
+    if not rows.used.all():
+        height = np.zeros(int((~rows.used).sum()))
+        ax.plot(order[~rows.used], height, "x", color=style.RED, label="rejected", clip_on=False)
+    ax.set_ylim(bottom=0.0)
+    ax.set_xlabel("row, in the order of measurement")
+    ax.set_ylabel("test value")
+    return style.svg(ax)
+
+
+def _draw_map(
+    ax: style.Axes,
+    position: Ints,
+    ball: Ints,
+    values: Floats,
+    size: tuple[int, int],
+    largest: float,
+) -> None:
+    image = np.full(size, np.nan)
+    image[position, ball] = values
+    ax.grid(visible=False)
+    ax.set_facecolor(style.MISSING)
+    ax.imshow(
+        image.T, cmap="RdBu_r", vmin=-largest, vmax=largest, aspect="auto",
+        interpolation="nearest",
+    )  # fmt: skip
+    style.whole_numbers(ax.xaxis)
+
+
+def _group_grid(result: Result, group: Mapping[str, Any]) -> int:
+    """Return the number of table positions of one group, a turn in all."""
+    return int(result.details["grid"]) // len(result.details["groups"])
+
+
+def _local(vectors: Floats, angles: Floats) -> Floats:
+    """Turn x, y, z (n, 3) into radial, tangential, axial at ``angles`` (n,)."""
+    x, y, z = vectors.T
+    cos, sin = np.cos(angles), np.sin(angles)
+    return np.column_stack([cos * x + sin * y, cos * y - sin * x, z])
+
+
+def _local_std(std: Floats, angles: Floats) -> Floats:
+    """Turn standard deviations of x, y, z (n, 3) likewise; x and y count as uncorrelated."""
+    x, y, z = std.T
+    cos, sin = np.cos(angles), np.sin(angles)
+    return np.column_stack([np.hypot(cos * x, sin * y), np.hypot(sin * x, cos * y), z])

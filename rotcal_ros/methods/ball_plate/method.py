@@ -1,0 +1,52 @@
+"""The ball plate method, as nodes, replay and report see it."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from rotcal_ros.capture.points import points
+from rotcal_ros.capture.rules import CaptureRules
+from rotcal_ros.curves import gauge
+from rotcal_ros.foundation.observations import PointKind
+from rotcal_ros.methods.ball_plate import calibration, table
+from rotcal_ros.methods.ball_plate.disturbances import DISTURBANCES
+from rotcal_ros.methods.ball_plate.figures import figures
+from rotcal_ros.methods.ball_plate.plan import check_plan, plan
+from rotcal_ros.methods.ball_plate.settings import BallPlatePlanSettings
+from rotcal_ros.methods.ball_plate.simulation_settings import PlateSimulationSettings
+from rotcal_ros.methods.ball_plate.solver.solve import METHOD as NAME
+from rotcal_ros.methods.ball_plate.solver_settings import BallPlateSolverSettings
+from rotcal_ros.methods.ball_plate.touched_ball import reported_centre, touched_centre
+from rotcal_ros.methods.configuration import Configuration
+from rotcal_ros.methods.method import Method, See, TableReader
+from rotcal_ros.planning.plan import Plan
+
+
+def nominal(_configuration: Configuration, _plan: Plan) -> See:
+    """Return the planned places of the balls."""
+    return lambda step: step.position
+
+
+METHOD: Final = Method(
+    name=NAME,
+    title="Ball plate, reduced three-rosette method",
+    page="ball_plate",
+    topics=("probe_point", "joint_states"),
+    plan_settings=BallPlatePlanSettings,
+    solver_settings=BallPlateSolverSettings,
+    simulation_settings=PlateSimulationSettings,
+    plan=plan,
+    check_plan=check_plan,
+    capture=CaptureRules(
+        {PointKind.SURFACE: points(touched_centre), PointKind.CENTRE: points(reported_centre)}
+    ),
+    solve=calibration.solve,
+    trials=calibration.trials,
+    gauge=gauge.without_axis_and_artefact,
+    nominal=nominal,
+    table=TableReader(table.HEADERS, table.read),
+    short_setup=table.short_setup,
+    figures=figures,
+    zero=gauge.in_words,
+    disturbances=DISTURBANCES,
+)

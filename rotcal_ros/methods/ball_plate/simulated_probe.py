@@ -1,0 +1,204 @@
+"""The simulated coordinate measuring machine that touches the balls of a plate on the table."""
+
+from __future__ import annotations
+
+from math import dist
+
+import numpy as np
+
+from rotcal_ros.foundation.arrays import Floats, Stamps
+from rotcal_ros.foundation.observations import Command, PointKind, ProbeSample
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, NANOSECOND
+from rotcal_ros.methods.ball_plate.simulation_settings import (
+    SimulatedPlateSettings,
+    TouchProbeSettings,
+)
+from rotcal_ros.simulation.instrument import Instrument, Table
+from rotcal_ros.simulation.motion import Limits, Motion
+from rotcal_ros.simulation.noise import IndexedNoise, Source
+from rotcal_ros.simulation.table import rotations
+
+_PLAY_M = 1e-4
+"""By which a way may come too near to a ball, whose true place the driver does not know."""
+_WAVES = 12
+"""Plane waves that the machine's error is made of."""
+
+
+def upper_half(count: int) -> Floats:
+    """Return directions (count, 3) that cover the upper half of a ball evenly."""
+    height = (np.arange(count) + 0.5) / count
+    around = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
+    flat = np.sqrt(1.0 - height**2)
+    directions: Floats = np.column_stack([flat * np.cos(around), flat * np.sin(around), height])
+    return directions
+
+
+def plate_balls(settings: SimulatedPlateSettings, seed: int) -> Floats:
+    """Return the true ball centres (R, 3) in the table frame at angle 0, m."""
+    steps = np.array(settings.ball_steps)
+    angle = settings.azimuth_deg * DEGREE + 2.0 * np.pi * steps / settings.grid
+    places = settings.circle_radius_m * np.column_stack(
+        [np.cos(angle), np.sin(angle), np.zeros_like(angle)]
+    )
+    noise = IndexedNoise(seed, Source.BALL)
+    errors = np.array([noise.normal(3 * int(step), 3) for step in steps])
+    turn = np.array(settings.clamping_turn_arcsec)[:, None] * ARCSEC
+    clamped = (places + settings.manufacture_um * MICROMETRE * errors) @ rotations(*turn)[0].T
+    balls: Floats = clamped + np.array(settings.clamping_shift_um) * MICROMETRE
+    return balls
+
+
+class MachineError:
+    """The systematic error of the machine: a smooth field, the same at every visit."""
+
+    def __init__(self, settings: TouchProbeSettings, seed: int) -> None:
+        noise = IndexedNoise(seed, Source.MACHINE)
+        count = 3 * _WAVES
+        self._waves = noise.normal(0, 3 * count).reshape(count, 3) / settings.wavelength_m
+        self._phases = 2.0 * np.pi * noise.uniform(0, count)
+        self._size = settings.systematic_um * MICROMETRE * np.sqrt(2.0 / _WAVES)
+
+    def __call__(self, places: Floats) -> Floats:
+        """Return reported - true place (n, 3) at ``places`` (n, 3), m."""
+        waves = np.cos(places @ self._waves.T + self._phases)
+        error: Floats = self._size * waves.reshape(len(places), 3, _WAVES).sum(axis=2)
+        return error
+
+
+class SimulatedTouchProbe(Instrument):
+    """A probe that travels to the ball at the ordered place and touches its upper half.
+
+    It touches whatever ball is nearest to the order, once table and probe are at rest. Touch k
+    of the whole run depends on k and on the table, never on how time was cut.
+    """
+
+    def __init__(
+        self,
+        settings: TouchProbeSettings,
+        plate: SimulatedPlateSettings,
+        table: Table,
+        seed: int,
+        start_ns: int,
+    ) -> None:
+        super().__init__(start_ns)
+        self.settings = settings
+        self._table, self._balls = table, plate_balls(plate, seed)
+        self._reach = 0.5 * plate.ball_diameter_m + settings.tip_radius_m
+        self._limits = Limits(settings.speed_m_s, settings.acceleration_m_s2, 0.0, 1.0)
+        self._error = MachineError(settings, seed)
+        self._noise = IndexedNoise(seed, Source.TOUCH)
+        self._dirt = IndexedNoise(seed, Source.DIRT)
+        self._from = self._place = settings.initial_position_m
+        self._lift = 0.0
+        self._motion = Motion(start_ns, [0.0], self._limits)
+        self._touched = self._touches = 0
+
+    def order(self, now_ns: int, command: Command) -> None:
+        """Go to the ball at the position of ``command`` and touch it."""
+        way, height = dist(self._place, command.position), self.settings.clearance_m
+        self._lift = height
+        lifted = [-height, 0.0, way, way + height] if way else [0.0]
+        self._motion = Motion(now_ns, lifted, self._limits)
+        self.rest_ns = max(now_ns, self._motion.end_ns)
+        self._from, self._place = self._place, command.position
+        self.pending, self._touched = command, 0
+
+    def go(self, now_ns: int, place: Floats) -> bool:
+        """Move in a straight line to ``place`` (3,), m; False: a ball stands in the way."""
+        x, y, z = place.tolist()
+        start = self.positions(np.array([now_ns]))[0]
+        line = place - start
+        length = float(np.linalg.norm(line))
+        if length:
+            to_balls = self._standing_balls(now_ns) - start
+            along = np.clip(to_balls @ line / length**2, 0.0, 1.0)
+            nearest = np.linalg.norm(to_balls - np.multiply.outer(along, line), axis=1)
+            if nearest.min() < self._reach - _PLAY_M:
+                return False
+        self._from, self._place, self._lift = tuple(start.tolist()), (x, y, z), 0.0
+        self._motion = Motion(now_ns, [0.0, length] if length else [0.0], self._limits)
+        self.rest_ns = max(now_ns, self._motion.end_ns)
+        return True
+
+    def touched(
+        self, stamp_ns: int, surface: Floats, direction: Floats, search: tuple[float, float]
+    ) -> Floats | None:
+        """Return where the machine believes the tip's centre is when it meets a ball."""
+        self._touches += 1
+        start = surface + self.settings.tip_radius_m * direction
+        to_start = start - self._nearest_ball(stamp_ns, surface)
+        middle = float(to_start @ direction)
+        inside = middle**2 - float(to_start @ to_start) + (self._reach + self._dirt_now()) ** 2
+        way = -middle + np.sqrt(max(inside, 0.0))
+        if inside < 0.0 or not -search[1] <= way <= search[0]:
+            return None
+        return self._believed(start + way * direction)
+
+    def positions(self, stamps: Stamps) -> Floats:
+        """Return the nominal positions (n, 3) of the tip, m: up, across and down again."""
+        start, stop = np.array(self._from), np.array(self._place)
+        length, height = dist(self._from, self._place), self._lift
+        if not length:
+            return np.tile(stop, (len(stamps), 1))
+        way = self._motion.state(stamps)[0]
+        share = np.clip(way / length, 0.0, 1.0)
+        positions: Floats = start + np.multiply.outer(share, stop - start)
+        positions[:, 2] += height - np.maximum(0.0, np.maximum(-way, way - length))
+        return positions
+
+    def report(self, after_ns: int, now_ns: int, table_rest_ns: int) -> tuple[ProbeSample, ...]:
+        """Return the points of the pending order that fall in ``after_ns`` < t <= ``now_ns``."""
+        if self.pending is None:
+            return ()
+        surface = self.pending.kind == PointKind.SURFACE
+        count = self.settings.points_per_ball if surface else 1
+        ready_ns = max(self.rest_ns, table_rest_ns) + _nanoseconds(self.settings.settling_time_s)
+        samples = []
+        for number in range(self._touched, count):
+            stamp = ready_ns + (number + 1) * _nanoseconds(self.settings.touch_time_s)
+            stamp = max(stamp, after_ns + 1 + number - self._touched)
+            if stamp > now_ns:
+                break
+            samples.append(self._sample(stamp, self.pending, number, count))
+        self._touched += len(samples)
+        if self._touched == count:
+            self.pending = None
+        return tuple(samples)
+
+    def _sample(self, stamp_ns: int, order: Command, number: int, count: int) -> ProbeSample:
+        """Return one touch point, or the centre that the machine computes."""
+        self._touches += 1
+        place = self._nearest_ball(stamp_ns, np.array(order.position))
+        tip = 0.0
+        if order.kind == PointKind.SURFACE:
+            place = place + (self._reach + self._dirt_now()) * upper_half(count)[number]
+            tip = self.settings.tip_radius_m
+        place = self._believed(place)
+        std = self.settings.noise_um * MICROMETRE
+        return self.point(stamp_ns, order, place, std, number, tip)
+
+    def _standing_balls(self, stamp_ns: int) -> Floats:
+        """Return the true ball centres (R, 3) in the machine frame, m."""
+        rotation, translation = self._table.poses(np.array([stamp_ns]))
+        balls: Floats = self._balls @ rotation[0].T + translation[0]
+        return balls
+
+    def _nearest_ball(self, stamp_ns: int, place: Floats) -> Floats:
+        balls = self._standing_balls(stamp_ns)
+        nearest: Floats = balls[int(np.argmin(np.linalg.norm(balls - place, axis=1)))]
+        return nearest
+
+    def _dirt_now(self) -> float:
+        """Return the thickness (m) of the dirt under this touch."""
+        dirty = self._dirt.uniform(self._touches, 1)[0] < self.settings.dirt_probability
+        return float(dirty * self.settings.dirt_um * MICROMETRE)
+
+    def _believed(self, place: Floats) -> Floats:
+        """Return where the machine believes to be with the tip at ``place`` (3,), m."""
+        noise = self.settings.noise_um * MICROMETRE * self._noise.normal(3 * self._touches, 3)
+        believed: Floats = place + self._error(place[None])[0] + noise
+        return believed
+
+
+def _nanoseconds(duration_s: float) -> int:
+    return round(duration_s / NANOSECOND)

@@ -1,0 +1,393 @@
+"""Disturbances that gather in one place: at a table position, a ball, a CMM position.
+
+What lasts for a while is a run of rows at a position of the table or the CMM, one of which rests
+in every order of measurement.
+
+The engine in :mod:`rotcal_ros.adjust` judges; here are the groups of a plate's centres and what
+the model says of them. Residual cofactors of all groups and the map to the six deviations follow
+from the layout alone and are remembered. What gathers is asked only where a group shows anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, Final
+
+import numpy as np
+
+from rotcal_ros.adjust import gathering as engine
+from rotcal_ros.adjust.distributions import chi2_isf
+from rotcal_ros.adjust.felt import Felt
+from rotcal_ros.adjust.gathering import Count, Gathering, Limits, Words
+from rotcal_ros.adjust.groups import Group, GroupTest
+from rotcal_ros.adjust.judgement import Belief, blame, judge
+from rotcal_ros.adjust.reliability import Hidden, hidden
+from rotcal_ros.adjust.subsets import distinct, runs
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.protection import POWER
+from rotcal_ros.methods.ball_plate.solver import general, model
+from rotcal_ros.methods.ball_plate.solver.drift import drift_columns
+from rotcal_ros.methods.ball_plate.solver.model import Solution
+from rotcal_ros.methods.ball_plate.solver.order_effects import Layout, layout_of
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
+
+SIGNIFICANCE: Final = 0.01
+"""Probability below which chance may cost good centres of one place."""
+LIMITS: Final = Limits(rejected_share=3e-4, significance=0.002, suspected=0.003)
+"""Single outliers are rare: two of eight are no chance. One of 100 sound plates reaches
+``suspected``, for in some of so many groups subsets are searched; motion has its own test."""
+BELIEF: Final = Belief(disturbed=0.8)
+"""Disturbances are held to be likely: what can be neither proved nor excluded widens U."""
+WORDS: Final = Words("centres", "dirt, a touched plate or warm air", "there", "there")
+LEAST_OF_GROUP: Final = 4
+"""Centres of which it is asked what gathers among them."""
+MOST_UNKNOWNS: Final = 1200
+"""Unknowns up to which groups are judged: the work grows with their third power."""
+RUNS: Final = (2, 3, 4, 5, 6, 8, 12)
+"""How many neighbours are tried together, along a ball's turn or in time."""
+SHOWS: Final = 14.0
+"""Chi-squared of a common shift from which on a group is judged: less cannot be probable."""
+SUSPICIOUS: Final = 0.01
+"""Probability of a group's residuals below which it is judged."""
+MANY: Final = 8
+"""Groups of a kind from which on their typical scatter is known."""
+SHARED: Final = 1.25
+"""Ratio of the typical group's squares to chance from which on all groups of a kind scatter."""
+LARGEST: Final = 1e-3
+"""Displacement, m, that the screening finds anyway."""
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """The rows (e,) of the group ``number`` of a kind, and its residual cofactor (e, 3, e, 3).
+
+    ``eigen``: the cofactor's eigenvalues and vectors. ``gathered`` (q, e) are its subsets,
+    ``inverse`` (q, 3, 3) the covariances of their shifts.
+    """
+
+    kind: str
+    number: int
+    rows: Ints
+    cofactor: Floats
+    eigen: tuple[Floats, Floats]
+    gathered: Bools
+    inverse: Floats
+
+    @property
+    def name(self) -> str:
+        """What people call it."""
+        return f"{self.kind} {self.number}"
+
+    def felt(self, response: Floats) -> Felt:
+        """Return what the outputs feel of its rows; ``response`` (o, n, 3)."""
+        return Felt.whole(response[:, self.rows].reshape(len(response), -1))
+
+    def group(self, whitened: Floats, unit: Floats, response: Floats | None) -> Group:
+        """Return the engine's group; ``response`` (o, n, 3), None for none."""
+        return Group(
+            kind=self.kind,
+            name=self.name,
+            members=self.rows,
+            residual=whitened[self.rows],
+            cofactor=self.cofactor,
+            felt=self.felt(np.zeros((1, *unit.shape)) if response is None else response),
+            unit=unit[self.rows],
+            gathered=self.gathered,
+            eigen=self.eigen,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """All groups of a layout, and the errors (6 N, n, 3) of the deviations per unit of a row.
+
+    Of table positions without a centre they are zero.
+    """
+
+    places: tuple[Place, ...]
+    response: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """All rows ``whole`` that were to be fitted, as people count them, and which are ``gone``.
+
+    ``gone`` (k,): numbers of the rows that were rejected.
+    """
+
+    whole: BallPlateProblem
+    gone: Ints
+
+    def counted(self, problem: BallPlateProblem, kind: str) -> tuple[Ints, Ints]:
+        """Return what people call the groups (n,) of a kind that the rows of ``problem`` are in.
+
+        And how many of each such group were rejected, (n,).
+        """
+        order = np.argsort(self.whole.rows)
+        at = order[np.searchsorted(self.whole.rows, problem.rows, sorter=order)]
+        column = _columns(self.whole)[kind]
+        lost = np.bincount(column[np.isin(self.whole.rows, self.gone)], minlength=column.max() + 1)
+        return column[at], lost[column[at]]
+
+
+def judged(
+    before: Gathering,
+    problem: BallPlateProblem,
+    solution: Solution,
+    sigma: float | None,
+    taken: Taken,
+) -> Gathering:
+    """Return ``before`` with what gathers in one place of a fitted problem.
+
+    ``sigma``: the stated noise of unit weight, m (or 1), None where it is not known; the noise in
+    the residuals counts, axis by axis, where it is larger or nothing was stated.
+    """
+    view = view_of(problem)
+    whitened, unit, rest, scale = _whitened(problem, solution, sigma)
+    groups = _named([p.group(whitened, unit, None) for p in view.places], problem, taken)
+    common = _common(groups)
+    asked = [
+        k
+        for k, group in enumerate(groups)
+        if group.size >= LEAST_OF_GROUP and group.kind not in common
+    ]
+    shown = [groups[k] for k in asked if _shows(groups[k], view.places[k])]
+    first = judge(shown, BELIEF, rest, SUSPICIOUS, among=len(groups))
+    weighed = list[Group]()
+    if first.possible:  # seldom on sound plates: of all groups it costs more
+        response = view.response * scale
+        weighed = [replace(groups[k], felt=view.places[k].felt(response)) for k in asked]
+    return engine.judged(before, groups, rest, weighed, BELIEF, common)
+
+
+def counted(
+    before: Gathering, problem: BallPlateProblem, redundancy: Floats, taken: Taken
+) -> Gathering:
+    """Return ``before`` with what was rejected of each group of a problem that is not judged.
+
+    ``redundancy`` (n,) of its rows.
+    """
+    found = []
+    for kind in _columns(problem):
+        number, lost = taken.counted(problem, kind)
+        names, first, group, size = np.unique(
+            number, return_index=True, return_inverse=True, return_counts=True
+        )
+        share = np.bincount(group, redundancy) / size
+        for name, gone, left, checked in zip(
+            names.tolist(), lost[first].tolist(), size.tolist(), share.tolist(), strict=True
+        ):
+            test = GroupTest(0.0, 0, 1.0, checked, gone / (left + gone))
+            found.append(Count(kind, f"{kind} {name}", test, left + gone, gone))
+    return replace(before, counts=tuple(found))
+
+
+def left_out(
+    gathering: Gathering, problem: BallPlateProblem
+) -> tuple[Gathering, dict[int, str]] | None:
+    """Return what is proved to be wrong together, and why by its rows; None: nothing is."""
+    found = gathering.judgement
+    if found is None or not found.proved(SIGNIFICANCE):
+        return None
+    case = blame(found.groups[found.worst], BELIEF)
+    if case is None:
+        return None
+    rows = case.group.members[case.subset]
+    why = (
+        f"one of {len(rows)} centres of {case.group.name} that are off together, by "
+        f"{engine.micrometres(case.size)} (x, y, z)"
+    )
+    found_why = {int(r): f"{problem.row_name(r)}: {why}" for r in rows}
+    return replace(gathering, blamed=(*gathering.blamed, case)), found_why
+
+
+def suspected(gathering: Gathering) -> Ints:
+    """Return the rows of the place where something may gather; none where nothing does."""
+    found = gathering.judgement
+    if found is None or not found.possible:
+        return np.empty(0, dtype=np.int64)
+    return found.groups[found.worst].members
+
+
+def doubts(gathering: Gathering) -> list[str]:
+    """Return a sentence about everything that gathers, and about groups that do not fit."""
+    return engine.doubts(gathering, LIMITS, WORDS)
+
+
+def details(gatherings: Sequence[Gathering]) -> dict[str, Any]:
+    """Return what was found in several fits for the details of a result; sizes in m."""
+    each = [engine.details(gathering, WORDS.elements) for gathering in gatherings]
+    return {
+        "chance": min(part["chance"] for part in each),
+        "groups": [row for part in each for row in part["groups"]],
+        "blamed": [case for part in each for case in part["blamed"]],
+    }
+
+
+def can_judge(problem: BallPlateProblem) -> bool:
+    """Tell whether a problem is small enough to be judged place by place."""
+    return model.offsets(problem).total <= MOST_UNKNOWNS
+
+
+def unseen(
+    problem: BallPlateProblem, sigma: tuple[Floats, Floats], significance: float = SIGNIFICANCE
+) -> Hidden | None:
+    """Return the worst at a table position, for its deviations, that no test sees; None: unknown.
+
+    ``sigma``: noise (3,) of the axes in units of ``std``, and standard deviations (6, M).
+    """
+    if not can_judge(problem):
+        return None
+    view = view_of(problem)
+    scale, std = sigma
+    own = np.ones_like(problem.centres) if problem.std is None else problem.std
+    nothing, unit = np.zeros_like(problem.centres), 1.0 / (own * scale)
+    response = view.response.reshape(6, -1, *problem.centres.shape)[:, problem.table_positions]
+    response = response * scale / std[:, :, None, None]
+    groups = [
+        place.group(nothing, unit, response[:, k])
+        for k, place in enumerate(p for p in view.places if p.kind == "table position")
+    ]
+    return hidden(groups, np.ones(6), significance, POWER, LARGEST)
+
+
+def _whitened(
+    problem: BallPlateProblem, solution: Solution, sigma: float | None
+) -> tuple[Floats, Floats, tuple[float, float] | None, Floats]:
+    """Return whitened residuals, units (n, 3), the yardstick of the rest, and the noise (3,).
+
+    x and y share one noise, z has its own.
+    """
+    own = np.ones_like(problem.centres) if problem.std is None else problem.std
+    residuals = solution.residuals / own
+    free = _freedom(problem)
+    squares = np.sum(residuals**2, axis=0)
+    squares = np.array([squares[0] + squares[1], squares[2]])
+    found = np.sqrt(squares / np.maximum(free, 1.0))
+    found = np.maximum(found, 0.05 * found.max())
+    stated = max(sigma or 0.0, float(np.sqrt(model.least_variance(problem, solution.estimate))))
+    beyond = stated**2 * chi2_isf(0.01, free) / np.maximum(free, 1.0)
+    known = found**2 <= beyond
+    used = np.where(known, stated, found)
+    scale = used[[0, 0, 1]]
+    whitened = residuals / scale
+    rest = None if known.all() else (float(np.sum(whitened**2)), float(free.sum()))
+    return whitened, 1.0 / (own * scale), rest, scale
+
+
+def _freedom(problem: BallPlateProblem) -> Floats:
+    """Return the degrees of freedom of the plane and of z, (2,), for the nominal design."""
+    balls, cmm = len(problem.balls), len(problem.cmm_positions)
+    turned, n = len(problem.table_positions), len(problem.centres)
+    drift = problem.drift
+    axial = n - balls - cmm - 3 * turned - 3 + 9 - drift
+    total = model.degrees_of_freedom(problem) - 3 * drift
+    return np.array([total - axial, axial], dtype=np.float64)
+
+
+def _common(groups: list[Group]) -> list[str]:
+    """Return the kinds of which the typical group scatters, as by the table's repeatability."""
+    found = []
+    for kind in dict.fromkeys(group.kind for group in groups):
+        both = np.array([group.together for group in groups if group.kind == kind])
+        typical = np.median(both[:, 0] / chi2_isf(0.5, np.maximum(both[:, 1], 1.0)))
+        if len(both) > MANY and typical > SHARED:
+            found.append(kind)
+    return found
+
+
+def _shows(group: Group, place: Place) -> bool:
+    """Whether a group or a common shift of one of its gathered subsets stands out."""
+    squares, rank = group.together
+    if squares > chi2_isf(SUSPICIOUS, max(rank, 1)):
+        return True
+    right = place.gathered @ group.residual
+    shift = np.einsum("qa,qab,qb->q", right, place.inverse, right)
+    return float(shift.max(initial=0.0)) > SHOWS
+
+
+def _named(groups: list[Group], problem: BallPlateProblem, taken: Taken) -> list[Group]:
+    """Return the ``groups`` with what people call them, and how many of each were rejected."""
+    known = {kind: taken.counted(problem, kind) for kind in _columns(problem)}
+    found = []
+    for group in groups:
+        number, lost = (column[group.members[0]] for column in known[group.kind])
+        found.append(replace(group, name=f"{group.kind} {number}", lost=int(lost)))
+    return found
+
+
+def view_of(problem: BallPlateProblem) -> View:
+    """Return the groups of a problem; those of a layout are remembered."""
+    std = problem.std
+    if std is not None and not np.ptp(std, axis=0).any() and std[0, 0] == std[0, 1]:
+        std = None  # the plane and z do not meet: whitened, all is as without
+    view = _of_layout(layout_of(replace(problem, std=std, sigma=None), None))
+    if std is problem.std:
+        return view
+    own = np.ones(3) if problem.std is None else problem.std[0]
+    return View(view.places, view.response * own)
+
+
+@lru_cache(maxsize=4)
+def _of_layout(layout: Layout) -> View:
+    problem = layout.problem()
+    view = general.linear_view(problem)
+    n = len(problem.centres)
+    design, std = view.design.toarray(), view.std
+    half = design @ view.covariance
+    response = view.table @ design.T
+    border = drift_columns(problem.run_time, problem.drift).reshape(3 * n, -1) / std[:, None]
+    left = border - half @ (design.T @ border)
+    inverse = np.linalg.inv(border.T @ left) if problem.drift else np.zeros((0, 0))
+    response = response - (response @ border) @ inverse @ left.T
+
+    def cofactor(rows: Ints) -> Floats:
+        at = (3 * rows[:, None] + np.arange(3)).ravel()
+        kept = np.eye(len(at)) - half[at] @ design[at].T - left[at] @ inverse @ left[at].T
+        shape = (len(rows), 3, len(rows), 3)
+        return np.asarray(0.5 * (kept + kept.T)).reshape(shape)
+
+    places = tuple(
+        _placed(problem, cofactor(np.flatnonzero(column == k)), kind, k)
+        for kind, column in _columns(problem).items()
+        for k in np.unique(column).tolist()
+    )
+    everywhere = np.zeros((6, problem.n_positions, n, 3))
+    everywhere[:, problem.table_positions] = response.reshape(6, -1, n, 3)
+    return View(places, everywhere.reshape(-1, n, 3))
+
+
+def _placed(problem: BallPlateProblem, cofactor: Floats, kind: str, number: int) -> Place:
+    rows = np.flatnonzero(_columns(problem)[kind] == number)
+    gathered = _subsets(problem, kind, rows)
+    part = gathered.astype(np.float64)
+    both = np.tensordot(part, cofactor, 1)
+    square = np.einsum("qaeb,qe->qab", both, part)
+    inverse = np.linalg.pinv(square, rcond=1e-6, hermitian=True) if len(part) else square
+    values, vectors = np.linalg.eigh(cofactor.reshape(3 * len(rows), -1))
+    eigen = (np.clip(values, 0.0, 1.0), vectors)
+    return Place(kind, number, rows, cofactor, eigen, gathered, inverse)
+
+
+def _columns(problem: BallPlateProblem) -> dict[str, Ints]:
+    """Return the group of each row (n,) by kind."""
+    return {
+        "table position": problem.position,
+        "ball step": problem.ball_step,
+        "CMM position": problem.cmm_index,
+    }
+
+
+def _subsets(problem: BallPlateProblem, kind: str, rows: Ints) -> Bools:
+    """Return what may be wrong together: neighbours on the plate, in the turn, in time."""
+    along = problem.position[rows] if kind == "ball step" else problem.ball_step[rows]
+    found = runs(along.astype(np.float64), closed=True)
+    if kind != "ball step":
+        found = distinct(found, runs(problem.rows[rows].astype(np.float64)))
+    return _short(found)
+
+
+def _short(subsets: Bools) -> Bools:
+    return np.asarray(subsets[np.isin(subsets.sum(axis=1), RUNS)])

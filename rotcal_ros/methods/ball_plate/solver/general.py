@@ -1,0 +1,264 @@
+"""The least squares of any set of centres: gaps, reduced CMM positions, unequal weights.
+
+The table's six unknowns at a position only meet the centres measured there: they are eliminated
+position by position, which leaves a system in plate, CMM and axis only. It is solved in the
+gauge of smallest norm (the 19 invisible directions are known in closed form) and then moved to
+the constraints of Eq. 15 to 19. Result and covariances equal the dense form (Eq. 20, 21).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.sparse import csr_array
+
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.errors import ObservabilityError
+from rotcal_ros.methods.ball_plate.solver import model
+from rotcal_ros.methods.ball_plate.solver.model import LinearFit, Parameters, Solution
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
+
+MIN_BALLS = 3
+"""Balls that a table position needs: two leave the rotation about their line open."""
+MAX_UNKNOWNS = 6000
+"""Largest covariance matrix that is set up in memory (P x P, 288 MB)."""
+CONDITION_LIMIT = 1e-9
+
+
+def solve_general(problem: BallPlateProblem) -> Solution:
+    """Solve any set of centres.
+
+    Raises ObservabilityError when a table position has too few balls, or when the centres do
+    not determine all parameters; DataError when the problem is too large for this way.
+    """
+    linear = factored(problem)
+    return linear.solution(*linear.fit(problem.deviations))
+
+
+def factored(problem: BallPlateProblem) -> LinearFit:
+    """Factor any set of centres; raises what :func:`solve_general` does."""
+    _check(problem)
+    system = _Eliminated(problem)
+    mover = _to_constraints(problem, system.invisible)
+
+    def fit(observed: Floats) -> tuple[Parameters, Floats]:
+        vector = system.solve(observed)
+        vector += system.solve(observed - system.fitted(vector))  # iterative refinement
+        vector = mover @ vector
+        return model.unpack(problem, vector), observed - system.fitted(vector)
+
+    def solution(estimate: Parameters, residuals: Floats) -> Solution:
+        covariance = mover @ system.covariance() @ mover.T
+        return Solution(
+            estimate=estimate,
+            unit_std=model.unpack(problem, np.sqrt(np.maximum(np.diag(covariance), 0.0))),
+            unit_covariance=model.table_covariance(problem, covariance),
+            residuals=residuals,
+            cofactor=partial(model.residual_cofactor, problem, covariance),
+            weighted_square_sum=model.weighted_square_sum(problem, residuals),
+            dof=model.degrees_of_freedom(problem),
+            way="general",
+        )
+
+    return LinearFit(fit, solution)
+
+
+@dataclass(frozen=True, eq=False)
+class LinearView:
+    """The linear model at its solution, in units of the rows' standard deviations.
+
+    ``design`` (3 n, P), sparse, rows divided by ``std`` (3 n,), m, or 1 where there is none;
+    ``covariance`` (P, P) of the unknowns in the gauge of smallest norm; ``table`` (6 M, P) takes
+    its rows to the six deviations, in the order of ``COMPONENTS``, M values each, m and rad.
+    """
+
+    design: csr_array
+    std: Floats
+    covariance: Floats
+    table: Floats
+
+
+def linear_view(problem: BallPlateProblem) -> LinearView:
+    """Return the linear model of any set of centres; raises what :func:`solve_general` does."""
+    _check(problem)
+    system = _Eliminated(problem)
+    covariance = system.covariance()
+    spread = _to_constraints(problem, system.invisible) @ covariance
+    start = {"rotation": system.at.rotation, "translation": system.at.translation}
+    length = {"rotation": problem.radius, "translation": 1.0}
+    table = np.concatenate(
+        [
+            spread[start[field] + axis + 3 * np.arange(len(problem.table_positions))]
+            / length[field]
+            for field, axis in model.TABLE_COMPONENTS.values()
+        ]
+    )
+    n, width = system.columns.shape
+    rows = np.repeat(np.arange(3 * n), width)
+    columns = np.repeat(system.columns, 3, axis=0).ravel()
+    std = np.ones_like(problem.centres) if problem.std is None else problem.std
+    whitened = (system.local / std[:, :, None]).ravel()
+    design = csr_array((whitened, (rows, columns)), shape=(3 * n, system.at.total))
+    return LinearView(design, std.ravel(), covariance, table)
+
+
+def table_gain(problem: BallPlateProblem) -> Floats:
+    """Return d deviations / d centres (6 M, 3 n) of the linear model.
+
+    Rows: the components in the order of ``COMPONENTS``, M values each, in metres and radians;
+    columns: the coordinates of the rows of ``problem``, metres.
+    """
+    view = linear_view(problem)
+    return np.asarray((view.design @ view.table.T).T / view.std, dtype=np.float64)
+
+
+class _Eliminated:
+    """Normal equations after the table's unknowns are gone, ready for right-hand sides."""
+
+    def __init__(self, problem: BallPlateProblem) -> None:
+        self.problem = problem
+        self.at = model.offsets(problem)
+        self.local, self.columns = model.local_design(problem)
+        self.weight = np.ones_like(problem.centres)
+        if problem.std is not None:
+            self.weight = (np.median(problem.std) / problem.std) ** 2
+        self.unit = 1.0 if problem.std is None else float(np.median(problem.std)) ** 2
+        # Local columns: a, b, c, d, u, v of three each; the rest is a, b, u, v.
+        self.table = self.local[:, :, 6:12]
+        self.rest = np.concatenate([self.local[:, :, :6], self.local[:, :, 12:]], axis=2)
+        self.rest_columns, self.rest_index = _rest_columns(self.at, self.columns)
+        self.table_position = _table_columns(self.at)
+        self._eliminate()
+
+    def _eliminate(self) -> None:
+        problem, n_rest = self.problem, len(self.rest_index)
+        turned = len(problem.table_positions)
+        weighted = self.weight[:, :, None] * self.table
+        own = np.zeros((turned, 6, 6))
+        np.add.at(own, problem.table_index, weighted.swapaxes(1, 2) @ self.table)
+        self.own_inverse = np.linalg.inv(own)
+        mixed = np.zeros((turned, 6, n_rest))
+        cross = weighted.swapaxes(1, 2) @ self.rest
+        where = (problem.table_index[:, None, None], np.arange(6)[None, :, None])
+        np.add.at(mixed, (*where, self.rest_columns[:, None, :]), cross)
+        normal = np.zeros((n_rest, n_rest))
+        local = (self.weight[:, :, None] * self.rest).swapaxes(1, 2) @ self.rest
+        np.add.at(normal, (self.rest_columns[:, :, None], self.rest_columns[:, None, :]), local)
+        self.back = (self.own_inverse @ mixed).reshape(6 * turned, n_rest)
+        normal -= mixed.reshape(6 * turned, n_rest).T @ self.back
+        self.invisible = model.null_space(problem)
+        gauge, _ = np.linalg.qr(self.invisible[self.rest_index])
+        size = np.trace(normal) / n_rest
+        self.factor = _factor(normal + size * gauge @ gauge.T, size)
+
+    def solve(self, observed: Floats) -> Floats:
+        """Return the unknowns (P,) for observations (n, 3), in the gauge of smallest norm."""
+        problem = self.problem
+        weighted = self.weight * observed
+        table = np.zeros((len(problem.table_positions), 6))
+        np.add.at(table, problem.table_index, np.einsum("nij,ni->nj", self.table, weighted))
+        rest = np.zeros(len(self.rest_index))
+        np.add.at(rest, self.rest_columns, np.einsum("nij,ni->nj", self.rest, weighted))
+        unknown = cho_solve(self.factor, rest - self.back.T @ table.ravel())
+        own = (self.own_inverse @ table[:, :, None]).ravel() - self.back @ unknown
+        vector = np.empty(self.at.total)
+        vector[self.rest_index] = unknown
+        vector[self.table_position] = own
+        return vector
+
+    def fitted(self, vector: Floats) -> Floats:
+        """Return the deviations (n, 3) that the unknowns (P,) cause."""
+        fitted: Floats = np.einsum("nij,nj->ni", self.local, vector[self.columns])
+        return fitted
+
+    def covariance(self) -> Floats:
+        """Return the covariance (P, P) of the unknowns in the same gauge."""
+        n_rest, turned = len(self.rest_index), len(self.problem.table_positions)
+        rest = cho_solve(self.factor, np.eye(n_rest))
+        mixed = -self.back @ rest
+        own = -mixed @ self.back.T
+        blocks = own.reshape(turned, 6, turned, 6)
+        every = np.arange(turned)
+        blocks[every, :, every, :] += self.own_inverse
+        covariance = np.empty((self.at.total,) * 2)
+        covariance[np.ix_(self.rest_index, self.rest_index)] = rest
+        covariance[np.ix_(self.table_position, self.rest_index)] = mixed
+        covariance[np.ix_(self.rest_index, self.table_position)] = mixed.T
+        covariance[np.ix_(self.table_position, self.table_position)] = own
+        covariance *= self.unit
+        return covariance
+
+
+def _rest_columns(at: model.Offsets, columns: Ints) -> tuple[Ints, Ints]:
+    """Return where a, b, u, v of every row stand among themselves, and in the full vector."""
+    index = np.concatenate([np.arange(at.rotation), np.arange(at.axis_rotation, at.total)])
+    local = np.concatenate([columns[:, :6], columns[:, 12:]], axis=1)
+    return np.where(local < at.rotation, local, local - 6 * _turned(at)), index
+
+
+def _turned(at: model.Offsets) -> int:
+    """Return the number of table positions in use."""
+    return (at.translation - at.rotation) // 3
+
+
+def _table_columns(at: model.Offsets) -> Ints:
+    """Return where c_i, d_i stand in the full vector, position by position, (6 N,)."""
+    own = np.arange(3 * _turned(at)).reshape(-1, 3)
+    return np.concatenate([at.rotation + own, at.translation + own], axis=1).ravel()
+
+
+def _factor(normal: Floats, size: float) -> tuple[Floats, bool]:
+    try:
+        factor: tuple[Floats, bool] = cho_factor(normal, lower=True)
+    except LinAlgError:
+        raise ObservabilityError(_NOT_DETERMINED) from None
+    if np.min(np.abs(np.diag(factor[0]))) ** 2 < CONDITION_LIMIT * size:
+        raise ObservabilityError(_NOT_DETERMINED)
+    return factor
+
+
+_NOT_DETERMINED = (
+    "the centres do not determine all errors of table, plate and CMM: measure more balls or "
+    "CMM positions, or fill the gaps"
+)
+
+
+def _to_constraints(problem: BallPlateProblem, invisible: Floats) -> Floats:
+    """Return the projector (P, P) along the invisible directions onto the constraints."""
+    constraints = model.constraint_matrix(problem)
+    step = np.linalg.solve(constraints @ invisible, constraints)
+    return np.eye(len(invisible)) - invisible @ step
+
+
+def _check(problem: BallPlateProblem) -> None:
+    unknowns = model.offsets(problem).total
+    if unknowns > MAX_UNKNOWNS:
+        raise ObservabilityError(
+            f"{unknowns} unknowns: incomplete or weighted data are solved up to {MAX_UNKNOWNS}; "
+            "use a coarser grid, or measure the missing centres (complete data have no limit)"
+        )
+    require_balls(problem)
+
+
+def balls_at_positions(problem: BallPlateProblem) -> Ints:
+    """Return how many balls were measured at every table position, (n_positions,)."""
+    cells = np.unique(problem.position * problem.grid + problem.ball_step)
+    return np.bincount(cells // problem.grid, minlength=problem.n_positions)
+
+
+def require_balls(problem: BallPlateProblem, *, everywhere: bool = False) -> None:
+    """Raise ObservabilityError that names the table positions with fewer than three balls.
+
+    ``everywhere`` includes those without any; else they are no part of the problem.
+    """
+    count = balls_at_positions(problem)
+    poor = np.flatnonzero((count < MIN_BALLS) & ((count > 0) | everywhere))
+    if len(poor):
+        shown = ", ".join(f"{i} ({count[i]})" for i in poor[:10])
+        raise ObservabilityError(
+            f"at {len(poor)} table positions fewer than {MIN_BALLS} balls are left, the six "
+            f"errors there are open: position (balls) {shown}; measure more balls there"
+        )

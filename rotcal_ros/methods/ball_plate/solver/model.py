@@ -1,0 +1,315 @@
+"""The linear model of the reduced three-rosette method (Eq. 12 to 19 of the paper).
+
+    m = p_k + c_i x p_k + B_i a_j + d_i + b_k + u x p_k + v,      i = k - j (mod N)
+
+The unknowns stand in one vector in the order a, b, c, d, u, v. Rotations (c, u) are multiplied
+by the radius of the ball circle, so that all unknowns are lengths of the same size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, on_circle
+
+N_CONSTRAINTS = 19
+ROUNDING = 4.0 * np.finfo(np.float64).eps
+"""Smallest error of a coordinate that means anything, as part of the radius."""
+EXACT = 1e4
+"""Residuals with so many times the variance of rounding are noise; below, the data are exact."""
+FIELDS = ("plate", "cmm", "rotation", "translation", "axis_rotation", "axis_shift")
+TABLE_COMPONENTS = {
+    "EXC": ("translation", 0),
+    "EYC": ("translation", 1),
+    "EZC": ("translation", 2),
+    "EAC": ("rotation", 0),
+    "EBC": ("rotation", 1),
+    "ECC": ("rotation", 2),
+}
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Everything the method finds, or its standard deviations.
+
+    ``plate`` (R, 3) are the errors a_j of the balls at table position 0, ``cmm`` (S, 3) those
+    b_k of the CMM, ``rotation`` (M, 3) and ``translation`` (M, 3) the table's c_i and d_i at the
+    table positions in use, ``axis_rotation`` (3,) and ``axis_shift`` (3,) the pose u, v of the
+    axis. Radians and metres.
+    """
+
+    plate: Floats
+    cmm: Floats
+    rotation: Floats
+    translation: Floats
+    axis_rotation: Floats
+    axis_shift: Floats
+
+    def component(self, name: str) -> Floats:
+        """Return the table's component of the ISO 230-1 ``name`` (M,)."""
+        field, axis = TABLE_COMPONENTS[name]
+        column: Floats = getattr(self, field)[:, axis]
+        return column
+
+
+@dataclass(frozen=True)
+class Drift:
+    """An estimated drift of the CMM's origin, metres over the run, (degree, 3) in x, y, z.
+
+    The first row is the linear part, the second the bow: what it adds at both ends of the run to
+    the middle. ``unit_covariance`` (3 degree, 3 degree) is for unit standard deviation.
+    """
+
+    amount: Floats
+    unit_covariance: Floats
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Least squares solution of one problem; covariances are for unit standard deviation.
+
+    ``unit_std`` and ``unit_covariance(first, second)`` (M, M), the covariance of two of the
+    table's components, belong to sigma = 1 m (or to sigma0 = 1 when the rows have their own
+    ``std``): multiply by sigma and sigma^2. ``residuals`` (n, 3), metres, are observed -
+    computed; ``cofactor()`` (n, 3, 3) is their unit covariance. ``weighted_square_sum`` is w'w.
+    """
+
+    estimate: Parameters
+    unit_std: Parameters
+    unit_covariance: Callable[[str, str], Floats]
+    residuals: Floats
+    cofactor: Callable[[], Floats]
+    weighted_square_sum: float
+    dof: int
+    way: str
+    drift: Drift | None = None
+
+
+@dataclass(frozen=True)
+class LinearFit:
+    """The factored linear model of a problem, ready for any number of right-hand sides.
+
+    ``fit`` takes deviations (n, 3) of the rows of the problem, metres, to the parameters and to
+    the residuals (n, 3); ``solution`` joins parameters and residuals with their covariances.
+    """
+
+    fit: Callable[[Floats], tuple[Parameters, Floats]]
+    solution: Callable[[Parameters, Floats], Solution]
+
+
+def scaled(unit: Parameters, axes: Floats) -> Parameters:
+    """Scale standard deviations: ``axes`` (3,) belong to x, y (the same) and z of a centre.
+
+    Rotations about x and y are measured along z, the one about z in the plane.
+    """
+    turned = axes[[2, 2, 0]]
+    return Parameters(
+        plate=unit.plate * axes,
+        cmm=unit.cmm * axes,
+        rotation=unit.rotation * turned,
+        translation=unit.translation * axes,
+        axis_rotation=unit.axis_rotation * turned,
+        axis_shift=unit.axis_shift * axes,
+    )
+
+
+def of_component(axes: Floats, name: str) -> float:
+    """Return that of ``axes`` (3,), x, y (the same) and z, which a component follows."""
+    return float(axes[2] if name in ("EZC", "EAC", "EBC") else axes[0])
+
+
+def weighted_square_sum(problem: BallPlateProblem, residuals: Floats) -> float:
+    """Return w'w: residuals in metres, or in units of ``std`` where every row has its own."""
+    scaled = residuals if problem.std is None else residuals / problem.std
+    return float(np.sum(scaled**2))
+
+
+def rounding_variance(problem: BallPlateProblem) -> float:
+    """Return the variance of rounding alone of a centre, in units of ``std`` if there is one."""
+    return float((ROUNDING * problem.radius / _smallest(problem)) ** 2)
+
+
+def least_variance(problem: BallPlateProblem, found: Parameters) -> float:
+    """Return the variance of a centre that is no noise yet, in units of ``std`` if there is one.
+
+    So much is left of exact data: by their last bits, and because the model takes the CMM's error
+    to be the same wherever around its position the errors of the plate take a ball. How the plate
+    stands does not count, the table's own motion takes that. Tests divide by no less.
+    """
+    place = np.concatenate(
+        [np.tile(np.eye(3), (len(found.plate), 1, 1)), cross_unit(problem.angles[problem.balls])],
+        axis=2,
+    ).reshape(-1, 6)
+    plate = found.plate.ravel()
+    plate = plate - place @ np.linalg.lstsq(place, plate, rcond=None)[0]
+    products = 3.0 * np.sqrt(np.mean(plate**2) * np.mean(found.cmm**2)) / problem.radius
+    return max(EXACT * rounding_variance(problem), float(products / _smallest(problem)) ** 2)
+
+
+def _smallest(problem: BallPlateProblem) -> float:
+    return 1.0 if problem.std is None else float(problem.std.min())
+
+
+def degrees_of_freedom(problem: BallPlateProblem) -> int:
+    """Return observations - unknowns + constraints."""
+    unknowns = 3 * len(problem.balls) + 3 * len(problem.cmm_positions) + 6
+    unknowns += 6 * len(problem.table_positions)
+    return 3 * len(problem.centres) - unknowns + N_CONSTRAINTS
+
+
+def cross_unit(angles: Floats) -> Floats:
+    """Return the matrices C with C w = w x (cos, sin, 0), (n, 3, 3)."""
+    return cross_matrix(-on_circle(angles))
+
+
+@dataclass(frozen=True)
+class Offsets:
+    """Where the blocks a, b, c, d, u, v start in the vector of unknowns."""
+
+    plate: int
+    cmm: int
+    rotation: int
+    translation: int
+    axis_rotation: int
+    axis_shift: int
+    total: int
+
+
+def offsets(problem: BallPlateProblem) -> Offsets:
+    """Return the offsets of the blocks of unknowns."""
+    turned = len(problem.table_positions)
+    sizes = (len(problem.balls), len(problem.cmm_positions), turned, turned, 1, 1)
+    starts = np.concatenate([[0], np.cumsum(3 * np.array(sizes))])
+    return Offsets(*(int(start) for start in starts))
+
+
+def local_design(problem: BallPlateProblem) -> tuple[Floats, Ints]:
+    """Return the 18 non-zero columns of every row: (n, 3, 18) coefficients, (n, 18) indices."""
+    at = offsets(problem)
+    n = len(problem.centres)
+    turn = rotation_about_z(problem.angles)[problem.position]
+    cross = cross_unit(problem.angles)[problem.cmm_index]
+    identity = np.broadcast_to(np.eye(3), (n, 3, 3))
+    coefficients = np.concatenate([turn, identity, cross, identity, cross, identity], axis=2)
+    starts = np.stack(
+        [
+            at.plate + 3 * np.searchsorted(problem.balls, problem.ball_step),
+            at.cmm + 3 * np.searchsorted(problem.cmm_positions, problem.cmm_index),
+            at.rotation + 3 * problem.table_index,
+            at.translation + 3 * problem.table_index,
+            np.full(n, at.axis_rotation),
+            np.full(n, at.axis_shift),
+        ],
+        axis=1,
+    )
+    columns = (starts[:, :, None] + np.arange(3)).reshape(n, 18)
+    return coefficients, columns
+
+
+def design_matrix(problem: BallPlateProblem) -> Floats:
+    """Return T (3n, P) of Eq. 14; rows in the order of the centres, x, y, z of each."""
+    coefficients, columns = local_design(problem)
+    n = len(problem.centres)
+    matrix = np.zeros((n, 3, offsets(problem).total))
+    # a centre touches every column at most once, so plain assignment is enough
+    np.put_along_axis(matrix, np.repeat(columns[:, None, :], 3, axis=1), coefficients, axis=2)
+    return matrix.reshape(3 * n, -1)
+
+
+def constraint_matrix(problem: BallPlateProblem) -> Floats:
+    """Return G (19, P) of the constraints G xi = 0 (Eq. 15 to 19)."""
+    at = offsets(problem)
+    angles = problem.angles
+    matrix = np.zeros((N_CONSTRAINTS, at.total))
+    identity = np.eye(3)
+    across = angles[problem.cmm_positions]
+    back = rotation_about_z(angles[problem.table_positions]).transpose(0, 2, 1)
+    ball = rotation_about_z(angles[problem.balls])
+    cmm = slice(at.cmm, at.rotation)
+    rotation = slice(at.rotation, at.translation)
+    translation = slice(at.translation, at.axis_rotation)
+    matrix[0:3, cmm] = np.tile(identity, len(problem.cmm_positions))  # Eq. 15, left
+    matrix[3:6, cmm] = -np.hstack(list(cross_unit(across)))  # Eq. 15, right
+    matrix[6, cmm] = on_circle(across).ravel()  # Eq. 16
+    matrix[7:10, rotation] = matrix[10:13, translation] = np.tile(identity, len(back))  # Eq. 17
+    matrix[13:15, rotation] = matrix[15:17, translation] = np.hstack(list(back[:, :2]))  # Eq. 18
+    matrix[17, : at.cmm] = ball[:, :, 1].ravel()  # Eq. 19, tangential
+    matrix[18, 2 : at.cmm : 3] = 1.0  # Eq. 19, axial
+    return matrix
+
+
+def null_space(problem: BallPlateProblem) -> Floats:
+    """Return the 19 directions (P, 19) that the measurement cannot see.
+
+    What they are: a plate shifted (3) or turned (3) on a table that makes up for it; a table
+    with a constant shift (3) or rotation (3), an axis shifted (3) or turned (3), taken back by
+    the CMM; a CMM circle and a plate that are larger and smaller (1).
+    """
+    at = offsets(problem)
+    space = np.zeros((at.total, N_CONSTRAINTS))
+    identity = np.eye(3)
+    turn = rotation_about_z(problem.angles[problem.table_positions]).reshape(-1, 3)
+    constant = np.tile(identity, (len(problem.table_positions), 1))
+    all_cmm = np.tile(identity, (len(problem.cmm_positions), 1))
+    ball_angles, cmm_angles = problem.angles[problem.balls], problem.angles[problem.cmm_positions]
+    cross_ball = cross_unit(ball_angles).reshape(-1, 3)
+    cross_cmm = cross_unit(cmm_angles).reshape(-1, 3)
+    plate, cmm = slice(at.plate, at.cmm), slice(at.cmm, at.rotation)
+    rotation, translation = slice(at.rotation, at.translation), slice(at.translation, -6)
+    space[translation, 0:3], space[plate, 0:3] = turn, -np.tile(identity, (len(ball_angles), 1))
+    space[rotation, 3:6], space[plate, 3:6] = turn, -cross_ball
+    space[translation, 6:9], space[cmm, 6:9] = constant, -all_cmm
+    space[rotation, 9:12], space[cmm, 9:12] = constant, -cross_cmm
+    space[at.axis_shift :, 12:15], space[cmm, 12:15] = identity, -all_cmm
+    space[at.axis_rotation : at.axis_shift, 15:18], space[cmm, 15:18] = identity, -cross_cmm
+    space[plate, 18] = -rotation_about_z(ball_angles)[:, :, 0].ravel()
+    space[cmm, 18] = rotation_about_z(cmm_angles)[:, :, 0].ravel()
+    return space
+
+
+def unpack(problem: BallPlateProblem, vector: Floats) -> Parameters:
+    """Split a vector (P,) of unknowns (or of their standard deviations) into its parts."""
+    at = offsets(problem)
+    parts = vector.reshape(-1, 3)
+    return Parameters(
+        plate=parts[: at.cmm // 3],
+        cmm=parts[at.cmm // 3 : at.rotation // 3],
+        rotation=parts[at.rotation // 3 : at.translation // 3] / problem.radius,
+        translation=parts[at.translation // 3 : -2],
+        axis_rotation=parts[-2] / problem.radius,
+        axis_shift=parts[-1],
+    )
+
+
+def table_covariance(
+    problem: BallPlateProblem, covariance: Floats
+) -> Callable[[str, str], Floats]:
+    """Return the function that cuts the covariance of two components out of (P, P)."""
+    at = offsets(problem)
+
+    def cut(first: str, second: str) -> Floats:
+        pick, factor = [], 1.0
+        for name in (first, second):
+            field, axis = TABLE_COMPONENTS[name]
+            start = getattr(at, field) + axis
+            pick.append(start + 3 * np.arange(len(problem.table_positions)))
+            factor /= problem.radius if field == "rotation" else 1.0
+        block: Floats = covariance[np.ix_(*pick)] * factor
+        return block
+
+    return cut
+
+
+def residual_cofactor(problem: BallPlateProblem, covariance: Floats) -> Floats:
+    """Return the unit covariance (n, 3, 3) of the residuals from that of the unknowns (P, P)."""
+    coefficients, columns = local_design(problem)
+    local = covariance[columns[:, :, None], columns[:, None, :]]
+    fitted = coefficients @ local @ coefficients.transpose(0, 2, 1)
+    own = np.ones_like(problem.centres) if problem.std is None else problem.std**2
+    cofactor: Floats = own[:, :, None] * np.eye(3) - fitted
+    return cofactor

@@ -1,0 +1,266 @@
+"""What the ball plate method is given: centres of balls at table positions, nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.errors import DataError, PlanError
+
+
+@dataclass(frozen=True)
+class BallPlateProblem:
+    """Ball centres measured on a plate that stands on a rotary table.
+
+    Row ``r`` is the centre ``centres[r]`` (n, 3), in metres, of the ball on grid step
+    ``ball_step[r]`` while the table stood at position ``position[r]``; the table turns
+    counter-clockwise by ``2 pi / grid`` per position. The frame is fixed to the CMM: z along
+    the table axis, origin on the axis at the height of the ball centres, ball step 0 at table
+    position 0 near the +x axis. ``radius`` is the nominal radius of the ball circle in metres.
+    ``bidirectional``: position 2 grid - 1 - i stands at the angle of position i, reached from the
+    other side, with errors of its own.
+
+    ``sigma`` is the standard deviation of a centre coordinate in metres, None when it shall be
+    taken from the residuals. ``std`` (n, 3), in metres, gives every coordinate its own standard
+    deviation instead. ``row`` (n,) numbers the rows in the order of measurement: the numbers
+    appear in every message, and a plate that moved is looked for along them.
+    ``time`` (n,), s, says when each was measured; without it the rows count as equally long. A
+    drift of the CMM's origin, ``drift`` of 0 (none), 1 (linear) or 2 (quadratic in time), is
+    estimated along; a drift within +- ``drift_allowance``, m over the run along each axis, is
+    covered by the uncertainty. ``separate_groups`` accepts a plate whose ball steps share a
+    factor with the grid: the groups of table positions are then solved separately, each with its
+    own zero. ``group_allowance``, m on the circle of the balls, bounds how far apart these are,
+    and the uncertainty covers it; 0 states nothing, and the offset between the groups stays open.
+
+    Rows are kept in a canonical order (ball step, table position, row number), so that the
+    order of the table cannot change a bit of the result. Raises DataError for wrong shapes and
+    indices outside the grid.
+    """
+
+    grid: int
+    radius: float
+    position: Ints
+    ball_step: Ints
+    centres: Floats
+    sigma: float | None = None
+    std: Floats | None = None
+    row: Ints | None = None
+    separate_groups: bool = False
+    time: Floats | None = None
+    drift: int = 0
+    drift_allowance: float = 0.0
+    bidirectional: bool = False
+    group_allowance: float = 0.0
+
+    def __post_init__(self) -> None:
+        table = np.asarray(self.position, dtype=np.int64)
+        ball = np.asarray(self.ball_step, dtype=np.int64)
+        centres = np.asarray(self.centres, dtype=np.float64)
+        row = np.arange(len(table)) if self.row is None else np.asarray(self.row, dtype=np.int64)
+        std = None if self.std is None else np.asarray(self.std, dtype=np.float64)
+        _check_constants(self.grid, self.radius, self.sigma)
+        _check_drift(self.drift, self.drift_allowance, self.group_allowance)
+        _check_shapes(table, ball, centres, row, std)
+        _check_indices(table, row, "table position", self.n_positions)
+        _check_indices(ball, row, "ball step", self.grid)
+        order = np.lexsort((row, table, ball))
+        object.__setattr__(self, "position", table[order])
+        object.__setattr__(self, "ball_step", ball[order])
+        object.__setattr__(self, "centres", centres[order])
+        object.__setattr__(self, "row", row[order])
+        object.__setattr__(self, "std", None if std is None else std[order])
+        if self.time is not None:
+            time = np.asarray(self.time, dtype=np.float64)
+            _check_time(time, len(table))
+            object.__setattr__(self, "time", time[order])
+
+    @cached_property
+    def rows(self) -> Ints:
+        """Row numbers (n,) in the order of measurement."""
+        return np.asarray(self.row, dtype=np.int64)
+
+    @cached_property
+    def run_time(self) -> Floats:
+        """When each row was measured, -0.5 at the first and 0.5 at the last, (n,)."""
+        return self.run_time_on(self)
+
+    def run_time_on(self, reference: BallPlateProblem) -> Floats:
+        """When each row was measured (n,), on the scale of the run time of ``reference``."""
+        own = self.rows if self.time is None else self.time
+        scale = reference.rows if reference.time is None else reference.time
+        first, span = float(scale.min()), float(scale.max() - scale.min()) or 1.0
+        return np.asarray((own - first) / span - 0.5, dtype=np.float64)
+
+    @cached_property
+    def cmm_index(self) -> Ints:
+        """CMM position k = grid step of the table + ball step, modulo the grid, (n,)."""
+        return (grid_step(self.position, self.grid) + self.ball_step) % self.grid
+
+    @property
+    def n_positions(self) -> int:
+        """Number N of table positions, those from either side counted on their own."""
+        return self.grid * (1 + self.bidirectional)
+
+    @cached_property
+    def balls(self) -> Ints:
+        """The ball steps in use, ascending, (R,)."""
+        return np.unique(self.ball_step)
+
+    @cached_property
+    def cmm_positions(self) -> Ints:
+        """The CMM positions in use, ascending, (S,)."""
+        return np.unique(self.cmm_index)
+
+    @cached_property
+    def table_positions(self) -> Ints:
+        """The table positions in use, ascending, (M,); all of them unless some are missing."""
+        return np.unique(self.position)
+
+    @cached_property
+    def table_index(self) -> Ints:
+        """Where the table position of every row stands in ``table_positions``, (n,)."""
+        return np.searchsorted(self.table_positions, self.position)
+
+    @cached_property
+    def angles(self) -> Floats:
+        """Commanded table angles in radians, (n_positions,)."""
+        return grid_angles(self.grid)[grid_step(np.arange(self.n_positions), self.grid)]
+
+    @cached_property
+    def complete(self) -> bool:
+        """Whether every ball was measured exactly once at every table position, from one side."""
+        if self.bidirectional:
+            return False
+        cells = self.ball_step * self.grid + self.position
+        return len(cells) == len(self.balls) * self.grid and len(np.unique(cells)) == len(cells)
+
+    @cached_property
+    def deviations(self) -> Floats:
+        """Measured minus nominal centres m - p_k, metres, (n, 3)."""
+        return self.centres - self.radius * on_circle(self.angles[self.cmm_index])
+
+    def row_name(self, r: int | np.integer) -> str:
+        """Return what a row is, for messages."""
+        return (
+            f"row {self.rows[r]} (ball step {self.ball_step[r]}, table position "
+            f"{self.position[r]})"
+        )
+
+    def take(self, keep: Bools | Ints) -> BallPlateProblem:
+        """Return the problem with only the rows ``keep`` (mask or indices, canonical order)."""
+        return replace(
+            self,
+            position=self.position[keep],
+            ball_step=self.ball_step[keep],
+            centres=self.centres[keep],
+            row=self.rows[keep],
+            std=None if self.std is None else self.std[keep],
+            time=None if self.time is None else self.time[keep],
+        )
+
+
+def select(
+    problem: BallPlateProblem,
+    *,
+    balls: Ints | list[int] | None = None,
+    cmm_positions: Ints | list[int] | None = None,
+    coarser: int = 1,
+) -> BallPlateProblem:
+    """Evaluate the same data with fewer balls, fewer CMM positions or a coarser grid.
+
+    ``coarser`` = 2 turns a 5 degree grid into a 10 degree grid: only balls and table positions
+    on the coarse grid stay and are renumbered. Raises PlanError when a wanted ball or position
+    was not measured, when ``coarser`` does not divide the grid, or when nothing is left.
+    """
+    if coarser < 1 or problem.grid % coarser:
+        raise PlanError(f"a grid of {problem.grid} steps cannot be made {coarser} times coarser")
+    step = grid_step(problem.position, problem.grid)
+    keep = (problem.ball_step % coarser == 0) & (step % coarser == 0)
+    for wanted, column, name in (
+        (balls, problem.ball_step, "ball steps"),
+        (cmm_positions, problem.cmm_index, "CMM positions"),
+    ):
+        if wanted is None:
+            continue
+        missing = np.setdiff1d(wanted, column)
+        if len(missing):
+            raise PlanError(f"{name} {missing.tolist()} were not measured")
+        keep &= np.isin(column, wanted)
+    if not keep.any():
+        raise PlanError("no centre is left after the selection of balls, positions and grid")
+    part, upward = problem.take(keep), problem.position[keep] < problem.grid
+    grid = part.grid // coarser
+    return replace(
+        part,
+        grid=grid,
+        position=position_of(step[keep] // coarser, upward, grid),
+        ball_step=part.ball_step // coarser,
+    )
+
+
+def grid_step(position: Ints, grid: int) -> Ints:
+    """Return the grid step (n,) of table positions: 0 to grid - 1, then down again."""
+    return np.where(position < grid, position, 2 * grid - 1 - position)
+
+
+def position_of(step: Ints, upward: Bools, grid: int) -> Ints:
+    """Return the table position (n,) at a grid ``step`` that is reached from one side."""
+    return np.where(upward, step, 2 * grid - 1 - step)
+
+
+def grid_angles(grid: int) -> Floats:
+    """Return the angles 2 pi i / grid in radians, (grid,)."""
+    return 2.0 * np.pi * np.arange(grid) / grid
+
+
+def on_circle(angle: Floats) -> Floats:
+    """Return the points (n, 3) of the unit circle at ``angle`` (n,), rad from +x."""
+    return np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
+
+
+def _check_constants(grid: int, radius: float, sigma: float | None) -> None:
+    if grid < 3:
+        raise DataError(f"a grid of {grid} table positions: at least 3 are needed")
+    if not (np.isfinite(radius) and radius > 0.0):
+        raise DataError(f"radius of the ball circle is {radius} m: a positive length is needed")
+    if sigma is not None and not (np.isfinite(sigma) and sigma > 0.0):
+        raise DataError(f"stated noise of a centre is {sigma} m: a positive length is needed")
+
+
+def _check_shapes(table: Ints, ball: Ints, centres: Floats, row: Ints, std: Floats | None) -> None:
+    n = len(table)
+    shapes = {"position": table.shape, "ball_step": ball.shape, "row": row.shape}
+    wrong = [f"{name} {shape}" for name, shape in shapes.items() if shape != (n,)]
+    if centres.shape != (n, 3):
+        wrong.append(f"centres {centres.shape}")
+    if std is not None and (std.shape != (n, 3) or not np.all(std > 0.0)):
+        raise DataError(f"std must hold {n} x 3 positive lengths, found {std.shape}")
+    if wrong or n == 0:
+        raise DataError(f"columns do not fit together: {', '.join(wrong) or 'no rows at all'}")
+
+
+def _check_drift(degree: int, allowance: float, of_groups: float) -> None:
+    if degree not in (0, 1, 2):
+        raise DataError(f"drift of degree {degree}: 0 (none), 1 (linear) or 2 (quadratic)")
+    if not (np.isfinite(allowance) and allowance >= 0.0):
+        raise DataError(f"drift allowance is {allowance} m: a length is needed, 0 for none")
+    if not (np.isfinite(of_groups) and of_groups >= 0.0):
+        raise DataError(f"group allowance is {of_groups} m: a length is needed, 0 for none")
+
+
+def _check_time(time: Floats, n: int) -> None:
+    if time.shape != (n,) or not np.isfinite(time).all():
+        raise DataError(f"time must hold {n} finite seconds, found {time.shape}")
+
+
+def _check_indices(column: Ints, row: Ints, name: str, count: int) -> None:
+    outside = np.flatnonzero((column < 0) | (column >= count))
+    if len(outside):
+        first = outside[0]
+        raise DataError(
+            f"row {row[first]}: {name} {column[first]} is outside 0..{count - 1} "
+            f"({len(outside)} such rows); check the grid of the plate"
+        )

@@ -1,0 +1,157 @@
+"""Whether balls and positions separate table, plate and CMM; if not, what is lost, in words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import gcd
+
+import numpy as np
+
+from rotcal_ros.foundation.arrays import Complexes, Floats, Ints
+from rotcal_ros.foundation.errors import ObservabilityError
+from rotcal_ros.methods.ball_plate.solver import harmonics, model
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
+
+TOLERANCE = 1e-9
+"""Eigenvalues below this, relative to the number of balls, count as zero."""
+WEAK = 1e-3
+"""Eigenvalues below this make a harmonic weak: its standard deviation is 30 times larger."""
+MAX_DENSE = 2500
+"""Unknowns up to which an incomplete measurement is searched for the harmonics it loses."""
+
+# Harmonic q of w+, w-, s in the turning frame is harmonic q + 1, q - 1, q in the fixed frame.
+_COMPONENTS = (
+    (("EXC, EYC", 1), ("EXC, EYC", -1), ("ECC", 0)),
+    (("EAC, EBC", 1), ("EAC, EBC", -1), ("EZC", 0)),
+)
+
+
+@dataclass(frozen=True)
+class Separability:
+    """Outcome: ``common_divisor`` of Eq. 22, rank deficit, and the lost and weak harmonics.
+
+    ``lost`` and ``weak`` map component names to ascending harmonic numbers (0..N//2).
+    """
+
+    common_divisor: int
+    deficit: int
+    lost: dict[str, tuple[int, ...]]
+    weak: dict[str, tuple[int, ...]]
+
+    @property
+    def separable(self) -> bool:
+        """Whether all parameters are determined."""
+        return self.deficit == 0
+
+    def sentences(self) -> tuple[str, ...]:
+        """Return the findings in words, nothing when all is well."""
+        found = []
+        if self.common_divisor > 1:
+            found.append(
+                f"all distances between balls share the factor {self.common_divisor} with the "
+                f"grid, which splits the positions into {self.common_divisor} groups without a "
+                "connection (Eq. 22)"
+            )
+        if self.lost:
+            found.append(
+                "cannot be told apart from plate and CMM: " + _spell(self.lost) + "; choose ball "
+                "steps without a common factor, or more balls"
+            )
+        if self.weak:
+            found.append("only weakly separated: " + _spell(self.weak))
+        return tuple(found)
+
+
+def common_divisor(grid: int, balls: Ints) -> int:
+    """Return gcd(j2 - j1, ..., jR - j1, N) of Eq. 22; 1 is necessary, and enough for R >= 5."""
+    return gcd(grid, *(int(ball - balls[0]) for ball in balls))
+
+
+def separability(grid: int, balls: Ints) -> Separability:
+    """Judge a layout of balls (steps) that is measured at all CMM positions."""
+    balls = np.unique(balls)
+    sums = harmonics.phases(grid, balls).sum(axis=1)
+    values, vectors = np.linalg.eigh(harmonics.normal_matrices(sums, len(balls)))
+    lost, weak = values < TOLERANCE * len(balls), values < WEAK * len(balls)
+    return Separability(
+        common_divisor=common_divisor(grid, balls),
+        deficit=_deficit(grid, lost),
+        lost=_by_component(grid, lost, vectors),
+        weak=_by_component(grid, weak & ~lost, vectors),
+    )
+
+
+def separability_of(problem: BallPlateProblem) -> Separability:
+    """Judge the centres of a problem, complete or with gaps.
+
+    The lost harmonics of incomplete data come from the null space of the whole model; beyond
+    ``MAX_DENSE`` unknowns only the layout of the balls is judged.
+    """
+    layout = separability(problem.grid, problem.balls)
+    if problem.complete or model.offsets(problem).total > MAX_DENSE:
+        return layout
+    lost, deficit = _lost_of_dense(problem)
+    return replace(layout, deficit=deficit, lost=lost, weak={} if deficit else layout.weak)
+
+
+def require_separable(problem: BallPlateProblem) -> None:
+    """Raise ObservabilityError that says in words what is lost, if anything is."""
+    found = separability_of(problem)
+    if not found.separable:
+        raise ObservabilityError(
+            f"{len(problem.balls)} balls at steps {problem.balls.tolist()} of {problem.grid}, "
+            f"{len(problem.cmm_positions)} CMM positions: " + "; ".join(found.sentences())
+        )
+
+
+def _deficit(grid: int, zero: np.ndarray) -> int:
+    """Count real unknowns: a complex one has two, at the Nyquist harmonic one."""
+    count = 2 * int(zero.sum())
+    return count - int(zero[:, -1].sum()) if grid % 2 == 0 else count
+
+
+def _by_component(grid: int, chosen: np.ndarray, vectors: Complexes) -> dict[str, tuple[int, ...]]:
+    """Name the unknowns that take part in the chosen eigenvectors (2, Q, 3 columns)."""
+    found: dict[str, set[int]] = {}
+    for block, q, column in np.argwhere(chosen):
+        share = np.abs(vectors[block, q, :, column])
+        for part in np.flatnonzero(share > 1e-3):
+            name, offset = _COMPONENTS[block][part]
+            harmonic = (q + 1 + offset) % grid
+            found.setdefault(name, set()).add(int(min(harmonic, grid - harmonic)))
+    return {name: tuple(sorted(found[name])) for name in sorted(found)}
+
+
+def _lost_of_dense(problem: BallPlateProblem) -> tuple[dict[str, tuple[int, ...]], int]:
+    """Return the harmonics in the null space of model and constraints, and its dimension."""
+    stacked = np.vstack([model.design_matrix(problem), model.constraint_matrix(problem)])
+    values, vectors = np.linalg.eigh(stacked.T @ stacked)
+    null = vectors[:, values < TOLERANCE * values[-1]]
+    found: dict[str, tuple[int, ...]] = {}
+    at = model.offsets(problem)
+    for name, (field, axis) in model.TABLE_COMPONENTS.items():
+        start = getattr(at, field) + axis
+        end = start + 3 * len(problem.table_positions)
+        sequences: Floats = null[start:end:3][: problem.grid]
+        share = np.abs(np.fft.rfft(sequences, axis=0)).max(axis=1, initial=0.0)
+        present = np.flatnonzero(share > 1e-6 * np.sqrt(problem.grid))
+        if len(present):
+            found[name] = tuple(int(q) for q in present)
+    return found, null.shape[1]
+
+
+def _spell(parts: dict[str, tuple[int, ...]]) -> str:
+    return "; ".join(
+        f"harmonic{'s' if len(q) > 1 else ''} {_ranges(q)} of {name}" for name, q in parts.items()
+    )
+
+
+def _ranges(numbers: tuple[int, ...]) -> str:
+    """Write 1, 2, 3, 7 as '1-3, 7'."""
+    groups: list[list[int]] = []
+    for number in numbers:
+        if groups and number == groups[-1][-1] + 1:
+            groups[-1].append(number)
+        else:
+            groups.append([number])
+    return ", ".join(str(g[0]) if len(g) == 1 else f"{g[0]}-{g[-1]}" for g in groups)

@@ -1,0 +1,69 @@
+"""Ball centres as a plain table: ``position,ball_step,x_m,y_m,z_m``; set-ups that are a plate.
+
+Optional columns ``sx_m,sy_m,sz_m``: the standard deviation of each centre.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.observations import PointKind
+from rotcal_ros.foundation.tables import Header, Row, Table, hashes
+from rotcal_ros.methods.ball_plate.plate import parse_plate
+from rotcal_ros.methods.calibration import prepare
+from rotcal_ros.methods.configuration import Configuration
+from rotcal_ros.methods.measurements import PlannedMeasurements, StepFinder
+
+STD: Final[Header] = ("sx_m", "sy_m", "sz_m")
+_CENTRES: Final[Header] = ("position", "ball_step", "x_m", "y_m", "z_m")
+HEADERS: Final[tuple[Header, ...]] = (_CENTRES, _CENTRES + STD)
+SIGMA: Final = "sigma_centre_m"
+AXES: Final = "sigma_axes_m"
+
+
+def read(configuration: Configuration, table: Table, _targets: Path | None) -> PlannedMeasurements:
+    """Return ball centres by table position and ball step, numbered in the order of the rows.
+
+    A plate that moved is looked for in the order of measurement, which is that of the rows.
+    Standard deviations in the table take the place of those of the set-up.
+    """
+    stated = table.header[-3:] == STD
+    if stated:
+        solver = replace(configuration.solver, own_std=True)
+        configuration = replace(configuration, solver=solver)
+    calibration = prepare(configuration)
+    find = StepFinder(calibration.plan, target="ball step")
+    observations = []
+    for number, row in enumerate(table.rows()):
+        step = find(row, row.index("position"), row.index("ball_step"))
+        observation = step.observed(row.point(), PointKind.CENTRE)
+        std = tuple(_std(row, name) for name in STD) if stated else observation.std
+        observations.append(replace(observation, step=number, std=std))
+    return PlannedMeasurements(calibration, tuple(observations), hashes(table.path))
+
+
+def short_setup(document: Mapping[str, Any], where: str) -> Mapping[str, Any]:
+    """Return the groups of settings that the entries of a plate file state.
+
+    Beside the plate, ``sigma_centre_m`` states the standard deviation of a centre: a number, or a
+    list of three for x, y, z. Raises ConfigurationError for a plate that cannot be.
+    """
+    entries = {name: value for name, value in document.items() if name not in ("method", SIGMA)}
+    parse_plate(entries, where)
+    groups: dict[str, Any] = {"plan": {"plate": entries, "measure": "centre"}}
+    if SIGMA in document:
+        several = isinstance(document[SIGMA], list)
+        groups["solver"] = {AXES if several else SIGMA: document[SIGMA]}
+    return groups
+
+
+def _std(row: Row, name: str) -> float:
+    """Return a standard deviation, metres; raises DataError unless it is positive."""
+    value = row.metres(name, farthest=1e-2)
+    if not value > 0.0:
+        raise DataError(f"{row.place}: {name} must be positive, found {value:g} m")
+    return value

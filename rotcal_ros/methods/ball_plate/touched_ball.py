@@ -1,0 +1,114 @@
+"""The centre of a ball: from its touch points, or as the machine computed it; and its checks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import dist
+
+import numpy as np
+
+from rotcal_ros.capture.points import mean_point
+from rotcal_ros.capture.settings import CaptureSettings
+from rotcal_ros.capture.window import Reduced
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.observations import ProbeSample
+from rotcal_ros.foundation.units import MICROMETRE, MILLIMETRE
+from rotcal_ros.geometry.sphere import Spheres, fit_spheres
+from rotcal_ros.planning.plan import Step
+
+LOWER = 0.1
+"""Part of the radius by which touch points on the upper half cannot lie below the centre."""
+_DOUBT = 5.0
+"""Standard deviations by which a fitted radius may differ from the stated one."""
+
+
+def touched_centre(
+    samples: Sequence[ProbeSample], step: Step, settings: CaptureSettings
+) -> Reduced:
+    """Return the centre (m) of the sphere through touch points, where the plan has the ball."""
+    return in_place(fitted_centre(samples, step, settings), step, settings)
+
+
+def reported_centre(
+    samples: Sequence[ProbeSample], step: Step, settings: CaptureSettings
+) -> Reduced:
+    """Return the centre (m) that the machine computed, where the plan has the ball."""
+    return in_place(mean_point(samples, step, settings), step, settings)
+
+
+def fitted_centre(
+    samples: Sequence[ProbeSample], step: Step, settings: CaptureSettings
+) -> Reduced:
+    """Return the centre (m) of the sphere through touch points, or why there is none.
+
+    The ball's and the tip's radius are known; points that stand out of the others (dirt) are
+    left out. ``scatter`` is the standard deviation of a touch point, ``std`` that of the centre.
+    """
+    tips = sorted({sample.tip_radius for sample in samples})
+    if len(tips) > 1 or not tips[0] >= 0.0:
+        return Reduced(reason=f"the touch points name the tip radii {tips} m; expected one")
+    points = np.array([[sample.position for sample in samples]])
+    spheres = fit_spheres(points, radius=0.5 * step.ball_diameter, tip_radius=tips[0])
+    n_used = int(spheres.used.sum())
+    if spheres.reason[0]:
+        return Reduced(n_used=n_used, reason=spheres.reason[0])
+    x, y, z = spheres.centres[0].tolist()
+    std_x, std_y, std_z = np.sqrt(np.diag(spheres.covariance[0])).tolist()
+    return Reduced(
+        mean=(x, y, z),
+        std=(std_x, std_y, std_z),
+        scatter=(float(spheres.std[0]),) * 3,
+        n_used=n_used,
+        reason=_doubt(points, spheres, step, tips[0], settings),
+    )
+
+
+def in_place(reduced: Reduced, step: Step, settings: CaptureSettings) -> Reduced:
+    """Return ``reduced``, rejected when the ball is not where the plan has it."""
+    if reduced.reason:
+        return reduced
+    away = dist(reduced.mean, step.position)
+    if away <= settings.ball_tolerance_m:
+        return reduced
+    reason = (
+        f"the ball of step {step.target} is {away / MILLIMETRE:.4g} mm from its planned place "
+        f"{step.position} m, found {reduced.mean}, allowed "
+        f"{settings.ball_tolerance_m / MILLIMETRE:g} mm: another ball, a plate mounted shifted or "
+        "upside down, or millimetres instead of metres"
+    )
+    return replace(reduced, reason=reason)
+
+
+def _doubt(
+    points: Floats, spheres: Spheres, step: Step, tip_radius: float, settings: CaptureSettings
+) -> str:
+    """Say what speaks against a fitted ball; empty: nothing."""
+    radius = 0.5 * step.ball_diameter
+    free = fit_spheres(points, radius=None, tip_radius=tip_radius, used=spheres.used, reject=False)
+    found, doubt = float(free.radii[0]), _DOUBT * float(free.radius_std[0])
+    if abs(found - radius) > max(settings.max_form_m, doubt):
+        return (
+            f"the touch points lie on a ball of diameter {2.0 * found / MILLIMETRE:.4f} mm with "
+            f"the tip radius {tip_radius / MILLIMETRE:.4f} mm, the plate says "
+            f"{2.0 * radius / MILLIMETRE:.4f} mm: check ball diameter and tip radius"
+        )
+    below = float(points[0, spheres.used[0], 2].mean() - spheres.centres[0, 2])
+    if below < -LOWER * (radius + tip_radius):
+        return (
+            "the touch points lie below the centre of the ball: a plate on a table is touched "
+            "from above, so z of the probe has the wrong sign, or points down"
+        )
+    count, n_used = points.shape[1], int(spheres.used.sum())
+    if n_used < settings.min_used_share * count:
+        return (
+            f"only {n_used} of {count} touch points fit the ball, expected at least "
+            f"{settings.min_used_share:.0%}: clean ball and tip"
+        )
+    form = float(spheres.form_deviation[0])
+    if form > settings.max_form_m:
+        return (
+            f"form deviation {form / MICROMETRE:.3g} um of the touch points, allowed "
+            f"{settings.max_form_m / MICROMETRE:g} um: dirt, or something moved"
+        )
+    return ""

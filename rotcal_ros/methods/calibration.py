@@ -1,0 +1,331 @@
+"""A configuration with its plan, ready to take observations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from math import dist
+from typing import Final
+
+from threadpoolctl import threadpool_limits
+
+from rotcal_ros.bags.names import TRACER_LENGTH
+from rotcal_ros.capture import Capture
+from rotcal_ros.foundation.circumstances import Circumstances, Counts, Range
+from rotcal_ros.foundation.errors import ConfigurationError, PlanError
+from rotcal_ros.foundation.in_force import UNKNOWN, agreed
+from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.foundation.protection import Protection
+from rotcal_ros.foundation.raw_data import RawData
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.geometry.frames import StaticFrame
+from rotcal_ros.geometry.rotations import carried
+from rotcal_ros.methods.air import Refraction
+from rotcal_ros.methods.air_settings import AirSettings
+from rotcal_ros.methods.clock_errors import arrival_std, require_settled, with_clock_errors
+from rotcal_ros.methods.configuration import Configuration, read_policy
+from rotcal_ros.methods.continuation import ATTEMPTS_PER_RUN, Continuation, continued
+from rotcal_ros.methods.disturbance import DisturbedMeasurement, Sizes
+from rotcal_ros.methods.frame_conflicts import frame_conflicts
+from rotcal_ros.methods.method import Adaptive, Method, Trials
+from rotcal_ros.methods.stations import Stations
+from rotcal_ros.planning.as_listed import AsListed
+from rotcal_ros.planning.choices import Policy
+from rotcal_ros.planning.plan import Plan, Point, Step
+from rotcal_ros.planning.policy_names import AS_LISTED, UNTIL_GOAL
+
+_DATED_NS: Final = 10**17
+"""A stamp before 1973 counts from the start of something: it is no date."""
+RunStep = tuple[int, int]
+"""Number of the run, step."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """One configured calibration: what to measure, how to capture it, how to solve it.
+
+    The live nodes and the offline replay use it alike: equal observations give results that are
+    equal to the last bit.
+    """
+
+    configuration: Configuration
+    plan: Plan
+
+    @property
+    def method(self) -> Method:
+        """What the method of the configuration brings."""
+        return self.configuration.method
+
+    @property
+    def of_distances(self) -> Calibration:
+        """The same for lengths that are distances already, as predicted ones are.
+
+        What :meth:`nominal_observations` and :meth:`measured` return is solved with it.
+        """
+        return replace(self, configuration=replace(self.configuration, air=AirSettings()))
+
+    def capture(self, run: int = 0) -> Capture:
+        """Return a new capture for one run of the plan."""
+        settings = self.configuration.capture
+        required = self.refraction.required(settings)
+        single_shot = self.configuration.topics.length_single_shot
+        return Capture(
+            self.plan, settings, self.method.capture, run, required, single_shot=single_shot
+        )
+
+    def solve(
+        self,
+        observations: Iterable[Observation],
+        announced: Iterable[str] = (),
+        frames: Iterable[StaticFrame] = (),
+    ) -> Result:
+        """Solve with the observations that count; see :func:`final_observations`.
+
+        ``announced`` are the tables in force that the cell announced meanwhile, ``frames`` the
+        static transforms that it has: where they contradict the result, that has a warning.
+        """
+        used = self._that_count(observations)
+        with threadpool_limits(1, "blas"):  # else the last bits depend on the number of cores
+            result = self.refraction.solve(
+                used, partial(self.method.solve, self.configuration, self.plan)
+            )
+        result = with_clock_errors(result, self.arrival_std())
+        measured_on = agreed(self.in_force(announced))
+        if measured_on != UNKNOWN:
+            result = replace(result, measured_on=measured_on)
+        conflicts = frame_conflicts(self.configuration.cell, self.plan, result, frames)
+        warnings = (*result.warnings, *conflicts)
+        result = _numbered_by_feedback(result, used)
+        raw = replace(RawData.of(used, _DATED_NS), influence=result.raw_data.influence)
+        return replace(
+            result, warnings=warnings, circumstances=self._circumstances(used), raw_data=raw
+        )
+
+    def _circumstances(self, used: Sequence[Observation]) -> Circumstances:
+        """Return under which circumstances the observations ``used`` were made."""
+        steps = {o.step for o in used}
+        retried = {o.step for o in used if o.attempt % ATTEMPTS_PER_RUN}
+        planned = len(self.plan.steps)
+        # Offline the group planner has done its work and is not read.
+        chosen = read_policy(self.configuration.text) == UNTIL_GOAL
+        dated = [o for o in used if o.window_start_ns > _DATED_NS]
+        return Circumstances(
+            simulated=self.configuration.simulated,
+            axis=self.configuration.cell.axis,
+            identity=self.configuration.identity,
+            begun_ns=min((o.window_start_ns for o in dated), default=None),
+            ended_ns=max((o.window_end_ns for o in dated), default=None),
+            temperature_c=Range.of([o.temperature_c for o in used]),
+            pressure_pa=Range.of([o.pressure_pa for o in used]),
+            humidity=Range.of([o.humidity for o in used]),
+            refraction=self.refraction.in_words(used),
+            counts=Counts(
+                planned, len(steps), 0 if chosen else planned - len(steps), len(retried)
+            ),
+        )
+
+    @property
+    def refraction(self) -> Refraction:
+        """What is done about the index of refraction of the air."""
+        lengths = TRACER_LENGTH in self.method.topics
+        return Refraction(self.configuration.air, self.configuration.source, lengths=lengths)
+
+    def arrival_std(self) -> float:
+        """Return what clocks that may differ make uncertain of every arrival, rad.
+
+        Raises ConfigurationError where lengths may be of a motion then.
+        """
+        bound_s, capture = self.configuration.topics.clock_bound_s, self.configuration.capture
+        if TRACER_LENGTH in self.method.topics:
+            require_settled(bound_s, capture)
+        return arrival_std(bound_s, capture)
+
+    def stand_at(self, step: Step) -> Point | None:
+        """Return where the instrument stands at a step (m, machine frame), if it stands apart."""
+        places, rides = self._stations.places, self._stations.carried
+        if not places:
+            return None
+        place = places[step.station if step.station < len(places) else 0]
+        return carried(place, step.table_angle) if rides else place
+
+    def place_on_table(self) -> Point | None:
+        """Return where an instrument rides on the table, at angle 0; None: none is known to."""
+        places = self._stations.places
+        return places[0] if places and self._stations.carried else None
+
+    @cached_property
+    def beams_m(self) -> tuple[float, float]:
+        """The shortest and the longest beam of the plan, m.
+
+        Where nobody says where the instrument stands, by the distances between the targets.
+        """
+        stands = [(step, self.stand_at(step)) for step in self.plan.steps]
+        beams = [dist(step.position, at) for step, at in stands if at is not None]
+        if beams:
+            return min(beams), max(beams)
+        places = [step.position for step in self.plan.steps]
+        size = dist(*(tuple(map(of, zip(*places, strict=True))) for of in (min, max)))
+        return 0.3 * size, 3.0 * size
+
+    @cached_property
+    def _stations(self) -> Stations:
+        find = self.method.stations
+        return Stations() if find is None else find(self.configuration)
+
+    def in_force(self, announced: Iterable[str]) -> tuple[str, ...]:
+        """Return what configuration and cell say about the table in force.
+
+        A configuration that says "unknown" says nothing.
+        """
+        stated = self.configuration.cell.table_in_force
+        return (*(() if stated == UNKNOWN else (stated,)), *announced)
+
+    def trials(self, observations: Iterable[Observation]) -> Trials:
+        """Prepare Monte Carlo trials about the observations that count."""
+        if self.method.trials is None:
+            raise ConfigurationError(f"the method {self.method.name} brings no Monte Carlo trials")
+        used = self.refraction.corrected(self._that_count(observations))
+        return self.method.trials(self.configuration, self.plan, used)
+
+    def policy(self, continuation: Continuation) -> Policy:
+        """Return the policy of the configuration, ready to choose what ``continuation`` leaves.
+
+        Raises ConfigurationError or PlanError when it cannot be followed.
+        """
+        if self.configuration.planner.policy == AS_LISTED:
+            return AsListed(continuation.steps)
+        if self.method.adaptive is None:
+            raise ConfigurationError(
+                f"{self.configuration.source}: planner: policy: the method {self.method.name} has "
+                f"no policy {self.configuration.planner.policy}; leave it out"
+            )
+        if self.refraction.equation is not None:
+            raise ConfigurationError(
+                f"{self.configuration.source}: planner: the policy "
+                f"{self.configuration.planner.policy} compares lengths as they are captured: let "
+                "the instrument correct them (air.refraction: instrument), or leave the policy out"
+            )
+        return self._adaptive(continuation)
+
+    @cached_property
+    def _adaptive(self) -> Adaptive:
+        assert self.method.adaptive is not None
+        return self.method.adaptive(self.configuration, self.plan)
+
+    def from_the_start(self, start_index: int = 0) -> Continuation:
+        """Return the first run of the plan, from step ``start_index`` on."""
+        steps = tuple(range(start_index, len(self.plan.steps)))
+        return Continuation(self.configuration.plan_id, 0, start_index, (), steps, ())
+
+    def continued(
+        self, run: int, observations: Sequence[Observation], from_step: int = 0
+    ) -> Continuation:
+        """Return how run number ``run`` goes on after what the earlier ones observed."""
+        settings = self.configuration.planner
+        return continued(
+            self.plan,
+            self.configuration.plan_id,
+            run,
+            observations,
+            max_attempts=settings.max_attempts,
+            max_failed_steps=settings.max_failed_steps,
+            join_steps=settings.join_steps if self.method.joins_runs else 0,
+            from_step=from_step,
+        )
+
+    def check(self, observations: Iterable[Observation]) -> tuple[str, ...]:
+        """Return in words what a person has to put right, as far as the method can tell."""
+        if self.method.check is None:
+            return ()
+        used = self.refraction.corrected(final_observations(observations))
+        return self.method.check(self.configuration, self.plan, used)
+
+    def nominal_observations(self) -> tuple[Observation, ...]:
+        """Return one exact observation for every step of the plan, the table being perfect."""
+        if self.method.nominal is None:
+            raise ConfigurationError(
+                f"{self.configuration.source}: the method {self.method.name} does not tell what "
+                "is seen without error: give a recorded bag instead of the configuration"
+            )
+        see = self.method.nominal(self.configuration, self.plan)
+        return tuple(step.observed(see(step)) for step in self.plan.steps)
+
+    def measured(self, sizes: Sizes, seed: int) -> DisturbedMeasurement:
+        """Return observations of every step with the stated noise and the effects of ``sizes``."""
+        if self.method.disturbances is None:
+            raise ConfigurationError(
+                f"the method {self.method.name} does not say how noise and disturbances look"
+            )
+        return self.method.disturbances.measure(self.configuration, self.plan, sizes, seed)
+
+    def _that_count(self, observations: Iterable[Observation]) -> tuple[Observation, ...]:
+        """Return the last accepted one of each step, for a method that joins runs in each run."""
+        accepted = last_accepted(observations)
+        if self.method.joins_runs:
+            return tuple(accepted.values())
+        return final_observations(accepted.values())
+
+
+def prepare(configuration: Configuration) -> Calibration:
+    """Return the calibration that a configuration describes; PlanError for an impossible plan."""
+    return Calibration(configuration, configuration.method.plan(configuration))
+
+
+def prepare_to_measure(configuration: Configuration) -> Calibration:
+    """Return :func:`prepare_whole` of a configuration that will be measured.
+
+    Raises ConfigurationError or PlanError, too, where its policy cannot reach its goal.
+    """
+    calibration = prepare_whole(configuration)
+    calibration.refraction.require_sources(configuration.capture)
+    calibration.arrival_std()  # clocks may differ by more than an uncertainty can cover
+    calibration.policy(calibration.from_the_start())
+    return calibration
+
+
+def prepare_whole(configuration: Configuration) -> Calibration:
+    """Return :func:`prepare` of a configuration whose plan is meant to be measured as a whole.
+
+    Raises PlanError, with the place, where the data of the whole plan could not be solved. What is
+    recorded already may be less than that, and is read all the same.
+    """
+    calibration = prepare(configuration)
+    if calibration.method.check_plan is not None:
+        try:
+            calibration.method.check_plan(configuration, calibration.plan)
+        except PlanError as error:
+            raise PlanError(f"{configuration.source}: plan: {error}") from error
+    return calibration
+
+
+def _numbered_by_feedback(result: Result, used: Sequence[Observation]) -> Result:
+    """Return the result; what was captured cannot be numbered off, as a table written down can."""
+    if any(not o.window_end_ns for o in used):
+        return result
+    captured = Protection(
+        "numbering",
+        "harmless",
+        "all was captured while the table's own feedback stood at the commanded angle",
+    )
+    protections = [captured if p.effect == captured.effect else p for p in result.protections]
+    return replace(result, protections=tuple(protections))
+
+
+def last_accepted(observations: Iterable[Observation]) -> dict[RunStep, Observation]:
+    """Return the accepted observation of the last attempt by (run, step), in that order."""
+    last: dict[RunStep, Observation] = {}
+    for observation in observations:
+        key = (observation.run, observation.step)
+        if observation.accepted and (key not in last or observation.attempt >= last[key].attempt):
+            last[key] = observation
+    return {key: last[key] for key in sorted(last)}
+
+
+def final_observations(observations: Iterable[Observation]) -> tuple[Observation, ...]:
+    """Return the accepted observation of the last attempt at every step, in step order.
+
+    The order in which observations arrive therefore never changes a result.
+    """
+    last = {step: observation for (_, step), observation in last_accepted(observations).items()}
+    return tuple(last[step] for step in sorted(last))

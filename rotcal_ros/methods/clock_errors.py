@@ -1,0 +1,103 @@
+"""What clocks that may still differ make uncertain: a table at rest creeps from one to the other.
+
+A length and the angle that it belongs to are of the same moment only as far as the clocks of
+table, probe and instrument agree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from rotcal_ros.capture.settings import CaptureSettings
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.results import Directions, Result
+from rotcal_ros.foundation.units import DEGREE
+
+SOURCE: Final = "clocks"
+"""Its name in the budget of a method that has one."""
+COMPONENT: Final = "ECC"
+"""The deviation that a turn of the table about its axis goes into."""
+
+
+def require_settled(bound_s: float, settings: CaptureSettings) -> None:
+    """Raise ConfigurationError where clocks may differ by more than a table settles."""
+    if bound_s > settings.settle_time_s:
+        raise ConfigurationError(
+            f"topics.clock_bound_s = {bound_s:g} is longer than capture.settle_time_s = "
+            f"{settings.settle_time_s:g}: a length may then be of the motion before, which no "
+            "uncertainty covers; let the table settle longer, or the clocks agree better"
+        )
+
+
+def arrival_std(bound_s: float, settings: CaptureSettings) -> float:
+    """Return the standard uncertainty, rad, of one arrival by clocks that differ within a bound.
+
+    The error is the product of the clocks' difference and the table's creep, both within bounds
+    and without a favourite (rectangular: JCGM 100, 4.3.7); the creep is another at every arrival.
+    """
+    return bound_s * settings.velocity_tolerance_deg_s * DEGREE / 3.0
+
+
+def with_clock_errors(result: Result, std: float) -> Result:
+    """Return a result whose ECC has an error of ``std`` (rad) besides, at every arrival.
+
+    An ECC that counts from the first angle has the error of that one too; where it is the mean
+    from both sides, either side has its own. One creep is taken for all that was measured at an
+    angle from a side: no other deviation feels it then.
+    """
+    if not std or COMPONENT not in result.deviations:
+        return result
+    mean, sides = _errors(result)
+    share = std**2 * (mean @ mean.T)
+    covariance = result.covariance[COMPONENT] + share
+    adjacent = result.adjacent_std
+    if adjacent is not None:
+        steps = np.diff(mean, axis=0)
+        adjacent = np.sqrt(adjacent**2 + std**2 * np.sum(steps**2, axis=1))
+    return replace(
+        result,
+        std={**result.std, COMPONENT: np.sqrt(covariance.diagonal())},
+        covariance={**result.covariance, COMPONENT: covariance},
+        adjacent_std=adjacent,
+        directions=_with_sides(result.directions, std**2 * (sides @ sides.T)),
+        details=_with_source(result.details, np.sqrt(share.diagonal())),
+    )
+
+
+def _errors(result: Result) -> tuple[Floats, Floats]:
+    """Return by how much the errors (p,) of all arrivals go into ECC (n, p) and its sides (2k, p).
+
+    The first n errors are those of the angles, from the only side or with increasing angle, the
+    other k those with decreasing angle.
+    """
+    n = len(result.angles)
+    both = result.directions.get(COMPONENT)
+    at = np.zeros(0, int) if both is None else _places(both.angles, result.angles)
+    forward, reverse = np.eye(n + len(at))[at], np.eye(n + len(at))[n:]
+    mean = np.eye(n, n + len(at))
+    mean[at] = 0.5 * (forward + reverse)
+    counts_from_first = n > 0 and result.covariance[COMPONENT][0, 0] == 0.0
+    zero = mean[:1] if counts_from_first else np.zeros((1, n + len(at)))
+    return mean - zero, np.vstack([forward, reverse]) - zero
+
+
+def _places(angles: Floats, among: Floats) -> Any:
+    """Return which of the angles ``among`` the ``angles`` are."""
+    return np.argmin(np.abs(angles[:, None] - among), axis=1)
+
+
+def _with_sides(directions: Mapping[str, Directions], share: Floats) -> Mapping[str, Directions]:
+    both = directions.get(COMPONENT)
+    if both is None:
+        return directions
+    return {**directions, COMPONENT: replace(both, covariance=both.covariance + share)}
+
+
+def _with_source(details: Mapping[str, Any], std: Floats) -> Mapping[str, Any]:
+    budget = details.get("budget")
+    return details if budget is None else {**details, "budget": {**budget, SOURCE: std}}

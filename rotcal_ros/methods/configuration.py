@@ -1,0 +1,342 @@
+"""One YAML file is one calibration: read once, checked whole, every group a typed object.
+
+The file is an ordinary ROS 2 parameter file (``/**: ros__parameters: ...``), so that the same
+file starts the nodes through ROS 2's launch, through ``rotcal run``, and solves a bag offline.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final
+
+import yaml
+
+from rotcal_ros.bags.recorder_settings import RecorderSettings
+from rotcal_ros.bags.topic_settings import TopicSettings
+from rotcal_ros.capture.settings import CaptureSettings
+from rotcal_ros.compensation.bridge_settings import BridgeSettings
+from rotcal_ros.dme.settings import DmeSettings
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.identity import Identity
+from rotcal_ros.foundation.plugins import nearest
+from rotcal_ros.foundation.settings import declarations, load, to_mapping
+from rotcal_ros.foundation.untrusted import line_of, load_yaml, read_text, why
+from rotcal_ros.instrument_plugins.settings import InstrumentSettings
+from rotcal_ros.methods.air_settings import AirSettings
+from rotcal_ros.methods.method import Method, find_method, method_names
+from rotcal_ros.methods.plan_files import PlanFile, with_contents
+from rotcal_ros.page.settings import PageSettings
+from rotcal_ros.planning.cell_settings import CellSettings
+from rotcal_ros.planning.health_settings import HealthSettings
+from rotcal_ros.planning.planner_settings import PlannerSettings
+from rotcal_ros.planning.policy_names import AS_LISTED
+from rotcal_ros.planning.safety_settings import SafetySettings
+from rotcal_ros.ros2_control.settings import TableAdapterSettings
+
+SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
+    "cell": CellSettings,
+    "capture": CaptureSettings,
+    "air": AirSettings,
+    "planner": PlannerSettings,
+    "safety": SafetySettings,
+    "health": HealthSettings,
+    "recorder": RecorderSettings,
+    "bridge": BridgeSettings,
+    "dme": DmeSettings,
+    "instrument": InstrumentSettings,
+    "topics": TopicSettings,
+    "identity": Identity,
+    "page": PageSettings,
+    "table_adapter": TableAdapterSettings,
+}
+"""Groups of settings that are the same for all methods."""
+GROUPS: Final = (
+    "identity", "cell", "plan", "capture", "air", "solver", "planner", "safety", "health",
+    "recorder", "bridge", "dme", "instrument", "table_adapter", "topics", "page", "simulation",
+)  # fmt: skip
+"""All groups, in the order in which a configuration is written."""
+ALL_NODES: Final = "/**"
+PARAMETERS: Final = "ros__parameters"
+USE_SIM_TIME: Final = "use_sim_time"
+"""Parameter of ROS's own beside the groups: all nodes follow ``/clock``."""
+SIMULATION: Final = "simulation"
+"""A configuration with this group is that of a simulated cell."""
+OFFLINE_GROUPS: Final = ("identity", "cell", "plan", "capture", "air", "solver", "topics")
+"""Groups that a recording is solved with; the others have done their work."""
+
+
+def settings_classes(method: Method) -> dict[str, type[Any]]:
+    """Return the registry of settings: group -> settings class, for one method."""
+    classes = {**SHARED_GROUPS, **method.own_settings}
+    return {name: classes[name] for name in GROUPS}
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """A checked configuration: one typed object for every group of settings.
+
+    The classes of ``plan``, ``solver`` and ``simulation`` are those of the method. ``given`` holds
+    the names of the groups that the text has, and of their settings as ``group.setting``; all
+    others are at their defaults. ``simulated``: the cell is a simulated one, the text has a group
+    ``simulation``. ``use_sim_time``: its nodes follow ``/clock``. ``text`` is the YAML as given,
+    ``source`` names it in error texts.
+
+    >>> import rotcal_ros as rc
+    >>> configuration = rc.read_configuration("examples/data/ball_plate.yaml")
+    >>> configuration.method.name, configuration.simulated, configuration.cell.axis
+    ('ball_plate', True, 'C')
+    """
+
+    method: Method
+    cell: CellSettings
+    plan: Any
+    capture: CaptureSettings
+    air: AirSettings
+    solver: Any
+    planner: PlannerSettings
+    safety: SafetySettings
+    health: HealthSettings
+    recorder: RecorderSettings
+    bridge: BridgeSettings
+    dme: DmeSettings
+    instrument: InstrumentSettings
+    topics: TopicSettings
+    identity: Identity
+    page: PageSettings
+    table_adapter: TableAdapterSettings
+    simulation: Any
+    simulated: bool
+    given: frozenset[str]
+    text: str
+    source: str
+    use_sim_time: bool = False
+
+    @property
+    def plan_id(self) -> str:
+        """SHA-256 of the text, in hexadecimal: equal for two runs that were configured alike."""
+        return hashlib.sha256(self.text.encode()).hexdigest()
+
+
+def read_configuration(path: Path) -> Configuration:
+    """Read a configuration file; raises ConfigurationError when it cannot be used."""
+    return parse_configuration(configuration_text(path), str(path))
+
+
+def configuration_text(path: Path) -> str:
+    """Return the text of a configuration file, with the content of the files that it names.
+
+    Raises ConfigurationError when one of them cannot be read.
+    """
+    try:
+        text = read_text(path)
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"cannot read the configuration {path}: {why(error)}") from error
+    return with_contents(text, str(path), path.parent, _plan_files)
+
+
+def parse_configuration(
+    text: str, source: str = "configuration", groups: Collection[str] = GROUPS
+) -> Configuration:
+    """Return the configuration that ``text`` states.
+
+    Only ``groups`` are looked at, the others keep their defaults. Raises ConfigurationError, with
+    ``source``, the place and the nearest name, for whatever is misspelt or impossible.
+    """
+    name, values = _parameters(text, source)
+    try:
+        method = find_method(name)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{source}: {error}") from error
+    use_sim_time = values.pop(USE_SIM_TIME, False)
+    if not isinstance(use_sim_time, bool):
+        raise ConfigurationError(
+            f"{source}: {USE_SIM_TIME} is true or false, found {use_sim_time!r:.80}"
+        )
+    for group in values:
+        if group not in GROUPS:
+            hint = _without_its_group(method, str(group))
+            hint = hint or nearest(str(group), ("method", *GROUPS))
+            raise ConfigurationError(f"{source}: unknown group {group!r:.80}{hint}")
+    given = frozenset(values) & frozenset(groups)
+    loaded: dict[str, Any] = {
+        group: load(cls, values[group] if group in given else None, f"{source}: {group}")
+        for group, cls in settings_classes(method).items()
+    }
+    settings = (f"{group}.{setting}" for group in given for setting in values[group] or ())
+    return Configuration(
+        method=method,
+        **loaded,
+        simulated=SIMULATION in values,
+        given=given.union(settings),
+        text=text,
+        source=source,
+        use_sim_time=use_sim_time,
+    )
+
+
+def read_subject(text: str, source: str = "configuration") -> tuple[Identity, bool]:
+    """Return what a configuration measures and whether a simulation does, and nothing else.
+
+    Raises ConfigurationError where even that cannot be read.
+    """
+    _, values = _parameters(text, source)
+    identity = load(Identity, values.get("identity"), f"{source}: identity")
+    return identity, SIMULATION in values
+
+
+def read_topics(text: str) -> TopicSettings:
+    """Return what a configuration says of its topics, whatever else of it can be read."""
+    with suppress(ConfigurationError):
+        return load(TopicSettings, _parameters(text, "configuration")[1].get("topics"), "topics")
+    return TopicSettings()
+
+
+@lru_cache(maxsize=4)  # every solution asks it of the same text
+def read_policy(text: str) -> str:
+    """Return the policy that a configuration states, whatever else of it can be read today."""
+    with suppress(ConfigurationError):
+        planner = _parameters(text, "configuration")[1].get("planner")
+        if isinstance(planner, Mapping):
+            return str(planner.get("policy", AS_LISTED))
+    return AS_LISTED
+
+
+def changed(
+    configuration: Configuration, changes: Sequence[str], groups: Collection[str] = GROUPS
+) -> Configuration:
+    """Return the configuration with ``group.name=value`` changes, values in YAML.
+
+    Only ``groups`` are looked at. Without any changes the text stays as it is. Raises
+    ConfigurationError for what cannot be set.
+    """
+    if not changes:
+        return configuration
+    name, given = _parameters(configuration.text, configuration.source)
+    parameters: dict[str, Any] = {"method": name, **given}
+    for change in changes:
+        _change(parameters, change)
+    text = dump_configuration(str(parameters.pop("method")), parameters)
+    source = f"{configuration.source} with --set"
+    text = with_contents(text, source, Path(configuration.source).parent, _plan_files)
+    return parse_configuration(text, source, groups)
+
+
+def replaced(configuration: Configuration, group: str, values: Mapping[str, Any]) -> str:
+    """Return the text of a configuration whose ``group`` has only these ``values``."""
+    name, groups = _parameters(configuration.text, configuration.source)
+    return dump_configuration(name, {**groups, group: values})
+
+
+def _without_its_group(method: Method, name: str) -> str:
+    """Return a hint where ``name`` is no group but a setting, or a group, inside of one."""
+    found = [
+        f"{group}.{name}"
+        for group, cls in settings_classes(method).items()
+        if any(declared.name.partition(".")[0] == name for declared in declarations(cls))
+    ]
+    return f"; it belongs to a group: {' or '.join(found)}" if found else ""
+
+
+def node_parameters(configuration: Configuration) -> str:
+    """Return what the configuration states as a parameter file that ROS reads.
+
+    ROS takes one type in a list, and no group that is empty: here every number of a float setting
+    has its point, and what is not given, or None, is left out.
+    """
+    parameters: dict[str, Any] = {"method": configuration.method.name}
+    if configuration.use_sim_time:
+        parameters[USE_SIM_TIME] = True
+    for group in GROUPS:
+        values = to_mapping(getattr(configuration, group))
+        given = {n: v for n, v in values.items() if f"{group}.{n}" in configuration.given}
+        parameters[group] = _without_none(given)
+    document = {ALL_NODES: {PARAMETERS: {n: v for n, v in parameters.items() if v != {}}}}
+    return str(yaml.dump(document, Dumper=_Quoting, sort_keys=False, default_flow_style=None))
+
+
+class _Quoting(yaml.SafeDumper):  # type: ignore[misc]
+    """Quotes texts that ROS would take for true, or for a number, as y and 1e3."""
+
+
+_TAKEN_FOR_MORE: Final = re.compile("[yYnN]|[-+.0-9].*")
+
+
+def _text_for_ros(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
+    style = '"' if _TAKEN_FOR_MORE.fullmatch(text) else None
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
+
+
+_Quoting.add_representer(str, _text_for_ros)
+
+
+def _without_none(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return nested groups without what is None and without groups that are empty."""
+    kept = {n: _without_none(v) if isinstance(v, Mapping) else v for n, v in values.items()}
+    return {name: value for name, value in kept.items() if value is not None and value != {}}
+
+
+def dump_configuration(method: str, groups: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return configuration text in the canonical order of groups; unknown ones come last."""
+    names = [*(name for name in GROUPS if name in groups), *(groups.keys() - set(GROUPS))]
+    parameters = {"method": method, **{name: groups[name] for name in names}}
+    text: str = yaml.safe_dump(
+        {ALL_NODES: {PARAMETERS: parameters}}, sort_keys=False, default_flow_style=None
+    )
+    return text
+
+
+def _plan_files(method: str) -> Mapping[str, PlanFile]:
+    return find_method(method).plan_files if method in method_names() else {}
+
+
+def _parameters(text: str, source: str) -> tuple[str, dict[str, Any]]:
+    """Return the name of the method and the raw groups of a configuration."""
+    document = load_yaml(text, source)
+    try:
+        _require_alone(text, source, document, ALL_NODES)
+        _require_alone(text, source, document[ALL_NODES], PARAMETERS)
+        values = dict(document[ALL_NODES][PARAMETERS])
+        method = values.pop("method")
+    except (KeyError, TypeError, ValueError):
+        raise ConfigurationError(
+            f"{source}: expected a ROS 2 parameter file with "
+            f"'{ALL_NODES}: {PARAMETERS}: method: ...'"
+        ) from None
+    if not isinstance(method, str):
+        raise ConfigurationError(f"{source}: method must be a name, found {method!r:.80}")
+    return method, values
+
+
+def _require_alone(text: str, source: str, group: Any, name: str) -> None:
+    """Raise ConfigurationError where something that nobody reads stands beside ``name``."""
+    if not (isinstance(group, Mapping) and name in group):
+        return
+    for other in group:
+        if other != name:
+            above = () if name == ALL_NODES else (ALL_NODES,)
+            line = line_of(text, *above, str(other))
+            raise ConfigurationError(
+                f"{source}: {f'line {line}: ' if line else ''}{other!r:.80} stands beside "
+                f"{name!r}, where nobody reads it: take it out, or put it where it belongs, in a "
+                f"group below '{ALL_NODES}: {PARAMETERS}:'"
+            )
+
+
+def _change(parameters: dict[str, Any], change: str) -> None:
+    """Put one ``group.name=value`` into raw groups."""
+    name, equals, text = change.partition("=")
+    *groups, last = name.split(".")
+    if not equals or not last:
+        raise ConfigurationError(f"--set {change}: expected GROUP.NAME=VALUE")
+    place = parameters
+    for group in groups:
+        place = place.setdefault(group, {})
+        if not isinstance(place, dict):
+            raise ConfigurationError(f"--set {change}: {group} is a value, not a group")
+    place[last] = load_yaml(text, f"--set {change}")

@@ -1,0 +1,135 @@
+"""A plan that was interrupted is continued in another run of the same session.
+
+Every run numbers its attempts from ``run * ATTEMPTS_PER_RUN`` on, so that no order of a later run
+repeats one of an earlier run: a late answer is never taken for a new one.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from itertools import takewhile
+from typing import Final
+
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.foundation.records import record
+from rotcal_ros.foundation.untrusted import load_json
+from rotcal_ros.planning.plan import Plan
+
+ATTEMPTS_PER_RUN: Final = 1_000_000
+"""More attempts than a person has patience for; 4000 runs fit the messages' 32 bits."""
+
+
+@dataclass(frozen=True)
+class Continuation:
+    """What is left of an interrupted plan.
+
+    ``steps`` are measured in this order: first those that join the runs (``again``), then
+    those that are missing. ``start_index`` is the first missing one. ``observations`` are the
+    accepted ones of the earlier runs.
+    """
+
+    plan_id: str
+    run: int
+    start_index: int
+    again: tuple[int, ...]
+    steps: tuple[int, ...]
+    observations: tuple[Observation, ...]
+
+    def to_json(self) -> str:
+        """Return the text of the continuation file; every float round-trips to the last bit."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str) -> Continuation:
+        """Read the text of :meth:`to_json`; raises DataError when it is something else."""
+        try:
+            return record(cls, load_json(text, finite=False))
+        except ValueError as error:
+            raise DataError(f"not a continuation of an interrupted plan: {error}") from error
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What the recorder has of a session: all observations, in their order, and the run now."""
+
+    plan_id: str
+    run: int
+    observations: tuple[Observation, ...]
+
+    def to_json(self) -> str:
+        """Return a text of it; every float round-trips to the last bit."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str) -> Recorded:
+        """Read the text of :meth:`to_json`; raises DataError when it is something else."""
+        try:
+            return record(cls, load_json(text, finite=False))
+        except ValueError as error:
+            raise DataError(f"not what a recorder tells of its session: {error}") from error
+
+
+def continued(
+    plan: Plan,
+    plan_id: str,
+    run: int,
+    observations: Sequence[Observation],
+    *,
+    max_attempts: int,
+    join_steps: int,
+    max_failed_steps: int = 0,
+    from_step: int = 0,
+) -> Continuation:
+    """Return how run number ``run`` goes on after what the earlier runs observed.
+
+    A step is done when it has an accepted observation or was given up after ``max_attempts`` in
+    one run. Where ``max_failed_steps`` or more failed running at the end, the planner gave up, not
+    those steps. Up to ``join_steps`` done steps are measured again, evenly spread over those at
+    table angles that have missing steps; with none there, over all. An instrument that has left a
+    station does not go back for that. What is missing before ``from_step`` stays so.
+    """
+    accepted = {o.step for o in observations if o.accepted}
+    rejected = Counter((o.step, o.run) for o in observations if not o.accepted)
+    given_up = {step for (step, _), count in rejected.items() if count >= max_attempts}
+    if 0 < max_failed_steps <= len(failed := _failed_last(observations)):
+        given_up -= failed
+    missing = [s.index for s in plan.steps if s.index not in accepted | given_up]
+    missing = [index for index in missing if index >= from_step]
+    again = _spread(_joining(plan, accepted, missing), join_steps) if missing else ()
+    return Continuation(
+        plan_id=plan_id,
+        run=run,
+        start_index=missing[0] if missing else len(plan.steps),
+        again=again,
+        steps=(*again, *missing),
+        observations=tuple(o for o in observations if o.accepted),
+    )
+
+
+def _failed_last(observations: Sequence[Observation]) -> set[int]:
+    """Return the steps that were attempted in vain behind the last accepted observation."""
+    last = takewhile(lambda o: not o.accepted, reversed(observations))
+    return {observation.step for observation in last}
+
+
+def _joining(plan: Plan, accepted: set[int], missing: Sequence[int]) -> Sequence[int]:
+    """Return the done steps from which those that join the runs are chosen."""
+    opened = {(plan.steps[k].station, plan.steps[k].table_position) for k in missing}
+    stations = {station for station, _ in opened}
+    here = [plan.steps[k] for k in sorted(accepted) if plan.steps[k].station in stations]
+    at_open_angles = [step for step in here if (step.station, step.table_position) in opened]
+    return [step.index for step in at_open_angles or here]
+
+
+def _spread(values: Sequence[int], count: int) -> tuple[int, ...]:
+    """Return ``count`` of the values, evenly spread, both ends among them."""
+    if len(values) <= count:
+        return tuple(values)
+    if count == 1:
+        return (values[-1],)
+    places = (round(k * (len(values) - 1) / (count - 1)) for k in range(count))
+    return tuple(values[place] for place in places)

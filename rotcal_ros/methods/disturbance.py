@@ -1,0 +1,143 @@
+"""What may spoil a calibration, as plain physics: one measurement of a plan with or without it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.foundation.protection import Effect
+from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
+from rotcal_ros.planning.plan import Plan
+
+if TYPE_CHECKING:
+    from rotcal_ros.methods.configuration import Configuration
+
+PPM: Final = 1e-6
+ALL_AXES: Final = np.full(3, 1.0 / np.sqrt(3.0))
+"""Direction of what may move anywhere: along x, y and z alike."""
+
+Sizes = Mapping[Effect, float]
+"""How large each effect is, in the SI unit of its :class:`Disturbance`; absent: not there."""
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """One effect on one method: ``what`` happens, and in which unit its size is given.
+
+    A size in SI is ``unit_si`` times one in ``unit``. Sizes from ``start`` on, to ``largest``, are
+    worth a search, both in ``unit``. An effect that ``scatters`` is random and hits all angles
+    alike; else it has one pattern. ``stated`` returns how much of it (SI) a configuration allows
+    for, None where nothing is stated.
+    """
+
+    effect: Effect
+    what: str
+    unit: str
+    unit_si: float
+    start: float
+    largest: float
+    scatters: bool = False
+    stated: Callable[[Configuration], float] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class DisturbedMeasurement:
+    """Observations of every step of a plan, true deviations (n,) at its distinct angles."""
+
+    observations: tuple[Observation, ...]
+    truth: Mapping[str, Floats]
+
+
+@dataclass(frozen=True)
+class Disturbances:
+    """All effects on a method, and the measurement that they disturb.
+
+    ``measure(configuration, plan, sizes, seed)`` draws the stated noise from the seed alone, so
+    that two measurements of one seed differ by the effects and nothing else.
+    """
+
+    listed: tuple[Disturbance, ...]
+    measure: Callable[[Configuration, Plan, Sizes, int], DisturbedMeasurement]
+
+
+def repeatability(start: float, largest: float) -> Disturbance:
+    """Return the repeatability of the table; ``start`` and ``largest`` in arcsec."""
+    what = "every arrival of the table is off by itself (k = 1)"
+    return Disturbance("repeatability", what, "arcsec", ARCSEC, start, largest, scatters=True)
+
+
+def error_motion(
+    start: float, largest: float, stated: Callable[[Configuration], float] | None = None
+) -> Disturbance:
+    """Return the error motion of the table, beyond what is ``stated``; sizes in um."""
+    what = f"EXC and EYC scatter from position to position by so much{_beyond(stated)}"
+    return Disturbance(
+        "error motion", what, "um", MICROMETRE, start, largest, scatters=True, stated=stated
+    )
+
+
+def tilt(
+    start: float, largest: float, stated: Callable[[Configuration], float] | None = None
+) -> Disturbance:
+    """Return the tilts of the table, beyond what is ``stated``; sizes in arcsec."""
+    what = f"EAC and EBC scatter from position to position by so much{_beyond(stated)}"
+    return Disturbance(
+        "tilt", what, "arcsec", ARCSEC, start, largest, scatters=True, stated=stated
+    )
+
+
+def _beyond(stated: Callable[[Configuration], float] | None) -> str:
+    return " (k = 1)" if stated is None else " more (k = 1) than is stated"
+
+
+def table_deviations(count: int, sizes: Sizes, other: np.random.Generator) -> dict[str, Floats]:
+    """Return the true deviations (count,) that ``sizes`` give a perfect table, m and rad."""
+    motion = sizes.get("error motion", 0.0) * other.standard_normal((2, count))
+    tilts = sizes.get("tilt", 0.0) * other.standard_normal((2, count))
+    zero = np.zeros(count)
+    return {
+        "EXC": motion[0], "EYC": motion[1], "EZC": zero,
+        "EAC": tilts[0], "EBC": tilts[1], "ECC": zero,
+    }  # fmt: skip
+
+
+def streams(seed: int) -> tuple[np.random.Generator, np.random.Generator]:
+    """Return the random numbers of the noise and, apart from them, those of the effects."""
+    return np.random.default_rng([seed, 0]), np.random.default_rng([seed, 1])
+
+
+def times(plan: Plan) -> Floats:
+    """Return when each step is measured (n,): from 0 at the first to 1 at the last."""
+    return np.linspace(0.0, 1.0, len(plan.steps))
+
+
+def angle_numbers(plan: Plan) -> Ints:
+    """Return which of the distinct angles each table position (p,) of a plan stands at."""
+    numbers = {angle: number for number, angle in enumerate(plan.distinct_angles)}
+    return np.array([numbers[angle] for angle in plan.table_angles], dtype=np.int64)
+
+
+def arrivals(plan: Plan) -> Ints:
+    """Return the number of the table's arrival at each step (n,): it stands or comes anew."""
+    angle = np.array([step.table_angle for step in plan.steps])
+    side = np.array([step.approach for step in plan.steps])
+    moved = np.diff(angle, prepend=angle[0]) != 0.0
+    return np.cumsum(moved | (np.diff(side, prepend=side[0]) != 0))
+
+
+def arrival_errors(plan: Plan, sizes: Sizes, other: np.random.Generator) -> Floats:
+    """Return by how much (rad) the table is off at each step (n,): the same at one arrival."""
+    drawn = other.standard_normal(len(plan.steps))
+    return np.asarray(sizes.get("repeatability", 0.0) * drawn[arrivals(plan)], dtype=np.float64)
+
+
+def scatter_in_plane(count: int, size: float, random: np.random.Generator) -> Floats:
+    """Return vectors (count, 3) that scatter by ``size`` along x and y, and not along z."""
+    vectors = np.zeros((count, 3))
+    vectors[:, :2] = size * random.standard_normal((count, 2))
+    return vectors

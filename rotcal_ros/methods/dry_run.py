@@ -1,0 +1,184 @@
+"""A plan gone through without moving anything: what comes first, what is in reach, how long."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
+from rotcal_ros.methods.calibration import Calibration
+from rotcal_ros.methods.check_lines import CheckLine, State
+from rotcal_ros.methods.tracer.timing import plan_seconds
+from rotcal_ros.planning.plan import Step
+from rotcal_ros.planning.policy_names import AS_LISTED
+from rotcal_ros.planning.sequence_time import stated_time
+from rotcal_ros.ros2_control.travel import way_to
+
+PART = "plan"
+_SIDES = {Approach.POSITIVE: " from below", Approach.NEGATIVE: " from above"}
+
+
+@dataclass(frozen=True)
+class DryRun:
+    """The plan of a calibration, begun with the table at ``start`` (rad).
+
+    ``tracer_hz`` is the rate of the lengths as heard; None: none were.
+    """
+
+    calibration: Calibration
+    start: float = 0.0
+    tracer_hz: float | None = None
+
+    def lines(self) -> Iterator[CheckLine]:
+        """Yield what there is to know before anything moves."""
+        yield self._first()
+        yield self._size()
+        yield self._travel()
+        yield self._reach()
+        yield from self._beams()
+        yield self._time()
+
+    @property
+    def _steps(self) -> tuple[Step, ...]:
+        return self.calibration.plan.steps
+
+    def _first(self) -> CheckLine:
+        step, plan = self._steps[0], self.calibration.plan
+        x, y, z = step.position
+        found = (
+            f"table to {step.table_angle / DEGREE:.6g}°{_SIDES.get(step.approach, '')}, probe to "
+            f"({x:.4g}, {y:.4g}, {z:.4g}) m ({step.kind.name}, target {step.target})"
+        )
+        pause = plan.pause_before(step.index)
+        if pause is not None and pause.again_from is None:
+            found = f"a person's work first: {pause.instruction}; then {found}"
+        return CheckLine(PART, "first order", "note", found)
+
+    def _size(self) -> CheckLine:
+        plan, policy = self.calibration.plan, self.calibration.configuration.planner.policy
+        most = "" if policy == AS_LISTED else "at most "
+        counts = (
+            _count(len(plan.distinct_angles), "table angle"),
+            _count(len(plan.targets), "target"),
+            f"{_count(self._turns(), 'turn')} of the table",
+            *([_count(len(plan.pauses), "pause") + " for a person"] if plan.pauses else []),
+        )
+        found = f"{most}{_count(len(self._steps), 'step')}: {', '.join(counts)}"
+        return CheckLine(PART, "steps", "note", found)
+
+    def _turns(self) -> int:
+        angles = [self.start, *(step.table_angle for step in self._steps)]
+        return sum(abs(b - a) > 1e-9 for a, b in pairwise(angles))
+
+    def _travel(self) -> CheckLine:
+        """Say whether the table comes to all angles, where the travel is known."""
+        angles = [step.table_angle / DEGREE for step in self._steps]
+        extent = f"{min(angles):.6g}° to {max(angles):.6g}°"
+        configuration = self.calibration.configuration
+        adapter = configuration.table_adapter
+        if "table_adapter" not in configuration.given or adapter.lower_deg is None:
+            todo = "compare with the travel of your table"
+            if "table_adapter" in configuration.given:
+                todo += ", or state it: table_adapter.lower_deg, upper_deg"
+            return CheckLine(PART, "table", "open", f"{extent}; its travel is not stated", todo)
+        try:
+            self._ways_s()
+        except DataError as error:
+            todo = "change the table angles of the plan, or table_adapter.lower_deg and upper_deg"
+            return CheckLine(PART, "table", "missing", str(error), todo)
+        travel = f"{adapter.lower_deg:g}° to {adapter.upper_deg:g}°"
+        return CheckLine(PART, "table", "good", f"{extent}, all within its travel of {travel}")
+
+    def _ways_s(self) -> float:
+        """Return the time (s) of all turns through the adapter; DataError: one cannot be."""
+        settings, here, seconds = self.calibration.configuration.table_adapter, self.start, 0.0
+        before = None
+        for step in self._steps:
+            if (step.table_angle, step.approach) != before:
+                way = way_to(step.table_angle, step.approach, here, settings)
+                here, seconds = way.goal, seconds + way.times_s[-1]
+            before = step.table_angle, step.approach
+        return seconds
+
+    def _reach(self) -> CheckLine:
+        """Say whether the probe comes to all targets, where the machine's volume is known."""
+        places = np.array([step.position for step in self._steps])
+        low, high = places.min(axis=0), places.max(axis=0)
+        extent = ", ".join(
+            f"{axis} {a:.4g} to {b:.4g}" for axis, a, b in zip("xyz", low, high, strict=True)
+        )
+        cell = self.calibration.configuration.cell
+        if not cell.volume_from_m:
+            todo = (
+                "compare with your machine's volume, or state it: cell.volume_from_m, volume_to_m"
+            )
+            return CheckLine(PART, "probe", "open", f"{extent} m; its volume is not stated", todo)
+        outside = ((places < cell.volume_from_m) | (places > cell.volume_to_m)).any(axis=1)
+        if not outside.any():
+            return CheckLine(PART, "probe", "good", f"{extent} m, all within the stated volume")
+        first = self._steps[int(np.argmax(outside))]
+        found = (
+            f"{outside.sum()} of {len(places)} steps lie outside the stated volume, the first is "
+            f"step {first.index} at ({', '.join(f'{x:.4g}' for x in first.position)}) m"
+        )
+        todo = "make the plan smaller (group plan), or correct cell.volume_from_m, volume_to_m"
+        return CheckLine(PART, "probe", "missing", found, todo)
+
+    def _beams(self) -> Iterator[CheckLine]:
+        """Yield whether the beams are as short as the capture takes them, where that is known."""
+        most = self.calibration.configuration.capture.max_length_m
+        if self.calibration.stand_at(self._steps[0]) is None:
+            return
+        shortest, longest = self.calibration.beams_m
+        state: State = "good" if longest <= most else "missing"
+        todo = "" if state == "good" else "bring the targets nearer, or raise capture.max_length_m"
+        found = f"{shortest / MILLIMETRE:.0f} to {longest / MILLIMETRE:.0f} mm"
+        yield CheckLine(PART, "beams", state, f"{found} from where the instrument stands", todo)
+
+    def _time(self) -> CheckLine:
+        """Say how long it takes, and what that rests on."""
+        configuration = self.calibration.configuration
+        planner, least = configuration.planner, self._window_s()
+        length_s = max(planner.step_s, least)
+        first_turn = abs(self._steps[0].table_angle - self.start) > 1e-9
+        if "table_adapter" in configuration.given:
+            try:
+                turns_s, turning = self._ways_s(), "turns as table_adapter moves the table"
+            except DataError:
+                return CheckLine(PART, "time", "open", "not known: the table cannot go there")
+            turn_s = 0.0
+        else:
+            turn_s = planner.turn_s
+            turns_s = turn_s if first_turn else 0.0
+            turning = f"{turn_s:g} s for a turn (planner.turn_s)"
+        seconds = plan_seconds(stated_time(turn_s, length_s), self._steps) + length_s + turns_s
+        window = f", of which settling and readings {least:.2g} s" if least else ""
+        found = (
+            f"about {in_words(seconds)}, with {turning} and {length_s:g} s for a step "
+            f"(planner.step_s{window})"
+        )
+        return CheckLine(PART, "time", "note", found)
+
+    def _window_s(self) -> float:
+        """Return how long the capture needs at a step at least; 0 where nobody knows it."""
+        capture = self.calibration.configuration.capture
+        if not self.tracer_hz:
+            return 0.0
+        return capture.settle_time_s + capture.window_samples / self.tracer_hz
+
+
+def in_words(seconds: float) -> str:
+    """Return a duration as people say it."""
+    minutes = round(seconds / 60)
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    return f"{minutes} min" if minutes < 100 else f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"

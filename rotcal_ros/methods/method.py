@@ -1,0 +1,196 @@
+"""What a method brings, so that nodes, replay and report need not know which one it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias
+
+from rotcal_ros.foundation import plugins
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from rotcal_ros.capture.rules import CaptureRules
+    from rotcal_ros.figures import Figure
+    from rotcal_ros.foundation.arrays import Floats
+    from rotcal_ros.foundation.observations import Observation
+    from rotcal_ros.foundation.results import Result
+    from rotcal_ros.foundation.tables import Header, Table
+    from rotcal_ros.methods.configuration import Configuration
+    from rotcal_ros.methods.continuation import Continuation
+    from rotcal_ros.methods.disturbance import Disturbances
+    from rotcal_ros.methods.plan_files import PlanFile
+    from rotcal_ros.methods.stations import Stations
+    from rotcal_ros.planning.choices import Policy
+    from rotcal_ros.planning.plan import Plan, Step
+    from rotcal_ros.planning.plan_figures import Compared
+    from rotcal_ros.simulation.settings import SimulationSettings
+
+Trials: TypeAlias = "Callable[[np.random.Generator, int], Floats]"
+"""``trials(rng, count)`` draws measurements, solves them and returns (count, outputs)."""
+Curves: TypeAlias = "Mapping[str, Floats]"
+Observed: TypeAlias = "Sequence[Observation]"
+Adaptive: TypeAlias = "Callable[[Continuation], Policy]"
+"""Makes a policy that chooses what a continuation leaves."""
+See: TypeAlias = "Callable[[Step], tuple[float, ...]]"
+"""What an instrument without error sees at a step."""
+
+
+class Measurements(Protocol):
+    """What was measured, ready to be solved; ``sha256`` maps file names to hashes."""
+
+    @property
+    def configuration(self) -> Configuration:
+        """What it is solved with."""
+
+    @property
+    def sha256(self) -> Mapping[str, str]:
+        """Hashes of the files by their names."""
+
+    def solve(self) -> Result:
+        """Return the result."""
+
+    def trials(self) -> Trials:
+        """Prepare Monte Carlo trials about it; ConfigurationError where there are none."""
+
+
+@dataclass(frozen=True)
+class TableReader:
+    """Reads plain tables with one of ``headers``, the present one first.
+
+    ``read`` takes the configuration, the table and the file of targets, if any, and returns what
+    was measured; DataError names file and row of what cannot be.
+    """
+
+    headers: tuple[Header, ...]
+    read: Callable[[Configuration, Table, Path | None], Measurements]
+
+
+DEFAULT: Final = "tracer_multistation"
+"""The method of a node or a simulation for which nobody has chosen."""
+
+
+def counted_from_the_first(_angles: Floats, deviations: Curves) -> dict[str, Floats]:
+    """Return the deviations (n,) by component, ECC counted from its first value."""
+    return {
+        name: values - values[0] if name == "ECC" else values
+        for name, values in deviations.items()
+    }
+
+
+def zero_at_the_first(_result: Result) -> tuple[str, ...]:
+    """Return what the curves count from, for a method that counts from its first angle."""
+    return ("ECC counts from the first angle and is 0 there by definition.",)
+
+
+def no_figures(_result: Result, _truth: Mapping[str, Any] | None) -> Sequence[Figure]:
+    """Return nothing: the report shows what all methods share."""
+    return ()
+
+
+@dataclass(frozen=True)
+class Method:
+    """What a method brings. Everything lies in one package, named by an entry point.
+
+    ``name`` is that of configurations and results, ``title`` is for people, ``page`` the name of
+    its page in the documentation. ``plan_settings``, ``solver_settings`` and
+    ``simulation_settings`` are its own groups ``plan``, ``solver`` and ``simulation``.
+    ``topics`` are the instrument topics that must have delivered before the first motion.
+
+    ``plan`` builds the plan from a configuration and refuses settings that cannot work;
+    ``capture`` says how the streams become observations of its steps; ``solve`` turns a
+    configuration, its plan and accepted observations into a result. ``nominal`` tells what an
+    instrument without error would see, ``stations`` where the instruments stand.
+
+    ``gauge`` takes from true deviations (n,) at angles (n,) what the method cannot see, so that
+    they can be compared with a result. A method whose values are relative to a zero that an
+    interruption changes ``joins_runs``: it gets the accepted observations of all runs of a
+    plan, not only the last one of each step.
+
+    ``adaptive`` prepares the policy that measures until a goal is reached; ConfigurationError or
+    PlanError where it cannot be. ``compare`` tells what is known in advance of steps of the plan
+    in their order, some of which gave no length, and of the plan that the method is known by.
+
+    ``check_plan`` raises PlanError for a plan whose data could never be solved, before anything is
+    measured. ``plan_files`` are files that stand for lists of the group ``plan``, by the settings
+    that name them.
+
+    ``trials`` prepares Monte Carlo trials about accepted observations: their outputs are the
+    deviations of the result, component by component in the order of ``COMPONENTS``. ``check``
+    says in words what the observations so far tell about a person's work (see
+    :class:`~rotcal_ros.planning.plan.Pause`), or raises DataError. ``table`` reads plain tables,
+    ``short_setup`` turns a set-up file that is no configuration, given with its name, into groups
+    of settings. ``figures`` draws what the method alone can show, ``zero`` says in words what the
+    curves count from and how a whole turn closes. ``disturbances`` measure a
+    plan with its noise and with what may spoil it.
+    """
+
+    name: str
+    title: str
+    page: str
+    topics: tuple[str, ...]
+    plan_settings: type[Any]
+    solver_settings: type[Any]
+    plan: Callable[[Configuration], Plan]
+    capture: CaptureRules
+    solve: Callable[[Configuration, Plan, Observed], Result]
+    simulation_settings: type[SimulationSettings]
+    nominal: Callable[[Configuration, Plan], See] | None = None
+    stations: Callable[[Configuration], Stations] | None = None
+    gauge: Callable[[Floats, Curves], dict[str, Floats]] = counted_from_the_first
+    joins_runs: bool = False
+    trials: Callable[[Configuration, Plan, Observed], Trials] | None = None
+    check: Callable[[Configuration, Plan, Observed], tuple[str, ...]] | None = None
+    adaptive: Callable[[Configuration, Plan], Adaptive] | None = None
+    compare: Callable[[Configuration, Plan, Sequence[int], Collection[int]], Compared] | None = (
+        None
+    )
+    check_plan: Callable[[Configuration, Plan], None] | None = None
+    plan_files: Mapping[str, PlanFile] = field(default_factory=dict)
+    table: TableReader | None = None
+    short_setup: Callable[[Mapping[str, Any], str], Mapping[str, Any]] | None = None
+    figures: Callable[[Result, Mapping[str, Any] | None], Sequence[Figure]] = no_figures
+    zero: Callable[[Result], Sequence[str]] = zero_at_the_first
+    disturbances: Disturbances | None = None
+
+    @property
+    def own_settings(self) -> Mapping[str, type[Any]]:
+        """Its own groups of settings."""
+        return {
+            "plan": self.plan_settings,
+            "solver": self.solver_settings,
+            "simulation": self.simulation_settings,
+        }
+
+    def __reduce__(self) -> tuple[Callable[[str], Method], tuple[str]]:
+        """Travel to other processes by name."""
+        return find_method, (self.name,)
+
+
+def method_names() -> tuple[str, ...]:
+    """Return the names of all methods that are installed.
+
+    >>> import rotcal_ros as rc
+    >>> "ball_plate" in rc.method_names()
+    True
+    """
+    return plugins.names(plugins.METHODS)
+
+
+def find_method(name: str) -> Method:
+    """Return the method ``name``; ConfigurationError, with the nearest name, if there is none."""
+    method: Method = plugins.load(plugins.METHODS, name, "method")
+    return method
+
+
+def own_settings(name: str) -> Mapping[str, type[Any]]:
+    """Return the groups of settings of the method ``name``, which is loaded only if need be.
+
+    Raises ConfigurationError, with the nearest name, when there is no such method.
+    """
+    if name not in plugins.names(plugins.METHOD_SETTINGS):
+        return find_method(name).own_settings
+    settings: Mapping[str, type[Any]] = plugins.load(plugins.METHOD_SETTINGS, name, "method")
+    return settings

@@ -1,0 +1,163 @@
+"""From observations to the plane-mirror problem, its result, its trials, and its nests."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.observations import Observation, PointKind
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.methods.arrival_rules import RepeatedTrials, arrivals_of
+from rotcal_ros.methods.arrivals import Arrivals, mean_of_runs
+from rotcal_ros.methods.configuration import Configuration
+from rotcal_ros.methods.method import Trials
+from rotcal_ros.methods.plane_mirror import solver as plane_mirror
+from rotcal_ros.methods.plane_mirror.settings import MirrorPlanSettings
+from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem, noise_of
+from rotcal_ros.methods.plane_mirror.solver_settings import DIRECT, WAYS, MirrorSolverSettings, Way
+from rotcal_ros.planning.plan import Plan
+from rotcal_ros.planning.table_angles import table_angles
+
+
+def solve(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
+    """Solve the accepted observations of a plane-mirror plan.
+
+    A reflector whose direct or mirrored point is missing (given up, or not measured yet) is left
+    out; details["left_out"] names it.
+    """
+    problem, left_out = _problem(configuration, plan, observations)
+    return _solve_ways(problem, {"left_out": left_out}, _arrivals(configuration))
+
+
+def trials(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> Trials:
+    """Prepare Monte Carlo trials about the accepted observations of a plane-mirror plan."""
+    problem = _problem(configuration, plan, observations)[0]
+    prepared, arrivals = plane_mirror.mirror_trials(problem), _arrivals(configuration)
+    if arrivals is None:
+        return prepared
+    result = plane_mirror.solve(problem)
+    return RepeatedTrials.of(prepared, result, arrivals.take(result.details["table_positions"]))
+
+
+def _arrivals(configuration: Configuration) -> Arrivals | None:
+    """Return the arrivals of all positions of a plan that measures both directions."""
+    settings: MirrorPlanSettings = configuration.plan
+    if not settings.bidirectional:
+        return None
+    return arrivals_of(table_angles(settings), runs=1, bidirectional=True)
+
+
+def _problem(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> tuple[PlaneMirrorProblem, list[str]]:
+    """Return the problem that observations pose, and what was left out of it."""
+    paired, left_out = _paired(observations)
+    if not paired:
+        raise DataError("no reflector was measured both directly and through the mirror yet")
+    problem = plane_mirror.problem_from_observations(paired, np.array(plan.table_angles))
+    return configured(problem, configuration), left_out
+
+
+def solve_points(configuration: Configuration, problem: PlaneMirrorProblem) -> Result:
+    """Solve points that come without a plan, as the configuration says."""
+    return _solve_ways(configured(problem, configuration), {}, _arrivals(configuration))
+
+
+def check(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> tuple[str, ...]:
+    """Return in words what the nests tell against the newest station.
+
+    They do not stand where they were seen before, or the tracker turned by more than
+    ``plan.drift_limit_arcsec`` between two rounds of nests. Raises DataError or GeometryError when
+    the newest station cannot be registered at all.
+    """
+    if not any(o.kind == PointKind.NEST for o in observations):
+        return ()
+    problem = plane_mirror.problem_from_observations(observations, np.array(plan.table_angles))
+    problem = configured(problem, configuration)
+    limit = configuration.plan.drift_limit_arcsec * ARCSEC
+    return tuple(plane_mirror.check_nests(problem, newest=True, drift_limit=limit))
+
+
+def configured(problem: PlaneMirrorProblem, configuration: Configuration) -> PlaneMirrorProblem:
+    """Return a problem with noise, way and limits of the configuration."""
+    settings: MirrorSolverSettings = configuration.solver
+    arrivals = _arrivals(configuration)
+    return replace(
+        problem,
+        upward=None if arrivals is None else arrivals.upward,
+        noise=noise_of(settings),
+        way=settings.way,
+        tilt_std=settings.tilt_std_arcsec * ARCSEC,
+        uneven_drift_std=settings.uneven_drift_std_arcsec * ARCSEC,
+        incidence_limit=configuration.plan.incidence_limit_deg * DEGREE,
+        significance=settings.significance,
+    )
+
+
+def _solve_ways(
+    problem: PlaneMirrorProblem, details: dict[str, Any], arrivals: Arrivals | None
+) -> Result:
+    """Solve the chosen way; the other ways of the same points go into the details."""
+    result = _mean(plane_mirror.solve(problem), arrivals)
+    others = [way for way in WAYS if DIRECT not in (way, problem.way) and way != problem.way]
+    if others:
+        details = {**details, "ways": [_other_way(problem, way, arrivals) for way in others]}
+    return replace(result, details={**result.details, **details})
+
+
+def _mean(result: Result, arrivals: Arrivals | None) -> Result:
+    """Return the result over the distinct angles, where both directions were measured."""
+    if arrivals is None:
+        return result
+    return mean_of_runs(result, arrivals.take(result.details["table_positions"]))
+
+
+def _other_way(problem: PlaneMirrorProblem, way: Way, arrivals: Arrivals | None) -> dict[str, Any]:
+    """Return the curve of another way, or why there is none."""
+    try:
+        result = _mean(plane_mirror.solve(replace(problem, way=way)), arrivals)
+    except DataError as error:
+        return {"way": way, "why_not": str(error)}
+    return {
+        "way": way,
+        "angles_rad": result.angles,
+        "ecc_rad": result.deviations["ECC"],
+        "ecc_std_rad": result.std["ECC"],
+        "sigma0": result.sigma0,
+        "verdict": result.verdict,
+        "verdict_line": result.verdict_line,
+    }
+
+
+def _paired(observations: Sequence[Observation]) -> tuple[list[Observation], list[str]]:
+    """Return the observations without reflectors that lack one of their points, and the latter.
+
+    Without any mirrored point there is no mirror, and every direct point stands for itself.
+    """
+    kinds: dict[tuple[int, int, int], set[PointKind]] = {}
+    for o in observations:
+        if o.kind != PointKind.NEST:
+            kinds.setdefault((o.table_position, o.station, o.target), set()).add(o.kind)
+    if not any(PointKind.MIRRORED in found for found in kinds.values()):
+        return list(observations), []
+    single = {key: found for key, found in kinds.items() if len(found) == 1}
+    used = [
+        o
+        for o in observations
+        if o.kind == PointKind.NEST or (o.table_position, o.station, o.target) not in single
+    ]
+    names = [
+        f"position {position}, tracker station {station}, reflector {number}: only "
+        f"{next(iter(found)).name.lower()} was measured"
+        for (position, station, number), found in single.items()
+    ]
+    return used, names

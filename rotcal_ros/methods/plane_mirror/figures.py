@@ -1,0 +1,234 @@
+"""Figures of a result whose details tell of tracker stations, nests and mirror normals.
+
+Like :mod:`~rotcal_ros.figures.curves`: inline SVG, or an empty string where there is nothing to
+show. The details may come from a solution or from its JSON form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from rotcal_ros.figures import Figure, style
+from rotcal_ros.figures.residuals import residual_figures
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
+
+_TURNS = ((2, style.BLUE, "azimuth"), (0, style.ORANGE, "tilt x"), (1, style.GREEN, "tilt y"))
+
+
+def figures(result: Result, truth: Mapping[str, Any] | None = None) -> list[Figure]:
+    """Return the figures that only this method can fill."""
+    reference = "the injected deviations" if truth else "the chosen way"
+    return [
+        Figure(
+            "The ways side by side",
+            "The same points solved in every way, the chosen one first. Above the deviations, "
+            f"below their difference from {reference}; the bands are expanded uncertainties "
+            "(k = 2).",
+            ways(result, truth),
+        ),
+        Figure(
+            "Tracker stations and nests",
+            "Plan view along the table axis, in the frame of the first station: where the nests "
+            "put each station of the tracker.",
+            station_map(result.details),
+            "set-up",
+        ),
+        Figure(
+            "Angles of incidence",
+            "Angle between the beam and the mirror's normal at each position, by tracker station.",
+            incidence(result.details),
+            "set-up",
+        ),
+        Figure(
+            "Nest residuals",
+            "Length of the residual in micrometres of each nest seen from each station, the "
+            "largest of several rounds; the colour is the normalised residual, for which 1 is "
+            "expected.",
+            nest_residuals(result.details),
+            "residuals",
+        ),
+        Figure(
+            "Drift of the tracker",
+            "What the nests measured again show at each station, from its first nest to its last: "
+            "taken away, with expanded uncertainties (k = 2).",
+            drift(result.details),
+        ),
+        *residual_figures(result),
+    ]
+
+
+@style.styled
+def ways(result: Result, truth: Mapping[str, Any] | None = None) -> str:
+    """Draw the deviation curves of all ways with their bands, and their differences."""
+    others = [way for way in result.details.get("ways", ()) if "ecc_rad" in way]
+    if not others:
+        return ""
+    own = (result.angles, result.deviations["ECC"], result.std["ECC"])
+    curves = {str(result.details["way"]): own}
+    curves |= {str(way["way"]): _curve(way) for way in others}
+    reference = own[:2]
+    if truth is not None and "ECC" in truth.get("deviations", {}):
+        known_at, first = np.unique(_array(truth["angles_rad"]), return_index=True)
+        reference = (known_at, _array(truth["deviations"]["ECC"])[first])
+    panels = style.grid(2, len(curves), height=2.5, sharex=True, sharey="row")
+    for number, (name, (angles, ecc, std)) in enumerate(curves.items()):
+        top, bottom = panels[number], panels[number + len(curves)]
+        band = COVERAGE_FACTOR * std / ARCSEC
+        known = np.interp(angles, *reference)
+        style.curve_with_band(top, angles / DEGREE, ecc / ARCSEC, band, "measured")
+        if truth is not None:
+            top.plot(angles / DEGREE, known / ARCSEC, "--", color=style.ORANGE, linewidth=1.2,
+                     label="injected")  # fmt: skip
+        style.curve_with_band(bottom, angles / DEGREE, (ecc - known) / ARCSEC, band, "difference")
+        top.set_title(name, fontsize=10)
+        style.angle_axis(bottom, angles / DEGREE, "table angle / °")
+    panels[0].set_ylabel("ECC / arcsec")
+    panels[len(curves)].set_ylabel("difference / arcsec")
+    return style.svg(panels[0])
+
+
+@style.styled
+def station_map(details: Mapping[str, Any]) -> str:
+    """Draw stations and nests in plan view, with a line from each station to what it saw."""
+    stands, nests = details.get("stations", ()), details.get("nests", ())
+    if not (_mappings(stands) and _mappings(nests) and "axis" in details):
+        return ""
+    across = _across(_array(details["axis"]))
+    places = {s["station"]: _array(s["position_m"]) @ across for s in stands}
+    (ax,) = style.grid(height=5.4)
+    for nest in nests:
+        line = np.array([places[nest["station"]], _array(nest["position_m"]) @ across])
+        ax.plot(*line.T, color=style.MISSING, linewidth=0.6, zorder=1)
+    seen = {n["nest"]: _array(n["position_m"]) @ across for n in nests}
+    _draw_points(ax, seen, "s", style.GREEN, "nests")
+    _draw_points(ax, places, "o", style.BLUE, "tracker stations")
+    ax.set_aspect("equal")
+    ax.set_xlabel("m")
+    ax.set_ylabel("m")
+    return style.svg(ax)
+
+
+@style.styled
+def incidence(details: Mapping[str, Any]) -> str:
+    """Draw the angle of incidence over the table angle, one colour per station."""
+    normals = details.get("normals", ())
+    if not _mappings(normals):
+        return ""
+    (ax,) = style.grid(height=2.6)
+    colours = (style.BLUE, style.ORANGE, style.GREEN, style.RED, style.INK, style.GREY)
+    names = list(dict.fromkeys(normal["station"] for normal in normals))
+    for number, name in enumerate(names):
+        own = [normal for normal in normals if normal["station"] == name]
+        x = [normal["angle_rad"] / DEGREE for normal in own]
+        y = [normal["incidence_rad"] / DEGREE for normal in own]
+        ax.plot(x, y, "o-", color=colours[number % len(colours)], markersize=4, linewidth=1.0,
+                label=f"station {name}")  # fmt: skip
+    if "incidence_limit_rad" in details:
+        ax.axhline(details["incidence_limit_rad"] / DEGREE, color=style.RED, linestyle="--",
+                   linewidth=1.0, label="limit")  # fmt: skip
+    ax.set_ylim(bottom=0.0)
+    style.angle_axis(ax, np.array([n["angle_rad"] / DEGREE for n in normals]))
+    ax.set_ylabel("incidence / °")
+    return style.svg(ax)
+
+
+@style.styled
+def nest_residuals(details: Mapping[str, Any]) -> str:
+    """Draw the residual of every nest from every station as a map with its lengths."""
+    nests = details.get("nests", ())
+    if not _mappings(nests):
+        return ""
+    rows = sorted({nest["nest"] for nest in nests})
+    columns = list(dict.fromkeys(stand["station"] for stand in details["stations"]))
+    test = np.full((len(rows), len(columns)), np.nan)
+    (ax,) = style.grid(height=0.8 + 0.36 * len(rows))
+    longest: dict[tuple[int, int], float] = {}
+    for nest in nests:
+        at = rows.index(nest["nest"]), columns.index(nest["station"])
+        test[at] = np.fmax(test[at], nest["test_value"])
+        length = float(np.linalg.norm(_array(nest["residual_m"]))) / MICROMETRE
+        longest[at] = max(longest.get(at, 0.0), length)
+    for (row, column), length in longest.items():
+        ax.text(column, row, f"{length:.1f}", ha="center", va="center", fontsize=8)
+    ax.grid(visible=False)
+    ax.set_facecolor(style.MISSING)
+    image = ax.imshow(test, cmap="Oranges", vmin=0.0, vmax=4.0, aspect="auto")
+    ax.set_xticks(range(len(columns)), [str(name) for name in columns])
+    ax.set_yticks(range(len(rows)), [str(name) for name in rows])
+    ax.set_xlabel("tracker station")
+    ax.set_ylabel("nest")
+    ax.figure.colorbar(image, ax=ax, label="normalised residual")
+    return style.svg(ax)
+
+
+@style.styled
+def drift(details: Mapping[str, Any]) -> str:
+    """Draw how the tracker turned and how its range grew at each station, from round to round."""
+    stations = details.get("drift", ())
+    if not _mappings(stations):
+        return ""
+    turned, ranged = style.grid(1, 2, height=2.8)
+    for number, station in enumerate(stations):
+        knots = _array(station["knots"])
+        x = number + 0.8 * (knots - knots[0]) / (knots[-1] - knots[0])
+        turn, turn_std = _array(station["turn_rad"]), _array(station["turn_std_rad"])
+        for axis, colour, label in _TURNS:
+            _draw_course(turned, x, turn[:, axis] / ARCSEC, turn_std[:, axis] / ARCSEC, colour,
+                         label if number == 0 else "")  # fmt: skip
+        _draw_course(ranged, x, _array(station["range_m"]) / MICROMETRE,
+                     _array(station["range_std_m"]) / MICROMETRE, style.BLUE, "")  # fmt: skip
+    for ax, unit in ((turned, "arcsec"), (ranged, "µm")):
+        ax.set_xticks(np.arange(len(stations)) + 0.4, [str(s["station"]) for s in stations])
+        ax.set_xlabel("tracker station")
+        ax.set_ylabel(("turn / " if ax is turned else "range / ") + unit)
+    return style.svg(turned)
+
+
+def _draw_course(
+    ax: style.Axes, x: Floats, change: Floats, std: Floats, colour: str, label: str
+) -> None:
+    """Draw changes (R,) from knot to knot ``x`` (R + 1,), each with its own bar at its end."""
+    course = np.concatenate([[0.0], np.cumsum(change)])
+    ax.plot(x, course, "-", color=colour, linewidth=1.0, label=label or None)
+    ax.errorbar(x[1:], course[1:], COVERAGE_FACTOR * std, fmt=".", color=colour, capsize=2)
+
+
+def _draw_points(
+    ax: style.Axes, points: Mapping[Any, Floats], marker: str, colour: str, label: str
+) -> None:
+    ax.plot(*np.array(list(points.values())).T, marker, color=colour, markersize=7, label=label)
+    for name, point in points.items():
+        ax.annotate(
+            str(name),
+            (point[0], point[1]),
+            xytext=(7, 5),
+            textcoords="offset points",
+            color=colour,
+        )
+
+
+def _across(axis: Floats) -> Floats:
+    """Return two columns (3, 2) across an axis; the first as much along x as can be."""
+    x = np.array([1.0, 0.0, 0.0])
+    first = x - (x @ axis) * axis
+    first = first / np.linalg.norm(first)
+    return np.column_stack([first, np.cross(axis, first)])
+
+
+def _curve(way: Mapping[str, Any]) -> tuple[Floats, Floats, Floats]:
+    return _array(way["angles_rad"]), _array(way["ecc_rad"]), _array(way["ecc_std_rad"])
+
+
+def _mappings(values: Sequence[Any]) -> bool:
+    """Return whether ``values`` are entries of the kind that is drawn here."""
+    return len(values) > 0 and all(isinstance(value, Mapping) for value in values)
+
+
+def _array(values: Any) -> Floats:
+    return np.asarray(values, dtype=np.float64)

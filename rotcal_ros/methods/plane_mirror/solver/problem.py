@@ -1,0 +1,253 @@
+"""What a plane-mirror calibration is computed from: one frozen problem."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import astuple, dataclass, field
+
+import numpy as np
+
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.observations import Observation, PointKind
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
+from rotcal_ros.methods.plane_mirror.solver_settings import (
+    INCIDENCE_LIMIT_DEG,
+    WAYS,
+    MirrorSolverSettings,
+    Way,
+)
+
+_DEFAULTS = MirrorSolverSettings()
+KINDS = (PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST)
+
+
+@dataclass(frozen=True)
+class TrackerNoise:
+    """Standard deviations of a laser tracker: an ellipsoid along the beam, growing with range.
+
+    Along the beam ``range_std + range_std_per_metre * r``, across it (two angles)
+    ``transverse_std + transverse_std_per_metre * r``; metres, r the apparent distance. The
+    defaults are what the makers call typical: half of 10 um + 0 and of 15 um + 6 um/m.
+    ``mirror_slope_std`` is the mirror's flatness as slope (rad) seen from spot to spot.
+    """
+
+    range_std: float = _DEFAULTS.range_std_m
+    range_std_per_metre: float = _DEFAULTS.range_std_relative
+    transverse_std: float = _DEFAULTS.transverse_std_m
+    transverse_std_per_metre: float = _DEFAULTS.transverse_std_relative
+    mirror_slope_std: float = _DEFAULTS.mirror_slope_std_arcsec * ARCSEC
+
+    def __post_init__(self) -> None:
+        values = astuple(self)
+        if not all(np.isfinite(v) and v >= 0.0 for v in values):
+            raise DataError(f"tracker noise must be finite and not negative, found {values}")
+        along = self.range_std + self.range_std_per_metre
+        across = self.transverse_std + self.transverse_std_per_metre
+        if min(along, across) <= 0.0:
+            raise DataError("tracker noise along and across the beam must be above zero")
+
+    def covariance(self, points: Floats) -> Floats:
+        """Return the covariances (..., 3, 3) in m^2 of points (..., 3) seen from the origin."""
+        distance = np.linalg.norm(points, axis=-1)[..., None, None]
+        beam = points[..., :, None] * points[..., None, :] / distance**2
+        along = self.range_std + self.range_std_per_metre * distance
+        across = self.transverse_std + self.transverse_std_per_metre * distance
+        total: Floats = across**2 * np.eye(3) + (along**2 - across**2) * beam
+        return total
+
+    def weight(self, points: Floats) -> Floats:
+        """Return the inverse of :meth:`covariance`."""
+        return np.asarray(np.linalg.inv(self.covariance(points)), dtype=np.float64)
+
+
+def noise_of(settings: MirrorSolverSettings) -> TrackerNoise:
+    """Return the noise of the tracker that the settings state."""
+    return TrackerNoise(
+        range_std=settings.range_std_m,
+        range_std_per_metre=settings.range_std_relative,
+        transverse_std=settings.transverse_std_m,
+        transverse_std_per_metre=settings.transverse_std_relative,
+        mirror_slope_std=settings.mirror_slope_std_arcsec * ARCSEC,
+    )
+
+
+@dataclass(frozen=True)
+class PlaneMirrorProblem:
+    """Points of a laser tracker around a rotary table, row by row, and how to use them.
+
+    ``angles`` (N,) are the commanded table angles in rad, one per table position; a closing
+    position (0 and 360 degrees) is a position of its own. The rows are parallel arrays (n,):
+    ``position`` (index into ``angles``; not used by nests), ``station`` (of the tracker),
+    ``kind`` (:class:`~rotcal_ros.foundation.observations.PointKind` DIRECT, MIRRORED or NEST) and
+    ``nest``. ``xyz`` (n, 3) in metres in the frame of the tracker station, origin at the tracker.
+
+    DIRECT and MIRRORED rows with the same position, station and nest are a pair; these nests
+    may be moved between positions. NEST rows are the fixed nests of the registration, known
+    by the same number from every station. For the way "direct" the DIRECT rows are reflectors
+    carried by the table. ``time`` (n,) tells when each row was measured, in any unit; without it
+    the rows stand in the order in which they were measured. Nests that are measured again before
+    the tracker leaves a station show how it drifted there.
+
+    ``tilt_std`` (rad) is how far the table may tilt (EAC, EBC), that is, how exactly the normals
+    stand on one cone. ``uneven_drift_std`` (rad) is how far the tracker's azimuth may leave the
+    straight line between its first and its last look at the nests from one station, see
+    :mod:`.swing`. ``incidence_limit`` (rad) is the greatest angle between beam and mirror normal
+    that is used. ``significance`` is the probability of a false alarm of each test.
+    ``upward`` (N,) tells the side from which the table came to each position, where it came from
+    both: what differs between them is the table's reversal. ``station_names``, ``source`` and
+    ``lines`` (of the file, per row) serve the messages.
+    """
+
+    angles: Floats
+    position: Ints
+    station: Ints
+    kind: Ints
+    nest: Ints
+    xyz: Floats
+    noise: TrackerNoise = field(default_factory=TrackerNoise)
+    way: Way = _DEFAULTS.way
+    tilt_std: float = _DEFAULTS.tilt_std_arcsec * ARCSEC
+    uneven_drift_std: float = _DEFAULTS.uneven_drift_std_arcsec * ARCSEC
+    incidence_limit: float = INCIDENCE_LIMIT_DEG * DEGREE
+    significance: float = _DEFAULTS.significance
+    station_names: tuple[str, ...] = ()
+    source: str = "the data"
+    lines: tuple[int, ...] = ()
+    time: Floats | None = None
+    upward: Bools | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "angles", np.asarray(self.angles, dtype=np.float64))
+        object.__setattr__(self, "xyz", np.asarray(self.xyz, dtype=np.float64))
+        for name in ("position", "station", "kind", "nest"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=np.int64))
+        if self.time is not None:
+            object.__setattr__(self, "time", np.asarray(self.time, dtype=np.float64))
+        _require_shapes(self)
+        _require_values(self)
+
+    @property
+    def moment(self) -> Floats:
+        """When each row (n,) was measured: ``time``, else the number of the row."""
+        return np.arange(float(len(self.xyz))) if self.time is None else self.time
+
+    def station_name(self, index: int) -> str:
+        """Return the name of a tracker station as the data give it."""
+        return self.station_names[index] if self.station_names else str(index)
+
+    def position_name(self, index: int) -> str:
+        """Return a table position with its commanded angle, for messages."""
+        return f"position {index} ({self.angles[index] / DEGREE:g} deg)"
+
+    def row_name(self, row: int) -> str:
+        """Return what a row is and where it stands, for messages."""
+        kind = PointKind(int(self.kind[row])).name.lower()
+        where = f"tracker station {self.station_name(self.station[row])}, nest {self.nest[row]}"
+        if kind != "nest":
+            where = f"{self.position_name(self.position[row])}, {where}"
+        return f"{self.place(row)} ({kind}, {where})"
+
+    def place(self, row: int) -> str:
+        """Return the line of the file a row came from, else its number."""
+        return f"line {self.lines[row]}" if self.lines else f"row {row}"
+
+
+def problem_from_observations(
+    observations: Iterable[Observation], angles: Floats
+) -> PlaneMirrorProblem:
+    """Make a problem from captured probe points; observations that were not accepted are left out.
+
+    ``angles`` (N,) are the commanded angles in rad by ``table_position``.
+    """
+    used = [o for o in observations if o.accepted and o.kind in KINDS]
+    stations, station = np.unique([o.station for o in used], return_inverse=True)
+    return PlaneMirrorProblem(
+        angles=np.asarray(angles, dtype=np.float64),
+        position=np.array([o.table_position for o in used], dtype=np.int64),
+        station=station.astype(np.int64),
+        kind=np.array([int(o.kind) for o in used], dtype=np.int64),
+        nest=np.array([o.target for o in used], dtype=np.int64),
+        xyz=np.array([o.mean for o in used], dtype=np.float64).reshape(-1, 3),
+        station_names=tuple(str(s) for s in stations),
+        time=_stamps(used),
+    )
+
+
+def _stamps(observations: list[Observation]) -> Floats | None:
+    """Return when each was measured, in seconds after the first; None where nothing tells."""
+    stamps = np.array([o.window_start_ns for o in observations], dtype=np.int64)
+    if not len(stamps) or np.all(stamps == stamps[0]):
+        return None
+    return np.asarray((stamps - stamps.min()) * NANOSECOND, dtype=np.float64)
+
+
+def _require_shapes(problem: PlaneMirrorProblem) -> None:
+    n = len(problem.xyz)
+    if problem.angles.ndim != 1 or len(problem.angles) < 2:
+        raise DataError(f"{problem.source}: at least 2 commanded angles are needed")
+    if problem.xyz.shape != (n, 3) or n == 0:
+        raise DataError(f"{problem.source}: points must be (n, 3), found {problem.xyz.shape}")
+    for name in ("position", "station", "kind", "nest"):
+        shape = getattr(problem, name).shape
+        if shape != (n,):
+            raise DataError(f"{problem.source}: {name} has shape {shape}, expected ({n},)")
+    if problem.moment.shape != (n,) or not np.all(np.isfinite(problem.moment)):
+        raise DataError(f"{problem.source}: time must be {n} finite numbers")
+
+
+def _require_values(problem: PlaneMirrorProblem) -> None:
+    if problem.way not in WAYS:
+        raise DataError(f"unknown way {problem.way!r}; choose one of {', '.join(WAYS)}")
+    if not problem.uneven_drift_std >= 0.0:
+        raise DataError(f"uneven_drift_std must not be negative, found {problem.uneven_drift_std}")
+    if not problem.tilt_std > 0.0 or not 0.0 < problem.incidence_limit < np.pi / 2:
+        raise DataError("tilt_std must be above 0 and incidence_limit between 0 and pi/2 rad")
+    if not np.all(np.isfinite(problem.angles)):
+        raise DataError(f"{problem.source}: a commanded angle is not a number")
+    if len(np.setdiff1d(np.arange(problem.station.max() + 1), problem.station)) or (
+        problem.station.min() < 0
+    ):
+        found = np.unique(problem.station).tolist()
+        raise DataError(f"{problem.source}: tracker stations must count from 0, found {found}")
+    for row in range(len(problem.xyz)):
+        if problem.kind[row] not in KINDS:
+            raise DataError(
+                f"{problem.source}: {problem.place(row)} has kind {problem.kind[row]}, expected "
+                "direct, mirrored or nest"
+            )
+        tied = problem.kind[row] != PointKind.NEST
+        if tied and not 0 <= problem.position[row] < len(problem.angles):
+            raise DataError(
+                f"{problem.source}: {problem.place(row)} names position {problem.position[row]}, "
+                f"but there are {len(problem.angles)} commanded angles (0 is the first)"
+            )
+        if not np.all(np.isfinite(problem.xyz[row])) or not np.any(problem.xyz[row]):
+            raise DataError(
+                f"{problem.source}: {problem.row_name(row)} has no valid coordinates: "
+                f"{problem.xyz[row].tolist()}; measure it again or take the row out"
+            )
+    _require_distinct(problem)
+
+
+def _require_distinct(problem: PlaneMirrorProblem) -> None:
+    """Two rows of one station that agree to the last digit are one measurement copied.
+
+    Only a nest that is measured again may come out the same: it is the same point.
+    """
+    times: Counter[tuple[int, int]] = Counter()
+    again = np.zeros(len(problem.xyz))
+    for at in np.flatnonzero(problem.kind == PointKind.NEST):
+        nest = int(problem.station[at]), int(problem.nest[at])
+        again[at] = times[nest]
+        times[nest] += 1
+    keyed = np.column_stack([problem.station, again, problem.xyz])
+    _, first, inverse = np.unique(keyed, axis=0, return_index=True, return_inverse=True)
+    copies = np.flatnonzero(first[inverse.ravel()] != np.arange(len(keyed)))
+    if len(copies):
+        row, original = int(copies[0]), int(first[inverse.ravel()[copies[0]]])
+        raise DataError(
+            f"{problem.source}: {problem.row_name(row)} and {problem.row_name(original)} are the "
+            "same point to the last digit; measure one of them again or take it out"
+        )

@@ -1,0 +1,127 @@
+"""The reference of all settings, in words: what ``docs/settings.md`` and ``rotcal settings`` say.
+
+Both are written from the declarations, so that neither can say anything else than is checked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import MISSING, dataclass
+from typing import Any, Final
+
+from rotcal_ros.bags.reading_limits import ReadingLimits
+from rotcal_ros.foundation.settings import Declaration, declarations
+from rotcal_ros.methods.configuration import GROUPS, SHARED_GROUPS
+from rotcal_ros.methods.method import method_names, own_settings
+from rotcal_ros.methods.tracer.design.settings import TracerDesignSettings
+
+OWN_GROUPS: Final = tuple(name for name in GROUPS if name not in SHARED_GROUPS)
+"""Groups that every method declares for itself."""
+KINDS: Final[Mapping[type, str]] = {
+    bool: "true or false",
+    int: "whole",
+    float: "number",
+    str: "text",
+}
+Mark = Callable[[str], str]
+"""How a text value is set off from the words around it, ```text``` on a page."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """One group of settings: its name, that of its method ("" if shared), what it declares.
+
+    ``group`` is empty for settings that stand in a file of their own: the goal of a plan.
+    """
+
+    group: str
+    method: str
+    cls: type[Any]
+
+    @property
+    def summary(self) -> str:
+        """What the group is for, in one line."""
+        return (self.cls.__doc__ or "").strip().splitlines()[0]
+
+    def settings(self) -> Iterator[tuple[str, Declaration]]:
+        """Yield (``group.name``, declaration) of every setting."""
+        prefix = f"{self.group}." if self.group else ""
+        for declared in declarations(self.cls):
+            yield f"{prefix}{declared.name}", declared
+
+
+def shared_sections() -> tuple[Section, ...]:
+    """Return the groups that are the same for all methods."""
+    return tuple(Section(name, "", cls) for name, cls in SHARED_GROUPS.items())
+
+
+def own_sections(name: str) -> tuple[Section, ...]:
+    """Return the groups that a method declares for itself.
+
+    Raises ConfigurationError, with the nearest name, when there is no such method.
+    """
+    classes = own_settings(name)
+    return tuple(Section(group, name, classes[group]) for group in OWN_GROUPS)
+
+
+def method_sections(name: str) -> tuple[Section, ...]:
+    """Return all groups of a method, in the order in which a configuration is written.
+
+    Raises ConfigurationError, with the nearest name, when there is no such method.
+    """
+    sections = {s.group: s for s in (*shared_sections(), *own_sections(name))}
+    return tuple(sections[group] for group in GROUPS)
+
+
+def goal_section() -> Section:
+    """Return the settings of a tracer plan's goal, which have a file of their own."""
+    return Section("", "", TracerDesignSettings)
+
+
+def reading_section() -> Section:
+    """Return the limits of the bag reader, which are set on the command line alone."""
+    return Section("reading", "", ReadingLimits)
+
+
+def all_sections() -> tuple[Section, ...]:
+    """Return every group: the shared ones, those of each method, what stands elsewhere."""
+    own = (section for name in method_names() for section in own_sections(name))
+    return (*shared_sections(), *own, goal_section(), reading_section())
+
+
+def kind_in_words(declared: Declaration) -> str:
+    """Return the kind of a value: ``number``, ``list of 3 number``."""
+    kind = KINDS[declared.kind]
+    if declared.is_list:
+        kind = f"list of {'' if declared.length is None else f'{declared.length} '}{kind}"
+    return kind
+
+
+def default_in_words(declared: Declaration, mark: Mark = str) -> str:
+    """Return the default as YAML would have it; ``-`` for a setting that has to be given."""
+    if declared.default is MISSING:
+        return "-"
+    if declared.default is None:
+        return "none"
+    if isinstance(declared.default, bool):
+        return str(declared.default).lower()
+    if isinstance(declared.default, tuple):
+        return "[" + ", ".join(_value(value, mark) for value in declared.default) + "]"
+    return _value(declared.default, mark)
+
+
+def range_in_words(declared: Declaration, mark: Mark = str) -> str:
+    """Return the choices, or the inclusive range, or nothing."""
+    info = declared.info
+    if info.choices:
+        return ", ".join(mark(choice) for choice in info.choices)
+    if info.minimum is None and info.maximum is None:
+        return ""
+    low = "" if info.minimum is None else f"{info.minimum:g}"
+    return f"{low} ..." if info.maximum is None else f"{low} ... {info.maximum:g}"
+
+
+def _value(value: Any, mark: Mark) -> str:
+    if isinstance(value, str):
+        return mark(value) if value else "empty"
+    return f"{value:g}" if isinstance(value, float) else str(value)

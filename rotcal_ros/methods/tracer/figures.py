@@ -1,0 +1,91 @@
+"""Figures of the laser-tracer method: residuals, and the stations on their circle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from rotcal_ros.figures import Figure, style
+from rotcal_ros.figures.labels import name_places
+from rotcal_ros.figures.residuals import residual_figures
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import MILLIMETRE
+
+MOST_NAMES: Final = 40
+"""Targets whose numbers still fit into the plan view."""
+
+
+def figures(result: Result, _truth: Mapping[str, Any] | None = None) -> list[Figure]:
+    """Return the figures that only this method can fill."""
+    return [
+        *residual_figures(result),
+        Figure(
+            "Set-up in plan view",
+            "Axis of the table, stations of the tracer on their circle, and targets, from above.",
+            set_up(result),
+            "set-up",
+        ),
+        Figure(
+            "Stations on their circle",
+            "Solved stations on their circle with strongly exaggerated errors.",
+            stations(result),
+        ),
+    ]
+
+
+@style.styled
+def set_up(result: Result) -> str:
+    """Draw the circle of the stations about the axis and the targets, from above, to scale."""
+    details = result.details
+    if not {"stations", "targets", "circle"} <= details.keys():
+        return ""
+    stations_mm = np.asarray(details["stations"], dtype=np.float64)[:, :2] / MILLIMETRE
+    targets_mm = np.asarray(details["targets"], dtype=np.float64)[:, :2] / MILLIMETRE
+    centre = np.asarray(details["circle"]["centre"], dtype=np.float64)[:2] / MILLIMETRE
+    (ax,) = style.grid(height=5.2)
+    turn = np.linspace(0.0, 2.0 * np.pi, 181)
+    radius = float(details["circle"]["radius"]) / MILLIMETRE
+    circle = centre + radius * np.column_stack([np.cos(turn), np.sin(turn)])
+    ax.plot(*circle.T, color=style.GREY, linewidth=0.9, label="circle of the stations")
+    ax.plot(*stations_mm.T, "o", color=style.BLUE, markersize=4, label="stations of the tracer")
+    ax.plot(*targets_mm.T, "x", color=style.ORANGE, label="targets")
+    ax.plot(*centre, "+", color=style.INK, markersize=10, label="axis of the table")
+    if len(targets_mm) <= MOST_NAMES:
+        name_places(ax, details["target_ids"], targets_mm)
+    ax.set_aspect("equal")
+    ax.set_xlabel("x / mm")
+    ax.set_ylabel("y / mm")
+    return style.svg(ax)
+
+
+@style.styled
+def stations(result: Result) -> str:
+    """Draw the stations in plan view with the fitted circle, their errors exaggerated."""
+    details = result.details
+    if "stations" not in details or "circle" not in details:
+        return ""
+    points = np.asarray(details["stations"], dtype=np.float64)[:, :2]
+    centre = np.asarray(details["circle"]["centre"], dtype=np.float64)[:2]
+    radius = float(details["circle"]["radius"])
+    arms = points - centre
+    nominal = centre + radius * arms / np.linalg.norm(arms, axis=1, keepdims=True)
+    tangent = np.column_stack([-arms[:, 1], arms[:, 0]]) / radius
+    turned = np.asarray(details.get("station_deviations", result.deviations["ECC"]))
+    error = (points - nominal) + tangent * (radius * turned)[:, None]
+    largest = float(np.max(np.linalg.norm(error, axis=1)))
+    scale = 0.25 * radius / largest if largest > 0 else 1.0
+    (ax,) = style.grid(height=5.6)
+    turn = np.linspace(0.0, 2.0 * np.pi, 361)
+    circle = centre + radius * np.column_stack([np.cos(turn), np.sin(turn)])
+    ax.plot(*(circle / MILLIMETRE).T, color=style.GREY, linewidth=0.9, label="fitted circle")
+    ax.plot(*(nominal / MILLIMETRE).T, "o", color=style.INK, markersize=3, label="stations")
+    ax.quiver(
+        *(nominal / MILLIMETRE).T, *(error * scale / MILLIMETRE).T, color=style.ORANGE,
+        angles="xy", scale_units="xy", scale=1, width=0.005, label=f"error × {scale:,.0f}",
+    )  # fmt: skip
+    ax.set_aspect("equal")
+    ax.set_xlabel("x / mm")
+    ax.set_ylabel("y / mm")
+    return style.svg(ax)

@@ -1,0 +1,89 @@
+"""The laser-tracer method, as nodes, replay and report see it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from math import dist
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.capture.length import decide_length
+from rotcal_ros.capture.rules import CaptureRules
+from rotcal_ros.foundation.observations import PointKind
+from rotcal_ros.geometry.rotations import rotation_about_z
+from rotcal_ros.methods.configuration import Configuration
+from rotcal_ros.methods.method import Adaptive, Method, See, TableReader
+from rotcal_ros.methods.stations import Stations
+from rotcal_ros.methods.tracer import calibration, table
+from rotcal_ros.methods.tracer.disturbances import DISTURBANCES
+from rotcal_ros.methods.tracer.figures import figures
+from rotcal_ros.methods.tracer.plan import check_plan, tracer_plan
+from rotcal_ros.methods.tracer.plan_tables import PLAN_FILES
+from rotcal_ros.methods.tracer.plausibility import LengthCheck
+from rotcal_ros.methods.tracer.settings import TracerPlanSettings
+from rotcal_ros.methods.tracer.simulation_settings import TracerSimulationSettings
+from rotcal_ros.methods.tracer.solver.solve import METHOD as NAME
+from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
+from rotcal_ros.planning.plan import Plan, Step
+from rotcal_ros.planning.plan_figures import Compared
+
+
+def nominal(configuration: Configuration, _plan: Plan) -> See:
+    """Return what a tracer reads that stands where the simulation mounts it."""
+    tracer = configuration.simulation.tracer
+
+    def see(step: Step) -> tuple[float, ...]:
+        station = rotation_about_z(step.table_angle) @ np.array(tracer.mount_m)
+        return (dist(step.position, station) - tracer.dead_distance_m,)
+
+    return see
+
+
+def stations(configuration: Configuration) -> Stations:
+    """Return where the tracer rides: as the plan says, else where the simulation mounts it."""
+    place = configuration.plan.tracer_m
+    if not place and configuration.simulated:
+        place = configuration.simulation.tracer.mount_m
+    return Stations((tuple(place),) if place else (), carried=True)
+
+
+def compare(
+    configuration: Configuration, plan: Plan, steps: Sequence[int], lost: Collection[int]
+) -> Compared:
+    """Return what is known of ``steps`` and of the paper's plan; loaded when it is asked for."""
+    from rotcal_ros.methods.tracer import paper
+
+    return paper.compare(configuration, plan, steps, lost)
+
+
+def until_goal(configuration: Configuration, plan: Plan) -> Adaptive:
+    """Return what makes the policy of that name; loaded when it is asked for."""
+    from rotcal_ros.methods.tracer import goal_policy as policy
+
+    return policy.until_goal(configuration, plan)
+
+
+METHOD: Final = Method(
+    name=NAME,
+    title="Laser tracer, multi-station",
+    page="tracer",
+    topics=("tracer_length", "probe_point", "joint_states"),
+    plan_settings=TracerPlanSettings,
+    solver_settings=TracerSolverSettings,
+    simulation_settings=TracerSimulationSettings,
+    plan=lambda configuration: tracer_plan(configuration.plan),
+    check_plan=lambda configuration, plan: check_plan(configuration.solver, plan),
+    adaptive=until_goal,
+    compare=compare,
+    plan_files=PLAN_FILES,
+    capture=CaptureRules({PointKind.REFLECTOR: decide_length}, lambda plan: (LengthCheck(plan),)),
+    solve=calibration.solve,
+    joins_runs=True,
+    trials=calibration.trials,
+    nominal=nominal,
+    stations=stations,
+    table=TableReader(table.HEADERS, table.read),
+    figures=figures,
+    disturbances=DISTURBANCES,
+)

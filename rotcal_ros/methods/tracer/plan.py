@@ -1,0 +1,207 @@
+"""The plan of the laser-tracer method: table angles and a block of targets.
+
+The tracer rides on the table; the probe carries the reflector to the targets. Both orders of
+measuring are plans: all stations at each target (the order of the paper), and all targets at
+each station. An explicit plan lists its own targets, and the pairs of table position and target in
+the order in which they are measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+
+from rotcal_ros.foundation.errors import PlanError
+from rotcal_ros.foundation.observations import Approach, PointKind
+from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION, TracerPlanSettings
+from rotcal_ros.methods.tracer.solver.circle_prior import contrast_count
+from rotcal_ros.methods.tracer.solver.grid import station_minimum
+from rotcal_ros.methods.tracer.solver.observability import what_is_missing
+from rotcal_ros.methods.tracer.solver.solve import METHOD
+from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
+from rotcal_ros.planning.plan import Plan, Point, Step
+from rotcal_ros.planning.points import block, in_a_line, in_a_plane
+from rotcal_ros.planning.table_angles import table_angles
+from rotcal_ros.planning.visits import visits
+
+LEAST_ANGLES = 3
+"""Different table angles below which the stations show no axis, however often they return."""
+
+
+def check_plan(solver: TracerSolverSettings, planned: Plan) -> None:
+    """Raise PlanError for a plan whose lengths could never be solved."""
+    at, of = (
+        np.array([getattr(step, name) for step in planned.steps])
+        for name in ("table_position", "target")
+    )
+    shared = solver.zero == "per_segment"
+    on_circle = solver.circle_std_m is not None
+    least = station_minimum(not shared, on_circle)
+    different = np.array(sorted({*zip(at.tolist(), of.tolist(), strict=True)}))
+    lengths = np.bincount(different[:, 0], minlength=len(planned.table_angles))
+    poor = np.flatnonzero(lengths < least)
+    enough = lengths[at] >= least
+    n = len(planned.targets)
+    free = solver.variant == "joint" and solver.datum == "free"
+    m, count = int((lengths >= least).sum()), int(enough.sum())
+    missing = what_is_missing(m, len(set(of[enough])), count, free and not shared, least)
+    unknowns = 3 * m + (1 if shared else m) - (contrast_count(m) if on_circle else 0)
+    if not missing and count < unknowns:
+        missing = (
+            f"{count} lengths from {m} stations are fewer than the {unknowns} unknowns: measure "
+            "more targets"
+        )
+    if len(poor) and not missing:
+        missing = (
+            f"table position {poor[0]} has {lengths[poor[0]]} lengths, at least {least} are "
+            "needed at each"
+        )
+    if (places := len(set(planned.targets))) < n:
+        missing = (
+            f"{n} targets at {places} places: targets_m repeats one, or box_size_m is 0 where "
+            "box_points are several"
+        )
+    if not on_circle and not missing and in_a_line(np.array(planned.targets)):
+        missing = (
+            f"the {n} targets lie in a line, about which every station could be turned without a "
+            "trace in the lengths: put some aside"
+        )
+    if not (on_circle or shared or missing) and n == 4 and in_a_plane(np.array(planned.targets)):
+        missing = (
+            "4 targets in one plane do not determine a station with a zero of its own: put one "
+            "out of the plane, or measure more"
+        )
+    if (angles := len(set(planned.table_angles))) < LEAST_ANGLES:
+        missing = missing or f"{angles} table angles: a circle needs at least {LEAST_ANGLES}"
+    if missing:
+        raise PlanError(missing)
+
+
+def tracer_plan(settings: TracerPlanSettings) -> Plan:
+    """Return the plan of one laser-tracer calibration.
+
+    Explicit pairs are measured as they are listed, every position reached from below. Repeated
+    runs list the table angles again for every arrival: a station is one arrival, at which the
+    table stands until all targets are measured. Raises PlanError when explicit angles do not
+    ascend, when repeated runs come with an order that leaves the angle for every target, or when
+    pairs are not of the plan's angles and targets.
+    """
+    if settings.pairs:
+        return explicit_plan(settings)
+    if settings.repeated and settings.order != TARGETS_PER_STATION:
+        raise PlanError(
+            f"repeated runs need the order {TARGETS_PER_STATION}: with {settings.order} the table "
+            "would arrive anew for every target, and no arrival could be told from another"
+        )
+    angles = table_angles(settings)
+    arrivals = visits(len(angles), settings.runs, settings.bidirectional)
+    targets = targets_of(settings)
+    every = tuple(angles[visit.target] for visit in arrivals)
+    plan = plan_of(every, targets, [visit.approach for visit in arrivals])
+    if settings.limited:
+        plan = _with_free_beams(plan, settings)
+    if settings.order == TARGETS_PER_STATION:
+        return plan
+    return _renumbered(plan, sorted(plan.steps, key=lambda step: step.target))
+
+
+def _with_free_beams(plan: Plan, settings: TracerPlanSettings) -> Plan:
+    """Return the plan without the pairs whose beam is too low or too short."""
+    from rotcal_ros.methods.tracer.design.candidates import candidates
+    from rotcal_ros.methods.tracer.design.scene import Scene, on_table
+    from rotcal_ros.methods.tracer.design.settings import TracerDesignSettings
+
+    if len(settings.tracer_m) != 3:
+        raise PlanError(
+            "min_elevation_deg and min_distance_m need to know where the tracer stands on the "
+            "table: give tracer_m: [x, y, z]"
+        )
+    angles = np.array(plan.table_angles)
+    targets = np.array(plan.targets)
+    scene = Scene(on_table(settings.tracer_m, angles), angles, targets, np.zeros(3), 1.0)
+    lowest = settings.min_elevation_deg
+    limits = TracerDesignSettings(
+        min_elevation_deg=-90.0 if lowest is None else lowest,
+        min_distance_m=settings.min_distance_m,
+        max_distance_m=np.inf,
+    )
+    free = candidates(scene, limits)
+    pairs = set(zip(free.position.tolist(), free.target.tolist(), strict=True))
+    kept = [step for step in plan.steps if (step.table_position, step.target) in pairs]
+    return _renumbered(plan, kept)
+
+
+def _renumbered(plan: Plan, steps: Iterable[Step]) -> Plan:
+    in_order = tuple(replace(step, index=number) for number, step in enumerate(steps))
+    return replace(plan, steps=in_order)
+
+
+def explicit_plan(settings: TracerPlanSettings, targets: Sequence[Point] = ()) -> Plan:
+    """Return the plan of the listed pairs; PlanError, with the step, for those that cannot be.
+
+    A pair that is listed several times is measured as often. ``targets``: in place of the plan's.
+    """
+    if settings.repeated:
+        raise PlanError(
+            "runs and bidirectional repeat all lengths: they do not go with explicit pairs"
+        )
+    if settings.limited:
+        raise PlanError(
+            "min_elevation_deg and min_distance_m leave out pairs: they do not go with explicit "
+            "ones"
+        )
+    angles, targets = table_angles(settings), tuple(targets) or targets_of(settings)
+    pairs = settings.listed
+    for number, (position, target) in enumerate(pairs):
+        where = f"step {number} of the pairs, table position {position}, target {target}"
+        if position >= len(angles):
+            raise PlanError(f"{where}: there are table positions 0 to {len(angles) - 1}")
+        if target >= len(targets):
+            raise PlanError(f"{where}: there are targets 0 to {len(targets) - 1}")
+    return _plan(angles, targets, pairs, [Approach.POSITIVE] * len(angles))
+
+
+def plan_of(
+    table_angles: tuple[float, ...], targets: tuple[Point, ...], approaches: Sequence[Approach]
+) -> Plan:
+    """Return the plan that measures every target at each table angle, which is an arrival."""
+    pairs = product(range(len(table_angles)), range(len(targets)))
+    return _plan(table_angles, targets, pairs, approaches)
+
+
+def _plan(
+    table_angles: tuple[float, ...],
+    targets: tuple[Point, ...],
+    pairs: Iterable[tuple[int, int]],
+    approaches: Sequence[Approach],
+) -> Plan:
+    """Return the plan with one step for each pair (arrival, target), in their order."""
+    steps = tuple(
+        Step(
+            index=number,
+            table_position=arrival,
+            table_angle=table_angles[arrival],
+            approach=approaches[arrival],
+            kind=PointKind.REFLECTOR,
+            target=target,
+            position=targets[target],
+        )
+        for number, (arrival, target) in enumerate(pairs)
+    )
+    return Plan(METHOD, table_angles, targets, steps)
+
+
+def targets_of(settings: TracerPlanSettings) -> tuple[Point, ...]:
+    """Return the explicit targets (m), or those of the block."""
+    if not settings.targets_m:
+        return block_of_targets(settings)
+    every = iter(settings.targets_m)
+    return tuple(zip(every, every, every, strict=True))
+
+
+def block_of_targets(settings: TracerPlanSettings) -> tuple[Point, ...]:
+    """Return the targets (m), layer by layer in a serpentine: neighbours are close together."""
+    return block(settings.box_centre_m, settings.box_size_m, settings.box_points)

@@ -1,0 +1,614 @@
+"""The policy ``until_goal``: fixed sweeps until the uncertainty is as wanted.
+
+With known noise the uncertainty of a set of lengths is known before any is taken: the first sweep
+is the set that reaches the goal with the planned noise. What is not known is learnt on the way:
+
+* the noise, from the residuals of the first sweep; further steps are as many as Student's t then
+  asks for (Stein's two stages, see :mod:`.noise`), where they pay most for their time;
+* blocked beams: a step that was given up is replaced by the best at the same station, and beams
+  nearby are held to be blocked too until better is known;
+* suspect lengths are measured again, then all lengths of their station; a length that stays
+  suspect is replaced by another target;
+* a drift: the first step and the middle step are measured again, to close the sweep;
+* what the result states: where that misses the goal, although what is planned reaches it, further
+  steps follow. The goal is reached when both do: the U of the result is the one that is told.
+
+Where all steps together would miss the goal with the noise as it is, it ends at once.
+
+Closing a sweep that drifts: two of its lengths are measured again, and tell by how much.
+
+The first sweep: few steps that reach an uncertainty, in an order that hides little.
+
+With known noise this is all that there is to plan. The fewest steps are found by exchange; they
+are then shared among sweeps there and back, so that neither a drift of the machine nor a knock of
+the tracer is mistaken for a deviation (:mod:`rotcal_ros.methods.tracer.design.sequence_choice`).
+
+How probably each beam is free: what hides a target hides its neighbours as well.
+
+Whether the goal is within reach of all steps: hours of lengths might lead to nothing.
+
+Lengths that do not agree with the others: measured again, or replaced by another target.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from rotcal_ros.adjust.distributions import normal_isf
+from rotcal_ros.foundation.arrays import Bools, Floats
+from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.foundation.protection import TOLERABLE
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
+from rotcal_ros.methods.tracer.design.exchange import fewest_lengths
+from rotcal_ros.methods.tracer.design.penalty import Demands
+from rotcal_ros.methods.tracer.design.sequence_choice import least_hidden, measuring_orders
+from rotcal_ros.methods.tracer.design.sequence_forecast import OrderForecast
+from rotcal_ros.methods.tracer.policy.further import MOST_AT_ONCE, Wish, as_sweep, best_at, pick
+from rotcal_ros.methods.tracer.policy.lengths import LengthExperiment
+from rotcal_ros.methods.tracer.policy.measured import Measured
+from rotcal_ros.methods.tracer.policy.noise import LengthNoise, student_factor
+from rotcal_ros.methods.tracer.policy.stated import Allowance, Stated
+from rotcal_ros.planning.choices import Choice, Outcome, Standing
+from rotcal_ros.planning.sequence_time import stated_time
+
+PLANNED_FACTOR: Final = student_factor(math.inf)
+RESERVE: Final = 0.75
+"""The first sweep aims so far below the goal: a few lengths more show the noise better, and save
+the turns of the table that further sweeps would take."""
+RESERVE_PER_SEGMENT: Final = 0.8
+"""The same with one zero per segment: fewer unknowns leave more of the noise to be seen."""
+NEARLY: Final = 1.02
+"""The order of the steps changes what the solver allows for slips by no more."""
+DOUBTED: Final = 0.9
+"""Share of what is planned that is aimed at next, where a result is not believed yet."""
+NOWHERE: Final = Standing(0)
+POOR_CHANCE: Final = 0.5
+"""A planned step with a smaller chance gives way to a better one at the same station."""
+UNKNOWN: Final = 1e-3
+"""A larger uncertainty (rad) is that of a station that nothing has placed yet."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """The goal (rad, k = 2, rms over the angles) and how sure the tests have to be.
+
+    ``significance``: probability of suspecting any length, or a drift, when all is well.
+    """
+
+    uncertainty: float
+    significance: float = 0.01
+
+
+class UntilGoal:
+    """Chooses among the steps of ``experiment`` until ``limits`` are met.
+
+    ``again``: steps that a resumed plan measures again first; ``earlier`` is what the earlier runs
+    observed, ``given_up`` the steps that they gave up. A resumed policy goes through that in the
+    order of time, and is then where the earlier ones ended.
+    """
+
+    def __init__(
+        self,
+        experiment: LengthExperiment,
+        limits: Limits,
+        *,
+        again: Iterable[int] = (),
+        earlier: Iterable[Observation] = (),
+        given_up: Iterable[int] = (),
+    ) -> None:
+        self._experiment, self._limits = experiment, limits
+        self._measured = experiment.nothing
+        self._beams = FreeBeams(experiment.directions)
+        self._at: int | None = None
+        self._first_stage: set[int] = set()
+        """The steps whose lengths have told the noise, once they have."""
+        self._spoiled = False
+        """Whether one of them has become suspect since."""
+        self._stated = (1.0, PLANNED_FACTOR)
+        """Factor of the noise and coverage factor, as they are known now."""
+        self._now: float | None = None
+        """The uncertainty (rad) of what is measured, with the noise as stated, once worked out."""
+        self._reach = Reach(*self._stated)
+        self._seen: dict[tuple[int, int], Observation] = {}
+        """The last observation of every run and step: all that the solver will get."""
+        self._result: Stated | None = None
+        """What the result of these states, once it was asked for."""
+        self._allowance = Allowance()
+        self._hopeless = False
+        """Whether a result has shown an error motion beyond the goal; a second one is believed."""
+        self._suspects = Suspects()
+        self._closing = Closing()
+        self._queue = deque((step, "first sweep") for step in self._first_sweep())
+        self._go_through(earlier, set(given_up))
+        if self._next().step is not None:  # there is something to be joined
+            joining = [(step, "done step, measured again to join the runs") for step in again]
+            self._queue.extendleft(reversed(joining))
+
+    def _go_through(self, earlier: Iterable[Observation], given_up: set[int]) -> None:
+        """Follow the earlier runs, whose choices are found again from what they observed."""
+        for seen in sorted(earlier, key=lambda o: (o.run, o.window_end_ns, o.attempt)):
+            while (step := self._next().step) != seen.step and step in given_up:
+                self.note(Outcome(step, None))
+                given_up.remove(step)
+            self.note(Outcome(seen.step, seen))
+        for step in sorted(given_up):
+            self.note(Outcome(step, None))
+
+    def _first_sweep(self) -> list[int]:
+        """Return the steps of the first sweep, with the reserve where there are enough."""
+        goal = self._limits.uncertainty
+        reserve = RESERVE_PER_SEGMENT if self._experiment.per_segment else RESERVE
+        first = first_sweep(self._experiment, reserve * goal)
+        nothing = self._experiment.nothing
+        found = self._experiment.uncertainty(nothing, 1.0, PLANNED_FACTOR, first)
+        reached = found <= NEARLY * reserve * goal
+        return first if reached else first_sweep(self._experiment, goal)
+
+    def choose(self) -> Choice:
+        """Return the next step, or why nothing more is measured."""
+        found = self._next()
+        return Choice(found.step, found.reason, self._standing())
+
+    def _next(self) -> Choice:
+        """Return the choice without its standing."""
+        stop = self._beyond_reach()
+        while not self._queue and not stop:
+            stop = self._plan_further()
+        if stop:
+            return Choice(None, stop + self._closing.in_words(), NOWHERE)
+        step, reason = self._queue[0]
+        if step not in self._measured and self._beams.chance[step] < POOR_CHANCE:
+            step, reason = self._queue[0] = self._better_than(step, reason)
+        return Choice(step, reason, NOWHERE)
+
+    def note(self, outcome: Outcome) -> None:
+        """Take notice of a length, or of a step that was given up."""
+        step = outcome.step
+        queued = next((entry for entry in self._queue if entry[0] == step), None)
+        if queued is not None:
+            self._queue.remove(queued)
+        self._at = int(self._experiment.position[step])
+        if outcome.observation is not None:
+            self._beams.note_free(step)
+            self._closing.note(outcome.observation, self._measured)
+            self._measured.add(outcome.observation)
+            self._seen[outcome.observation.run, step] = outcome.observation
+            self._now = self._result = None
+        elif step not in self._measured:
+            self._beams.note_blocked(step)
+            self._replace(step, f"step {step} was given up: another target in its place")
+        if not self._queue and self._uncertainty() <= self._limits.uncertainty:
+            self._solved()  # now, for choosing has to be quick
+
+    @property
+    def noise_factor(self) -> float:
+        """Noise of the lengths in units of the planned one: 1 before it is estimated."""
+        return self._stated[0]
+
+    @property
+    def _learnt(self) -> str:
+        noise, factor = self._stated
+        return f"noise {noise:.3g} times the planned (k = {factor:.3g})"
+
+    def _uncertainty(self) -> float:
+        """Return the uncertainty (rad) of what is measured, with the noise as stated."""
+        if self._now is None:
+            self._now = self._experiment.uncertainty(self._measured, *self._stated)
+        return self._now
+
+    def _solved(self) -> Stated | None:
+        """Return what the result states of all that was measured; None where nobody solves it."""
+        if self._result is None and self._experiment.solved is not None:
+            self._result = self._experiment.solved(tuple(self._seen.values()))
+        return self._result
+
+    def _standing(self) -> Standing:
+        now = self._uncertainty() if self._result is None else self._result.uncertainty
+        known = now if now < UNKNOWN else math.nan
+        return Standing(len(self._queue), known, self._limits.uncertainty)
+
+    def _plan_further(self) -> str:
+        """Queue what is needed next; return why nothing is."""
+        if self._spoiled:
+            self._spoiled = False
+            first = self._measured.only(self._first_stage)
+            self._state(self._experiment.noise(first, self._limits.significance)[0])
+        known = self._stated[0] if self._first_stage else None
+        noise, suspect = self._experiment.noise(self._measured, self._limits.significance, known)
+        if suspect is not None and self._suspects.single(self._measured):
+            self._measure_again(*suspect)
+            return ""
+        if self._drifts(noise):
+            return ""
+        if not self._first_stage and self._experiment.solvable(self._measured):
+            self._first_stage = self._measured.steps if noise.dof > 0.0 else set()
+            self._state(noise)
+        factor, student = self._stated
+        goal = self._limits.uncertainty
+        now = self._uncertainty()
+        if now <= goal:
+            result = self._solved()
+            if result is None or result.uncertainty <= goal:
+                return self._reached(now, result)
+            self._allow_for(result, factor, student)
+            now = result.uncertainty
+            if self._allowance.floor >= goal:
+                return self._beyond_reach()
+        more = self._further(factor, student)
+        if not more:
+            lacking = self._experiment.lacking_in_words(self._measured)
+            worse = lacking or f"{_in_words(now)} > {_in_words(goal)}"
+            return f"no further step helps: {worse}, {self._learnt}{self._doubt}"
+        if len(more) >= MOST_AT_ONCE:
+            self._reach.doubt()  # worked out for the next choice: this one was long enough
+        why = f"{self._learnt}: {len(more)} more lengths to {_in_words(goal)}"
+        self._queue += ((step, why) for step in as_sweep(self._experiment, more, self._at))
+        return ""
+
+    def _reached(self, now: float, result: Stated | None) -> str:
+        """Return that the goal is reached, by the U of the result, and with which verdict."""
+        reached = now if result is None else result.uncertainty
+        goal = _in_words(self._limits.uncertainty)
+        return f"goal reached: {_in_words(reached)} <= {goal}, {self._learnt}{self._doubt}"
+
+    @property
+    def _doubt(self) -> str:
+        """Why the result is not ok, to end a sentence with; empty: nothing is said against it."""
+        if self._result is None or not self._result.doubt:
+            return ""
+        return f"; but the verdict would not be ok: {self._result.doubt}"
+
+    def _allow_for(self, result: Stated, factor: float, student: float) -> None:
+        """Plan from now on for what the solver states, which is more than what was planned."""
+        planned = self._experiment.planned(self._measured, factor, student)
+        floor, goal = self._experiment.felt(result.error_motion), self._limits.uncertainty
+        if math.isfinite(result.uncertainty) and floor < goal:
+            self._allowance = Allowance.of(result.uncertainty, planned, floor)
+        elif math.isfinite(result.uncertainty) and self._hopeless:
+            self._allowance = Allowance(floor)
+        else:  # noise that a first sweep has underestimated looks like error motion, too
+            self._hopeless = math.isfinite(result.uncertainty)
+            self._allowance = Allowance.of(goal / DOUBTED, planned, 0.0)
+
+    def _further(self, factor: float, student: float) -> list[int]:
+        """Return the steps that are lacking for the goal, as the solver will state it.
+
+        They are planned to first order: without what it allows for slips and estimates.
+        """
+        now, allowance = self._uncertainty(), self._allowance
+        if self._experiment.per_segment and math.isfinite(now):
+            planned = self._experiment.planned(self._measured, factor, student)
+            slips = Allowance.of(now, planned, allowance.floor)
+            allowance = max(allowance, slips, key=lambda slip: slip.growth)
+        wish = Wish(allowance.planned(self._limits.uncertainty), factor, student)
+        beams = self._beams
+        return pick(self._experiment, self._measured, beams.allowed, beams.chance, wish)
+
+    def _beyond_reach(self) -> str:
+        """Return that all steps together miss the goal, if that was doubted and is so."""
+        best = self._reach.best(
+            self._experiment, self._measured, self._beams.allowed, self._allowance
+        )
+        goal = self._limits.uncertainty
+        if not goal <= best < math.inf:
+            return ""
+        self._queue.clear()
+        missed = f"all steps that are left would give {_in_words(best)} > {_in_words(goal)}"
+        if self._allowance.floor >= goal:
+            missed = (
+                f"the table's error motion alone, as its circle tells it, gives {_in_words(best)}"
+            )
+        return f"the goal is out of reach: {missed}, {self._learnt}{self._doubt}"
+
+    def _state(self, noise: LengthNoise) -> None:
+        """State the noise from now on as the first stage tells it, if it does."""
+        if noise.dof > 0.0:
+            share = self._experiment.share_of_noise(self._measured, noise.factor)
+            self._stated = (noise.factor, student_factor(noise.dof / share**2))
+            self._now = None
+            self._reach = Reach(*self._stated)
+
+    def _measure_again(self, suspect: Observation, value: float) -> None:
+        """Queue what a suspect length asks for: the same again, or another target."""
+        self._spoiled = bool(self._first_stage)
+        again, why = self._suspects.again(suspect, value, self._measured)
+        self._queue.extend((step, why) for step in again)
+        if not again:
+            self._measured.drop(suspect)
+            self._now = None
+            self._beams.allowed[suspect.step] = False
+            self._replace(suspect.step, why)
+
+    def _drifts(self, noise: LengthNoise) -> bool:
+        """Queue steps that close a sweep that drifts; False: it does not, or is closed already."""
+        limit = normal_isf(0.5 * self._limits.significance)
+        if self._closing.begun or abs(noise.drift_value) <= limit:
+            return False
+        why = f"the lengths drift with time ({noise.drift_value:+.1f} standard deviations)"
+        self._queue.extend(
+            (step, f"{why}: measured again to close the sweep")
+            for step in self._closing.begin(self._measured)
+        )
+        return True
+
+    def _better_than(self, step: int, reason: str) -> tuple[int, str]:
+        """Return a step at the same station with a better chance, or ``step`` itself."""
+        found, chance = self._instead(step), self._beams.chance
+        if found is None or chance[found] <= chance[step]:
+            return step, reason
+        return found, f"the beam of step {step} is probably blocked: another target in its place"
+
+    def _replace(self, step: int, why: str) -> None:
+        found = self._instead(step)
+        if found is not None:
+            self._queue.appendleft((found, why))
+
+    def _instead(self, step: int) -> int | None:
+        queued = [other for other, _ in self._queue]
+        place = int(self._experiment.position[step])
+        noise, _ = self._stated
+        beams = self._beams
+        return best_at(
+            self._experiment, place, self._measured, queued, beams.allowed, beams.chance, noise
+        )
+
+
+def _in_words(uncertainty: float) -> str:
+    return f"U {uncertainty / ARCSEC:.3f} arcsec rms"  # the largest U of a curve is another figure
+
+
+class Closing:
+    """The steps that close the sweep, if it drifts, and by how much their lengths have changed."""
+
+    def __init__(self) -> None:
+        self._changes: dict[int, float] = {}
+
+    @property
+    def begun(self) -> bool:
+        """Whether there are such steps: a sweep is closed once."""
+        return bool(self._changes)
+
+    def begin(self, measured: Measured) -> tuple[int, int]:
+        """Return the first and the middle step of what was measured."""
+        by_time = [measured.observations[row] for row in measured.time_order().argsort()]
+        steps = by_time[0].step, by_time[len(by_time) // 2].step
+        self._changes = dict.fromkeys(steps, math.nan)
+        return steps
+
+    def note(self, observation: Observation, measured: Measured) -> None:
+        """Take notice of a length, before it is ``measured``: one that closes is compared."""
+        step = observation.step
+        if not math.isnan(self._changes.get(step, 0.0)):
+            return
+        before = measured.last_of(step)
+        if before is None or not measured.of_one_zero(before, observation):
+            self._changes[step] = math.inf
+        else:
+            self._changes[step] = observation.mean[0] - before.mean[0]
+
+    def in_words(self) -> str:
+        """Return by how much lengths have changed, to end a sentence with; empty: none closed."""
+        known = {s: change for s, change in self._changes.items() if not math.isnan(change)}
+        if not known:
+            return ""
+        return "; closed: step " + ", ".join(f"{s} {_by(change)}" for s, change in known.items())
+
+
+def _by(change: float) -> str:
+    """Return a change of a length (m) in words; infinite: the zero is another one."""
+    return f"by {change / MICROMETRE:+.2f} um" if math.isfinite(change) else "with another zero"
+
+
+EXCHANGES: Final = 300
+CHECKED_EXCHANGES: Final = 40
+"""So long the first sweep is sought by exchange, before anything moves: about a second."""
+LEAST_REDUNDANCY: Final = 0.02
+"""Of each length of the first sweep: an error of 33 standard deviations shows."""
+HIDDEN: Final = 0.9 * TOLERABLE
+"""What a drift or knock may do unseen (std); below the limit, as the noise is not known yet."""
+NEARLY_HIDDEN: Final = 0.95 * TOLERABLE
+"""No larger set is measured for what is nearly as little."""
+SHARES: Final = (1.0, 0.93)
+"""Of the uncertainty that is wanted: some lengths more may need a sweep less to be protected, and
+the quickest of both is taken."""
+TRIES: Final = 3
+"""Times that a smaller uncertainty is tried, to make room for what the solver allows for slips."""
+
+
+def first_sweep(of: LengthExperiment, uncertainty: float) -> list[int]:
+    """Return the steps that reach ``uncertainty`` (rad) with the planned noise, in their order.
+
+    Takes some seconds, once for each uncertainty.
+    """
+    if uncertainty not in of.sweeps:
+        ways = [_reaching(of, share * uncertainty) for share in SHARES]
+        best = min(ways, key=lambda way: (max(way.unseen, NEARLY_HIDDEN), way.seconds))
+        of.sweeps[uncertainty] = best.steps
+    return list(of.sweeps[uncertainty])
+
+
+class Sweep(NamedTuple):
+    """``steps`` in their order, their time (s), and what drift or knock may do unseen (std)."""
+
+    steps: tuple[int, ...]
+    seconds: float
+    unseen: float
+
+
+def _reaching(of: LengthExperiment, uncertainty: float) -> Sweep:
+    """Return the fewest steps that reach ``uncertainty`` (rad), in their order."""
+    aim = uncertainty
+    for _ in range(TRIES):
+        steps = _fewest(of, aim)
+        found = of.uncertainty(of.nothing, 1.0, COVERAGE_FACTOR, steps)
+        if not uncertainty < found < np.inf:
+            break
+        aim *= uncertainty / found
+    return protected(of, steps)
+
+
+def protected(of: LengthExperiment, steps: list[int]) -> Sweep:
+    """Return ``steps`` in the quickest order that shows drift and knock in time, or most of it."""
+    if not of.solvable(of.nothing, steps):
+        return Sweep(tuple(as_sweep(of, steps, None)), np.inf, np.inf)
+    rows = np.array(as_sweep(of, steps, None))
+    position, target = of.position[rows], of.target[rows]
+    time = stated_time(of.costs.turn_s, of.costs.step_s)
+    costs = time.costs(of.scene.table_angles, of.scene.targets, position, target)
+    forecast = OrderForecast(of.posed(of.nothing, 1.0, rows))
+    # whole sweeps only: what is added later has to find each position early and late alike
+    ways = measuring_orders(position, target, costs, forecast, limit=HIDDEN, sparse=())
+    best = least_hidden(ways, HIDDEN)
+    unseen = np.inf if best.forecast is None else best.forecast.worst
+    return Sweep(tuple(rows[best.order].tolist()), best.seconds, unseen)
+
+
+def _fewest(of: LengthExperiment, uncertainty: float) -> list[int]:
+    every = np.ones(len(of.plan.steps), dtype=np.bool_)
+    wish = Wish(uncertainty, 1.0, COVERAGE_FACTOR)
+    steps = pick(of, of.nothing, every, np.ones(len(every)), wish, sweep=True)
+    return _exchanged(of, steps, uncertainty)
+
+
+def _exchanged(of: LengthExperiment, steps: list[int], uncertainty: float) -> list[int]:
+    """Return fewer steps that reach as much, all stations being visited anyway.
+
+    The fewest are nearly the same with and without a check, and sooner found without.
+    """
+    plain = Demands(
+        mean=(uncertainty / COVERAGE_FACTOR) ** 2,
+        largest=np.inf,
+        redundancy=LEAST_REDUNDANCY,
+        share=np.inf,
+        per_station=of.minimum,
+        checked=False,
+    )
+    every = of.lengths(range(len(of.plan.steps)), of.nothing)
+    near = np.flatnonzero(np.isin(every.target, every.target[steps]))
+    pool, best = every[near], np.searchsorted(near, np.sort(steps))
+    zeros = 1 if of.per_segment else of.stations
+    for demands, exchanges in (
+        (plain, EXCHANGES),
+        (replace(plain, checked=True), CHECKED_EXCHANGES),
+    ):
+        found = fewest_lengths(of.scene, pool, zeros, demands, best, exchanges=exchanges)
+        best = best if found is None else found
+    return [int(step) for step in near[best]]
+
+
+BLOCKED_WIDTH: Final = 15.0 * DEGREE
+"""A beam so near to a blocked one is as likely blocked as free."""
+TINY: Final = 1e-6
+
+
+class FreeBeams:
+    """Beams along ``directions`` (k, 3), unit vectors; ``allowed`` (k,): not found blocked."""
+
+    def __init__(self, directions: Floats) -> None:
+        count = len(directions)
+        self._directions = directions
+        self.allowed = np.ones(count, dtype=np.bool_)
+        self._from_blocked, self._from_free = np.full(count, np.pi), np.full(count, np.pi)
+        """Angles (k,) of every beam to the nearest that was blocked, and free, rad."""
+        self._free: list[int] = []
+        """Beams that were found free, and are not yet in the angles."""
+
+    def note_free(self, number: int) -> None:
+        """Note that a beam was free."""
+        self._free.append(number)
+
+    def note_blocked(self, number: int) -> None:
+        """Note that a beam was blocked: it is not allowed any more."""
+        self._from_blocked = np.minimum(self._from_blocked, self._angles_from(number))
+        self.allowed[number] = False
+
+    @property
+    def chance(self) -> Floats:
+        """How probably each beam (k,) is free: less near a blocked one, more near free ones."""
+        if not (self._from_blocked < np.pi).any():
+            return np.ones(len(self._from_blocked))
+        while self._free:
+            self._from_free = np.minimum(self._from_free, self._angles_from(self._free.pop()))
+        blocked = np.maximum(self._from_blocked, TINY)
+        near = 0.5 ** ((blocked / BLOCKED_WIDTH) ** 2)
+        return np.asarray(1.0 - near * np.minimum(1.0, self._from_free / blocked))
+
+    def _angles_from(self, number: int) -> Floats:
+        cosine = np.clip(self._directions @ self._directions[number], -1.0, 1.0)
+        return np.asarray(np.arccos(cosine), dtype=np.float64)
+
+
+class Reach:
+    """The uncertainty (rad) that all steps would give with one ``noise`` and coverage factor.
+
+    It is worked out once, and only where it is doubted that the goal can be had.
+    """
+
+    def __init__(self, noise: float, coverage_factor: float) -> None:
+        self._stated = noise, coverage_factor
+        self._doubted = False
+        self._best: float | None = None
+
+    def doubt(self) -> None:
+        """Have it worked out when it is asked for next: many further lengths are lacking."""
+        self._doubted = True
+
+    def best(
+        self, of: LengthExperiment, measured: Measured, allowed: Bools, allowance: Allowance
+    ) -> float:
+        """Return what would be stated of the ``measured`` and all ``allowed`` steps.
+
+        0 while nobody doubts, but never less than what no length lowers.
+        """
+        if not self._doubted:
+            return allowance.floor
+        if self._best is None:
+            left = np.setdiff1d(np.flatnonzero(allowed), list(measured.steps))
+            self._best = of.planned(measured, *self._stated, left)
+        return allowance.stated(self._best)
+
+
+FEW_SUSPECTS: Final = 4
+SUSPECT_SHARE: Final = 0.1
+"""When more lengths than either are suspect, that is no error of single lengths but noise."""
+
+
+class Suspects:
+    """The steps whose lengths were suspect, and how far that has been followed."""
+
+    def __init__(self) -> None:
+        self._steps: set[int] = set()
+        self._gone_over: set[int] = set()
+        """Suspect steps that were measured again, and table positions where all were."""
+
+    def single(self, measured: Measured) -> bool:
+        """Whether so few lengths were suspect that each may be an error of its own."""
+        return len(self._steps) < max(FEW_SUSPECTS, round(SUSPECT_SHARE * len(measured.steps)))
+
+    def again(
+        self, suspect: Observation, value: float, measured: Measured
+    ) -> tuple[list[int], str]:
+        """Return the steps to measure again, and why: the suspect one, then all of its station.
+
+        Where few lengths check each other a wrong one makes others look wrong. Without any, that
+        was in vain, and another target has to take its place. ``value``: of the test, in standard
+        deviations.
+        """
+        step, place = suspect.step, suspect.table_position
+        why = f"the length of step {step} is suspect ({value:+.1f} standard deviations)"
+        if step not in self._steps:
+            self._steps.add(step)
+            return [step], f"{why}: measured again"
+        here = {o.step for o in measured.observations if o.table_position == place}
+        others = sorted(here - self._steps)
+        if others and place not in self._gone_over:
+            self._gone_over.add(place)
+            return others, f"{why} once more: measured again with all of its station"
+        return [], f"{why} again and again: another target in its place"

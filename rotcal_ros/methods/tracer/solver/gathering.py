@@ -1,0 +1,220 @@
+"""What gathers in one place: the lengths of a network as groups for the engine.
+
+A disturbance often spoils several lengths at once: warm air or a person beside the machine makes
+the beams of *one* station too long in one sector, something happens for a while. Groups are the
+stations and the stretches of time, of which the engine says what gathers in them
+(:mod:`rotcal_ros.adjust`), and the targets, whose chi-squared and rejected share are judged by the
+same rules. What is proved is left out; what is only probable joins the covariance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from rotcal_ros.adjust import gathering as engine
+from rotcal_ros.adjust.felt import Felt
+from rotcal_ros.adjust.gathering import SUSPECTED, Gathering, Limits, Words
+from rotcal_ros.adjust.groups import Group, Undivided
+from rotcal_ros.adjust.judgement import blame
+from rotcal_ros.adjust.reliability import hidden
+from rotcal_ros.adjust.subsets import neighbourhoods, runs
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.protection import POWER, Protection
+from rotcal_ros.foundation.units import MICROMETRE
+from rotcal_ros.methods.tracer.solver.adjustment import Adjustment
+from rotcal_ros.methods.tracer.solver.angles import bearing_slopes, table_motion
+from rotcal_ros.methods.tracer.solver.grid import FREE_TARGET_MINIMUM, Grid
+from rotcal_ros.methods.tracer.solver.length_view import view_of
+from rotcal_ros.methods.tracer.solver.network import linearise
+from rotcal_ros.methods.tracer.solver_settings import TracerLimits
+
+LEAST_OF_GROUP: Final = 4
+"""Lengths that are a group."""
+LARGEST: Final = 1e-4
+"""Error (m) of several lengths that nobody would overlook."""
+KNOWN: Final = 1e-9
+"""Standard deviation (m) of a coordinate that is called known, where others have errors."""
+WORDS: Final = Words(
+    "lengths", "warm air, a person or an obstacle", "in the beams", "in its beams"
+)
+
+
+def left_out(
+    gathering: Gathering, grid: Grid, limits: TracerLimits
+) -> tuple[Gathering, Bools, dict[int, str]] | None:
+    """Return what is proved to be wrong together: (p, n) which lengths, and why by row.
+
+    None where nothing is proved, or where too few lengths would be left.
+    """
+    found = gathering.judgement
+    if found is None or not found.proved(limits.rejection_significance):
+        return None
+    case = blame(found.groups[found.worst])
+    if case is None:
+        return None
+    rejected = np.zeros(grid.used.shape, dtype=np.bool_)
+    rejected.flat[case.group.members[case.subset]] = True
+    left = grid.used & ~rejected
+    hit = np.unique(grid.station[rejected.any(axis=1)])
+    if (grid.per_station(left)[hit] < grid.station_minimum + 1).any():
+        return None
+    if grid.free and (left.sum(axis=0)[rejected.any(axis=0)] < FREE_TARGET_MINIMUM).any():
+        return None
+    why = {
+        int(grid.row[j, i]): f"station {grid.position_ids[grid.station[j]]}, target "
+        f"{grid.target_ids[i]}: one of {int(case.subset.sum())} lengths of {case.group.name} that "
+        f"are off together, by {engine.micrometres(case.size)}"
+        for j, i in np.argwhere(rejected)
+    }
+    return replace(gathering, blamed=(*gathering.blamed, case)), rejected, why
+
+
+def doubts(gathering: Gathering, limits: TracerLimits) -> list[str]:
+    """Return a sentence about everything that gathers, and about groups that do not fit."""
+    usual = Limits(limits.max_rejected_share, limits.test_significance)
+    return engine.doubts(gathering, usual, WORDS)
+
+
+def details(gathering: Gathering) -> dict[str, Any]:
+    """Return what was found for the details of a result; sizes in m."""
+    return engine.details(gathering, WORDS.elements)
+
+
+def protection(gathering: Gathering, std: Floats) -> tuple[Protection, ...]:
+    """Return the statement about errors that gather; none where no group was judged.
+
+    ``std`` (o,): standard uncertainties of the outputs.
+    """
+    judgement = gathering.judgement
+    if judgement is None:
+        return ()
+    worst = hidden(judgement.groups, std, SUSPECTED, POWER, LARGEST, judgement.gathered)
+    if worst is None:
+        return ()
+    what = "several lengths of one station that are too long together (warm air, a person)"
+    if not worst.seen:
+        return (Protection("one place", "not protected", f"{what} leave no residual"),)
+    why = (
+        f"{what} are looked for in every sector; {worst.count} of {worst.name} by "
+        f"{worst.size / MICROMETRE:.2g} um are found, the worst case"
+    )
+    return (Protection("one place", "tested", why, worst.error),)
+
+
+def groups_of(
+    grid: Grid, fit: Adjustment, angles: Floats, order: Ints
+) -> tuple[Group | Undivided, ...]:
+    """Return the groups of a network; outputs are the cumulative angles (m,), rad.
+
+    ``angles`` (m,): as commanded. ``order`` (k,): when each row of the problem was taken.
+    """
+    network = fit.network
+    if network is None:
+        std = grid.target_std if grid.free else np.maximum(grid.target_std, KNOWN)
+        network = linearise(replace(grid, target_std=std), fit.state, fit.targets)
+    slopes = bearing_slopes(fit.stations, table_motion(fit.stations, angles)).from_first
+    view = view_of(network, slopes)
+    found: list[Group | Undivided] = []
+    for places in places_of(grid, fit, order):
+        strip, target = places.at.T
+        if len(places.gathered):
+            leverage, felt = view.leverage(strip, target), view.felt(strip, target)
+            found.append(group_at(grid, places, -network.f, leverage, felt))
+        else:
+            unit = 1.0 / grid.length_std[strip, target]
+            residual = -network.f[strip, target] * unit
+            cofactor = view.cofactor(strip, target, unit)
+            found.append(Undivided(places.kind, places.name, residual, cofactor, places.lost))
+    return tuple(found)
+
+
+class Places(NamedTuple):
+    """The places ``at`` (e, 2) of the grid that are a group, and how many were rejected of it."""
+
+    kind: str
+    name: str
+    at: Ints
+    gathered: Bools
+    lost: int
+
+
+def places_of(grid: Grid, fit: Adjustment, order: Ints) -> list[Places]:
+    """Return what belongs to each station, target and stretch of time."""
+    known = grid.row >= 0
+    found = []
+    strips = np.argsort(grid.station, kind="stable")
+    ends = np.cumsum(np.bincount(grid.station, minlength=grid.n_stations))
+    missing = (known & ~grid.used).sum(axis=1)
+    for j, mine in enumerate(np.split(strips, ends[:-1])):
+        name = grid.position_ids[j]
+        strip, target = np.nonzero(grid.used[mine])
+        at = np.column_stack([mine[strip], target])
+        beams = fit.targets[target] - fit.stations[j]
+        lost = int(missing[mine].sum())
+        found.append(Places("station", f"station {name}", at, _sectors(beams), lost))
+    for i, name in enumerate(grid.target_ids.tolist()):
+        strip = np.flatnonzero(grid.used[:, i])
+        at = np.column_stack([strip, np.full(len(strip), i)])
+        lost = int((known & ~grid.used)[:, i].sum())
+        found.append(Places("target", f"target {name}", at, _none(len(at)), lost))
+    found += _stretches(grid, order)
+    return [places for places in found if len(places.at) >= LEAST_OF_GROUP]
+
+
+def _none(size: int) -> Bools:
+    return np.zeros((0, size), dtype=np.bool_)
+
+
+def _sectors(beams: Floats) -> Bools:
+    """Return which beams (e, 3) of one station lie together, round it and all about."""
+    if len(beams) < LEAST_OF_GROUP:
+        return _none(len(beams))
+    round_ = np.arctan2(beams[:, 1], beams[:, 0])
+    unit = beams / np.linalg.norm(beams, axis=1)[:, None]
+    return np.concatenate([runs(round_, closed=True), neighbourhoods(unit)])
+
+
+def _stretches(grid: Grid, order: Ints) -> list[Places]:
+    """Return stretches of time as long as a station's lengths; none where they are the stations.
+
+    What gathers in them lasts for a while.
+    """
+    strip, target = np.nonzero(grid.row >= 0)
+    rank = np.argsort(order[grid.row[strip, target]], kind="stable")
+    strip, target = strip[rank], target[rank]
+    arrivals = 1 + int((np.diff(grid.station[strip]) != 0).sum())
+    if arrivals <= grid.n_stations:
+        return []
+    size = max(len(strip) // grid.n_stations, 2 * LEAST_OF_GROUP)
+    found = []
+    for first in range(0, len(strip) - LEAST_OF_GROUP + 1, size):
+        at = np.column_stack([strip, target])[first : first + size]
+        kept = at[grid.used[at[:, 0], at[:, 1]]]
+        name = f"the stretch from length {first} to {first + len(at) - 1} in time"
+        gathered = runs(np.arange(len(kept), dtype=np.float64))
+        found.append(Places("stretch", name, kept, gathered, len(at) - len(kept)))
+    return found
+
+
+def group_at(grid: Grid, places: Places, residual: Floats, leverage: Floats, felt: Felt) -> Group:
+    """Return the group of ``places`` with the ``residual`` (p, n) of all lengths, m.
+
+    ``leverage`` (e, e): covariance of the adjusted lengths, m^2. ``felt`` (o, e): what the outputs
+    are off by for a unit of each length over its variance.
+    """
+    strip, target = places.at.T
+    unit = 1.0 / grid.length_std[strip, target]
+    return Group.of(
+        places.kind,
+        places.name,
+        np.ravel_multi_index((strip, target), grid.used.shape),
+        residual[strip, target][:, None] * unit[:, None],
+        unit[:, None],
+        leverage * unit * unit[:, None],
+        felt.weighted(unit),
+        places.gathered,
+        places.lost,
+    )

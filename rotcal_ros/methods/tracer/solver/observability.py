@@ -1,0 +1,172 @@
+"""Can this geometry tell the angle? If not, say which direction is weak.
+
+Counting comes first (Eq. 2), then the rank of each station's design, then the size of the
+uncertainty: a station that is known worse than to a hundredth of the circle's radius makes every
+first-order statement about the angle worthless.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Any, Final, TypeVar
+
+import numpy as np
+
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.errors import DataError, GeometryError, ObservabilityError, RotcalError
+from rotcal_ros.methods.tracer.solver.grid import Grid
+
+RANK_TOLERANCE: Final = 1e-12
+"""Smallest eigenvalue of the mean outer product of the design's rows, relative to the largest."""
+MOST_NAMED: Final = 3
+"""Reasons for dropped lengths that a refusal quotes."""
+CURE: Final = (
+    "spread the targets in height and sideways, nearer to the tracer's height and to its sides"
+)
+HARDLY_MOVED_M: Final = 1e-3
+"""Radius of the stations below which targets are no cure."""
+NEVER_TURNED: Final = (
+    "the stations hardly move: does the table turn, and does the tracer stand on it, away from "
+    "its axis?"
+)
+
+
+def or_prior(*, free: bool) -> str:
+    """Return the advice to take the datum 'prior', for a network that does without: ``free``."""
+    return ", or use the datum 'prior'" if free else ""
+
+
+def check_counts(grid: Grid, dropped: Iterable[str] = ()) -> None:
+    """Raise ObservabilityError unless there are lengths enough.
+
+    m >= 4, and in a free network lengths >= 4 m + 3 n (Eq. 2); else as many as the 3 m unknowns
+    of stations and s of zeros, less 2 (m - 3) where the stations stand on a stated circle, and in
+    a free network with shared zeros as many as its 3 m + s + 3 n - 7 unknowns. ``dropped``: why
+    lengths have no place on the grid.
+    """
+    m, n = grid.n_stations, grid.used.shape[1]
+    lengths = int(grid.used.sum())
+    missing = what_is_missing(m, n, lengths, grid.free and grid.zero is None, grid.station_minimum)
+    needed = grid.unknowns + (3 * n - 7 if grid.free else 0) - grid.contrasts
+    if not missing and lengths < needed:
+        missing = (
+            f"{lengths} usable lengths from {m} stations to {n} targets with {grid.n_zeros} "
+            f"unknown zero(s) are fewer than the {needed} that are needed: measure more targets, "
+            "or look for what breaks the beam"
+        )
+    if missing:
+        named = sorted({why for why in dropped if why.startswith("station")})[:MOST_NAMED]
+        raise ObservabilityError("; ".join([missing, *named]))
+
+
+def what_is_missing(m: int, n: int, lengths: int, free: bool, least: int) -> str:
+    """Return what m stations and n targets lack; empty when they can be solved (Eq. 2).
+
+    A station is one with at least ``least`` usable lengths. Where the machine tells the targets,
+    three coordinates of each are observed and their unknowns count for nothing: ``least`` m
+    lengths are enough.
+    """
+    unknowns = 4 * m + 3 * n
+    if m < 4:
+        return (
+            f"{m} stations with at least {least} usable lengths each, at least 4 are needed "
+            "(Eq. 2): measure at more table angles"
+        )
+    if free and lengths < unknowns:
+        return (
+            f"{lengths} usable lengths from {m} stations to {n} targets are fewer than the "
+            f"4 m + 3 n = {unknowns} unknowns (Eq. 2): measure more targets (with 4 stations at "
+            "least 16) or more stations"
+        )
+    return ""
+
+
+def check_station_rank(design: Floats, position_ids: Ints) -> None:
+    """Raise ObservabilityError where the rows ``design`` (m, n, 4) leave a direction open."""
+    values, vectors = np.linalg.eigh(design.swapaxes(1, 2) @ design)
+    weak = values[:, 0] < RANK_TOLERANCE * values[:, -1]
+    if weak.any():
+        j = int(np.flatnonzero(weak)[0])
+        direction = vectors[j, :3, 0]
+        raise ObservabilityError(
+            f"station {position_ids[j]}: the targets cannot tell the tracer's place along "
+            f"{name_direction(direction)}: {CURE}"
+        )
+
+
+def check_station_spread(
+    stations: Floats, blocks: Floats, position_ids: Ints, largest: float
+) -> None:
+    """Raise ObservabilityError when a station is known worse than ``largest`` circle radii.
+
+    ``stations`` (m, 3), ``blocks`` (m, 3, 3) their covariances in m^2.
+    """
+    j, std, direction = weakest_direction(blocks)
+    radius, unturned = _radius(stations), hardly_moved(stations)
+    if std > largest * radius or unturned:
+        raise ObservabilityError(
+            f"station {position_ids[j]} is known to {std:.3g} m only along "
+            f"{name_direction(direction)}, more than {largest:g} of the {radius:.3g} m radius of "
+            "the stations: this geometry cannot tell the angle; "
+            + (NEVER_TURNED if unturned else CURE)
+        )
+
+
+def hardly_moved(stations: Floats) -> bool:
+    """Whether ``stations`` (m, 3) all stand at one place: the table never turned."""
+    return _radius(stations) < HARDLY_MOVED_M
+
+
+def _radius(stations: Floats) -> float:
+    """Return how far stations are from their middle, root mean square, m."""
+    return float(np.sqrt(((stations - stations.mean(axis=0)) ** 2).sum(axis=1).mean()))
+
+
+def weakest_direction(blocks: Floats) -> tuple[int, float, Floats]:
+    """Return the station, standard deviation (m) and unit vector (3,) of the largest uncertainty.
+
+    ``blocks`` (m, 3, 3) are the covariances of the stations. The vector's largest component is
+    positive.
+    """
+    values, vectors = np.linalg.eigh(blocks)
+    j = int(np.argmax(values[:, -1]))
+    direction = vectors[j, :, -1]
+    direction = direction * np.sign(direction[np.argmax(np.abs(direction))])
+    return j, float(np.sqrt(max(values[j, -1], 0.0))), direction
+
+
+def name_direction(direction: Floats) -> str:
+    """Return a text like "(0.02, 0.05, 1.00), mostly z" for a vector (3,) in the machine frame."""
+    length = float(np.linalg.norm(direction))
+    if length < 1e-6:
+        return "the beam (the distance d alone)"
+    x, y, z = direction / length * np.sign(direction[np.argmax(np.abs(direction))])
+    axis = "xyz"[int(np.argmax(np.abs(direction)))]
+    return f"({x:.2f}, {y:.2f}, {z:.2f}), mostly {axis}"
+
+
+Solution = TypeVar("Solution")
+
+
+def told_of_a_turned_sign(
+    problem: Any, adjust: Callable[[Any], Solution], fits: Callable[[Solution], bool]
+) -> Solution:
+    """Return what ``adjust`` makes of a ``problem`` of lengths.
+
+    Raises what it raises, unless the lengths fit with the opposite sign: then a DataError that
+    says so, since no other cure would help.
+    """
+    try:
+        return adjust(problem)
+    except (DataError, GeometryError, ObservabilityError):
+        try:
+            turned = fits(adjust(replace(problem, length=-problem.length)))
+        except RotcalError:
+            turned = False
+        if turned:
+            raise DataError(
+                "the lengths shrink while the distance grows, with the opposite sign they fit: "
+                "turn their sign round (a reading grows with the distance from the tracer)"
+            ) from None
+        raise

@@ -1,0 +1,479 @@
+"""The adjustment of a problem and all that follows from it but the verdict.
+
+A zero that wanders within its segment: dead path and temperature move it a little all the time.
+
+Every length gets a zero of its own, and the steps from one to the next, in the order of measuring,
+are observations: none, with the standard deviation of the walk. That is exact; the steps make a
+band in the normal matrix of the zeros. An unknown standard deviation is estimated by restricted
+maximum likelihood, from the same normal matrix.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.adjust.groups import Group, Undivided
+from rotcal_ros.adjust.low_rank import LowRank
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.errors import DataError, RotcalError
+from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.methods.tracer.solver import joint, station
+from rotcal_ros.methods.tracer.solver.adjustment import (
+    MINIMAL_REDUNDANCY,
+    Adjustment,
+    StationCovariance,
+    ranges,
+)
+from rotcal_ros.methods.tracer.solver.angles import TableMotion, table_motion
+from rotcal_ros.methods.tracer.solver.error_motion import (
+    CircleTest,
+    ErrorMotion,
+    circle_tested,
+    error_motion_of,
+    likely_circle,
+)
+from rotcal_ros.methods.tracer.solver.gathering import groups_of
+from rotcal_ros.methods.tracer.solver.grid import STATION_MINIMUM, Grid, arrange
+from rotcal_ros.methods.tracer.solver.jumps import Jump, find_jump, split
+from rotcal_ros.methods.tracer.solver.network import relax
+from rotcal_ros.methods.tracer.solver.noise import Noise, NoiseEvidence, scaled
+from rotcal_ros.methods.tracer.solver.observability import (
+    check_counts,
+    check_station_spread,
+    hardly_moved,
+    told_of_a_turned_sign,
+)
+from rotcal_ros.methods.tracer.solver.problem import TracerProblem
+from rotcal_ros.methods.tracer.solver.screening import (
+    GROSS,
+    NORMAL_QUARTILE,
+    Grouping,
+    Screened,
+    adjust_and_screen,
+    reject_gross,
+    without_targets,
+)
+from rotcal_ros.methods.tracer.solver.shared_start import find_any_start, with_zeros
+from rotcal_ros.methods.tracer.solver.shifts import Shifts, find_shifts
+from rotcal_ros.methods.tracer.solver.slips import Slips, slips_among
+from rotcal_ros.methods.tracer.solver.uncertainty import (
+    AngleUncertainty,
+    CircleStatement,
+    GlobalTest,
+    angle_uncertainty,
+    circle_test,
+    length_test,
+)
+from rotcal_ros.methods.tracer.solver.verdict import Evidence, closures, judge
+
+LOST: Final = 0.1
+"""Deviation (rad) beyond which the stations are not those of the commanded angles."""
+MOST_JUMPS: Final = 10
+"""Jumps of the zero after which no further ones are looked for: the beam is no beam."""
+KNOWN: Final = 1e-9
+"""Standard deviation (m) of a coordinate that is called known, where others have errors."""
+
+FREE_CIRCLE: Final = 1e-4
+"""Deviation (m) from the circle that keeps every station near it and tells nothing else."""
+
+_COVARIANCE: Final = {"station": station.stations_covariance, "joint": joint.network_covariance}
+
+
+@dataclass(frozen=True, eq=False)
+class TracerSolution:
+    """A solved problem; ``grid`` has the standard deviations that were used, after ``noise``.
+
+    ``scale`` enlarges the covariance of the stations for what the noise leaves unexplained.
+    ``rejected`` says by row of the problem why a length was not used. ``slips``: those that would
+    not be found; None where every station has a zero of its own. All arrays of stations follow
+    ``positions``.
+    """
+
+    problem: TracerProblem
+    grid: Grid
+    noise: Noise
+    noise_evidence: NoiseEvidence
+    fit: Adjustment
+    covariance: StationCovariance
+    motion: TableMotion
+    error_motion: ErrorMotion
+    angles: AngleUncertainty
+    scale: float
+    evidence: Evidence
+    rejected: dict[int, str]
+    slips: Slips | None = None
+
+    @property
+    def positions(self) -> Ints:
+        """The table positions (m,) that have a station; those with too few lengths are absent."""
+        return self.grid.position_ids
+
+    @property
+    def table_angles(self) -> Floats:
+        """The commanded angles (m,) of the positions, rad."""
+        return self.problem.table_angles[self.positions]
+
+
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """Stations and their motion from the lengths in use; ``with_them``: see without_targets."""
+
+    grid: Grid
+    fit: Adjustment
+    covariance: StationCovariance
+    motion: TableMotion
+    with_them: dict[int, str]
+
+    def mean_variance(self) -> float:
+        """Return the mean variance of the deviations without error motion, rad^2."""
+        angles = angle_uncertainty(self.motion, self.fit, self.covariance, 0.0, 1.0)
+        return float((angles.std**2).mean())
+
+
+def adjust(problem: TracerProblem) -> TracerSolution:
+    """Return the solution of ``problem``; raises what :func:`~.solve.solve` raises.
+
+    A stated circle is believed while nothing is odd. Else the lengths are asked without it: where
+    the stations that they find contradict it, what they leave of it takes its place.
+    """
+    return told_of_a_turned_sign(problem, _with_circle, lambda found: not _doubtful(found))
+
+
+def _with_circle(problem: TracerProblem) -> TracerSolution:
+    solution = _adjusted(problem)
+    stated = problem.circle_std
+    if stated is None or not _doubtful(solution):
+        return solution
+    try:
+        free = _adjusted(replace(problem, circle_std=FREE_CIRCLE))
+    except RotcalError:
+        return solution  # without the circle the lengths do not even place the stations
+    fit, grid, total = free.fit, free.grid, free.covariance.enlarged(free.scale).total
+    circle = circle_tested(fit.stations, free.motion, total, stated, grid.circle_std)
+    used = max(stated, likely_circle(circle, stated))
+    found = _statement(circle, stated, used)
+    if found.probability >= problem.settings.test_significance:
+        return solution
+    return _adjusted(replace(problem, circle_std=used), found)
+
+
+def _doubtful(solution: TracerSolution) -> bool:
+    verdict, _ = judge(solution.evidence, solution.problem.settings)
+    return verdict != "ok"
+
+
+def _statement(circle: CircleTest, stated: float, used: float) -> CircleStatement:
+    """Return what the ``circle`` says of its statement."""
+    test = circle_test(circle)
+    return CircleStatement(
+        stated, used, circle.redundancy, circle.residuals.dof, test.sigma0, test.probability
+    )
+
+
+def _adjusted(problem: TracerProblem, wider: CircleStatement | None = None) -> TracerSolution:
+    """Return the solution with the problem's circle, which may be ``wider`` than was stated."""
+    grid, absent = arrange(problem)
+    check_counts(grid, absent.unfit.values())
+    commanded = problem.table_angles[grid.position_ids]
+    screened, jumps, shifts, ambiguous = _started(problem, grid, commanded)
+    placed = _placed(problem, grid, screened)
+    motion, fit, covariance = placed.motion, placed.fit, placed.covariance
+    _check_sense(motion, fit.stations, commanded, grid)
+    unexplained = length_test(fit, covariance.dof_effective)
+    significance = problem.settings.test_significance
+    failed = unexplained.probability < significance
+    scale = unexplained.sigma0 if failed and unexplained.sigma0 > 1.0 else 1.0
+    stated = 0.0 if problem.error_motion_std is None else problem.error_motion_std
+    circle_std = problem.circle_std
+    seen = circle_tested(
+        fit.stations, motion, covariance.enlarged(scale).total,
+        stated if circle_std is None else circle_std, circle_std,
+    )  # fmt: skip
+    circle, statement = circle_test(seen), wider
+    if circle_std is not None and wider is None:
+        statement = _statement(seen, circle_std, circle_std)
+    known = circle_std if problem.error_motion_std is None else problem.error_motion_std
+    contradicted = (statement or circle).probability < significance
+    error_motion = error_motion_of(motion, covariance, scale, known, contradicted, circle_std)
+    slips = None
+    if shifts is not None:
+        slips = slips_among(shifts, problem.slip, problem.settings.rejection_significance, scale)
+    unseen = None if slips is None else slips.covariance()
+    gathered = screened.gathering.covariance()
+    angles = angle_uncertainty(motion, fit, covariance, error_motion.used, scale, unseen, gathered)
+    evidence = Evidence(
+        lengths=_stated_test(problem, screened, placed, unexplained),
+        noise=screened.noise,
+        unexplained=scale,
+        circle=circle,
+        circle_statement=statement,
+        error_motion=error_motion,
+        radial_rms=float(np.sqrt(np.mean(motion.radial**2))),
+        closures=()
+        if problem.repeated_runs
+        else closures(
+            commanded, motion.cumulative, LowRank.whole(angles.covariance), grid.position_ids
+        ),
+        n_lengths=len(problem.length) - len(absent.repeated) - len(absent.spare),
+        n_rejected=len(absent.unfit) + len(screened.why),
+        missing=_missing_positions(problem, grid),
+        spare=tuple(sorted({int(problem.target[row]) for row in absent.spare})),
+        unchecked=int((placed.grid.used & (fit.redundancy <= MINIMAL_REDUNDANCY)).sum()),
+        mirror_ambiguous=ambiguous,
+        jumps=jumps,
+        fringe=problem.slip,
+        scatter=_scatter(screened, fit),
+        gathering=screened.gathering,
+    )
+    rejected = absent.repeated | absent.unfit | screened.why | placed.with_them
+    return TracerSolution(
+        problem, placed.grid, screened.noise, screened.evidence, fit, covariance, motion,
+        error_motion, angles, scale, evidence, rejected, slips,
+    )  # fmt: skip
+
+
+def _scatter(screened: Screened, fit: Adjustment) -> float:
+    """Return the scatter of all residuals over what is stated, by the median.
+
+    A few outliers do not count, but the rejected lengths do: many of them are no outliers.
+    """
+    known = screened.grid.row >= 0
+    ratio = np.abs(fit.residual[known] / fit.std[known])
+    return float(screened.noise.factors[0] * np.median(ratio) / NORMAL_QUARTILE)
+
+
+def _missing_positions(problem: TracerProblem, grid: Grid) -> tuple[int, ...]:
+    """Return the table positions without a station."""
+    every = np.arange(len(problem.table_angles))
+    return tuple(np.setdiff1d(every, grid.position_ids).tolist())
+
+
+def _started(
+    problem: TracerProblem, grid: Grid, commanded: Floats
+) -> tuple[Screened, tuple[Jump, ...], Shifts | None, bool]:
+    """Return the grid without outliers, jumps and shifts of its zeros, and if mirror images fit.
+
+    ``commanded`` (m,): angles of the stations, rad.
+    """
+    given = problem.start_stations
+    given = None if given is None else given[grid.position_ids]
+    start, ambiguous = find_any_start(grid, given, commanded)
+    if problem.variant == "station" or grid.apart:
+        return _screened(problem, grid, start), (), None, ambiguous
+    return *_screened_together(problem, grid, start), ambiguous
+
+
+def _screened(problem: TracerProblem, grid: Grid, start: Floats) -> Screened:
+    """Return the grid without outliers and its noise; see :mod:`.screening`."""
+    limits = problem.settings
+    as_network = problem.variant == "joint" or bool(grid.target_std.any())
+    if not as_network:
+        return adjust_and_screen(station.adjust_stations, grid, start, limits, _grouping(problem))
+    coarse, gross = reject_gross(
+        station.adjust_stations, grid, start, limits.rejection_significance
+    )
+    if problem.variant == "station":
+        coarse = replace(coarse, target_std=np.maximum(coarse.target_std, KNOWN))
+    screened = adjust_and_screen(joint.adjust_network, coarse, start, limits, _grouping(problem))
+    kept = replace(screened.grid, target_std=grid.target_std)
+    return replace(screened, grid=kept, why=screened.why | gross)
+
+
+def _grouping(problem: TracerProblem) -> Grouping:
+    """Return what makes the groups of this ``problem``."""
+
+    def grouping(grid: Grid, fit: Adjustment) -> tuple[Group | Undivided, ...]:
+        if hardly_moved(fit.stations):
+            return ()  # refused in words as soon as the lengths are settled
+        commanded = problem.table_angles[grid.position_ids]
+        return groups_of(grid, fit, commanded, problem.measuring_order)
+
+    return grouping
+
+
+def _screened_together(
+    problem: TracerProblem, grid: Grid, start: Floats
+) -> tuple[Screened, tuple[Jump, ...], Shifts | None]:
+    """Do as :func:`_screened` where stations are tied together, and split zeros where they jump.
+
+    The shifts are those of the network that comes out. Large jumps are looked for before large
+    outliers, with their margin: the errors of known targets come in the order of time.
+    """
+    limits, order = problem.settings, problem.measuring_order
+    jumps: list[Jump] = []
+    shifts: Shifts | None = None
+
+    def broken(fit_grid: Grid, fit: Adjustment, margin: float) -> bool:
+        nonlocal grid, start, shifts
+        if problem.segment is None:
+            return False
+        shifts = find_shifts(fit_grid, fit, order)
+        jump = find_jump(fit_grid, fit, shifts, limits.rejection_significance, margin)
+        if jump is None or len(jumps) == MOST_JUMPS:
+            return False
+        jumps.append(replace(jump, segment=int(fit_grid.segment_numbers[jump.segment])))
+        grid, source = split(grid, jump, order)
+        start = with_zeros(grid, start[source, :3])
+        return True
+
+    walk = problem.zero_walk_std
+    while walk == 0.0 and broken(_missing(grid), _known_targets(grid, start), GROSS):
+        pass
+    while True:
+        coarse, gross = reject_gross(_known_targets, grid, start, limits.rejection_significance)
+        std = likely_walk(coarse, start, order) if walk is None else walk
+        begin = start
+        if std:
+            coarse, source = wandering(coarse, order, std)
+            begin = with_zeros(coarse, start[source, :3])
+        screened = adjust_and_screen(
+            joint.adjust_network, coarse, begin, limits, _grouping(problem)
+        )
+        if not broken(scaled(screened.grid, screened.noise.factors), screened.fit, 1.0):
+            return replace(screened, why=screened.why | gross), tuple(jumps), shifts
+
+
+def _known_targets(grid: Grid, start: Floats, targets: Floats | None = None) -> Adjustment:
+    """Adjust stations to targets as the machine has them, whose errors join the lengths'."""
+    return joint.adjust_network(_missing(grid), start, targets)
+
+
+def _missing(grid: Grid) -> Grid:
+    """Return ``grid`` with known targets, whose errors are among those of the lengths."""
+    missed = (grid.target_std**2).max(axis=1)
+    return replace(
+        grid,
+        free=False,
+        length_std=np.sqrt(grid.length_std**2 + missed),
+        target_std=np.full_like(grid.target_std, KNOWN),
+    )
+
+
+def _placed(problem: TracerProblem, grid: Grid, screened: Screened) -> _Placed:
+    """Return stations and motion from the screened lengths; ``grid`` holds all of them.
+
+    The variant "station" is solved without whole targets too where single lengths were
+    rejected: what gives the smaller uncertainty is taken.
+    """
+    if problem.variant == "joint":
+        return _placed_by(problem, scaled(screened.grid, screened.noise.factors), screened.fit)
+    start = screened.fit.state
+    singly = scaled(screened.grid, screened.noise.factors)
+    found = _placed_by(problem, singly, station.adjust_stations(singly, start))
+    wholly, with_them = without_targets(grid, singly)
+    if not with_them or not _enough(wholly):
+        return found
+    other = _placed_by(problem, wholly, station.adjust_stations(wholly, start), with_them)
+    return other if other.mean_variance() < found.mean_variance() else found
+
+
+def _placed_by(
+    problem: TracerProblem, grid: Grid, fit: Adjustment, with_them: dict[int, str] | None = None
+) -> _Placed:
+    covariance = _COVARIANCE[problem.variant](grid, fit)
+    blocks, largest = covariance.position_blocks(), problem.settings.max_station_std
+    check_station_spread(fit.stations, blocks, grid.position_ids, largest)
+    motion = table_motion(fit.stations, problem.table_angles[grid.position_ids])
+    return _Placed(grid, fit, covariance, motion, with_them or {})
+
+
+def _enough(grid: Grid) -> bool:
+    """Whether every station still has what one needs to be found, twice over."""
+    return bool((grid.used.sum(axis=1) >= 2 * STATION_MINIMUM).all())
+
+
+def _stated_test(
+    problem: TracerProblem, screened: Screened, placed: _Placed, unexplained: GlobalTest
+) -> GlobalTest:
+    """Return the chi-squared test of the residuals against the noise as it was stated."""
+    if not screened.noise.estimated:
+        return unexplained
+    grid, fit = screened.grid, placed.fit
+    variance = grid.length_std**2
+    if problem.variant == "station":
+        _, unit = ranges(fit.stations, grid.targets)
+        variance = variance + np.einsum("jia,ia->ji", unit**2, grid.target_std**2)
+    chi2 = float((placed.grid.used * fit.residual**2 / variance).sum())
+    chi2 += float(((fit.corrections * screened.noise.factors[2:]) ** 2).sum())
+    return length_test(replace(fit, chi2=chi2), placed.covariance.dof_effective)
+
+
+def _check_sense(motion: TableMotion, stations: Floats, commanded: Floats, grid: Grid) -> None:
+    """Raise DataError when the stations do not follow the commanded angles."""
+    worst = int(np.argmax(np.abs(motion.cumulative)))
+    if abs(motion.cumulative[worst]) < LOST:
+        return
+    backward = table_motion(stations, -commanded)
+    cure = "check the order of the stations and the start, step and unit of the table angles"
+    if np.abs(backward.cumulative).max() < LOST:
+        cure = (
+            "they follow the angles with the opposite sign. Which way does the table turn, seen "
+            "from +z, while its angle counts up? Clockwise: negate the table angles. "
+            "Counter-clockwise: the frame of the targets is left-handed (an axis turned round, or "
+            "two exchanged), which lengths alone cannot tell"
+        )
+    off, order = motion.cumulative[worst] / DEGREE, commanded[worst] / DEGREE
+    raise DataError(
+        f"station {grid.position_ids[worst]} stands at {(order + off) % 360.0:.4f} degrees where "
+        f"{order:.4f} were commanded, {off:+.4f} degrees off: {cure}"
+    )
+
+
+MOST_LENGTHS: Final = 3000
+LEAST_STD, LARGEST_STD = 1e-9, 1e-6
+"""Walks (m) among which an unknown one is looked for; the least is none."""
+NEAR: Final = 0.05
+"""Relative precision of an estimated walk: far below what the data tell."""
+
+
+def wandering(grid: Grid, order: Ints, std: float) -> tuple[Grid, Ints]:
+    """Return ``grid`` with zeros that wander by ``std`` (m) per length, and each strip's old one.
+
+    ``order`` (k,): when each row of the problem was taken.
+    """
+    strip, target = np.nonzero(grid.row >= 0)
+    if len(strip) > MOST_LENGTHS:
+        raise DataError(
+            f"{len(strip)} lengths are too many for a zero that wanders: up to {MOST_LENGTHS} are "
+            "solved; set zero_walk_std_m to 0"
+        )
+    assert grid.zero is not None
+    assert grid.segment_ids is not None
+    in_time = np.lexsort((order[grid.row[strip, target]], grid.zero[strip]))
+    strip, target = strip[in_time], target[in_time]
+    chain = grid.zero[strip]
+    part = np.zeros((len(strip), grid.used.shape[1]), dtype=np.bool_)
+    part[np.arange(len(strip)), target] = True
+    walk = np.where(np.append(np.diff(chain) == 0, False), std, np.inf)
+    every = np.arange(len(strip))
+    free = replace(
+        grid.take(strip, part), zero=every, segment_ids=grid.segment_ids[chain], walk=walk
+    )
+    return free, strip
+
+
+def likely_walk(grid: Grid, start: Floats, order: Ints) -> float:
+    """Return the standard deviation (m) per length that ``grid`` tells best, 0 if it tells none.
+
+    ``start`` (p, 4): state of the strips of ``grid``.
+    """
+    at = start
+
+    def deviance(log_std: float) -> float:
+        wide, source = wandering(grid, order, float(np.exp(log_std)))
+        network = relax(wide, with_zeros(wide, at[source, :3]), grid.targets)
+        reduced = network.reduced
+        steps = int(np.isfinite(wide.walk).sum()) if wide.walk is not None else 0
+        size = np.linalg.slogdet(reduced.regular())[1] - 2.0 * np.log(reduced.scale).sum()
+        size -= np.linalg.slogdet(reduced.inverse)[1].sum()
+        return float(network.chi2 + 2.0 * steps * log_std + size)
+
+    from scipy.optimize import minimize_scalar  # slow to load, and rarely needed
+
+    bounds = (np.log(LEAST_STD), np.log(LARGEST_STD))
+    found = minimize_scalar(deviance, bounds=bounds, method="bounded", options={"xatol": NEAR})
+    nothing = deviance(bounds[0])
+    return float(np.exp(found.x)) if found.fun < nothing else 0.0

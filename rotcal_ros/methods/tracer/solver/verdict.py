@@ -1,0 +1,295 @@
+"""ok, suspect or failed: the rules, and the sentences that say why.
+
+suspect
+    a component of the noise is larger than stated (:mod:`.noise`; the estimate is used), or the
+    chi-squared test of the lengths fails all the same (the covariance is then enlarged by
+    sigma0^2); more than ``max_rejected_share`` of the lengths were rejected; some lengths of one
+    station or stretch of time are off together, or look like it; a station, target or stretch lost
+    more lengths than chance explains, or has too large a chi-squared (:mod:`.gathering`); a
+    closure is larger than its uncertainty allows; the stations leave the circle by more than the
+    stated error motion (the estimate of :mod:`.error_motion` is used) or by more than the stated
+    circle allows (what they leave of it is used); a zero jumps within a segment of
+    unbroken beam (:mod:`.jumps`; it is split); or a position of the plan is missing.
+failed
+    the lengths scatter more than 10 times or the targets more than 30 times as stated (the model
+    does not describe the data), or more than a fifth of the lengths were rejected.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.adjust.distributions import normal_isf
+from rotcal_ros.adjust.gathering import Gathering
+from rotcal_ros.adjust.low_rank import LowRank
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.results import Verdict
+from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods.tracer.solver.error_motion import ErrorMotion
+from rotcal_ros.methods.tracer.solver.gathering import doubts as doubt_gathering
+from rotcal_ros.methods.tracer.solver.grid import FREE_TARGET_MINIMUM
+from rotcal_ros.methods.tracer.solver.jumps import Jump
+from rotcal_ros.methods.tracer.solver.noise import Noise
+from rotcal_ros.methods.tracer.solver.uncertainty import CircleStatement, GlobalTest
+from rotcal_ros.methods.tracer.solver_settings import TracerLimits
+
+FAILED_FACTORS: Final = np.array([10.0, 10.0, 30.0, 30.0, 30.0])
+"""Times the stated noise of each component of :mod:`.noise`."""
+WORDS: Final = (
+    "the scatter of the lengths",
+    "the part of the lengths' scatter that grows with the distance",
+    "the targets' x",
+    "the targets' y",
+    "the targets' z",
+)
+FAILED_SHARE: Final = 0.2
+NOISY: Final = 2.0
+"""Times the stated noise from which the middle half of all residuals is no matter of outliers."""
+HARDLY_CHECKED: Final = 0.01
+"""Share of a stated circle below which nothing would contradict it."""
+TURN: Final = 2.0 * np.pi
+SAME_ANGLE: Final = 1e-9
+"""Turns that the sum of commanded steps may be off by rounding; 1.3 milliarcsec."""
+
+
+@dataclass(frozen=True, slots=True)
+class Closure:
+    """Two positions at the same table angle, whole turns apart: what should agree, and how well.
+
+    ``error`` is the deviation at position ``last`` minus that at ``first``, with its standard
+    deviation ``std``; radians.
+    """
+
+    first: int
+    last: int
+    error: float
+    std: float
+
+
+def closures(
+    angles: Floats,
+    cumulative: Floats,
+    covariance: LowRank,
+    position_ids: Ints,
+    upward: Bools | None = None,
+) -> tuple[Closure, ...]:
+    """Return the closures of ``angles`` (m,): later positions against the first at their angle.
+
+    ``covariance`` (m, m): of the angles, rad^2.
+    ``upward`` (m,): from which side the table came; what differs between the sides is a reversal.
+    """
+    found = []
+    for last in range(1, len(angles)):
+        apart = (angles[last] - angles[:last]) / TURN
+        meets = np.abs(apart - np.round(apart)) < SAME_ANGLE
+        if upward is not None:
+            meets &= upward[:last] == upward[last]
+        same = np.flatnonzero(meets)
+        if len(same):
+            first = int(same[0])
+            variance = float(covariance.between(np.array([first]), np.array([last]))[0])
+            found.append(
+                Closure(
+                    first=int(position_ids[first]),
+                    last=int(position_ids[last]),
+                    error=float(cumulative[last] - cumulative[first]),
+                    std=float(np.sqrt(max(variance, 0.0))),
+                )
+            )
+    return tuple(found)
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What the verdict rests on.
+
+    ``lengths``: test against the noise as stated, ``unexplained``: what the estimated ``noise``
+    leaves, as a factor. ``missing`` are positions without a result, ``spare`` targets of a free
+    network that too few lengths reach, ``fringe`` (m) is what a counter slips by, ``scatter`` by
+    how much all residuals, those of rejected lengths too, exceed what is stated.
+    """
+
+    lengths: GlobalTest
+    noise: Noise
+    unexplained: float
+    circle: GlobalTest
+    error_motion: ErrorMotion
+    radial_rms: float
+    closures: tuple[Closure, ...]
+    n_lengths: int
+    n_rejected: int
+    missing: tuple[int, ...]
+    spare: tuple[int, ...]
+    unchecked: int
+    mirror_ambiguous: bool
+    jumps: tuple[Jump, ...] = ()
+    circle_statement: CircleStatement | None = None
+    fringe: float = 0.0
+    scatter: float = 1.0
+    gathering: Gathering = field(default_factory=Gathering)
+
+
+def judge(evidence: Evidence, settings: TracerLimits) -> tuple[Verdict, tuple[str, ...]]:
+    """Return the verdict and its warnings by the rules in this module's docstring."""
+    doubts = [
+        *_doubt_lengths(evidence, settings),
+        *doubt_gathering(evidence.gathering, settings),
+        *_doubt_stations(evidence, settings),
+    ]
+    share = evidence.n_rejected / evidence.n_lengths
+    verdict: Verdict = "suspect" if doubts else "ok"
+    factors = evidence.unexplained * evidence.noise.factors
+    if (factors > FAILED_FACTORS).any() or share > FAILED_SHARE:
+        verdict = "failed"
+    return verdict, (*doubts, *_remarks(evidence, settings))
+
+
+def _doubt_lengths(evidence: Evidence, settings: TracerLimits) -> list[str]:
+    doubts = doubt_noise(evidence.noise, settings)
+    if evidence.unexplained > 1.0:
+        doubts.append(
+            f"the residuals of the lengths are {evidence.unexplained:.2f} times what their "
+            "standard deviations allow (chi-squared test): the uncertainty is enlarged by "
+            "that factor; look for drift, or state larger standard deviations"
+        )
+    return doubts + doubt_rejected(
+        evidence.n_rejected, evidence.n_lengths, settings, evidence.scatter
+    )
+
+
+def doubt_noise(noise: Noise, settings: TracerLimits) -> list[str]:
+    """Return a sentence for every component of the noise that is larger than stated."""
+    larger = noise.contradicted(settings.test_significance) & (noise.factors > 1.0)
+    return [
+        f"{times_stated(noise, k)}: the estimate is used; {_advice(noise, k)}"
+        for k in np.flatnonzero(larger).tolist()
+    ]
+
+
+def _advice(noise: Noise, k: int) -> str:
+    """Return what to do about a component that is larger than stated."""
+    if k:
+        return "state it, or look for drift"
+    return (
+        f"state what a length scatters by, {noise.factors[0] * noise.stated[0]:.2g} m, in "
+        "solver.length_std_m (for single readings all of their noise), or look for drift"
+    )
+
+
+def doubt_rejected(
+    n_rejected: int, n_lengths: int, settings: TracerLimits, scatter: float = 1.0
+) -> list[str]:
+    """Return a sentence when more lengths were rejected than the settings allow.
+
+    ``scatter``: residuals of all lengths over what is stated; where it is large the noise is
+    named, not single targets.
+    """
+    share = n_rejected / n_lengths
+    if share <= settings.max_rejected_share:
+        return []
+    cause = "look for a target with wrong coordinates, or an unstable beam"
+    if scatter > NOISY:
+        cause = (
+            f"the residuals of all lengths, the rejected ones too, scatter {scatter:.2g} times as "
+            "stated: that is noise and no outliers; raise solver.length_std_m (for single "
+            "readings all of their noise)"
+        )
+    return [
+        f"{n_rejected} of {n_lengths} lengths ({100 * share:.1f} %) were rejected, more than "
+        f"{100 * settings.max_rejected_share:g} % is suspicious: {cause}"
+    ]
+
+
+def _doubt_stations(evidence: Evidence, settings: TracerLimits) -> list[str]:
+    doubts: list[str] = []
+    limit = normal_isf(0.5 * settings.test_significance)
+    doubts += [
+        doubt_jump(f"segment {jump.segment}", jump, evidence.fringe) for jump in evidence.jumps
+    ]
+    doubts += [
+        f"stations {c.first} and {c.last} stand at the same table angle but differ by "
+        f"{c.error / ARCSEC:.3g} arcsec, expected 0 with a standard deviation of "
+        f"{c.std / ARCSEC:.3g} arcsec: something moved or drifted during the run"
+        for c in evidence.closures
+        if abs(c.error) > limit * c.std
+    ]
+    doubts += _doubt_circle(evidence, settings)
+    motion = evidence.error_motion
+    stated = motion.stated is not None and evidence.circle_statement is None
+    if stated and evidence.circle.probability < settings.test_significance:
+        doubts.append(
+            f"the stations leave their circle by {evidence.radial_rms:.3g} m (rms), "
+            f"{evidence.circle.sigma0:.1f} times what is expected: the table's radial error "
+            f"motion is larger than the stated {motion.stated:.2g} m; {motion.used:.2g} m, from "
+            f"{motion.dof} residuals of the circle, is used in its place"
+        )
+    if evidence.missing:
+        names = ", ".join(str(j) for j in evidence.missing)
+        doubts.append(f"no deviation for station(s) {names}: too few usable lengths")
+    return doubts
+
+
+def _doubt_circle(evidence: Evidence, settings: TracerLimits) -> list[str]:
+    circle = evidence.circle_statement
+    if circle is None or circle.probability >= settings.test_significance:
+        return []
+    return [
+        f"the stations leave their circle, radially and axially, {circle.sigma0:.1f} times as far "
+        f"as is expected ({circle.dof} contrasts that the lengths tell): the stated circle_std of "
+        f"{circle.stated:.2g} m does not hold; {circle.used:.2g} m is used in its place"
+    ]
+
+
+def doubt_jump(where: str, jump: Jump, fringe: float) -> str:
+    """Return the sentence about a zero that jumped; ``fringe`` (m) is what a counter slips by."""
+    return (
+        f"the zero of {where} jumps by {jump.size:+.3g} m (standard deviation {jump.std:.2g} m) "
+        f"at observation {jump.row}, and nothing had said so: {_cause(jump, fringe)}; it was "
+        "split there"
+    )
+
+
+def _cause(jump: Jump, fringe: float) -> str:
+    """Return what may have made a zero jump."""
+    if number := jump.fringes(fringe):
+        return f"as much as {number:+d} fringe(s), a counter that slipped"
+    return "a beam that was broken, or a tracer that was knocked"
+
+
+def _remarks(evidence: Evidence, settings: TracerLimits) -> list[str]:
+    noise = evidence.noise
+    remarks = [
+        f"{times_stated(noise, k)}, and so the estimate is used"
+        for k in np.flatnonzero(noise.contradicted(settings.noise_significance)).tolist()
+        if noise.factors[k] < 1.0 or not noise.contradicted(settings.test_significance)[k]
+    ]
+    if evidence.spare:
+        names = ", ".join(str(i) for i in evidence.spare)
+        remarks.append(
+            f"target(s) {names} of the free network were left out: fewer than "
+            f"{FREE_TARGET_MINIMUM} lengths reach them"
+        )
+    circle = evidence.circle_statement
+    if circle is not None and circle.redundancy < HARDLY_CHECKED:
+        remarks.append(
+            f"the lengths check {100 * circle.redundancy:.2g} % of the stated circle: that the "
+            "stations stand on it is believed, not measured"
+        )
+    if evidence.unchecked:
+        remarks.append(
+            f"{evidence.unchecked} lengths are checked by no other: an error in them stays unseen"
+        )
+    if evidence.mirror_ambiguous:
+        remarks.append(
+            "all targets lie in one plane, so the tracer could stand on either side of it: the "
+            "lower side was taken; give start_stations to choose the other"
+        )
+    return remarks
+
+
+def times_stated(noise: Noise, k: int) -> str:
+    """Return how many times its statement component ``k`` is, in words."""
+    return f"{WORDS[k]} is {noise.factors[k]:.2g} times its stated {noise.stated[k]:.2g} m"

@@ -1,0 +1,141 @@
+"""The settings of the laser-tracer method: group ``solver`` of a configuration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Literal
+
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.settings import setting
+
+Variant = Literal["station", "joint"]
+Datum = Literal["prior", "free"]
+Zero = Literal["auto", "per_station", "per_segment"]
+
+
+@dataclass(frozen=True)
+class TracerLimits:
+    """When a length is rejected, and when a result is no longer called ok.
+
+    The significance of a rejection is two-sided and shared among the lengths; 0.01 means
+    |test value| > 4.3 at 704 lengths.
+    """
+
+    rejection_significance: float = setting(
+        0.01,
+        doc="probability of rejecting any length at all when all are good",
+        minimum=1e-9,
+        maximum=0.5,
+    )
+    noise_significance: float = setting(
+        0.01,
+        doc="probability of estimating the noise from the residuals when it is as stated",
+        minimum=1e-9,
+        maximum=0.5,
+    )
+    test_significance: float = setting(
+        0.001,
+        doc="probability of a false alarm of each global test (chi-squared, closure, motion)",
+        minimum=1e-9,
+        maximum=0.5,
+    )
+    max_rejected_share: float = setting(
+        0.03,
+        doc="share of rejected lengths beyond which the verdict is suspect",
+        minimum=0.001,
+        maximum=0.5,
+    )
+    max_station_std: float = setting(
+        0.01,
+        doc="largest standard deviation of a station, as a share of the radius of their circle; "
+        "beyond it the geometry is refused",
+        minimum=1e-6,
+        maximum=0.999,
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse shares and probabilities that are none; a file's ranges are narrower."""
+        for limit in fields(TracerLimits):
+            value = getattr(self, limit.name)
+            if not 0.0 < value < 1.0:
+                raise ConfigurationError(
+                    f"tracer setting {limit.name} is {value}, expected 0 < value < 1"
+                )
+
+
+@dataclass(frozen=True)
+class LengthNoiseSettings(TracerLimits):
+    """How well the tracer measures and the machine places its targets."""
+
+    length_std_m: float = setting(
+        0.2e-6,
+        doc="m, standard deviation of one captured length, repeatability included",
+        minimum=1e-9,
+        maximum=1e-2,
+    )
+    length_std_relative: float = setting(
+        0.0,
+        doc="m/m, part of the length deviation that grows with the distance",
+        minimum=0.0,
+        maximum=1e-2,
+    )
+    target_std_m: float = setting(
+        1e-6, doc="m, standard deviation of each coordinate of a target", minimum=1e-9, maximum=1.0
+    )
+
+
+@dataclass(frozen=True)
+class TracerSolverSettings(LengthNoiseSettings):
+    """How the laser-tracer method is solved."""
+
+    variant: Variant = setting(
+        "joint",
+        doc="station by station with known targets, or joint self-calibration",
+    )
+    datum: Datum = setting(
+        "prior",
+        doc="joint variant: targets as weighted prior, or as mere start values (free network)",
+    )
+    zero: Zero = setting(
+        "auto",
+        doc="the unknown zero of the lengths: one per_station, or one per_segment of unbroken "
+        "beam, which measures better and needs the variant joint; auto: per segment for a table "
+        "with the column segment, else per station",
+    )
+    zero_walk_std_m: float | None = setting(
+        0.0,
+        doc="m, with a zero per_segment: standard deviation of its change from one length to the "
+        "next, as by temperature; 0: it stands; absent: estimated from the lengths",
+        minimum=0.0,
+        maximum=1e-4,
+    )
+    position_std_m: float = setting(
+        1e-7,
+        doc="m, standard deviation of a coordinate of the reflector from one arrival to the next, "
+        "beside the error target_std_m that stays: what a resumed plan measures again may differ "
+        "by it",
+        minimum=0.0,
+        maximum=1e-3,
+    )
+    circle_std_m: float | None = setting(
+        None,
+        doc="m, standard deviation by which stations leave one circle about the table's axis, "
+        "radially and along it; absent: nothing is said, and every station is found by itself",
+        minimum=1e-9,
+        maximum=1e-2,
+    )
+    slip_m: float = setting(
+        0.3164e-6,
+        doc="m, with a zero per_segment: a fringe by which the counter may slip without a word; "
+        "what would not be found of it is in the uncertainty; 0: the counter does not slip",
+        minimum=0.0,
+        maximum=1e-5,
+    )
+    error_motion_std_m: float | None = setting(
+        None,
+        doc="m, standard deviation of the table's radial error motion at the tracer's height; "
+        "0: known to be none; absent: as circle_std_m, else estimated from the circle of the "
+        "stations",
+        minimum=0.0,
+        maximum=1e-2,
+    )

@@ -1,0 +1,87 @@
+"""Lengths as a plain table: ``position,target,length_m``, and beside it ``targets.csv``.
+
+A fourth column ``segment`` numbers the unbroken beams.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.tables import Header, Table, hashes, read_table, require_header
+from rotcal_ros.methods.calibration import Calibration, prepare
+from rotcal_ros.methods.configuration import Configuration
+from rotcal_ros.methods.measurements import PlannedMeasurements, StepFinder
+from rotcal_ros.methods.tracer.plan import explicit_plan, plan_of
+from rotcal_ros.methods.tracer.plausibility import LengthCheck
+from rotcal_ros.planning.plan import Point
+
+SEGMENT: Final = "segment"
+HEADERS: Final[tuple[Header, ...]] = (
+    ("position", "target", "length_m"),
+    ("position", "target", "length_m", SEGMENT),
+)
+TARGETS: Final = ("target", "x_m", "y_m", "z_m")
+TARGETS_FILE: Final = "targets.csv"
+
+
+def read(configuration: Configuration, table: Table, targets: Path | None) -> PlannedMeasurements:
+    """Return lengths by table position and target; a table tells no scatter, so there is none.
+
+    The targets are those of the file ``targets``, of ``targets.csv`` beside the table, or of the
+    set-up, in this order. Segments that the table names have a zero each, unless the set-up asks
+    for one per station.
+    """
+    in_segments = SEGMENT in table.header
+    if in_segments and configuration.solver.zero == "auto":
+        solver = replace(configuration.solver, zero="per_segment")
+        configuration = replace(configuration, solver=solver)
+    files, calibration = [table.path], prepare(configuration)
+    targets = targets_of_table(table, targets)
+    if targets is not None:
+        files.append(targets)
+        angles = calibration.plan.table_angles
+        unknown = [Approach.UNKNOWN] * len(angles)
+        listed = configuration.plan.listed
+        if len(set(listed)) < len(listed):  # only the plan tells which pairs come again
+            plan = explicit_plan(configuration.plan, read_targets(targets))
+        else:
+            plan = plan_of(angles, read_targets(targets), unknown)
+        calibration = Calibration(configuration, plan)
+    find, check = StepFinder(calibration.plan), LengthCheck(calibration.plan)
+    observations = []
+    for row in table.rows():
+        step = find(row, row.index("position"), row.index("target"))
+        segment = row.index(SEGMENT) if in_segments else 0
+        observation = check(replace(step.observed((row.metres("length_m"),)), segment=segment))
+        if not observation.accepted:
+            raise DataError(f"{row.place}: {observation.reason}")
+        observations.append(observation)
+    return PlannedMeasurements(calibration, tuple(observations), hashes(*files))
+
+
+def targets_of_table(table: Table, given: Path | None) -> Path | None:
+    """Return the file of the targets: the ``given`` one, or that beside the table if it exists."""
+    beside = table.path.with_name(TARGETS_FILE)
+    return beside if given is None and beside.exists() else given
+
+
+def read_targets(path: Path) -> tuple[Point, ...]:
+    """Return the target positions (m) of ``targets.csv`` in the order of their numbers."""
+    table = read_table(path)
+    require_header(table, (TARGETS,))
+    points: dict[int, Point] = {}
+    for row in table.rows():
+        number = row.index("target")
+        if number in points:
+            raise DataError(f"{row.place}: target {number} is listed twice")
+        points[number] = row.point()
+    missing = sorted(set(range(max(points) + 1)) - points.keys())
+    if missing:
+        raise DataError(
+            f"{path}: targets are numbered from 0 without gaps, but target {missing[0]} is missing"
+        )
+    return tuple(points[number] for number in sorted(points))

@@ -1,0 +1,248 @@
+"""From observations to the problem of six deviations, its result, and a person's work."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import MILLIMETRE
+from rotcal_ros.geometry.rotations import rotation_about_z
+from rotcal_ros.methods.arrival_rules import RepeatedTrials, arrivals_of
+from rotcal_ros.methods.arrivals import Arrivals, mean_of_runs
+from rotcal_ros.methods.configuration import Configuration
+from rotcal_ros.methods.method import Trials
+from rotcal_ros.methods.tracer.lengths import (
+    mean_targets,
+    reported_positions,
+)
+from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION
+from rotcal_ros.methods.tracer.solver.reported import Weighed, with_reported
+from rotcal_ros.methods.tracer.solver.station import locate_stations
+from rotcal_ros.methods.tracer_six.places import described
+from rotcal_ros.methods.tracer_six.plan import LOCATING, places_of
+from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
+from rotcal_ros.methods.tracer_six.solver.response import adjust_at_equal_places
+from rotcal_ros.methods.tracer_six.solver.solution import SixSolution
+from rotcal_ros.methods.tracer_six.solver.solve import result_of
+from rotcal_ros.methods.tracer_six.solver.trials import SixTrials
+from rotcal_ros.methods.tracer_six.solver_settings import (
+    TracerSixSolverSettings,
+    Zero,
+    ZeroSetting,
+)
+from rotcal_ros.planning.plan import Plan, Point
+from rotcal_ros.planning.time_order import time_order
+
+
+def solve(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
+    """Solve the accepted observations of a plan.
+
+    Those of both directions become one curve over the distinct angles:
+    :mod:`rotcal_ros.methods.arrivals`.
+    """
+    weighed = _at_equal_places(configuration, plan, observations)
+    result = with_reported(result_of(weighed.solution), weighed.reported)
+    if not configuration.plan.bidirectional:
+        return result
+    return mean_of_runs(result, _both_sides(plan, result), from_first=False)
+
+
+def trials(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> Trials:
+    """Prepare Monte Carlo trials about what :func:`solve` solves."""
+    prepared = SixTrials(_at_equal_places(configuration, plan, observations).solution)
+    if not configuration.plan.bidirectional:
+        return prepared
+    result = result_of(prepared.solution)
+    arrivals = _both_sides(plan, result)
+    return RepeatedTrials.of(prepared, result, arrivals, from_first=False)
+
+
+def _at_equal_places(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> Weighed[SixSolution]:
+    """Return the solution, its lengths reduced to the mean place of their target.
+
+    Seen from the planned place: the tracer is near enough to it for some tenths of a micrometre.
+    """
+    posed = problem(configuration, plan, observations)
+    mean = posed.targets[posed.target]
+    turn = rotation_about_z(np.array([o.table_angle for o in observations]))
+    beam = mean - np.einsum("kij,kj->ki", turn, posed.places[posed.place])
+    beam /= np.linalg.norm(beam, axis=1, keepdims=True)
+    shift = reported_positions(observations) - mean
+    return adjust_at_equal_places(posed, np.einsum("ki,ki->k", beam, shift))
+
+
+def _both_sides(plan: Plan, result: Result) -> Arrivals:
+    """Return the arrivals of the solved positions of a plan that measures both directions."""
+    return _every(plan).take(result.details["position_ids"])
+
+
+def _every(plan: Plan) -> Arrivals:
+    """Return the arrivals of all positions of such a plan."""
+    return arrivals_of(plan.distinct_angles, runs=1, bidirectional=True)
+
+
+def problem(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> SixProblem:
+    """Return the problem that observations of a plan pose.
+
+    The coordinates of a target are the mean of what the machine reported there, from all places.
+    Where all targets are measured at one arrival, they share its scatter; else every length has
+    an arrival of its own. A run that was interrupted and taken up again may count from another
+    zero, which its lengths share.
+
+    Raises DataError when an observation does not fit the plan.
+    """
+    settings: TracerSixSolverSettings = configuration.solver
+    places = np.array(places_of(configuration.plan))
+    _require_planned(plan, places, observations)
+    target = np.array([o.target for o in observations], dtype=np.int64)
+    targets = mean_targets(np.array(plan.targets), target, reported_positions(observations))
+    relative_std = settings.length_std_relative * np.linalg.norm(targets, axis=1)[target]
+    window_std = np.array([o.std[0] for o in observations])
+    zero, segment = _zeros(settings.zero, observations)
+    arrival = arrivals(plan)
+    shift, turn, own_std = _scatter(configuration)
+    variance = settings.length_std_m**2 + relative_std**2 + window_std**2 + own_std**2
+    return SixProblem(
+        position=np.array([o.table_position for o in observations], dtype=np.int64),
+        place=np.array([o.station for o in observations], dtype=np.int64),
+        target=target,
+        length=np.array([o.mean[0] for o in observations]),
+        length_std=np.sqrt(variance),
+        distance_std=relative_std,
+        targets=targets,
+        target_std=np.full(targets.shape, settings.target_std_m),
+        table_angles=np.array(plan.table_angles),
+        upward=_every(plan).upward if configuration.plan.bidirectional else None,
+        places=places,
+        place_tolerance=configuration.plan.place_tolerance_m,
+        datum=settings.datum,
+        zero=zero,
+        segment=segment,
+        scatter_translation_std=shift,
+        scatter_rotation_std=turn,
+        arrival=np.array(
+            [arrival[o.step] + len(plan.steps) * o.run for o in observations], dtype=np.int64
+        ),
+        tilt_std=settings.tilt_std_rad,
+        slip=settings.slip_m,
+        order=time_order(observations),
+        settings=settings,
+    )
+
+
+def arrivals(plan: Plan) -> Ints:
+    """Return at which arrival (n,) of the table at its angle each step is measured, from 0 on.
+
+    From each place on its own: it is how often the plan has measured the same before.
+    """
+    count: Counter[tuple[int, int, int]] = Counter()
+    numbers = []
+    for step in plan.steps:
+        key = (step.station, step.table_position, step.target)
+        numbers.append(count[key])
+        count[key] += 1
+    return np.array(numbers, dtype=np.int64)
+
+
+def _scatter(configuration: Configuration) -> tuple[float | None, float | None, float]:
+    """Return the scatter of an arrival (m, rad) for the solver, and what joins a length (m).
+
+    Where the table arrives anew for every length, its scatter is noise of the lengths.
+    """
+    settings: TracerSixSolverSettings = configuration.solver
+    shift, turn = settings.scatter_translation_std_m, settings.scatter_rotation_std_rad
+    if configuration.plan.order == TARGETS_PER_STATION:
+        return shift, turn, 0.0
+    arm = np.linalg.norm(places_of(configuration.plan), axis=1).max()
+    return 0.0, 0.0, float(np.hypot(shift or 0.0, arm * (turn or 0.0)))
+
+
+def _require_planned(plan: Plan, places: Floats, observations: Sequence[Observation]) -> None:
+    if not observations:
+        raise DataError("no length was measured: there is nothing to solve")
+    for o in observations:
+        if not (
+            o.table_position < len(plan.table_angles)
+            and o.target < len(plan.targets)
+            and o.station < len(places)
+            and o.step < len(plan.steps)
+        ):
+            raise DataError(
+                f"step {o.step}: place {o.station}, position {o.table_position}, target "
+                f"{o.target} are not in the plan of {len(places)} places, "
+                f"{len(plan.table_angles)} angles and {len(plan.targets)} targets"
+            )
+
+
+def _zeros(zero: ZeroSetting, observations: Sequence[Observation]) -> tuple[Zero, Ints | None]:
+    """Return which lengths share a zero, with the segment (k,) of each where it takes numbers.
+
+    Whatever is chosen, a tracer that was fixed anew and a run that was resumed begin a new zero.
+    """
+    zero = "per_segment" if zero == "auto" else zero
+    mountings = {(o.station, o.run) for o in observations}
+    resumed = len(mountings) > len({o.station for o in observations})
+    if zero != "per_segment" and not resumed:
+        return zero, None
+    within = {"per_run": lambda _: 0, "per_station": lambda o: o.table_position}
+    part: Callable[[Observation], int] = within.get(zero, lambda o: o.segment)
+    keys = np.array([(o.station, o.run, part(o)) for o in observations])
+    _, segment = np.unique(keys, axis=0, return_inverse=True)
+    return "per_segment", np.asarray(segment.ravel(), dtype=np.int64)
+
+
+def check(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> tuple[str, ...]:
+    """Return in words how far the newest place is from where the plan has it, if too far.
+
+    Only the lengths at the first angle of that place are looked at, with targets and table as the
+    plan has them: what matters here are millimetres.
+    """
+    if not observations:
+        return ()
+    number = max(o.station for o in observations)
+    here = [o for o in observations if o.station == number]
+    first = [o for o in here if o.table_position == here[0].table_position]
+    if len({o.target for o in first}) <= LOCATING - 2:
+        return ()
+    planned = np.array(places_of(configuration.plan))[number]
+    found = _located(plan, first, planned)
+    away, allowed = float(np.linalg.norm(found - planned)), configuration.plan.place_tolerance_m
+    if away <= allowed:
+        return ()
+    return (
+        f"place {number}: the tracer stands {away / MILLIMETRE:.1f} mm from its place, allowed "
+        f"{allowed / MILLIMETRE:g}: its centre is {described(_point(found))}, planned "
+        f"{described(_point(planned))}",
+    )
+
+
+def _located(plan: Plan, observations: Sequence[Observation], planned: Floats) -> Floats:
+    """Return where the tracer stands (3,), m, table frame; nearest to ``planned`` (3,)."""
+    targets = np.array([plan.targets[o.target] for o in observations])
+    length = np.array([[o.mean[0] for o in observations]])
+    turn = rotation_about_z(plan.table_angles[observations[0].table_position])
+    start = turn @ planned
+    zero = np.mean(np.linalg.norm(targets - start, axis=1) - length)
+    state, _ = locate_stations(
+        targets, length, np.ones_like(length), np.array([[*start.tolist(), float(zero)]])
+    )
+    return np.asarray(turn.T @ state[0, :3], dtype=np.float64)
+
+
+def _point(values: Floats) -> Point:
+    x, y, z = values.tolist()
+    return x, y, z

@@ -1,0 +1,49 @@
+"""Figures of the tracer at several places: residuals, and where places and targets are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from rotcal_ros.figures import Figure, style
+from rotcal_ros.figures.labels import name_places
+from rotcal_ros.figures.residuals import residual_figures
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import MILLIMETRE
+
+
+def figures(result: Result, _truth: Mapping[str, Any] | None = None) -> list[Figure]:
+    """Return the figures that only this method can fill."""
+    return [
+        *residual_figures(result),
+        Figure(
+            "Places and targets",
+            "Solved places of the tracer with the table at angle zero, and the targets, from "
+            "above (left) and from the side (right). Tilts and heights are told by beams in many "
+            "directions, the turns by places far from each other.",
+            places_and_targets(result),
+            "set-up",
+        ),
+    ]
+
+
+@style.styled
+def places_and_targets(result: Result) -> str:
+    """Draw the places on the table and the targets around it, from above and from the side."""
+    details = result.details
+    if "places" not in details or "targets" not in details:
+        return ""
+    places = np.asarray(details["places"], dtype=np.float64) / MILLIMETRE
+    targets = np.asarray(details["targets"], dtype=np.float64) / MILLIMETRE
+    axes = style.grid(1, 2, height=4.2)
+    for ax, upward, name in zip(axes, (1, 2), "yz", strict=True):
+        ax.plot(targets[:, 0], targets[:, upward], "x", color=style.GREY, label="targets")
+        ax.plot(places[:, 0], places[:, upward], "o", color=style.BLUE, label="places")
+        name_places(ax, details["place_ids"], places[:, [0, upward]])
+        ax.set_aspect("equal")
+        ax.set_xlabel("x / mm")
+        ax.set_ylabel(f"{name} / mm")
+    axes[1].legend(loc="center right")
+    return style.svg(axes[0])

@@ -1,0 +1,96 @@
+"""The settings of the six-deviations method, without what makes and solves a plan."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+from rotcal_ros.foundation.settings import setting
+from rotcal_ros.methods.tracer.settings import STATIONS_PER_TARGET, TARGETS_PER_STATION
+from rotcal_ros.methods.tracer_six.simulation_settings import SixSimulationSettings
+from rotcal_ros.methods.tracer_six.solver_settings import TracerSixSolverSettings
+from rotcal_ros.planning.table_angles import TableAngleSettings
+
+
+@dataclass(frozen=True)
+class SixPlanSettings(TableAngleSettings):
+    """Where the tracer stands on the table, where the table turns, where the reflector goes.
+
+    Several tracers at once are not planned for: one goes from place to place.
+    """
+
+    places: int = setting(
+        3, doc="places of the tracer, evenly around the axis", minimum=1, maximum=24
+    )
+    place_radius_m: float = setting(
+        0.15, doc="m, distance of the places from the table axis", minimum=0.001, maximum=10.0
+    )
+    place_azimuth_deg: float = setting(
+        0.0, doc="deg, direction of the first place with the table at angle 0"
+    )
+    place_height_m: float = setting(
+        0.12, doc="m, height of the tracer's centre at the first place", minimum=-5.0, maximum=10.0
+    )
+    place_height_step_m: float = setting(
+        0.0,
+        doc="m, by which each place is higher than the one before; unequal heights where each "
+        "station has a zero of its own",
+        minimum=-1.0,
+        maximum=1.0,
+    )
+    places_m: tuple[float, ...] = setting(
+        (),
+        doc="m, x y z of place 0, then of place 1 and so on, with the table at angle 0; replaces "
+        "all settings above",
+        minimum=-10.0,
+        maximum=10.0,
+    )
+    place_tolerance_m: float = setting(
+        0.01,
+        doc="m, by which the tracer may miss its place before the person is asked again",
+        minimum=1e-5,
+        maximum=0.05,
+    )
+    box_centre_m: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.61), doc="m, centre of the block of targets"
+    )
+    box_size_m: tuple[float, float, float] = setting(
+        (1.0, 1.0, 0.82), doc="m, size of the block of targets", minimum=0.0
+    )
+    box_points: tuple[int, int, int] = setting(
+        (4, 3, 2), doc="number of targets along x, y and z", minimum=1, maximum=1000
+    )
+    targets_m: tuple[float, ...] = setting(
+        (),
+        doc="m, x y z of target 0, then of target 1 and so on; replaces the block",
+        minimum=-50.0,
+        maximum=50.0,
+    )
+    order: str = setting(
+        TARGETS_PER_STATION,
+        doc="what changes fastest: the target, so that the table comes to each angle once, or the "
+        "table",
+        choices=(TARGETS_PER_STATION, STATIONS_PER_TARGET),
+    )
+    bidirectional: bool = setting(
+        False,
+        doc="from every place go up through the angles and, from the other side, down again",
+    )
+    arrivals: int = setting(
+        1,
+        doc="how often the table comes to each angle from each place; 2 tell its scatter better",
+        minimum=1,
+        maximum=20,
+    )
+    closes: bool = setting(
+        False, doc="measure the first angle again at the end of every place, or of every target"
+    )
+
+
+SETTINGS: Final[Mapping[str, type[Any]]] = {
+    "plan": SixPlanSettings,
+    "solver": TracerSixSolverSettings,
+    "simulation": SixSimulationSettings,
+}
+"""The groups that this method declares for itself."""

@@ -1,0 +1,73 @@
+"""The simulated tracer that a person fixes at one place of the table after the other."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.observations import Command
+from rotcal_ros.foundation.units import MICROMETRE, MILLIMETRE
+from rotcal_ros.methods.tracer.simulated_cell import TracerAndReflector
+from rotcal_ros.methods.tracer_six.simulation_settings import SixSimulationSettings
+from rotcal_ros.planning.points import triples
+from rotcal_ros.simulation.instrument import Table
+from rotcal_ros.simulation.noise import IndexedNoise, Source
+from rotcal_ros.simulation.temperature import SimulatedTemperature
+
+_MOST: Final = 1000
+"""Places; the mountings at each have random numbers of their own."""
+
+
+class CarriedTracer(TracerAndReflector):
+    """The tracer stands where the order's station says, missed by a little at each mounting.
+
+    An order for another place, or for a step that was left behind already, comes after a new
+    mounting: the person has fixed the tracer anew, and its zero is another one.
+    """
+
+    def __init__(
+        self,
+        settings: SixSimulationSettings,
+        table: Table,
+        temperature: SimulatedTemperature,
+        start_ns: int,
+    ) -> None:
+        self.tracer_settings = settings.tracer
+        self._places = triples(settings.tracer.places_m, "simulation.tracer.places_m")
+        super().__init__(settings, self._places[0], table, temperature, start_ns)
+        self._placing = IndexedNoise(settings.seed, Source.MOUNTING)
+        self._mounted_zero = IndexedNoise(settings.seed, Source.MOUNTED_ZERO)
+        self._mountings: dict[int, int] = {}
+        self._place, self._step = -1, -1
+        self._done: set[int] = set()
+
+    def order(self, now_ns: int, command: Command) -> None:
+        """Go to the position of ``command``, the tracer being at the place of its station."""
+        left_behind = command.step in self._done and command.step != self._step
+        if command.station != self._place or left_behind:
+            self._fix(command.station)
+        self._step = command.step
+        self._done.add(command.step)
+        super().order(now_ns, command)
+
+    def _fix(self, place: int) -> None:
+        """Fix the tracer at ``place``, with the errors of this mounting."""
+        if place >= len(self._places):
+            raise ConfigurationError(
+                f"simulation.tracer.places_m has {len(self._places)} places, the plan asks for "
+                f"place {place}: list as many as the plan has"
+            )
+        count = self._mountings.get(place, 0)
+        self._mountings[place] = count + 1
+        self._place = place
+        self._done.clear()
+        number, settings = place + _MOST * count, self.tracer_settings
+        off: Floats = settings.placing_mm * self._placing.normal(3 * number, 3)
+        if place == settings.misplaced_place and count < settings.misplaced_mountings:
+            off = off + np.array([settings.misplaced_mm, 0.0, 0.0])
+        self._mount = np.array(self._places[place]) + off * MILLIMETRE
+        zero = float(self._mounted_zero.normal(number, 1)[0])
+        self._zero_m = settings.mounting_zero_um * MICROMETRE * zero

@@ -1,0 +1,257 @@
+"""How differently the table arrives at the same angle: scatter from run to run.
+
+A run sees one place only, so what moves the table between runs deforms the triangle of the places.
+What the rigid network leaves of the stations, the *contrasts*, are as many as stations have
+coordinates beyond poses and places. With the network solved without scatter, b = U' W f holds
+them: b ~ N(0, A + A G A), A = U' W U - U' W J C J' W U, where G is the covariance of the scatter,
+block by block
+
+    S = s_t^2 + s_r^2 [a]x [a]x',      a: the station seen from the point of the axis at z = 0.
+
+In the range of A this is y ~ N(0, 1 + s_t^2 K_t + s_r^2 K_r). This likelihood, free of mean and of
+nuisance, is the restricted likelihood of all lengths. Three dozen contrasts do not say much about
+two variances, so their whole posterior is used: none at all, and every size x of scatter, times
+every share of turns in it. Arrivals of one run at one angle are contrasts in all three directions.
+
+The prior was set by simulation, for 12 angles, 24 targets and places at 0, 120 and 240 degrees at
+r = 150 mm: there 95 % intervals hold 93 to 97.5 %, for every size of scatter that was tried. With
+more angles they hold less (docs/tracer_six.md). x^4 / (1 + x^6) vanishes at zero, so that "none"
+and "some" stay apart and contrasts that show nothing cost little. Turns alone weigh most, for they
+move the curves as much as shifts do and leave half the trace: at z = 0, tilts move no distance
+between places.
+
+Stations are weighed as if an estimated scatter were the same in all directions: which share of it
+turns have is hardly known, and weights that rely on it promise more than they keep. With the
+weights fixed, the variance of a curve is linear in s_t^2 and s_r^2; its standard deviation is the
+one with which +-1.96 of it hold 95 % of what is predicted, Student's t in spirit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.special import erfc
+
+from rotcal_ros.adjust.distributions import chi2_sf
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
+from rotcal_ros.foundation.errors import ObservabilityError
+from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
+from rotcal_ros.geometry.rotations import cross_matrix
+from rotcal_ros.methods.tracer_six.solver.posterior import full_covariance, pulled
+from rotcal_ros.methods.tracer_six.solver.rig import Rig
+
+OUTSIDE: Final = 0.05
+ABSENT: Final = 0.2
+"""Prior probability of no scatter."""
+LEVELS: Final = np.concatenate([np.arange(0.1, 2.0, 0.1), 2.0 * 1.08 ** np.arange(111)])
+"""Sizes of scatter x, 1 of which doubles the variance of a contrast on average."""
+DENSITY: Final = LEVELS**4 / (1.0 + LEVELS**6) * np.gradient(LEVELS)
+"""Prior of the sizes, not normalised."""
+MIXTURES: Final = np.radians([0.0, 22.5, 45.0, 67.5, 90.0])
+"""Direction of (s_t, s_r radius): from shifts alone to turns alone."""
+MIXTURE_PRIOR: Final = np.array([2.0, 1.0, 1.0, 2.0, 14.0]) / 20.0
+SEEN: Final = 1e-3
+"""Share of the clearest trace in the contrasts below which a mixture leaves none."""
+RANGE: Final = 1e-6
+"""Share of the largest eigenvalue of A from which a direction is a contrast."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """``translation`` (m) and ``rotation`` (rad) of the scatter that the covariance holds.
+
+    ``estimated`` says whether from the ``n_contrasts``; ``probability``: how probably chance
+    makes the contrasts as large as they are with the stated scatter, None where none is stated.
+    ``variances`` (k, 2) with ``weights`` (k,) are the posterior of both squares.
+    """
+
+    translation: float
+    rotation: float
+    estimated: bool
+    n_contrasts: int
+    probability: float | None
+    variances: Floats
+    weights: Floats
+
+    def in_words(self) -> str:
+        """Return both for people."""
+        shift, turn = self.translation / MICROMETRE, self.rotation / ARCSEC
+        return f"{shift:.2g} um and {turn:.2g} arcsec"
+
+    def weighing(self, arms: Floats) -> tuple[float, float]:
+        """Return the squares (m^2, rad^2) of the scatter that weighs stations at ``arms``.
+
+        As stated; of an estimated one a shift whose mean square is the same.
+        """
+        if not self.estimated:
+            return self.translation**2, self.rotation**2
+        lever = 2.0 / 3.0 * float((arms * arms).sum(axis=1).mean())
+        return self.translation**2 + self.rotation**2 * lever, 0.0
+
+    def roots(self, arms: Floats) -> Floats | None:
+        """Return roots (V, 3, 3) of the covariances at ``arms`` (V, 3), None for no scatter."""
+        shift, turn = self.weighing(arms)
+        if shift == 0.0 and turn == 0.0:
+            return None
+        return roots_of(shift, turn, arms)
+
+
+def roots_of(shift: float, turn: float, arms: Floats) -> Floats:
+    """Return roots (V, 3, 3) of the covariances of squared shifts (m^2) and turns (rad^2).
+
+    At ``arms`` (V, 3); turns alone leave the direction of the arm at rest, which has no Cholesky.
+    """
+    values, vectors = np.linalg.eigh(shift * np.eye(3) + turn * turned(arms))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None], dtype=np.float64)
+
+
+def turned(arms: Floats) -> Floats:
+    """Return the covariances (V, 3, 3) at ``arms`` (V, 3) of a turn about every axis, m^2."""
+    across = cross_matrix(arms)
+    return np.asarray(across @ across.swapaxes(1, 2), dtype=np.float64)
+
+
+def stated(translation: float, rotation: float) -> Scatter:
+    """Return a scatter as it is stated, in m and rad."""
+    alone = np.array([[translation**2, rotation**2]])
+    return Scatter(translation, rotation, False, 0, None, alone, np.ones(1))
+
+
+@dataclass(frozen=True, eq=False)
+class Contrasts:
+    """``value`` (q,), which noise makes N(0, 1), ``spread`` (2, q, q): K_t, K_r; ``radius`` m.
+
+    ``root`` (3 V, q), 1/m: its transpose times the shifts of the stations is what these add.
+    """
+
+    value: Floats
+    spread: Floats
+    radius: float
+    root: Floats
+
+
+def contrasts(rig: Rig, arms: Floats) -> Contrasts:
+    """Return the contrasts of a ``rig`` that was solved without scatter; ``arms`` (V, 3) in m."""
+    v = len(arms)
+    each = np.arange(v)
+    spent = pulled(rig)
+    matrix = -spent @ full_covariance(rig) @ spent.T
+    matrix.reshape(v, 3, v, 3)[each, :, each] += rig.normal
+    values, vectors = np.linalg.eigh(matrix)
+    kept = values > RANGE * values[-1]
+    force = rig.pull @ rig.slopes.error[:, :, None]
+    root = vectors[:, kept] * np.sqrt(values[kept])
+    by_station = root.reshape(v, 3, -1)
+    moved = turned(arms) @ by_station
+    value = (vectors[:, kept].T @ force.ravel()) / np.sqrt(values[kept])
+    spread = np.stack([root.T @ root, root.T @ moved.reshape(3 * v, -1)])
+    apart = rig.state.places - rig.state.places.mean(axis=0)
+    radius = float(np.sqrt((apart**2).sum() / len(apart)))
+    return Contrasts(value, spread, radius, root)
+
+
+def estimate(
+    found: Contrasts, translation: float | None, rotation: float | None, significance: float
+) -> Scatter:
+    """Return the scatter that ``found`` tells, rms of the posterior; what is stated stands.
+
+    Both stated: they stand unless the contrasts contradict them with ``significance``; then both
+    are estimated. Raises ObservabilityError where nothing shows it.
+    """
+    q = len(found.value)
+    probability = None
+    if translation is not None and rotation is not None:
+        known = np.eye(q) + translation**2 * found.spread[0] + rotation**2 * found.spread[1]
+        if q:
+            square = float(found.value @ np.linalg.solve(known, found.value))
+            probability = chi2_sf(square, q)
+        if probability is None or probability >= significance:
+            kept = stated(translation, rotation)
+            return Scatter(
+                translation, rotation, False, q, probability, kept.variances, kept.weights
+            )
+        translation = rotation = None
+    variances, weights = _posterior(found, translation, rotation)
+    mean = weights @ variances
+    return Scatter(
+        float(np.sqrt(mean[0])), float(np.sqrt(mean[1])), True, q, probability, variances, weights
+    )
+
+
+def _posterior(
+    found: Contrasts, translation: float | None, rotation: float | None
+) -> tuple[Floats, Floats]:
+    """Return squares of both scatters (k, 2), the first without any, and their weights (k,)."""
+    base = np.array([(translation or 0.0) ** 2, (rotation or 0.0) ** 2])
+    noise = np.eye(len(found.value)) + np.tensordot(base, found.spread, 1)
+    root = np.linalg.inv(np.linalg.cholesky(noise))
+    value, spread = root @ found.value, root @ found.spread @ root.T
+    directions, priors = _directions(found, spread, translation, rotation)
+    variances, logs = [base[None]], [np.log([ABSENT]) - 0.5 * (value @ value)]
+    size = np.log((1.0 - ABSENT) * DENSITY / DENSITY.sum())
+    for direction, prior in zip(directions, priors, strict=True):
+        values, vectors = np.linalg.eigh(np.tensordot(direction, spread, 1))
+        level = LEVELS**2 / values.mean()
+        total = 1.0 + level[:, None] * np.maximum(values, 0.0)
+        square = (vectors.T @ value) ** 2
+        likelihood = -0.5 * (np.log(total) + square / total).sum(axis=1)
+        logs.append(likelihood + size + np.log(prior))
+        variances.append(base + level[:, None] * direction)
+    weights = np.concatenate(logs)
+    weights = np.exp(weights - weights.max())
+    return np.concatenate(variances), weights / weights.sum()
+
+
+def _directions(
+    found: Contrasts, spread: Floats, translation: float | None, rotation: float | None
+) -> tuple[Floats, Floats]:
+    """Return what grows with the size in both squares (k, 2), and how likely each is (k,).
+
+    ``spread`` (2, q, q) as in the contrasts. Mixtures that leave no trace there are left out.
+    """
+    size = np.array([1.0, found.radius**-2])
+    if translation is not None:
+        directions, priors = np.array([[0.0, 1.0]]), np.ones(1)
+    elif rotation is not None:
+        directions, priors = np.array([[1.0, 0.0]]), np.ones(1)
+    else:
+        shares = np.column_stack([np.cos(MIXTURES), np.sin(MIXTURES)])
+        directions, priors = shares**2, MIXTURE_PRIOR
+    directions = directions * size
+    trace = np.trace(spread, axis1=1, axis2=2)
+    seen = directions @ trace > SEEN * (size * trace).max()
+    if not seen.any():
+        raise ObservabilityError(
+            "no distance between the places shows how the table scatters from run to run: state "
+            "scatter_translation_std and scatter_rotation_std, or measure from three places"
+        )
+    return directions[seen], priors[seen] / priors[seen].sum()
+
+
+def enlargement(
+    scatter: Scatter, used: tuple[float, float], variance: Floats, slope: Floats
+) -> Floats:
+    """Return factors (c,) on standard deviations whose 1.96 fold then holds 95 %.
+
+    ``variance`` (c,) is that with the squares ``used`` (m^2, rad^2), ``slope`` (2, c) what a unit
+    of each square adds to it.
+    """
+    if not scatter.estimated:
+        return np.ones_like(variance)
+    likely = scatter.weights > 1e-7
+    spread = variance + (scatter.variances[likely] - np.array(used)) @ slope
+    spread = np.maximum(spread / variance, 1e-12)
+    weights = scatter.weights[likely] / scatter.weights[likely].sum()
+    factor = np.ones_like(variance)
+    for _ in range(12):
+        reach = HALF_OF_95_PERCENT * factor / np.sqrt(2.0 * spread)
+        outside = weights @ erfc(reach) - OUTSIDE
+        slope_of = weights @ (np.exp(-(reach**2)) * reach) * (-2.0 / np.sqrt(np.pi)) / factor
+        step = np.clip(outside / slope_of, -0.3 * factor, 0.3 * factor)
+        factor = factor - step
+        if np.abs(step).max() < 1e-6:
+            break
+    return np.asarray(factor, dtype=np.float64)

@@ -1,0 +1,579 @@
+"""The adjustment of a problem and all that follows from it but the verdict.
+
+Fringes that the counter slips while nobody notices: found by the lengths, or not.
+
+The search of :mod:`rotcal_ros.methods.tracer.solver.jumps`, on the network of a rigid table.
+Lengths of a run that grow by the same amount from some moment on look like a place that rose
+there, and three places always have a plane: where no angle is measured again in the same run, most
+of a slip is taken for tilts and heights of the table. The uncertainty allows for what stays unseen
+as for the tracer (:mod:`rotcal_ros.methods.tracer.solver.slips`).
+
+What gathers in one place: the lengths of a rigid network as groups for the engine.
+
+As in :mod:`rotcal_ros.methods.tracer.solver.gathering`, with the arrivals of the table at a
+position in one run as stations. Their scatter from arrival to arrival is adjusted beside the
+unknowns.
+
+Start values: stations by multilateration, then poses by rigid fits.
+
+Targets in one plane leave two images of each station; the nominal places tell which is meant. A
+position without three of its stations starts at its commanded angle.
+
+The rigid network as an adjustment that the tracer's screening and noise estimate work on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.adjust.distributions import chi2_sf
+from rotcal_ros.adjust.felt import Felt
+from rotcal_ros.adjust.gathering import Gathering
+from rotcal_ros.adjust.groups import Group
+from rotcal_ros.adjust.low_rank import LowRank
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.geometry.rigid import align
+from rotcal_ros.geometry.rotations import rotation_about_z
+from rotcal_ros.methods.tracer.solver.adjustment import Adjustment
+from rotcal_ros.methods.tracer.solver.gathering import group_at, places_of
+from rotcal_ros.methods.tracer.solver.grid import STATION_MINIMUM, Grid
+from rotcal_ros.methods.tracer.solver.joint import target_test
+from rotcal_ros.methods.tracer.solver.jumps import Jump, find_jump
+from rotcal_ros.methods.tracer.solver.noise import Noise, scaled
+from rotcal_ros.methods.tracer.solver.observability import told_of_a_turned_sign
+from rotcal_ros.methods.tracer.solver.screening import (
+    Grouping,
+    Screened,
+    adjust_and_screen,
+    reject_gross,
+)
+from rotcal_ros.methods.tracer.solver.shifts import PLACES, Moments, Shifts
+from rotcal_ros.methods.tracer.solver.slips import Slips, slips_among
+from rotcal_ros.methods.tracer.solver.start import start_candidates
+from rotcal_ros.methods.tracer.solver.station import adjust_stations
+from rotcal_ros.methods.tracer.solver.uncertainty import GlobalTest
+from rotcal_ros.methods.tracer.solver.verdict import Closure, closures
+from rotcal_ros.methods.tracer_six.solver.layout import Layout, lay_out, lost_direction, renamed
+from rotcal_ros.methods.tracer_six.solver.moves import Moves, moves
+from rotcal_ros.methods.tracer_six.solver.observability import check_curves, check_determined
+from rotcal_ros.methods.tracer_six.solver.patterns import felt
+from rotcal_ros.methods.tracer_six.solver.posterior import (
+    CurvePosterior,
+    Posterior,
+    curve_posterior,
+    posterior,
+    pulled,
+    scattered,
+)
+from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
+from rotcal_ros.methods.tracer_six.solver.rig import Rig, State, relax
+from rotcal_ros.methods.tracer_six.solver.scatter import (
+    Scatter,
+    contrasts,
+    enlargement,
+    estimate,
+    stated,
+    turned,
+)
+from rotcal_ros.methods.tracer_six.solver.timing import taken, timing
+
+FITTING: Final = 3.0
+"""Times the stated noise up to which lengths of the opposite sign are said to fit."""
+PLACE: Final = {name: index for index, name in enumerate(COMPONENTS)}
+
+
+@dataclass(frozen=True, eq=False)
+class SixSolution:
+    """A solved problem; ``grid`` has the standard deviations that were used, after ``noise``.
+
+    ``table``: curves with their covariance as the network gives it; ``covariance`` (6, m, 6, m),
+    in the order of COMPONENTS, what is known of them in the end: enlarged by ``scale`` for what
+    the noise leaves unexplained, and for a scatter that few contrasts tell, and with what unseen
+    ``slips`` of a fringe add. ``closures`` are tested without these: such a slip may open them.
+    ``lengths``: test of chi-squared with the noise that was used. ``rejected`` says by row why a
+    length was not used; ``n_lengths`` could have been used, ``n_rejected`` of them were not.
+    ``gathering``: what was found of disturbances in one place; what they may do is in the
+    covariance too. ``jumps`` of zeros, whose segment is a zero of the ``layout``.
+    """
+
+    problem: SixProblem
+    layout: Layout
+    grid: Grid
+    noise: Noise
+    fit: RigidAdjustment
+    table: CurvePosterior
+    covariance: Floats
+    lengths: GlobalTest
+    scale: float
+    closures: dict[str, tuple[Closure, ...]]
+    rejected: dict[int, str]
+    n_lengths: int
+    n_rejected: int
+    jumps: tuple[Jump, ...] = ()
+    slips: Slips | None = None
+    gathering: Gathering = field(default_factory=Gathering)
+
+    @property
+    def rig(self) -> Rig:
+        """The network at its minimum."""
+        return self.fit.posterior.rig
+
+    @property
+    def scatter(self) -> Scatter:
+        """The scatter from run to run that was used."""
+        return self.fit.scatter
+
+    @cached_property
+    def moves(self) -> Moves:
+        """The tests of what moved between the runs, and within them."""
+        problem, grid = self.problem, self.grid
+        known = (problem.scatter_translation_std, problem.scatter_rotation_std)
+        when = (timing(problem, grid).own * grid.used).sum(axis=1) / grid.used.sum(axis=1)
+        return moves(self.rig, when, known, problem.settings.test_significance)
+
+    @property
+    def zeros(self) -> Floats:
+        """The zeros (s,) of the counter as the lengths of the problem have them, m."""
+        return self.rig.state.zeros + self.layout.offset
+
+    @property
+    def places(self) -> Floats:
+        """The places (p, 3), m, in the frame that turns with the table, z along the axis."""
+        curves = self.table.curves
+        places = (self.rig.state.places - curves.table_origin) @ curves.table_turn
+        return np.asarray(places, dtype=np.float64)
+
+    @property
+    def positions(self) -> Ints:
+        """The table positions (m,) that have a result."""
+        return self.layout.position_ids
+
+    @property
+    def missing(self) -> tuple[int, ...]:
+        """The table positions without a result."""
+        every = np.arange(len(self.problem.table_angles))
+        return tuple(np.setdiff1d(every, self.positions).tolist())
+
+    def deviations(self) -> dict[str, Floats]:
+        """Return the six curves (m,), m and rad."""
+        curves = self.table.curves
+        columns = np.concatenate([curves.translation, curves.rotation], axis=1)
+        return {name: columns[:, at].copy() for name, at in PLACE.items()}
+
+    def covariance_of(self, name: str) -> Floats:
+        """Return the covariance (m, m) of one curve."""
+        return np.ascontiguousarray(self.covariance[PLACE[name], :, PLACE[name]])
+
+
+def adjust(problem: SixProblem) -> SixSolution:
+    """Return the solution of ``problem``; raises what :func:`~.solve.solve` raises."""
+    return told_of_a_turned_sign(
+        problem,
+        _adjusted,
+        lambda found: bool((found.scale * found.noise.factors < FITTING).all()),
+    )
+
+
+def _adjusted(problem: SixProblem) -> SixSolution:
+    layout, absent = lay_out(problem)
+    limits = problem.settings
+    state = find_start(layout)
+    coarse, start, why = _without_gross(layout, state, limits.rejection_significance)
+    stated = (problem.scatter_translation_std, problem.scatter_rotation_std)
+    adjuster = RigidAdjuster(layout, state, stated, limits.test_significance)
+    screened = adjust_and_screen(adjuster, coarse, start, limits, _grouping(problem))
+    screened, jumps, shifts = _unbroken(problem, adjuster, screened, coarse, start)
+    fit = screened.fit
+    assert isinstance(fit, RigidAdjustment)
+    layout = fit.posterior.rig.layout
+    names = {int(s): layout.station_name(j) for j, s in enumerate(layout.grid.position_ids)}
+    why = {row: renamed(text, names) for row, text in (why | screened.why).items()}
+    table = curve_posterior(fit.posterior.rig, fit.posterior.covariance)
+    lengths, scale = _length_test(fit, limits.test_significance)
+    covariance = scale**2 * _enlarged(fit, table)
+    slips = None
+    if shifts is not None:
+        slips = slips_among(shifts, problem.slip, limits.rejection_significance, scale)
+    unseen = 0.0 if slips is None else _by_curve(slips.covariance())
+    gathered = screened.gathering.covariance()
+    unseen += 0.0 if gathered is None else _by_curve(gathered)
+    check_curves(table, fit.posterior.rig.state.places, limits.max_station_std)
+    idle = {row for row, text in absent.items() if text.startswith("repeats")}
+    return SixSolution(
+        problem=problem,
+        layout=layout,
+        grid=scaled(screened.grid, screened.noise.factors),
+        noise=screened.noise,
+        fit=fit,
+        table=table,
+        covariance=covariance + unseen,
+        lengths=lengths,
+        scale=scale,
+        closures=_closures(layout, table, covariance, problem.upward),
+        rejected=absent | why,
+        n_lengths=len(problem.length) - len(idle),
+        n_rejected=len(absent) - len(idle) + len(why),
+        jumps=jumps,
+        slips=slips,
+        gathering=screened.gathering,
+    )
+
+
+def _grouping(problem: SixProblem) -> Grouping:
+    """Return what makes the groups of this ``problem``."""
+    order = taken(problem)
+
+    def grouping(grid: Grid, fit: Adjustment) -> tuple[Group, ...]:
+        assert isinstance(fit, RigidAdjustment)
+        return groups_of(grid, fit, order)
+
+    return grouping
+
+
+def _unbroken(
+    problem: SixProblem, adjuster: RigidAdjuster, screened: Screened, coarse: Grid, start: Floats
+) -> tuple[Screened, tuple[Jump, ...], Shifts | None]:
+    """Return ``screened`` with zeros split where they jump, the jumps, and what shifts would do.
+
+    Zeros that belong to a single station are not looked at: their jumps are outliers.
+    """
+    jumps: list[Jump] = []
+    if problem.zero == "per_station" or problem.slip == 0.0:
+        return screened, (), None
+    order = taken(problem)
+    while True:
+        fit = screened.fit
+        assert isinstance(fit, RigidAdjustment)
+        shifts = find_shifts(fit, order)
+        jump = find(fit, shifts, problem.settings.rejection_significance)
+        if jump is None or len(jumps) == MOST_JUMPS:
+            return screened, tuple(jumps), shifts
+        jumps.append(jump)
+        layout, state = split(adjuster.layout, adjuster.state, coarse, jump, order)
+        adjuster = replace(adjuster, layout=layout, state=state)
+        screened = adjust_and_screen(adjuster, coarse, start, problem.settings, _grouping(problem))
+
+
+def _without_gross(
+    layout: Layout, state: State, significance: float
+) -> tuple[Grid, Floats, dict[int, str]]:
+    """Return the grid without gross errors, start values (V, 4), and why lengths were rejected.
+
+    Station by station, as far as the lengths of a station have one zero; where these are too few,
+    it is left to the network.
+    """
+    grid, most = layout.grid, layout.most
+    zero = layout.zero[np.arange(len(most)), np.argmax(most, axis=1)]
+    start = np.column_stack([state.stations(layout), state.zeros[zero]])
+    if (most.sum(axis=1) < STATION_MINIMUM).any():
+        return grid, start, {}
+    coarse, why = reject_gross(adjust_stations, replace(grid, used=most), start, significance)
+    return replace(coarse, used=coarse.used | (grid.used & ~most)), start, why
+
+
+def _length_test(fit: RigidAdjustment, significance: float) -> tuple[GlobalTest, float]:
+    """Return the test of chi-squared, and the factor by which noise is larger than it allows."""
+    dof = max(fit.dof, 1)
+    test = GlobalTest(float(np.sqrt(fit.chi2 / dof)), chi2_sf(fit.chi2, dof))
+    failed = fit.dof > 0 and test.probability < significance and test.sigma0 > 1.0
+    return test, test.sigma0 if failed else 1.0
+
+
+def _enlarged(fit: RigidAdjustment, table: CurvePosterior) -> Floats:
+    """Return the covariance (6, m, 6, m) with what is not known of the scatter."""
+    rig, after = fit.posterior.rig, fit.posterior
+    covariance = table.covariance
+    if fit.scatter.estimated:
+        gain = table.jacobian @ after.covariance[rig.layout.size :] @ pulled(rig).T
+        by_station = gain.reshape(len(gain), -1, 3)
+        arms = rig.state.arms(rig.layout)
+        across = turned(arms)
+        slope = np.stack(
+            [
+                (by_station**2).sum(axis=(1, 2)),
+                ((by_station.swapaxes(0, 1) @ across).swapaxes(0, 1) * by_station).sum(
+                    axis=(1, 2)
+                ),
+            ]
+        )
+        used = fit.scatter.weighing(arms)
+        factor = enlargement(fit.scatter, used, covariance.diagonal(), slope)
+        covariance = covariance * factor * factor[:, None]
+    return _by_curve(covariance)
+
+
+def _by_curve(covariance: Floats) -> Floats:
+    """Return (6, m, 6, m) of a covariance (6 m, 6 m): d of all positions, then c."""
+    m = len(covariance) // 6
+    ordered = covariance.reshape(2, m, 3, 2, m, 3).transpose(0, 2, 1, 3, 5, 4)
+    return np.ascontiguousarray(ordered.reshape(6, m, 6, m))
+
+
+def _closures(
+    layout: Layout, table: CurvePosterior, covariance: Floats, upward: Bools | None
+) -> dict[str, tuple[Closure, ...]]:
+    """Return for each component what whole turns apart should agree."""
+    ids = layout.position_ids
+    side = None if upward is None else upward[ids]
+    columns = np.concatenate([table.curves.translation, table.curves.rotation], axis=1)
+    return {
+        name: closures(
+            layout.angles, columns[:, at], LowRank.whole(covariance[at, :, at]), ids, side
+        )
+        for name, at in PLACE.items()
+    }
+
+
+MOST_JUMPS: Final = 10
+"""Jumps after which no further ones are looked for: the beam is no beam."""
+
+
+def find_shifts(fit: RigidAdjustment, order: Ints) -> Shifts:
+    """Return shifts of the zeros at some moments, and what they do to the curves (t, 6 m).
+
+    ``order`` (k,): when each row of the problem was taken.
+    """
+    rig = fit.posterior.rig
+    moments = Moments.of(rig.grid, order, rig.layout.zero)
+    jacobian = curve_posterior(rig, fit.posterior.covariance).jacobian
+    return shifts_at(fit, jacobian, moments, moments.few())
+
+
+def shifts_at(fit: RigidAdjustment, jacobian: Floats, moments: Moments, at: Ints) -> Shifts:
+    """Return the shifts that begin ``at`` (t,) some of the ``moments``."""
+    after, grid = fit.posterior, fit.posterior.rig.grid
+    score, information, alike = np.zeros(len(at)), np.zeros(len(at)), np.ones(len(at))
+    moved = np.zeros((len(at), len(jacobian)))
+    size = max(2, PLACES // grid.weights.size)
+    for begin in range(0, len(at), size - 1):  # the last of a chunk is the first of the next
+        part = slice(begin, begin + size)
+        later = moments.later(grid, at[part]).astype(np.float64)
+        here = felt(after.rig, later)
+        step = here.slope @ after.covariance
+        total = (here.weighted * later).sum(axis=(1, 2))
+        left = np.maximum(total - (step * here.slope).sum(axis=1), 1e-9 * total)
+        both = (here.weighted[1:] * later[:-1]).sum(axis=(1, 2))
+        both -= (step[1:] * here.slope[:-1]).sum(axis=1)
+        root = np.sqrt(left)
+        score[part] = (later * (grid.weights * fit.residual)).sum(axis=(1, 2))
+        information[part] = left
+        alike[part][1:] = both / (root[1:] * root[:-1])
+        moved[part] = step[:, after.rig.layout.size :] @ jacobian.T
+    return Shifts(moments, at, score, information, alike, moved)
+
+
+def find(fit: RigidAdjustment, shifts: Shifts, significance: float) -> Jump | None:
+    """Return the jump of a zero that stands out most, None if none does.
+
+    ``significance``: of the largest at any moment. The jump's segment is the zero that broke.
+    """
+
+    def near(at: Ints) -> Shifts:
+        return shifts_at(
+            fit, np.zeros((0, 6 * len(fit.posterior.rig.layout.angles))), shifts.moments, at
+        )
+
+    return find_jump(fit.posterior.rig.grid, fit, shifts, significance, at=near)
+
+
+def split(
+    layout: Layout, state: State, grid: Grid, jump: Jump, order: Ints
+) -> tuple[Layout, State]:
+    """Return ``layout`` and ``state`` with a new zero from ``jump`` on."""
+    filled = grid.row >= 0
+    time = np.where(filled, order[grid.row], order.max())
+    time = np.where(filled, time, time.min(axis=1, keepdims=True))
+    later = (layout.zero == jump.segment) & (time >= order[jump.row])
+    return replace(
+        layout,
+        zero=np.where(later, layout.n_zeros, layout.zero),
+        offset=np.append(layout.offset, layout.offset[jump.segment]),
+    ), replace(state, zeros=np.append(state.zeros, state.zeros[jump.segment]))
+
+
+def groups_of(grid: Grid, fit: RigidAdjustment, order: Ints) -> tuple[Group, ...]:
+    """Return the groups of a network; outputs are its curves (6 m,): d of all positions, then c.
+
+    ``order`` (k,): when each row of the problem was taken.
+    """
+    rig, covariance = fit.posterior.rig, fit.posterior.covariance
+    layout, unit = rig.layout, rig.slopes.unit
+    outputs = np.zeros((6 * len(layout.angles), len(covariance)))
+    outputs[:, layout.size :] = curve_posterior(rig, covariance).jacobian
+    carried = outputs @ covariance
+    _, own, response = scattered(rig)
+    moved = response.reshape(len(unit), 3, -1)
+    first_zero = 3 * (unit.shape[1] + len(layout.places))
+    found = []
+    for places in places_of(grid, fit, order):
+        station, target = places.at.T
+        each, towards = np.arange(len(station)), unit[station, target]
+        design = (towards[:, None] @ moved[station])[:, 0]
+        design[each[:, None], 3 * target[:, None] + np.arange(3)] -= towards
+        design[each, first_zero + layout.zero[station, target]] -= 1.0
+        beside = (towards[:, None] @ own[station])[:, 0] @ towards.T
+        beside *= station[:, None] == station
+        felt = Felt.whole(carried @ design.T)
+        found.append(
+            group_at(grid, places, fit.residual, design @ covariance @ design.T + beside, felt)
+        )
+    return tuple(found)
+
+
+NEAR: Final = 0.05
+"""Distance (m) from its nominal place beyond which a multilaterated station is not believed."""
+ROUNDS: Final = 2
+"""Poses from places, then places from poses: each round takes nearly all that nominals lack."""
+
+
+def find_start(layout: Layout) -> State:
+    """Return start values for ``layout``; raises DataError when places and lengths contradict."""
+    grid = layout.grid
+    about = rotation_about_z(layout.angles)
+    nominal = (about[layout.position] @ layout.places[layout.place][:, :, None])[:, :, 0]
+    most = layout.most
+    found = start_candidates(grid.targets, grid.length, most)[:, :, :3]
+    away = np.linalg.norm(found - nominal, axis=2)
+    best = np.argmin(away, axis=0)
+    each = np.arange(len(best))
+    near = away[best, each] < NEAR
+    _check_near(layout, near | (most.sum(axis=1) < STATION_MINIMUM), away[best, each])
+    stations = np.where(near[:, None], found[best, each], nominal)
+    rotation, translation, places = about, np.zeros((len(about), 3)), layout.places
+    for _ in range(ROUNDS):
+        rotation, translation = _poses(layout, stations, near, places, about)
+        back = (stations - translation[layout.position])[:, None] @ rotation[layout.position]
+        weight = layout.by_place * np.where(near, 1.0, 1e-9)
+        places = (weight / weight.sum(axis=1, keepdims=True)) @ back[:, 0]
+    tilts = np.zeros(0 if layout.tilt_std is None else 4)
+    state = State(
+        rotation, translation, places, np.zeros(layout.n_zeros), grid.targets.copy(), tilts
+    )
+    distance = np.linalg.norm(state.stations(layout)[:, None] - grid.targets, axis=2)
+    apart = np.where(grid.used, distance - grid.length, 0.0)
+    total = np.bincount(layout.zero.ravel(), apart.ravel(), minlength=layout.n_zeros)
+    count = np.bincount(layout.zero.ravel(), grid.used.ravel(), minlength=layout.n_zeros)
+    state.zeros[:] = total / np.maximum(count, 1)
+    return state
+
+
+def _poses(
+    layout: Layout, stations: Floats, near: Bools, places: Floats, about: Floats
+) -> tuple[Floats, Floats]:
+    """Return rotations (m, 3, 3) and translations (m, 3) that take ``places`` to ``stations``."""
+    rotation, translation = about.copy(), np.zeros((len(about), 3))
+    for i in range(len(about)):
+        here = np.flatnonzero((layout.position == i) & near)
+        own = places[layout.place[here]]
+        if lost_direction(own) is None:
+            rotation[i], translation[i] = align(own, stations[here])
+    return rotation, translation
+
+
+def _check_near(layout: Layout, near: Bools, away: Floats) -> None:
+    if np.mean(near) > 0.5:
+        return
+    worst = int(np.argmax(away))
+    raise DataError(
+        f"{layout.station_name(worst)}: the lengths put the tracer {away[worst]:.3g} m from its "
+        f"nominal place, and {np.count_nonzero(~near)} of {len(near)} stations are farther than "
+        f"{NEAR:g} m: check the places, the numbering of the positions, the sense of the table "
+        "angles, and whether the targets are in the frame of the machine with z along the axis"
+    )
+
+
+NONE: Final = stated(0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class RigidAdjustment(Adjustment):
+    """An adjustment whose stations follow a rigid table, ``posterior`` and ``scatter`` with it."""
+
+    posterior: Posterior = None  # type: ignore[assignment]
+    scatter: Scatter = NONE
+
+
+@dataclass(frozen=True, eq=False)
+class RigidAdjuster:
+    """Adjusts a grid with the table rigid, from one ``state``; ``stated`` scatter in m and rad.
+
+    A scatter that is not known is estimated anew each time, so that it does not pass for noise.
+    """
+
+    layout: Layout
+    state: State
+    stated: tuple[float | None, float | None]
+    significance: float
+
+    def __call__(
+        self, grid: Grid, start: Floats, targets: Floats | None = None
+    ) -> RigidAdjustment:
+        """Return the adjustment of ``grid``; it starts from its own state, whatever is given."""
+        rig, scatter = solve_network(grid, self.layout, self.state, self.stated, self.significance)
+        return _adjustment(rig, scatter)
+
+
+def solve_network(
+    grid: Grid,
+    layout: Layout,
+    state: State,
+    known: tuple[float | None, float | None],
+    significance: float,
+) -> tuple[Rig, Scatter]:
+    """Return the network at its minimum with the scatter that it tells, or that is ``known``."""
+    rig = relax(grid, layout, None, state)
+    check_determined(rig)
+    arms = rig.state.arms(layout)
+    scatter = estimate(contrasts(rig, arms), *known, significance)
+    roots = scatter.roots(arms)
+    if roots is not None:
+        rig = relax(grid, layout, roots, rig.state)
+    return rig, scatter
+
+
+def _adjustment(rig: Rig, scatter: Scatter) -> RigidAdjustment:
+    grid, layout, state = rig.grid, rig.layout, rig.state
+    after = posterior(rig)
+    felt = (rig.slopes.unit @ after.arrived[:, :, None])[:, :, 0]
+    corrections, redundancy, coupling = _felt_by_targets(grid, state, after)
+    unknowns = layout.size + 6 * len(layout.angles)
+    rank = unknowns - rig.reduced.constraints.shape[1]
+    extra = 0 if grid.free else state.targets.size
+    extra += 0 if layout.tilt_std is None else 2 * len(layout.angles)
+    return RigidAdjustment(
+        stations=state.stations(layout) + after.arrived,
+        distances=state.zeros[layout.zero[:, 0]],
+        targets=state.targets,
+        residual=-(rig.slopes.error + felt),
+        std=grid.length_std,
+        redundancy=grid.used - grid.weights * after.leverage,
+        chi2=rig.slopes.chi2,
+        dof=int(grid.used.sum()) + extra - rank,
+        unknowns=unknowns,
+        rank=rank,
+        target_test=target_test(corrections, redundancy),
+        corrections=corrections,
+        target_redundancy=np.diagonal(redundancy, axis1=1, axis2=2),
+        coupling=coupling,
+        posterior=after,
+        scatter=scatter,
+    )
+
+
+def _felt_by_targets(grid: Grid, state: State, after: Posterior) -> tuple[Floats, Floats, Floats]:
+    """Return corrections (n, 3), redundancy (n, 3, 3), coupling (3, 3) as Adjustment has them."""
+    n = len(grid.targets)
+    if grid.free:
+        return np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((3, 3))
+    std = grid.target_std
+    whole = -after.targets / (std[:, :, None, None] * std)
+    each = np.arange(n)
+    whole[each, :, each] += np.eye(3)
+    coupling = np.einsum("iajb,iajb->ab", whole, whole)
+    return (state.targets - grid.targets) / std, whole[each, :, each], coupling

@@ -1,0 +1,95 @@
+"""Monte Carlo trials of six deviations: every trial is solved to the end.
+
+Gauss-Newton with the exact slopes of each trial and the normal matrix of the measurement, whose
+error is of the order of noise over distance (1e-5): a few steps leave nothing but rounding.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.methods.tracer.solver.grid import Grid
+from rotcal_ros.methods.tracer_six.solver.curves import table_curves
+from rotcal_ros.methods.tracer_six.solver.layout import Layout
+from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
+from rotcal_ros.methods.tracer_six.solver.rig import Rig, State, relax, slopes
+from rotcal_ros.methods.tracer_six.solver.scatter import roots_of
+from rotcal_ros.methods.tracer_six.solver.solution import SixSolution, adjust
+
+MOST_STEPS: Final = 6
+"""Noise of 1e-6 m needs three; what has not settled then is linearised anew."""
+SETTLED: Final = 1e-10
+"""Squared length, in standard deviations, of a last step that left nothing to do."""
+
+
+@dataclass(frozen=True, eq=False)
+class SixTrials:
+    """Draws measurements like the given one and solves them; made by :func:`six_trials`.
+
+    The measured lengths, targets and stated tilts get fresh noise, every arrival a fresh scatter,
+    and a fringe slips as often as it would stay unseen. How large the scatter is follows that of
+    the solution: as stated, or as likely as it was found.
+    """
+
+    solution: SixSolution
+
+    @property
+    def rig(self) -> Rig:
+        """The network of the measurement."""
+        return self.solution.rig
+
+    def __call__(self, rng: np.random.Generator, count: int) -> Floats:
+        """Return EXC, EYC, EZC (m), EAC, EBC, ECC (rad) at all angles, (count, 6 m)."""
+        return np.array([self._solved(*self._drawn(rng)) for _ in range(count)])
+
+    def _drawn(self, rng: np.random.Generator) -> tuple[Grid, Layout]:
+        grid, layout, scale = self.rig.grid, self.rig.layout, self.solution.scale
+        known = self.solution.scatter
+        arms = self.rig.state.arms(layout)
+        shift, turn = known.variances[rng.choice(len(known.weights), p=known.weights)]
+        spread = roots_of(shift, turn, arms) @ rng.standard_normal((len(arms), 3, 1))
+        noise = scale * grid.length_std * rng.standard_normal(grid.length.shape)
+        length = grid.length + noise + (self.rig.slopes.unit @ spread)[:, :, 0]
+        if self.solution.slips is not None:
+            length += self.solution.slips.draw(grid, rng, 1)[0]
+        if layout.tilt_std is not None:
+            tilts = scale * layout.tilt_std * rng.standard_normal((len(layout.angles), 2))
+            layout = replace(layout, tilts=tilts)
+        if grid.free:
+            return replace(grid, length=length), layout
+        missed = scale * grid.target_std * rng.standard_normal(grid.targets.shape)
+        return replace(grid, length=length, targets=grid.targets + missed), layout
+
+    def _solved(self, grid: Grid, layout: Layout) -> Floats:
+        state = self._settled(grid, layout)
+        curves = table_curves(state.rotation, state.translation, self.rig.layout.angles)
+        return np.concatenate([curves.translation.T.ravel(), curves.rotation.T.ravel()])
+
+    def _settled(self, grid: Grid, layout: Layout) -> State:
+        state = self.rig.state
+        for _ in range(MOST_STEPS):
+            here = slopes(grid, layout, self.rig.scatter, state)
+            kept, poses = self._step(-here.kept, -here.poses)
+            state = state.moved(kept, poses.reshape(-1, 6))
+            if abs(float(here.kept @ kept + here.poses.ravel() @ poses)) < SETTLED:
+                return state
+        return relax(grid, layout, self.rig.scatter, state).state
+
+    def _step(self, kept: Floats, poses: Floats) -> tuple[Floats, Floats]:
+        """Return the steps (K,) and (6 m,) for right-hand sides (K,) and (m, 6)."""
+        reduced = self.rig.reduced
+        x = reduced.covariance() @ (kept - reduced.transfer @ poses.ravel())
+        own = (reduced.inverse @ poses[:, :, None]).ravel()
+        return x, own - reduced.transfer.T @ x
+
+
+def six_trials(problem: SixProblem) -> SixTrials:
+    """Prepare Monte Carlo trials about a measured problem; refuses what ``solve`` refuses.
+
+    Rejected lengths stay rejected.
+    """
+    return SixTrials(adjust(problem))

@@ -1,0 +1,81 @@
+"""How any table comes to its angle: from the ordered side, and what its feedback alone says."""
+
+from __future__ import annotations
+
+from collections import deque
+from math import isfinite, pi, remainder
+from typing import Final
+
+from rotcal_ros.foundation.observations import Approach, TableSample
+from rotcal_ros.foundation.units import DEGREE, NANOSECOND
+
+TOWARDS: Final = {Approach.POSITIVE: 1.0, Approach.NEGATIVE: -1.0}
+"""Sign of the last motion, where a side is ordered."""
+PUBLISH_VELOCITY: Final = (
+    "publish it beside the position, in rad/s (in deg/s with topics.angle_unit: deg)"
+)
+"""What to do about a feedback without velocity."""
+_HISTORY: Final = 10_000
+_SAME_DEG: Final = 0.05
+"""A feedback so close to the commanded angle in degrees is one in degrees."""
+_FULL_TURN_DEG: Final = 360.0
+
+
+def approached(here: float, goal: float, approach: Approach, run_up: float) -> tuple[float, ...]:
+    """Return the angles to stop at on the way from ``here`` to ``goal`` (all rad).
+
+    An ordered side is kept on the last ``run_up`` at least: a table that stands nearer, or
+    beyond, goes back so far first.
+    """
+    towards = TOWARDS.get(approach, 0.0)
+    if not towards or towards * (goal - here) >= run_up:
+        return (goal,)
+    return (goal - towards * run_up, goal)
+
+
+def is_near(angle: float, commanded: float, tolerance: float) -> bool:
+    """Tell whether ``angle`` is within ``tolerance`` (rad); full turns do not count."""
+    return isfinite(angle) and abs(remainder(angle - commanded, 2.0 * pi)) <= tolerance
+
+
+def in_degrees(angle: float, commanded: float) -> bool:
+    """Tell whether a feedback ``angle`` is where the table was commanded to (rad), in degrees.
+
+    A small angle beside a commanded zero says nothing: it is near in either unit.
+    """
+    if not isfinite(angle):
+        return False
+    off_deg = remainder(angle - commanded / DEGREE, _FULL_TURN_DEG)
+    of_size = abs(remainder(commanded, 2.0 * pi)) > DEGREE or abs(angle) > 4.0 * pi
+    return abs(off_deg) <= _SAME_DEG and of_size and abs(angle - commanded) > DEGREE
+
+
+class TableSpeed:
+    """The table's angles (rad) become feedback with a speed, taken over at least ``span_s``."""
+
+    def __init__(self, span_s: float) -> None:
+        self._span_ns = round(span_s / NANOSECOND)
+        self._angles: deque[tuple[int, float]] = deque(maxlen=_HISTORY)
+
+    def restart(self) -> None:
+        """Forget the angles before: the table has ended a motion."""
+        self._angles.clear()
+
+    def feed(self, stamp_ns: int, angle: float) -> TableSample | None:
+        """Return the feedback; None while too little is known for a speed, or time stood still.
+
+        A clock that was set back begins anew.
+        """
+        angles = self._angles
+        if angles and stamp_ns < angles[-1][0]:
+            angles.clear()
+        if angles and stamp_ns == angles[-1][0]:
+            return None
+        angles.append((stamp_ns, angle))
+        while len(angles) > 2 and stamp_ns - angles[1][0] >= self._span_ns:
+            angles.popleft()
+        since_ns = stamp_ns - angles[0][0]
+        if since_ns < self._span_ns:
+            return None
+        speed = (angle - angles[0][1]) / (since_ns * NANOSECOND)
+        return TableSample(stamp_ns, angle, speed)

@@ -1,0 +1,130 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.results import Directions, Rejection, Residuals, Result
+
+finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
+
+
+def result(values: np.ndarray) -> Result:
+    n = len(values)
+    return Result(
+        method="some_method",
+        angles=np.arange(n, dtype=float),
+        deviations={"ECC": values},
+        std={"ECC": np.abs(values)},
+        covariance={"ECC": np.diag(np.abs(values))},
+        sigma0=1.25,
+        dof=3,
+        n_observations=n,
+        rejected=(Rejection(1, "too far"),),
+        verdict="suspect",
+        warnings=("careful",),
+        adjacent_deviations=np.diff(values),
+        residuals=Residuals(
+            table_position=np.arange(n),
+            target=np.zeros(n, dtype=np.int64),
+            residual=values,
+            redundancy=np.ones(n),
+            test_value=values,
+            used=np.arange(n) != 1,
+        ),
+        details={"circle": {"centre": np.array([1.0, 2.0])}, "note": ("a", np.float64(2.5))},
+    )
+
+
+@given(arrays(np.float64, 4, elements=st.floats(-1e300, 1e300)))
+def test_json_keeps_every_bit(values: np.ndarray) -> None:
+    original = result(values)
+    again = Result.from_dict(json.loads(original.to_json()))
+    assert again.deviations["ECC"].tobytes() == values.tobytes()
+    assert again.to_json() == original.to_json()
+    assert again.residuals is not None
+    np.testing.assert_array_equal(again.residuals.used, [True, False, True, True])
+
+
+def test_form_follows_the_published_schema() -> None:
+    data = result(np.array([0.0, 1e-5, 2e-5])).to_dict()
+    assert data["schema"] == 1
+    assert data["n_rejected"] == 1
+    assert data["rejected"] == [{"index": 1, "why": "too far"}]
+    assert data["adjacent_deviations_rad"] == [1e-5, 1e-5]
+    assert set(data["deviations"]) == {"ECC"}
+    assert data["details"] == {"circle": {"centre": [1.0, 2.0]}, "note": ["a", 2.5]}
+
+
+@pytest.mark.parametrize("values", [np.array([0.0, np.nan]), np.array([0.0, np.inf])])
+def test_a_deviation_is_a_number_or_absent(values: np.ndarray) -> None:
+    with pytest.raises(DataError, match=r"ECC is (nan|inf) at .* deg \(row 1\)"):
+        result(values)
+
+
+def test_what_a_detail_does_not_know_is_null_in_json() -> None:
+    known = result(np.array([0.0, 1.0]))
+    unknown = replace(known, details={"redundancy": np.array([np.nan, 0.5])})
+    assert json.loads(unknown.to_json())["details"] == {"redundancy": [None, 0.5]}
+
+
+@pytest.mark.parametrize("data", [{}, {"schema": 2}, {"schema": 1, "method": "x"}, []])
+def test_something_else_is_refused(data: object) -> None:
+    with pytest.raises(DataError, match="rotcal result"):
+        Result.from_dict(data)  # type: ignore[arg-type]
+
+
+def test_the_missing_entry_of_another_file_is_named() -> None:
+    truth = {"schema": 1, "angles_rad": [0.0], "deviations": {"ECC": [0.0]}}
+    with pytest.raises(DataError, match="no whole rotcal result: the entry 'method' is missing"):
+        Result.from_dict(truth)
+
+
+def with_directions(**changes):
+    given = {
+        "angles": np.array([0.0, 1.0 / 3.0]),
+        "forward": np.array([0.1, 0.2]),
+        "reverse": np.array([0.3, -0.1]),
+        "covariance": np.diag([1.0, 2.0, 3.0, 4.0]) / 7.0,
+    }
+    return Directions(**{**given, **changes})
+
+
+def test_both_directions_keep_every_bit_and_are_absent_where_they_were_not_measured():
+    single = Result("m", np.array([0.0, 1.0]), {}, {}, {}, 1.0, 0, 0)
+    assert "directions" not in single.to_dict()
+    both = replace(single, directions={"ECC": with_directions()})
+    text = both.to_json()
+    again = Result.from_dict(json.loads(text))
+    assert again.to_json() == text
+    assert set(json.loads(text)["directions"]["ECC"]) == {
+        "angles_rad", "forward", "reverse", "covariance",
+    }  # fmt: skip
+    np.testing.assert_array_equal(again.directions["ECC"].covariance, with_directions().covariance)
+    assert not Result.from_dict(single.to_dict()).directions
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"forward": np.zeros(3)}, "direction forward has shape"),
+        ({"reverse": np.array([0.0, np.nan])}, "direction reverse is nan"),
+        ({"covariance": np.eye(2)}, r"covariance of both directions has shape \(2, 2\)"),
+        ({"covariance": np.full((4, 4), np.inf)}, "not finite"),
+    ],
+)
+def test_directions_that_do_not_fit_are_refused(changes, words):
+    with pytest.raises(DataError, match=words):
+        with_directions(**changes)
+
+
+def test_reversal_is_forward_less_reverse_with_its_own_uncertainty():
+    both = with_directions()
+    np.testing.assert_allclose(both.reversal, [-0.2, 0.3])
+    np.testing.assert_allclose(both.reversal_std, np.sqrt([4.0 / 7.0, 6.0 / 7.0]))
+    tied = np.kron(np.ones((2, 2)), np.eye(2))  # what both have in common is in no reversal
+    np.testing.assert_allclose(with_directions(covariance=tied).reversal_std, 0.0, atol=1e-12)

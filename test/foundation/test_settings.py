@@ -1,0 +1,107 @@
+from dataclasses import MISSING, dataclass
+from typing import Literal
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.plugins import nearest
+from rotcal_ros.foundation.settings import declarations, group, load, setting, to_mapping
+
+
+@dataclass(frozen=True)
+class Inner:
+    rate_hz: float = setting(10.0, doc="Hz, rate", minimum=0.1, maximum=1000.0)
+
+
+@dataclass(frozen=True)
+class Outer:
+    name: str = setting(doc="name of the cell")
+    count: int = setting(3, doc="number", minimum=1)
+    order: str = setting("a", doc="order", choices=("a", "b"))
+    way: Literal["up", "down"] = setting("up", doc="way")
+    limit_m: float | None = setting(None, doc="m, limit", minimum=0.0)
+    centre_m: tuple[float, float, float] = setting((0.0, 0.0, 0.0), doc="m, centre")
+    angles_deg: tuple[float, ...] = setting((), doc="deg, angles")
+    inner: Inner = group(Inner)
+
+
+def test_defaults_and_whole_numbers_for_floats() -> None:
+    loaded = load(Outer, {"name": "x", "centre_m": [1, 2, 3], "inner": {"rate_hz": 5}}, "here")
+    assert loaded == Outer(name="x", centre_m=(1.0, 2.0, 3.0), inner=Inner(rate_hz=5.0))
+    assert isinstance(loaded.inner.rate_hz, float)
+
+
+@pytest.mark.parametrize("text", ["5e-8", "5.e-8", "0.5E-7", "+.5e-07", "50e-9"])
+def test_numbers_with_an_exponent_may_lack_what_yaml_wants(text: str) -> None:
+    """YAML 1.1 takes 5e-8 and 1.0e5 without a sign for texts."""
+    values = {"name": "x", "limit_m": text, "centre_m": [text, 1, 2.0], "angles_deg": [text]}
+    loaded = load(Outer, values, "here")
+    assert loaded.limit_m == pytest.approx(5e-8, rel=1e-15)
+    assert loaded.centre_m[0] == loaded.angles_deg[0] == loaded.limit_m
+    assert load(Outer, {"name": "5e-8"}, "here").name == "5e-8"
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ({}, "'name' is missing"),
+        ({"name": "x", "cuont": 1}, "did you mean 'count'"),
+        ({"name": 5}, "expected str"),
+        ({"name": "x", "count": True}, "expected int"),
+        ({"name": "x", "count": 1.5}, "expected int"),
+        ({"name": "x", "count": 0}, "out of range 1 to inf"),
+        ({"name": "x", "order": "c"}, "none of a, b"),
+        ({"name": "x", "way": "dwon"}, "none of up, down; did you mean 'down'"),
+        ({"name": "x", "way": None}, "expected str"),
+        ({"name": "x", "limit_m": -1}, "out of range 0.0 to inf"),
+        ({"name": "x", "inner": {"rate_hz": "5e1 Hz"}}, "expected float"),
+        ({"name": "x", "inner": {"rate_hz": "50"}}, "expected float"),
+        ({"name": "x", "inner": {"rate_hz": "9e9"}}, "out of range"),
+        ({"name": "x", "limit_m": "9e999"}, "expected a finite number"),
+        ({"name": "x", "centre_m": [1.0]}, "expected 3 values, found 1"),
+        ({"name": "x", "angles_deg": [1.0, float("nan")]}, r"angles_deg\[1\]: expected a finite"),
+        ({"name": "x", "inner": {"rate_hz": 0.0}}, r"here.inner.rate_hz: 0.0 is out of range"),
+        ({"name": "x", "inner": 4}, "expected a group"),
+        ({"name": "x", "angles_deg": "12"}, "expected a list"),
+    ],
+)
+def test_refused(values: dict[str, object], text: str) -> None:
+    with pytest.raises(ConfigurationError, match=text):
+        load(Outer, values, "here")
+
+
+def test_declarations_are_flat_and_complete() -> None:
+    found = {declared.name: declared for declared in declarations(Outer)}
+    assert list(found) == [
+        "name", "count", "order", "way", "limit_m", "centre_m", "angles_deg", "inner.rate_hz",
+    ]  # fmt: skip
+    assert found["name"].default is MISSING
+    assert found["way"].info.choices == ("up", "down")
+    assert (found["limit_m"].optional, found["limit_m"].kind) == (True, float)
+    assert (found["centre_m"].is_list, found["centre_m"].length) == (True, 3)
+    assert (found["angles_deg"].is_list, found["angles_deg"].length) == (True, None)
+    assert found["inner.rate_hz"].info.maximum == 1000.0
+
+
+@given(
+    st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=8),
+    st.integers(1, 10**6),
+    st.lists(st.floats(allow_nan=False, allow_infinity=False), max_size=5),
+)
+def test_mapping_round_trip(name: str, count: int, angles: list[float]) -> None:
+    settings = Outer(name=name, count=count, angles_deg=tuple(angles))
+    assert load(Outer, to_mapping(settings), "here") == settings
+
+
+@pytest.mark.parametrize(
+    ("known", "hint"),
+    [
+        (["balls", "grid"], "; did you mean 'balls'?"),
+        (["one", "two"], "; known: one, two"),
+        ([], "; known: none"),
+    ],
+)
+def test_a_hint_is_never_empty(known, hint):
+    assert nearest("ball", known) == hint

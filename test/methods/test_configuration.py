@@ -1,0 +1,54 @@
+import hashlib
+from pathlib import Path
+
+import pytest
+
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.methods import find_method, prepare
+from rotcal_ros.methods.configuration import (
+    dump_configuration,
+    parse_configuration,
+    read_configuration,
+)
+
+TEXT = dump_configuration("tracer_multistation", {"plan": {"table_positions": 5}})
+
+
+def test_dump_is_parsed_again() -> None:
+    configuration = parse_configuration(TEXT)
+    assert configuration.method is find_method("tracer_multistation")
+    assert configuration.plan.table_positions == 5
+    assert configuration.given == {"plan", "plan.table_positions"}
+    assert not configuration.simulated
+    assert configuration.plan_id == hashlib.sha256(TEXT.encode()).hexdigest()
+    assert len(prepare(configuration).plan.table_angles) == 5
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "expected a ROS 2 parameter file"),
+        ("a: [", "not valid YAML"),
+        ("/**: {ros__parameters: {}}", "expected a ROS 2 parameter file"),
+        ("/**: {ros__parameters: {method: 3}}", "method must be a name"),
+        (
+            "/**: {ros__parameters: {method: ball_plate, plam: {}}}",
+            "unknown group 'plam'; did you mean 'plan'",
+        ),
+    ],
+)
+def test_refused_with_the_source_named(text: str, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=f"somewhere.*{message}"):
+        parse_configuration(text, "somewhere")
+
+
+def test_unknown_method_names_the_known_ones() -> None:
+    with pytest.raises(
+        ConfigurationError, match=r"unknown method 'astrology'.*tracer_multistation"
+    ):
+        parse_configuration(TEXT.replace("tracer_multistation", "astrology"))
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"cannot read .*nothing\.yaml"):
+        read_configuration(tmp_path / "nothing.yaml")

@@ -1,0 +1,67 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rotcal_ros.foundation.errors import PlanError
+from rotcal_ros.foundation.observations import PointKind
+from rotcal_ros.methods.plane_mirror.mirror_physics import (
+    add_noise,
+    measure,
+    paper_cell,
+    ring_cell,
+    table_pose,
+)
+from rotcal_ros.methods.plane_mirror.solver import TrackerNoise
+
+
+def still(n):
+    return np.zeros((n, 6))
+
+
+def test_layout_of_the_paper():
+    problem = measure(paper_cell(), still(17))
+    assert np.bincount(problem.station[problem.kind == PointKind.DIRECT]).tolist() == [
+        4, 4, 4, 4, 4, 2,
+    ]  # fmt: skip
+    assert np.bincount(problem.station[problem.kind == PointKind.NEST]).tolist() == [6] * 6
+
+
+def test_folded_beam_obeys_the_law_of_reflection():
+    """The way tracker - glass - reflector is as long as the way to the image, and the shortest."""
+    cell = paper_cell(lean=0.05, sag=2e-5, twist=-3e-5)
+    problem = measure(cell, still(17))
+    direct = problem.xyz[problem.kind == PointKind.DIRECT]
+    mirrored = problem.xyz[problem.kind == PointKind.MIRRORED]
+    station = cell.stations[0]
+    mirror, frame = cell.mirror, cell.mirror.frame()
+    place = direct[0]
+
+    u, v = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-0.6, 0.6, 241)] * 2))
+    height = mirror.sag * (u**2 + v**2) + mirror.twist * u * v
+    local = np.column_stack([u * mirror.width / 2, v * mirror.height / 2, height])
+    seen = station.seen(np.array(mirror.centre) + local @ frame.T)
+    best = np.min(np.linalg.norm(seen, axis=1) + np.linalg.norm(place - seen, axis=1))
+    assert np.linalg.norm(mirrored[0]) == pytest.approx(best, abs=2e-7)
+
+
+def test_table_pose_is_command_then_deviation():
+    rotation, shift = table_pose(np.pi / 2, np.array([1e-6, 2e-6, 3e-6, 1e-5, 2e-5, 3e-5]))
+    np.testing.assert_allclose(rotation @ [1.0, 0.0, 0.0], [-3e-5, 1.0, 1e-5], atol=1e-9)
+    np.testing.assert_allclose(shift, [1e-6, 2e-6, 3e-6])
+
+
+def test_noise_has_the_stated_covariance():
+    noise = TrackerNoise()
+    points = np.array([[2.0, 1.0, 0.5], [-1.0, 4.0, 0.2]])
+    scattered = add_noise(points, noise, np.random.default_rng(1), 20000) - points
+    for k in range(2):
+        whitener = np.linalg.inv(np.linalg.cholesky(noise.covariance(points[k])))
+        np.testing.assert_allclose(np.cov(whitener @ scattered[:, k].T), np.eye(3), atol=0.04)
+
+
+def test_mirror_turned_away_is_refused():
+    angles = np.radians([0.0, 180.0])
+    cell = replace(ring_cell(angles, ((0, 1),)), stations=paper_cell().stations[:1])
+    with pytest.raises(PlanError, match="table at 180 deg, tracker station 0: the beam misses"):
+        measure(cell, still(2))

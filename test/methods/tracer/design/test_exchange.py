@@ -1,0 +1,129 @@
+"""Whole plans: judged as if they had been solved one by one, and checked as promised."""
+
+import numpy as np
+import pytest
+from tracer_scenes import every_pair, paper_scene
+
+from rotcal_ros.methods.tracer.design.checks import checks_of, detectable_in_std
+from rotcal_ros.methods.tracer.design.exchange import fewest_lengths
+from rotcal_ros.methods.tracer.design.information import Information
+from rotcal_ros.methods.tracer.design.penalty import Choice, Demands
+from rotcal_ros.methods.tracer.design.scene import Scene
+
+ARCSEC = np.pi / 180.0 / 3600.0
+STRICT = Demands(mean=(0.5 * ARCSEC) ** 2, largest=(0.52 * ARCSEC) ** 2, redundancy=0.5)
+
+
+def some_plan():
+    scene = paper_scene(target_std=[1e-6, 2e-6, 0.5e-6], error_motion_std=5e-8)
+    pairs = every_pair(scene)
+    rng = np.random.default_rng(3)
+    chosen = np.concatenate(
+        [rng.choice(np.flatnonzero(pairs.position == j), 14, replace=False) for j in range(11)]
+    )
+    return scene, pairs, chosen
+
+
+def judged_anew(scene, lengths, delta0):
+    """The penalty from its definition, with reliability from :func:`checks_of`."""
+    known = Information(scene, lengths, 11)
+    variances, beams = known.variances(), known.beams(lengths)
+    redundancy = 1.0 - beams.spread / beams.variance
+    effect = (
+        beams.angles * (delta0 / np.sqrt(beams.variance * np.maximum(redundancy, 0.02)))[:, None]
+    )
+    share = (np.abs(effect) / (2.0 * np.sqrt(variances))).max(axis=1)
+    lacking = np.maximum(variances.mean() / STRICT.mean - 1.0, 0.0)
+    lacking += np.maximum(variances.max() / STRICT.largest - 1.0, 0.0)
+    return (
+        10.0 * lacking
+        + (np.maximum(share - 1.0, 0.0) ** 2).sum()
+        + 40.0 * (np.maximum(0.5 - redundancy, 0.0) ** 2).sum()
+    )
+
+
+def test_every_further_length_and_every_removal_is_judged_exactly():
+    scene, pairs, chosen = some_plan()
+    plan = Choice(scene, pairs, 11, STRICT, chosen)
+    delta0 = detectable_in_std(len(chosen), STRICT.significance, STRICT.power)
+    assert plan.penalty == pytest.approx(judged_anew(scene, pairs[chosen], delta0), rel=1e-9)
+    without = plan.without_each()
+    for k in range(0, len(chosen), 13):
+        fewer = judged_anew(scene, pairs[np.delete(chosen, k)], delta0)
+        assert without[k] == pytest.approx(fewer, rel=1e-6)
+    more = np.append(np.setdiff1d(np.arange(len(pairs)), chosen)[::60], chosen[:2])  # and again
+    penalties = plan.with_each(more)
+    for k, index in enumerate(more):
+        again = judged_anew(scene, pairs[np.append(chosen, index)], delta0)
+        assert penalties[k] == pytest.approx(again, rel=1e-6)
+
+
+def test_changes_gather_no_error_worth_mentioning():
+    scene, pairs, chosen = some_plan()
+    plan = Choice(scene, pairs, 11, STRICT, chosen)
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        plan.add(int(rng.integers(len(pairs))))
+        plan.remove(int(rng.integers(len(plan.chosen))))
+    changed = plan.penalty, plan.variances
+    delta0 = detectable_in_std(len(chosen), STRICT.significance, STRICT.power)
+    anew = judged_anew(scene, pairs[plan.chosen], delta0)
+    assert changed[0] == pytest.approx(anew, rel=1e-6)
+    assert changed[1] == pytest.approx(
+        Information(scene, pairs[plan.chosen], 11).variances(), rel=1e-6
+    )
+    plan.renew()
+    assert plan.penalty == pytest.approx(anew, rel=1e-9)
+
+
+def test_a_station_keeps_its_least_lengths():
+    scene, pairs, _ = some_plan()
+    five = np.flatnonzero(np.isin(pairs.target, [0, 13, 27, 44, 60]))
+    assert np.isinf(Choice(scene, pairs, 11, STRICT, five).without_each()).all()
+
+
+def test_an_undetected_error_does_what_is_said_of_it():
+    scene, pairs, chosen = some_plan()
+    known = Information(scene, pairs[chosen], 11)
+    checks = checks_of(known, 0.001, 0.8)
+    # One length, Baarda's delta0 = 4.13 for 0.001 and 0.80
+    assert detectable_in_std(1, 0.001, 0.8) == pytest.approx(4.132, abs=1e-3)
+    delta0 = detectable_in_std(len(chosen), 0.001, 0.8)
+    assert checks.detectable == pytest.approx(delta0 * 0.2e-6 / np.sqrt(checks.redundancy))
+    # With known targets the redundancies add up to the lengths less 4 unknowns per station; the
+    # machine's coordinates take a part of them.
+    assert 0.0 < checks.redundancy.sum() < len(chosen) - 44
+    tight = Scene(scene.stations, scene.table_angles, scene.targets, 1e-15, scene.length_std)
+    sure = checks_of(Information(tight, pairs[chosen], 11), 0.001, 0.8)
+    assert sure.redundancy.sum() == pytest.approx(len(chosen) - 44, abs=1e-6)
+
+
+def test_an_error_that_nothing_checks_may_have_any_size():
+    # 4 lengths determine a station and its zero: no residual is left where targets are known
+    scene, pairs, _chosen = some_plan()
+    known = Scene(scene.stations, scene.table_angles, scene.targets, 1e-15, scene.length_std)
+    four = pairs[np.flatnonzero(np.isin(pairs.target, [0, 13, 27, 60]))]
+    checks = checks_of(Information(known, four, 11), 0.01, 0.8)
+    assert (checks.redundancy == 0.0).all()
+    assert np.isinf(checks.detectable).all()
+    assert np.isinf(checks.share).all()
+
+
+def test_fewest_lengths_meets_all_demands_and_repeats_with_its_seed():
+    whole = paper_scene()
+    scene = Scene(whole.stations[::2], whole.table_angles[::2], whole.targets, 1e-6, 0.2e-6)
+    pairs = every_pair(scene)
+    demands = Demands(mean=(1.5 * ARCSEC) ** 2, largest=(1.8 * ARCSEC) ** 2, share=1.5)
+    start = np.flatnonzero(pairs.target % 3 == 0)
+    plans = [
+        fewest_lengths(scene, pairs, 6, demands, start, seed=seed, exchanges=6) for seed in (4, 4)
+    ]
+    assert np.array_equal(*plans)
+    chosen = plans[0]
+    assert len(chosen) < len(start)
+    known = Information(scene, pairs[chosen], 6)
+    assert np.sqrt(known.mean_variance) <= 1.5 * ARCSEC
+    assert np.sqrt(known.variances().max()) <= 1.8 * ARCSEC
+    checks = checks_of(known, 0.01, 0.8)
+    assert checks.redundancy.min() >= 0.25
+    assert checks.share.max() <= 1.5 + 1e-6

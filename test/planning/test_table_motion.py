@@ -1,0 +1,63 @@
+"""The side of approach, and a speed out of angles."""
+
+from math import pi
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.planning.table_motion import TableSpeed, approached, in_degrees
+
+angles = st.floats(-20.0, 20.0)
+
+
+@given(here=angles, goal=angles, side=st.sampled_from([Approach.POSITIVE, Approach.NEGATIVE]))
+def test_the_last_run_up_is_on_the_ordered_side(here, goal, side):
+    sign = 1.0 if side is Approach.POSITIVE else -1.0
+    *before, last = (here, *approached(here, goal, side, 0.1))
+    assert last == goal
+    assert sign * (goal - before[-1]) >= 0.1 - 1e-12
+    mirrored = Approach.NEGATIVE if side is Approach.POSITIVE else Approach.POSITIVE
+    assert approached(-here, -goal, mirrored, 0.1) == pytest.approx(
+        [-angle for angle in approached(here, goal, side, 0.1)]
+    )
+
+
+@pytest.mark.parametrize(
+    ("angle", "commanded", "told"),
+    [
+        (30.0, pi / 6, True),
+        (390.0, pi / 6, True),
+        (-150.0, 7 * pi / 6, True),
+        (359.99, 2 * pi, True),  # 57 turns would be far
+        (-0.025, 0.0, False),  # 1.4 degrees beside 0, on the way to it, and no 0.025 degrees
+        (2 * pi - 0.025, 2 * pi, False),
+        (-0.025, 2 * pi, False),
+        (-0.01, 6 * pi, False),
+        (0.6, pi / 6, False),
+        (float("nan"), pi / 6, False),
+    ],
+)
+def test_a_feedback_in_degrees_is_known_by_its_size(angle, commanded, told):
+    assert in_degrees(angle, commanded) is told
+
+
+def test_without_a_side_it_goes_straight():
+    assert approached(3.0, 1.0, Approach.UNKNOWN, 0.1) == (1.0,)
+
+
+def test_a_speed_is_that_of_the_span():
+    speed = TableSpeed(0.1)
+    told = [speed.feed(k * 25_000_000, pi * k * 0.025) for k in range(9)]
+    assert told[:4] == [None] * 4
+    assert [sample.velocity for sample in told[4:]] == pytest.approx([pi] * 5)
+    assert speed.feed(8 * 25_000_000, 0.0) is None
+
+
+def test_a_clock_that_was_set_back_begins_anew():
+    speed = TableSpeed(0.05)
+    early = [speed.feed(10**12 + k * 50_000_000, 0.1 * k) for k in range(3)]
+    again = [speed.feed(k * 50_000_000, 0.1 * k) for k in range(3)]
+    assert [sample and round(sample.velocity, 6) for sample in early] == [None, 2.0, 2.0]
+    assert [sample and round(sample.velocity, 6) for sample in again] == [None, 2.0, 2.0]
