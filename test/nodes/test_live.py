@@ -178,9 +178,10 @@ def test_a_missing_node_is_named(cell):
 def test_two_publishers_on_one_instrument_topic_are_found_and_named(cell):
     live = cell("planner.preflight_timeout_s=2.0")
     live.start("simulated_cell", name="other_cell")
-    live.start(*SUITE, "simulated_cell")
+    live.start("simulated_cell")
     with StateClient() as states:  # who comes after the start of a goal is not believed in it
         assert [states.state(n) for n in ("other_cell", "simulated_cell")] == ["active"] * 2
+    live.start(*SUITE)
     outcome = live.client().result()
     assert outcome["error_code"] == TOPIC_MISSING
     assert (
