@@ -338,7 +338,10 @@ async def _have_topics(calibration: Calibration, watch: GoalWatch, asking: Askin
 
     Instruments may be silent meanwhile, and a capture that was started anew has heard nothing.
     """
-    missing = partial(_missing, calibration, watch.links)
+    missing, links = partial(_missing, calibration, watch.links), watch.links
+    if watch.preflight:  # a second publisher that is found only in the run would be a stranger
+        roles = calibration.method.topics
+        await watch.stands_still(lambda: [links.publishers(links.instrument(r)) for r in roles])
     # What is missing may be there and not have been found; what is not there is waited for below.
     await watch.is_found(lambda: [] if _halted(watch) else missing())
     while True:
