@@ -146,6 +146,9 @@ setup(
             f"{controller} = {NAME}.compensation.{module}:CONTROLLER"
             for controller, module in CONTROLLERS.items()
         ],
+        "rotcal_ros.certificates": [
+            f"dcc = {NAME}.extensions.certificate.verbs:write_certificate"
+        ],
     },
     zip_safe=False,
 )

@@ -1,6 +1,7 @@
 """What installed packages bring: methods, controllers, instruments, found by their entry points.
 
-The built-in ones are found the same way, see ``setup.py``; there is no built-in instrument.
+The built-in ones are found the same way, and so are the extensions of this package, see
+``setup.py``; there is no built-in instrument.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ METHOD_SETTINGS: Final = "rotcal_ros.method_settings"
 """Of those methods whose settings can be told without loading the method."""
 CONTROLLERS: Final = "rotcal_ros.controllers"
 INSTRUMENTS: Final = "rotcal_ros.instruments"
+CERTIFICATES: Final = "rotcal_ros.certificates"
+"""What writes certificates for ``rotcal report``."""
 KINDS: Final = {METHODS: "method", CONTROLLERS: "controller", INSTRUMENTS: "instrument"}
 _OWN: Final = "rotcal_ros"
 _LONGEST: Final = 80
@@ -53,6 +56,22 @@ def load(group: str, name: str, what: str) -> Any:
         package = _package(found[name])
         raise ConfigurationError(
             f"the {what} {name!r} ({package}) cannot be loaded: {why}"
+        ) from error
+
+
+def extension(group: str, name: str, what: str) -> Any:
+    """Return what the entry point ``name`` of ``group`` names, which ``what`` needs.
+
+    Raises ConfigurationError, with what to install, where it, or a package that it needs, is
+    missing: pip brings both with the extra ``name`` of this package.
+    """
+    try:
+        if name not in _found(group):
+            raise ModuleNotFoundError(name=f"the extension {name!r}")
+        return _found(group)[name].load()
+    except ImportError as error:
+        raise ConfigurationError(
+            f"{what} needs {error.name}: pip install '{_OWN}[{name}]'"
         ) from error
 
 

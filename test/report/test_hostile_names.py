@@ -12,11 +12,11 @@ import pytest
 from lxml import etree
 
 import rotcal_ros as rc
-from rotcal_ros.certificate.document import certificate
 from rotcal_ros.compensation.controllers import controller_names
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.compensation.writing import PROVENANCE
+from rotcal_ros.extensions.certificate.document import certificate
 from rotcal_ros.figures import style
 from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, RotcalError

@@ -10,8 +10,8 @@ from signxml.exceptions import InvalidInput, InvalidSignature
 from signxml.signer import XMLSigner
 from signxml.verifier import XMLVerifier
 
-from rotcal_ros.certificate.document import as_bytes
-from rotcal_ros.certificate.elements import DCC_NAMESPACE
+from rotcal_ros.extensions.certificate.document import as_bytes
+from rotcal_ros.extensions.certificate.elements import DCC_NAMESPACE
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 
 ROOT: Final = f"{{{DCC_NAMESPACE}}}digitalCalibrationCertificate"

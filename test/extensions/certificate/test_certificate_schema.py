@@ -7,7 +7,7 @@ from certified import IDENTITY, certified
 from dcc_schema import read_schema
 from lxml import etree
 
-from rotcal_ros.certificate.document import REQUIRED, certificate
+from rotcal_ros.extensions.certificate.document import REQUIRED, certificate
 
 ISSUED = date(2026, 3, 20)
 

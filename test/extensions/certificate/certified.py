@@ -7,7 +7,7 @@ import rotcal_ros as rc
 from rotcal_ros.foundation.circumstances import Circumstances, Range
 from rotcal_ros.foundation.identity import Identity
 
-DATA = Path(__file__).parents[2] / "examples" / "data"
+DATA = Path(__file__).parents[3] / "examples" / "data"
 IDENTITY = {
     "item": "rotary table", "maker": "Maker & Sons", "model": "T 200", "serial": "0017",
     "place": "hall 3", "operator": "A. Operator", "laboratory": "Laboratory of the example",

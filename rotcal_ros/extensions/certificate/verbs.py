@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from rotcal_ros.cli.console import VERDICT_EXIT_CODES
-from rotcal_ros.foundation.errors import BagError, ConfigurationError
+from rotcal_ros.extensions.certificate.document import certificate
+from rotcal_ros.extensions.certificate.signing import signed
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.session_folder import SessionFolder
+from rotcal_ros.foundation.untrusted import read_bytes
+from rotcal_ros.methods import find_method, method_names
+from rotcal_ros.recordings.inputs import Input
+from rotcal_ros.recordings.sources import read_source
 from rotcal_ros.report.terminal.console import say
-
-if TYPE_CHECKING:
-    from rotcal_ros.recordings.inputs import Input
 
 
 def write_certificate(
@@ -22,23 +25,10 @@ def write_certificate(
 ) -> int:
     """Write the certificate, signed with a key and its X.509 certificate if given.
 
-    Nothing is overwritten. Raises ConfigurationError that lists what it needs, or where its
-    packages are not installed.
+    Nothing is overwritten. Raises ConfigurationError that lists what it needs.
     """
     if (key is None) != (x509 is None):
         raise click.UsageError("a signature needs both: --sign KEY --certificate X509")
-    from rotcal_ros.foundation.files import write_atomically
-    from rotcal_ros.foundation.untrusted import read_bytes
-    from rotcal_ros.methods import find_method, method_names
-    from rotcal_ros.recordings.sources import read_source
-
-    try:
-        from rotcal_ros.certificate.document import certificate
-        from rotcal_ros.certificate.signing import signed
-    except ImportError as error:
-        raise ConfigurationError(
-            f"a certificate needs {error.name}: pip install 'rotcal_ros[dcc]'"
-        ) from error
     session = SessionFolder(given.path)
     folder = given.path if session.bag.is_dir() else given.path.parent
     output = output or folder / "certificate.xml"

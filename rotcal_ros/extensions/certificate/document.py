@@ -21,7 +21,7 @@ import numpy as np
 from lxml import etree
 
 from rotcal_ros import __version__
-from rotcal_ros.certificate.elements import (
+from rotcal_ros.extensions.certificate.elements import (
     DCC,
     DCC_NAMESPACE,
     LANGUAGE,

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from certified import IDENTITY, certified
 
-from rotcal_ros.certificate import document as written
-from rotcal_ros.certificate.document import certificate
+from rotcal_ros.extensions.certificate import document as written
+from rotcal_ros.extensions.certificate.document import certificate
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.results import Result
 

@@ -9,13 +9,14 @@ import pytest
 from click.testing import CliRunner
 
 from rotcal_ros.cli.main import rotcal
+from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.results import Result
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 
-DATA = Path(__file__).parents[2] / "examples" / "data"
+DATA = Path(__file__).parents[3] / "examples" / "data"
 IDENTITY = {
     "item": "table", "serial": "1", "place": "hall", "operator": "A", "laboratory": "L",
     "laboratory_address": "Town", "laboratory_country": "DE", "customer": "C",
@@ -62,9 +63,18 @@ def test_a_signature_needs_key_and_certificate(result_file):
 
 
 def test_missing_packages_are_named_with_what_brings_them(result_file, monkeypatch):
-    for name in [n for n in sys.modules if n.startswith("rotcal_ros.certificate.")]:
+    for name in [n for n in sys.modules if n.startswith("rotcal_ros.extensions.certificate.")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "lxml", None)
     refused = run(result_file, "--dcc")
     assert refused.exit_code == 2
-    assert "rotcal_ros[dcc]" in refused.output
+    assert refused.output == ("rotcal: a certificate needs lxml: pip install 'rotcal_ros[dcc]'\n")
+
+
+def test_without_the_extension_it_is_said_what_to_install(result_file, monkeypatch):
+    monkeypatch.setattr(plugins, "CERTIFICATES", "nobody.registers_this")
+    refused = run(result_file, "--dcc")
+    assert refused.exit_code == 2
+    assert refused.output == (
+        "rotcal: a certificate needs the extension 'dcc': pip install 'rotcal_ros[dcc]'\n"
+    )
