@@ -8,6 +8,8 @@ from setuptools import find_packages, setup
 
 NAME = "rotcal_ros"
 NODES = run_path(str(Path(NAME, "foundation", "node_names.py")))["EXECUTABLES"]
+NODES_OF_EXTENSIONS = {"scene": "scene"}
+"""Node -> the extension that brings it."""
 METHODS = {
     "tracer_multistation": "tracer",
     "ball_plate": "ball_plate",
@@ -35,6 +37,12 @@ CONTROLLERS = {
 SHARED = ["config", "config/foxglove", "config/plates", "launch"]
 
 version = re.search(r'__version__ = "(.+)"', Path(NAME, "__init__.py").read_text()).group(1)
+
+
+def module_of(node):
+    """Return the module of a node, its own or the one of its extension."""
+    extension = NODES_OF_EXTENSIONS.get(node)
+    return f"extensions.{extension}.node" if extension else f"nodes.{node}"
 
 
 def shared_files():
@@ -132,7 +140,7 @@ setup(
     entry_points={
         "console_scripts": [
             f"rotcal = {NAME}.cli.main:main",
-            *(f"{node} = {NAME}.nodes.{node}:main" for node in NODES),
+            *(f"{node} = {NAME}.{module_of(node)}:main" for node in NODES),
         ],
         "rotcal_ros.methods": [
             f"{method} = {NAME}.methods.{folder}.method:METHOD"

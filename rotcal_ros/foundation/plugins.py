@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import sys
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, distribution, entry_points
 from traceback import walk_tb
 from types import FrameType
 from typing import Any, Final
@@ -73,6 +73,17 @@ def extension(group: str, name: str, what: str) -> Any:
         raise ConfigurationError(
             f"{what} needs {error.name}: pip install '{_OWN}[{name}]'"
         ) from error
+
+
+def node_module(name: str) -> str:
+    """Return the module of a node, which is a command of this package.
+
+    Raises ConfigurationError where the extension that brings it is not installed.
+    """
+    scripts = distribution(_OWN).entry_points.select(group="console_scripts", name=name)
+    for script in scripts:
+        return script.module
+    raise ConfigurationError(f"the node {name!r} is not installed: pip install '{_OWN}[ros]'")
 
 
 def culprit(error: BaseException) -> str:

@@ -22,6 +22,15 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture import messages
+from rotcal_ros.extensions.scene.drawing import (
+    Errors,
+    draw_moving,
+    draw_still,
+    moving_frames,
+    standing_frames,
+)
+from rotcal_ros.extensions.scene.layout import Layout, Progress, layout_of
+from rotcal_ros.extensions.scene.shapes import Balls, Colour, Disc, Label, Lines, Shape, Transform
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.nodes.runtime.cell_node import CellNode
@@ -30,15 +39,6 @@ from rotcal_ros.nodes.runtime.plans import calibration_of
 from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED
 from rotcal_ros.nodes.runtime.roll_call import LOADING
 from rotcal_ros.nodes.runtime.running import run
-from rotcal_ros.scene.drawing import (
-    Errors,
-    draw_moving,
-    draw_still,
-    moving_frames,
-    standing_frames,
-)
-from rotcal_ros.scene.layout import Layout, Progress, layout_of
-from rotcal_ros.scene.shapes import Balls, Colour, Disc, Label, Lines, Shape, Transform
 
 
 def markers(shapes: Iterable[Shape], stamp_ns: int) -> MarkerArray:

@@ -14,15 +14,15 @@ from live_cell import SUITE, wait_until
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from rotcal_ros.scene.drawing import COLOURS
-from rotcal_ros.scene.layout import State
+from rotcal_ros.extensions.scene.drawing import COLOURS
+from rotcal_ros.extensions.scene.layout import State
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 pytest.importorskip("visualization_msgs")
 pytestmark = pytest.mark.ros
 
-LAYOUT = Path(__file__).parents[2] / "config" / "foxglove" / "rotcal.json"
+LAYOUT = Path(__file__).parents[3] / "config" / "foxglove" / "rotcal.json"
 SHARE = 0.1
 """Of the bytes of a bag that the scene may take."""
 

@@ -5,9 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotcal_ros.foundation.units import ARCSEC, DEGREE
-from rotcal_ros.methods import prepare, read_configuration
-from rotcal_ros.scene.drawing import (
+from rotcal_ros.extensions.scene.drawing import (
     COLOURS,
     Errors,
     draw_moving,
@@ -15,11 +13,13 @@ from rotcal_ros.scene.drawing import (
     moving_frames,
     standing_frames,
 )
-from rotcal_ros.scene.layout import Layout, Progress, State, layout_of
-from rotcal_ros.scene.shapes import Transform
+from rotcal_ros.extensions.scene.layout import Layout, Progress, State, layout_of
+from rotcal_ros.extensions.scene.shapes import Transform
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.methods import prepare, read_configuration
 from rotcal_ros.simulation import SimulatedCell
 
-CONFIG = Path(__file__).parents[2] / "config"
+CONFIG = Path(__file__).parents[3] / "config"
 
 
 def calibration(name):

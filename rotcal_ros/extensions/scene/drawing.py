@@ -8,11 +8,11 @@ from typing import Final
 
 import numpy as np
 
+from rotcal_ros.extensions.scene.layout import Layout, State
+from rotcal_ros.extensions.scene.shapes import Balls, Colour, Disc, Label, Lines, Shape, Transform
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.planning.plan import Step
-from rotcal_ros.scene.layout import Layout, State
-from rotcal_ros.scene.shapes import Balls, Colour, Disc, Label, Lines, Shape, Transform
 
 TABLE_BASE: Final = "table_base"
 TABLE: Final = "table"
