@@ -154,6 +154,7 @@ setup(
             f"{controller} = {NAME}.compensation.{module}:CONTROLLER"
             for controller, module in CONTROLLERS.items()
         ],
+        "rotcal_ros.verbs": [f"replay = {NAME}.extensions.replay:VERB"],
         "rotcal_ros.certificates": [
             f"dcc = {NAME}.extensions.certificate.verbs:write_certificate"
         ],

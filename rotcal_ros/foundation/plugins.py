@@ -1,4 +1,4 @@
-"""What installed packages bring: methods, controllers, instruments, found by their entry points.
+"""What installed packages bring: methods, controllers, instruments, verbs, by entry points.
 
 The built-in ones are found the same way, and so are the extensions of this package, see
 ``setup.py``; there is no built-in instrument.
@@ -12,7 +12,7 @@ from functools import cache
 from importlib.metadata import EntryPoint, distribution, entry_points
 from traceback import walk_tb
 from types import FrameType
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from rotcal_ros.foundation.errors import ConfigurationError
 
@@ -21,12 +21,30 @@ METHOD_SETTINGS: Final = "rotcal_ros.method_settings"
 """Of those methods whose settings can be told without loading the method."""
 CONTROLLERS: Final = "rotcal_ros.controllers"
 INSTRUMENTS: Final = "rotcal_ros.instruments"
+VERBS: Final = "rotcal_ros.verbs"
+"""Of each a :class:`Verb`, which tells of it without loading it."""
 CERTIFICATES: Final = "rotcal_ros.certificates"
 """What writes certificates for ``rotcal report``."""
-KINDS: Final = {METHODS: "method", CONTROLLERS: "controller", INSTRUMENTS: "instrument"}
+KINDS: Final = {
+    METHODS: "method",
+    CONTROLLERS: "controller",
+    INSTRUMENTS: "instrument",
+    VERBS: "verb",
+}
 _OWN: Final = "rotcal_ros"
 _LONGEST: Final = 80
 """Characters of a name that is compared with those that are known."""
+
+
+class Verb(NamedTuple):
+    """A verb that ``rotcal`` lists, with a line of ``help``, behind the verb ``after``.
+
+    Its command of click is ``command`` in ``module``, which is loaded only when it is called.
+    """
+
+    help: str
+    module: str
+    after: str = ""
 
 
 @cache

@@ -17,18 +17,17 @@ from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks
 from rotcal_ros.bags.scan import Scan
 from rotcal_ros.bags.session_identity import require_one_session
+from rotcal_ros.bags.topic_roles import CalledOtherwise
 from rotcal_ros.capture import messages
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.instruments.conventions import Conventions
 from rotcal_ros.methods.configuration import read_topics
-from rotcal_ros.nodes.runtime.heartbeat import HEARTBEAT
-from rotcal_ros.nodes.runtime.topic_names import CalledOtherwise
 
 OUTPUTS: Final = frozenset({
-    names.OBSERVATION, names.OBSERVATION_RECORDED, "deviations", "compensation_table", HEARTBEAT,
-    "volumetric_correction", "scene", "scene_motion", names.DROPOUTS,
+    names.OBSERVATION, names.OBSERVATION_RECORDED, "deviations", "compensation_table",
+    "volumetric_correction", "scene", "scene_motion", names.HEARTBEAT, names.DROPOUTS,
 })  # fmt: skip
 """Last names of what our own nodes make of the streams: live ones shall make it again."""
 OF_ROS: Final = ("/diagnostics", "/rosout", "/parameter_events", "/clock")
@@ -127,7 +126,7 @@ class ReplayedBag:
                 f"the bag holds the plans of several cells ({', '.join(sorted(plans))}): "
                 "one is replayed at a time"
             )
-        of_nodes = [t for t in self.channels if t.rpartition("/")[2] == HEARTBEAT]
+        of_nodes = [t for t in self.channels if t.rpartition("/")[2] == names.HEARTBEAT]
         for topic in plans if plan is None else of_nodes:
             self.namespace = topic.rpartition("/")[0] or "/"
         otherwise, self.called = self.called.topics, CalledOtherwise(self.namespace)

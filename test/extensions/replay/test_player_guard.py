@@ -8,8 +8,8 @@ pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros.bags import names
+from rotcal_ros.extensions.replay.node import Player, ReplayGuard
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.nodes.player import Player, ReplayGuard
 
 NAMELESS = "_NODE_NAME_UNKNOWN_"
 TOPICS = [f"/cell/{role}" for role in (names.TABLE_ANGLE, names.PROBE_TARGET, "joint_states")]

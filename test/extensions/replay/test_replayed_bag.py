@@ -19,13 +19,12 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.rosbag2_metadata import OfferedQos, qos_text
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
+from rotcal_ros.extensions.replay.node import offered_qos
+from rotcal_ros.extensions.replay.replayed_bag import ReplayedBag
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.nodes.player import offered_qos
-from rotcal_ros.nodes.replayed_bag import ReplayedBag
 from rotcal_ros.nodes.runtime.channels import importable_type
-from rotcal_ros.nodes.runtime.topic_names import CalledOtherwise, at_odds
 
-GOLDEN = Path(__file__).parents[1] / "golden" / "tracer" / "bag"
+GOLDEN = Path(__file__).parents[2] / "golden" / "tracer" / "bag"
 
 
 def test_streams_orders_and_plan_are_replayed_and_outputs_are_not():
@@ -84,22 +83,6 @@ def test_a_type_is_published_where_it_is_defined_as_it_was_recorded(monkeypatch)
     assert (kind, "is defined otherwise here than in the bag" in why) == (None, True)
     kind, why = importable_type("no_such_msgs/msg/Thing", "")
     assert (kind, "is not installed here" in why) == (None, True)
-
-
-def test_roles_of_topics_follow_what_the_nodes_tell():
-    called = CalledOtherwise("/cell")
-    told = {"capture": {"topic.tracer_length": "/leica/length", "run": ""}, "planner": {"run": ""}}
-    called.look(lambda node: told.get(node, {}))
-    assert called.role("/leica/length") == names.TRACER_LENGTH
-    assert called.role("/cell/tracer_length") == ""
-    assert called.role("/cell/joint_states") == called.role("/x/joint_states") == "joint_states"
-    assert called.lost({"lost /leica/length": 3, "queue /cell/tracer_length": 5}) == 3
-    called.look(lambda _: {})  # the nodes left: what they said stays
-    assert called.topic(names.TRACER_LENGTH) == "/leica/length"
-    called.look(lambda node: {"run": ""})
-    assert called.topic(names.TRACER_LENGTH) == "/cell/tracer_length"
-    odd = list(at_odds(lambda _: {}, "/cell", lambda role: f"/other/{role}"))
-    assert odd[0].startswith("topic plan is /other/plan for the planner and /cell/plan for node")
 
 
 @pytest.mark.parametrize("rate", ["0", "-1", "nan", "1e9", "fast"])

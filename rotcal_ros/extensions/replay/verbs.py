@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import math
+import os
+import signal
+import sys
+import tempfile
+from collections.abc import Sequence
 from pathlib import Path
+from types import FrameType
+from typing import Any, Final, NoReturn
 
 import click
 
+from rotcal_ros.bags.unread import note_unread
 from rotcal_ros.cli.console import (
     INTERRUPTED,
     VERDICT_EXIT_CODES,
@@ -14,9 +23,16 @@ from rotcal_ros.cli.console import (
     path_type,
     print_marks,
 )
-from rotcal_ros.report.terminal.console import say, tell
+from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
+from rotcal_ros.report.terminal.console import progress, say, tell
+from rotcal_ros.sessions.environment import require_ros
+from rotcal_ros.sessions.processes import Processes
 
 LEAST_RATE, LARGEST_RATE = 0.01, 100.0
+PLAYER: Final = "player"
+"""The process that replays."""
+_ERRORS: Final = {2: ConfigurationError, 3: DataError}
+"""The exit code of the process tells the kind of its error."""
 
 
 def _rate(_context: click.Context, _option: click.Parameter, value: float) -> float:
@@ -69,9 +85,6 @@ def command(
     it again, equal to the last bit; with a live solver there the result is asked for at the end.
     Nothing is replayed where a machine listens to orders. Ctrl-C ends it.
     """
-    from rotcal_ros.sessions.environment import require_ros
-    from rotcal_ros.sessions.replaying import replay
-
     require_ros()
     options = [f"--rate={rate!r}", *(["--clock"] if clock else [])]
     options += [*(["--all"] if everything else []), *(["--no-finish"] if no_finish else [])]
@@ -89,6 +102,60 @@ def command(
         return 1 if outcome.get("different") else 0
     print_marks(outcome["marks"], "result of the live solver")
     return 1 if outcome["different"] else VERDICT_EXIT_CODES[outcome["verdict"]]
+
+
+def replay(bag: Path, options: Sequence[str]) -> dict[str, Any]:
+    """Have ``bag`` published with the options of the player and return its outcome.
+
+    ``interrupted`` is true when the user ended it. Raises the error that it ended with.
+    """
+    command = [sys.executable, "-m", "rotcal_ros.extensions.replay.node", str(bag), *options]
+    environment = {"PYTHONUNBUFFERED": "1", "ROTCAL_SUPERVISOR": str(os.getpid())}
+    previous = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        with (
+            tempfile.TemporaryDirectory(prefix="rotcal-replay-") as folder,
+            Processes(Path(folder), environment) as processes,
+        ):
+            processes.start(PLAYER, command, piped=True)
+            return _followed(processes)
+    except KeyboardInterrupt:
+        return {"interrupted": True}
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+def _followed(processes: Processes) -> dict[str, Any]:
+    """Show what the player reports until it ends."""
+    child = processes.children[PLAYER]
+    outcome: dict[str, Any] = {}
+    assert child.stdout is not None
+    with progress("replaying") as shown:
+        for line in child.stdout:
+            event = json.loads(line)
+            match event.pop("event"):
+                case "left_out":
+                    say(f"left out: {event['topic']}: {event['why']}")
+                case "unread":
+                    note_unread(event["texts"])
+                case "note":
+                    say(event["text"])
+                case "playing":
+                    shown(round(event["done_s"]), max(1, round(event["total_s"])))
+                case "result":
+                    outcome = event
+                case "interrupted":
+                    outcome = {"interrupted": True}
+    if code := child.wait():
+        text = processes.log_tail(PLAYER, 1)
+        if not text:
+            raise DataError(f"the player ended (exit code {code}) without a word")
+        raise _ERRORS.get(code, BagError)(text)
+    return outcome
 
 
 def _observations(outcome: dict[str, int]) -> str:

@@ -38,6 +38,7 @@ from rotcal_ros.bags.rosbag2_metadata import INFINITE_NS, qos_profiles
 from rotcal_ros.bags.unread import unread
 from rotcal_ros.capture import messages
 from rotcal_ros.evaluation.marks import marks
+from rotcal_ros.extensions.replay.replayed_bag import CLOCK, ReplayedBag, of_attempts
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.middleware import LOCALHOST
@@ -45,7 +46,6 @@ from rotcal_ros.foundation.node_names import NODES, VIEWERS
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import NANOSECOND
-from rotcal_ros.nodes.replayed_bag import CLOCK, ReplayedBag, of_attempts
 from rotcal_ros.nodes.runtime.channels import importable_type
 from rotcal_ros.nodes.runtime.conversions import time_message
 from rotcal_ros.nodes.runtime.health import CALIBRATING, Health
