@@ -8,8 +8,9 @@ from setuptools import find_packages, setup
 
 NAME = "rotcal_ros"
 NODES = run_path(str(Path(NAME, "foundation", "node_names.py")))["EXECUTABLES"]
-NODES_OF_EXTENSIONS = {"scene": "scene"}
+NODES_OF_EXTENSIONS = {"dme_adapter": "ipp_dme", "scene": "scene"}
 """Node -> the extension that brings it."""
+VERBS_OF_EXTENSIONS = {"dme": "ipp_dme", "replay": "replay"}
 METHODS = {
     "tracer_multistation": "tracer",
     "ball_plate": "ball_plate",
@@ -154,7 +155,11 @@ setup(
             f"{controller} = {NAME}.compensation.{module}:CONTROLLER"
             for controller, module in CONTROLLERS.items()
         ],
-        "rotcal_ros.verbs": [f"replay = {NAME}.extensions.replay:VERB"],
+        "rotcal_ros.settings": [f"dme = {NAME}.extensions.ipp_dme.settings:DmeSettings"],
+        "rotcal_ros.verbs": [
+            f"{verb} = {NAME}.extensions.{extension}:VERB"
+            for verb, extension in VERBS_OF_EXTENSIONS.items()
+        ],
         "rotcal_ros.certificates": [
             f"dcc = {NAME}.extensions.certificate.verbs:write_certificate"
         ],

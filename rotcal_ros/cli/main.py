@@ -42,7 +42,6 @@ OWN_VERBS: Final[Mapping[str, str]] = {
     "iso230": "Evaluate repeated bidirectional runs after ISO 230-2.",
     "uncertainty": "Propagate the noise by Monte Carlo (JCGM 101).",
     "bag": "Check, repair and describe recorded bags.",
-    "dme": "Serve the simulated cell to clients of I++ DME.",
     "settings": "Print what can be set, with units, ranges and defaults.",
     "doctor": "Check this machine and say what to do.",
 }

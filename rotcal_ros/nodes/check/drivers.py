@@ -57,7 +57,7 @@ def driver_lines(heard: Heard) -> Iterator[CheckLine]:
 
 def _dme_line(heard: Heard) -> CheckLine:
     """Say whether the address takes connections; beside an adapter of this cell none is tried."""
-    settings, node = heard.configuration.dme, FURTHER_NODES[_DME]
+    settings, node = heard.configuration.group(_DME), FURTHER_NODES[_DME]
     place = f"{settings.host}:{settings.port}"
     if node in heard.nodes:
         return CheckLine(

@@ -4,13 +4,13 @@ import time
 from pathlib import Path
 from threading import Lock
 
-from rotcal_ros.dme.client import DmeClient
-from rotcal_ros.dme.driver import Measuring
-from rotcal_ros.dme.settings import DmeSettings
+from rotcal_ros.extensions.ipp_dme.client import DmeClient
+from rotcal_ros.extensions.ipp_dme.driver import Measuring
+from rotcal_ros.extensions.ipp_dme.settings import DmeSettings
 from rotcal_ros.methods import changed, prepare
 from rotcal_ros.methods.configuration import read_configuration
 
-DEMO = Path(__file__).parents[2] / "config" / "ball_plate_demo.yaml"
+DEMO = Path(__file__).parents[3] / "config" / "ball_plate_demo.yaml"
 SMALL = (
     "plan.plate.grid=12",
     "plan.plate.ball_steps=[0, 1, 3, 5, 8, 9]",

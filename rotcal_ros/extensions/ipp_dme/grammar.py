@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
-from rotcal_ros.dme.faults import ProtocolError
+from rotcal_ros.extensions.ipp_dme.faults import ProtocolError
 
 DEEPEST: Final = 8
 """Calls inside calls; the specification has three."""

@@ -7,8 +7,8 @@ from math import degrees
 import pytest
 from wire import DEADLINE_S, wait_for
 
-from rotcal_ros.dme.driver import Driver, Measuring
-from rotcal_ros.dme.settings import DmeSettings
+from rotcal_ros.extensions.ipp_dme.driver import Driver, Measuring
+from rotcal_ros.extensions.ipp_dme.settings import DmeSettings
 from rotcal_ros.foundation.observations import Approach, Command, PointKind
 from rotcal_ros.planning.plan import Step
 

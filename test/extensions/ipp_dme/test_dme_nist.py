@@ -11,8 +11,8 @@ import pytest
 from aids import nist_suite
 from dme_plates import measure, small
 
-from rotcal_ros.dme.link import DmeLink
-from rotcal_ros.dme.server import DmeServer, serving
+from rotcal_ros.extensions.ipp_dme.link import DmeLink
+from rotcal_ros.extensions.ipp_dme.server import DmeServer, serving
 from rotcal_ros.foundation.machine_load import patient
 
 BUILD_S = 120

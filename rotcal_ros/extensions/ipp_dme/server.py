@@ -16,9 +16,9 @@ from contextlib import contextmanager, suppress
 from threading import Event, Thread
 from typing import Final
 
-from rotcal_ros.dme.faults import DmeError, Fault, ProtocolError
-from rotcal_ros.dme.grammar import Call, Value, Word, call, parse_call, written
-from rotcal_ros.dme.lines import (
+from rotcal_ros.extensions.ipp_dme.faults import DmeError, Fault, ProtocolError
+from rotcal_ros.extensions.ipp_dme.grammar import Call, Value, Word, call, parse_call, written
+from rotcal_ros.extensions.ipp_dme.lines import (
     END,
     UNASKED,
     Command,
@@ -28,8 +28,8 @@ from rotcal_ros.dme.lines import (
     error_line,
     is_tag,
 )
-from rotcal_ros.dme.machine import MethodError, SimulatedMachine
-from rotcal_ros.dme.methods import Methods, error_info
+from rotcal_ros.extensions.ipp_dme.machine import MethodError, SimulatedMachine
+from rotcal_ros.extensions.ipp_dme.methods import Methods, error_info
 from rotcal_ros.foundation.errors import ControllerError
 from rotcal_ros.simulation.settings import SimulationSettings
 

@@ -1,6 +1,6 @@
 """A measuring machine with a rotary table behind I++ DME: takes orders, tells points and feedback.
 
-What the machine is told and what it answers is the matter of :mod:`rotcal_ros.dme.driver`, whose
+What the machine is told and what it answers is the matter of the ``driver`` beside it, whose
 thread may wait; this node only passes on.
 """
 
@@ -15,10 +15,10 @@ from std_srvs.srv import Trigger
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture.orders import Orders
-from rotcal_ros.dme.client import NOT_STARTED
-from rotcal_ros.dme.driver import Driver
-from rotcal_ros.dme.faults import DmeError
-from rotcal_ros.dme.settings import DmeSettings
+from rotcal_ros.extensions.ipp_dme.client import NOT_STARTED
+from rotcal_ros.extensions.ipp_dme.driver import Driver
+from rotcal_ros.extensions.ipp_dme.faults import DmeError
+from rotcal_ros.extensions.ipp_dme.settings import DmeSettings
 from rotcal_ros.foundation.observations import Command, ProbeSample, TableSample
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode

@@ -20,9 +20,9 @@ from queue import Empty, SimpleQueue
 from threading import Thread
 from typing import Final
 
-from rotcal_ros.dme.client import DmeClient
-from rotcal_ros.dme.faults import DmeError, Fault
-from rotcal_ros.dme.settings import DmeSettings
+from rotcal_ros.extensions.ipp_dme.client import DmeClient
+from rotcal_ros.extensions.ipp_dme.faults import DmeError, Fault
+from rotcal_ros.extensions.ipp_dme.settings import DmeSettings
 from rotcal_ros.foundation.observations import (
     Approach,
     Command,

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from dme_plates import settings, small
 
-from rotcal_ros.dme.client import DmeClient
-from rotcal_ros.dme.driver import Measuring
-from rotcal_ros.dme.server import DmeServer, serving
+from rotcal_ros.extensions.ipp_dme.client import DmeClient
+from rotcal_ros.extensions.ipp_dme.driver import Measuring
+from rotcal_ros.extensions.ipp_dme.server import DmeServer, serving
 from rotcal_ros.foundation.observations import LengthStatus, PointKind, TracerSample
 from rotcal_ros.methods import changed, prepare
 from rotcal_ros.methods.configuration import read_configuration
 
-OWN = Path(__file__).parents[2] / "examples" / "own_cell"
+OWN = Path(__file__).parents[3] / "examples" / "own_cell"
 CHANGES = (
     "capture.settle_time_s=0.002", "capture.window_samples=10",
     "capture.temperature_expected=false",

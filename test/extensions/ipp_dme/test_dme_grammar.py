@@ -4,9 +4,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rotcal_ros.dme.faults import DmeError, ProtocolError
-from rotcal_ros.dme.grammar import Call, Word, call, parse_call, parse_values, written
-from rotcal_ros.dme.lines import (
+from rotcal_ros.extensions.ipp_dme.faults import DmeError, ProtocolError
+from rotcal_ros.extensions.ipp_dme.grammar import (
+    Call,
+    Word,
+    call,
+    parse_call,
+    parse_values,
+    written,
+)
+from rotcal_ros.extensions.ipp_dme.lines import (
     LONGEST,
     Kind,
     LineBuffer,

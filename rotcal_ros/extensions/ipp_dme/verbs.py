@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
 
 import click
 
 from rotcal_ros.cli.console import path_type
+from rotcal_ros.extensions.ipp_dme.server import DmeServer
 from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.methods.configuration import read_configuration
 
 
 @click.group()
@@ -34,11 +37,6 @@ def serve(configuration: Path, host: str, port: int, version: str) -> None:
     One client at a time drives the machine and its table by TCP. Nobody is asked for a password:
     listen at other addresses than this machine's own in a network that you trust only.
     """
-    import asyncio
-
-    from rotcal_ros.dme.server import DmeServer
-    from rotcal_ros.methods.configuration import read_configuration
-
     read = read_configuration(configuration)
     if not read.simulated:
         raise ConfigurationError(f"{configuration} has no group simulation: nothing to serve")

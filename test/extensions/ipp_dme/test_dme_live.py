@@ -16,7 +16,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 pytestmark = pytest.mark.ros
 
-CONFIGURATION = Path(__file__).parents[2] / "config" / "ball_plate_dme.yaml"
+CONFIGURATION = Path(__file__).parents[3] / "config" / "ball_plate_dme.yaml"
 CLEAR = """
 import rclpy
 from rclpy.node import Node

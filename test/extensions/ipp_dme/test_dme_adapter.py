@@ -14,9 +14,9 @@ from rotcal_msgs.msg import CalibrationPlan, ProbeTarget, TableAngle
 from std_msgs.msg import Header
 
 from rotcal_ros.capture.orders import Orders
+from rotcal_ros.extensions.ipp_dme import node as dme_adapter
+from rotcal_ros.extensions.ipp_dme.node import LOOKS_FIRST, DmeAdapter
 from rotcal_ros.foundation.observations import Approach, Command, PointKind
-from rotcal_ros.nodes import dme_adapter
-from rotcal_ros.nodes.dme_adapter import LOOKS_FIRST, DmeAdapter
 from rotcal_ros.nodes.runtime.plans import RUN, run_name
 
 ORDER = Command(1, 0, 0.5, Approach.POSITIVE, PointKind.SURFACE, 0, (0.1, 0.0, 0.0))

@@ -11,9 +11,9 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.dme.faults import KNOWN, Fault, ProtocolError
-from rotcal_ros.dme.grammar import Call, Value, Word, call, calls_by_name, written
-from rotcal_ros.dme.machine import MethodError, SimulatedMachine
+from rotcal_ros.extensions.ipp_dme.faults import KNOWN, Fault, ProtocolError
+from rotcal_ros.extensions.ipp_dme.grammar import Call, Value, Word, call, calls_by_name, written
+from rotcal_ros.extensions.ipp_dme.machine import MethodError, SimulatedMachine
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
 

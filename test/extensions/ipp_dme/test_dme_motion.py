@@ -5,10 +5,10 @@ from math import pi, radians
 import numpy as np
 import pytest
 
-from rotcal_ros.dme.client import TableAxis, standing_of, way_to_turn
-from rotcal_ros.dme.driver import Go, Touch, around_ball
-from rotcal_ros.dme.faults import DmeError, ProtocolError
-from rotcal_ros.dme.settings import DmeSettings
+from rotcal_ros.extensions.ipp_dme.client import TableAxis, standing_of, way_to_turn
+from rotcal_ros.extensions.ipp_dme.driver import Go, Touch, around_ball
+from rotcal_ros.extensions.ipp_dme.faults import DmeError, ProtocolError
+from rotcal_ros.extensions.ipp_dme.settings import DmeSettings
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.planning.table_motion import TableSpeed
 

@@ -23,16 +23,16 @@ from math import cos, pi, radians, remainder, sin
 from threading import Lock
 from typing import Final, NoReturn
 
-from rotcal_ros.dme.faults import (
+from rotcal_ros.extensions.ipp_dme.faults import (
     AnswerMissingError,
     DmeError,
     Fault,
     NotClearedError,
     ProtocolError,
 )
-from rotcal_ros.dme.grammar import Call, Word, call, calls_by_name, parse_values
-from rotcal_ros.dme.link import DmeLink
-from rotcal_ros.dme.settings import ALIGN_PART, AUTO, GOTO_R, DmeSettings
+from rotcal_ros.extensions.ipp_dme.grammar import Call, Word, call, calls_by_name, parse_values
+from rotcal_ros.extensions.ipp_dme.link import DmeLink
+from rotcal_ros.extensions.ipp_dme.settings import ALIGN_PART, AUTO, GOTO_R, DmeSettings
 from rotcal_ros.foundation.observations import Approach, TableSample
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
 from rotcal_ros.planning.plan import Point

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.dme.faults import Fault
+from rotcal_ros.extensions.ipp_dme.faults import Fault
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ConfigurationError, ControllerError
 from rotcal_ros.foundation.observations import Approach

@@ -11,8 +11,8 @@ from enum import Enum
 from itertools import count
 from typing import Final
 
-from rotcal_ros.dme.faults import Fault, ProtocolError
-from rotcal_ros.dme.grammar import Call, Word, parse_call, written
+from rotcal_ros.extensions.ipp_dme.faults import Fault, ProtocolError
+from rotcal_ros.extensions.ipp_dme.grammar import Call, Word, parse_call, written
 
 LONGEST: Final = 65_536
 """Characters of a line, its end included."""

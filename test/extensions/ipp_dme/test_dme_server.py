@@ -6,8 +6,8 @@ import socket
 import pytest
 from dme_plates import small
 
-from rotcal_ros.dme.lines import Kind, parse_response
-from rotcal_ros.dme.server import DmeServer, serving
+from rotcal_ros.extensions.ipp_dme.lines import Kind, parse_response
+from rotcal_ros.extensions.ipp_dme.server import DmeServer, serving
 from rotcal_ros.foundation.errors import ControllerError
 
 BEGIN = ("00001 StartSession()", "00002 Home()")

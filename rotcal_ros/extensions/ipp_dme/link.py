@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from threading import Condition, Lock, Thread
 from typing import Final
 
-from rotcal_ros.dme.faults import (
+from rotcal_ros.extensions.ipp_dme.faults import (
     AnswerMissingError,
     ConnectionLostError,
     DmeError,
@@ -22,8 +22,8 @@ from rotcal_ros.dme.faults import (
     ProtocolError,
     RefusedError,
 )
-from rotcal_ros.dme.grammar import Call, call
-from rotcal_ros.dme.lines import (
+from rotcal_ros.extensions.ipp_dme.grammar import Call, call
+from rotcal_ros.extensions.ipp_dme.lines import (
     END,
     UNASKED,
     Command,
