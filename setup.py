@@ -8,7 +8,11 @@ from setuptools import find_packages, setup
 
 NAME = "rotcal_ros"
 NODES = run_path(str(Path(NAME, "foundation", "node_names.py")))["EXECUTABLES"]
-NODES_OF_EXTENSIONS = {"dme_adapter": "ipp_dme", "scene": "scene"}
+NODES_OF_EXTENSIONS = {
+    "dme_adapter": "ipp_dme",
+    "instrument_driver": "instrument_plugins",
+    "scene": "scene",
+}
 """Node -> the extension that brings it."""
 VERBS_OF_EXTENSIONS = {"dme": "ipp_dme", "replay": "replay"}
 METHODS = {
@@ -155,7 +159,14 @@ setup(
             f"{controller} = {NAME}.compensation.{module}:CONTROLLER"
             for controller, module in CONTROLLERS.items()
         ],
-        "rotcal_ros.settings": [f"dme = {NAME}.extensions.ipp_dme.settings:DmeSettings"],
+        "rotcal_ros.settings": [
+            f"dme = {NAME}.extensions.ipp_dme.settings:DmeSettings",
+            f"instrument = {NAME}.extensions.instrument_plugins.settings:InstrumentSettings",
+        ],
+        "rotcal_ros.driver_checks": [
+            f"dme = {NAME}.extensions.ipp_dme.check:CHECK",
+            f"instrument = {NAME}.extensions.instrument_plugins.check:CHECK",
+        ],
         "rotcal_ros.verbs": [
             f"{verb} = {NAME}.extensions.{extension}:VERB"
             for verb, extension in VERBS_OF_EXTENSIONS.items()

@@ -26,7 +26,6 @@ from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.settings import declarations, load, to_mapping
 from rotcal_ros.foundation.untrusted import line_of, load_yaml, read_text, why
-from rotcal_ros.instrument_plugins.settings import InstrumentSettings
 from rotcal_ros.methods.air_settings import AirSettings
 from rotcal_ros.methods.method import Method, find_method, method_names
 from rotcal_ros.methods.plan_files import PlanFile, with_contents
@@ -52,7 +51,6 @@ SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
     "recorder": RecorderSettings,
     "bridge": BridgeSettings,
     **EXTENSION_GROUPS,
-    "instrument": InstrumentSettings,
     "topics": TopicSettings,
     "identity": Identity,
     "page": PageSettings,
@@ -61,8 +59,7 @@ SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
 """Groups of settings that are the same for all methods."""
 GROUPS: Final = (
     "identity", "cell", "plan", "capture", "air", "solver", "planner", "safety", "health",
-    "recorder", "bridge", *EXTENSION_GROUPS, "instrument", "table_adapter", "topics", "page",
-    "simulation",
+    "recorder", "bridge", *EXTENSION_GROUPS, "table_adapter", "topics", "page", "simulation",
 )  # fmt: skip
 """All groups, in the order in which a configuration is written."""
 ALL_NODES: Final = "/**"
@@ -108,7 +105,6 @@ class Configuration:
     health: HealthSettings
     recorder: RecorderSettings
     bridge: BridgeSettings
-    instrument: InstrumentSettings
     topics: TopicSettings
     identity: Identity
     page: PageSettings

@@ -10,6 +10,21 @@ from threading import Thread
 
 import pytest
 
+from rotcal_ros.extensions.instrument_plugins import driver
+from rotcal_ros.extensions.instrument_plugins.driver import (
+    InstrumentDriver,
+    Listeners,
+    instrument_of,
+)
+from rotcal_ros.extensions.instrument_plugins.instrument import (
+    InstrumentError,
+    Length,
+    Place,
+    Tracer,
+    Tracker,
+)
+from rotcal_ros.extensions.instrument_plugins.settings import InstrumentSettings
+from rotcal_ros.extensions.instrument_plugins.table_rest import TableRest
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.foundation.observations import (
@@ -19,19 +34,8 @@ from rotcal_ros.foundation.observations import (
     PointKind,
     TableSample,
 )
-from rotcal_ros.instrument_plugins import driver
-from rotcal_ros.instrument_plugins.driver import InstrumentDriver, Listeners, instrument_of
-from rotcal_ros.instrument_plugins.instrument import (
-    InstrumentError,
-    Length,
-    Place,
-    Tracer,
-    Tracker,
-)
-from rotcal_ros.instrument_plugins.settings import InstrumentSettings
-from rotcal_ros.instrument_plugins.table_rest import TableRest
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "own_instrument" / "mytracer.py"
+EXAMPLE = Path(__file__).parents[3] / "examples" / "own_instrument" / "mytracer.py"
 SPEC = importlib.util.spec_from_file_location("mytracer", EXAMPLE)
 mytracer = importlib.util.module_from_spec(SPEC)
 SPEC.loader.exec_module(mytracer)
@@ -178,7 +182,7 @@ def test_an_order_is_measured_when_the_table_rests_and_echoed():
 
 
 def test_an_order_that_waits_too_long_says_for_what(monkeypatch):
-    monkeypatch.setattr("rotcal_ros.instrument_plugins.driver.PATIENCE_S", 0.05)
+    monkeypatch.setattr("rotcal_ros.extensions.instrument_plugins.driver.PATIENCE_S", 0.05)
     heard = Heard(Finder(), settings("here"), lambda _: "the table moves")
     heard.driver.order(ORDER)
     heard.until(lambda h: h.driver.waits)

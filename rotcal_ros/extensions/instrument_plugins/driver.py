@@ -10,10 +10,7 @@ from math import isfinite
 from threading import Event, Thread
 from typing import Final
 
-from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
-from rotcal_ros.foundation.observations import Command, LengthStatus, ProbeSample, TracerSample
-from rotcal_ros.foundation.plugins import INSTRUMENTS, load
-from rotcal_ros.instrument_plugins.instrument import (
+from rotcal_ros.extensions.instrument_plugins.instrument import (
     Instrument,
     InstrumentError,
     Length,
@@ -22,7 +19,10 @@ from rotcal_ros.instrument_plugins.instrument import (
     Tracer,
     Tracker,
 )
-from rotcal_ros.instrument_plugins.settings import InstrumentSettings
+from rotcal_ros.extensions.instrument_plugins.settings import InstrumentSettings
+from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
+from rotcal_ros.foundation.observations import Command, LengthStatus, ProbeSample, TracerSample
+from rotcal_ros.foundation.plugins import INSTRUMENTS, load
 
 READ_TIMEOUT_S: Final = 0.1
 PATIENCE_S: Final = 10.0
@@ -44,7 +44,7 @@ def instrument_of(settings: InstrumentSettings) -> Instrument:
     if not isinstance(instrument, Tracer | Tracker):
         raise ConfigurationError(
             f"instrument.plugin: {settings.plugin} makes neither a Tracer nor a Tracker of "
-            "rotcal_ros.instrument_plugins.instrument"
+            "rotcal_ros.extensions.instrument_plugins.instrument"
         )
     return instrument
 

@@ -1,7 +1,7 @@
 """An instrument of an installed plug-in: publishes its lengths, or the places it was sent to.
 
-What it speaks is the plug-in's matter, see :mod:`rotcal_ros.instrument_plugins.instrument`; its
-thread is :mod:`rotcal_ros.instrument_plugins.driver`. This node only passes on.
+What it speaks is the plug-in's matter, see ``instrument`` beside it; its thread is ``driver``.
+This node only passes on.
 """
 
 from __future__ import annotations
@@ -12,11 +12,15 @@ from rotcal_msgs.msg import ProbePoint, TracerLength
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture.settings import CaptureSettings
+from rotcal_ros.extensions.instrument_plugins.driver import (
+    InstrumentDriver,
+    Listeners,
+    instrument_of,
+)
+from rotcal_ros.extensions.instrument_plugins.instrument import InstrumentError, Tracer, Tracker
+from rotcal_ros.extensions.instrument_plugins.settings import InstrumentSettings
+from rotcal_ros.extensions.instrument_plugins.table_rest import TableRest
 from rotcal_ros.foundation.observations import Command, ProbeSample, TracerSample
-from rotcal_ros.instrument_plugins.driver import InstrumentDriver, Listeners, instrument_of
-from rotcal_ros.instrument_plugins.instrument import InstrumentError, Tracer, Tracker
-from rotcal_ros.instrument_plugins.settings import InstrumentSettings
-from rotcal_ros.instrument_plugins.table_rest import TableRest
 from rotcal_ros.instruments.interpreter import Interpreter
 from rotcal_ros.nodes.instruments.topics import InstrumentTopics
 from rotcal_ros.nodes.runtime import conversions

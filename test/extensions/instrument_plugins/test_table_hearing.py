@@ -8,10 +8,10 @@ pytest.importorskip("rotcal_msgs")
 from sensor_msgs.msg import JointState  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
 
+from rotcal_ros.extensions.instrument_plugins import node as instrument_driver  # noqa: E402
+from rotcal_ros.extensions.instrument_plugins.instrument import Place, Tracker  # noqa: E402
 from rotcal_ros.foundation.observations import Approach, Command, PointKind  # noqa: E402
 from rotcal_ros.foundation.units import DEGREE  # noqa: E402
-from rotcal_ros.instrument_plugins.instrument import Place, Tracker  # noqa: E402
-from rotcal_ros.nodes import instrument_driver  # noqa: E402
 
 pytestmark = pytest.mark.ros
 ORDER = Command(3, 1, 30 * DEGREE, Approach.POSITIVE, PointKind.DIRECT, 2, (1.0, 2.0, 3.0), 1)
