@@ -9,11 +9,12 @@ from setuptools import find_packages, setup
 NAME = "rotcal_ros"
 NODES = run_path(str(Path(NAME, "foundation", "node_names.py")))["EXECUTABLES"]
 NODES_OF_EXTENSIONS = {
-    "dme_adapter": "ipp_dme",
-    "instrument_driver": "instrument_plugins",
-    "scene": "scene",
+    "dme_adapter": "ipp_dme.node",
+    "instrument_driver": "instrument_plugins.node",
+    "operator_page": "page.node.operator_page",
+    "scene": "scene.node",
 }
-"""Node -> the extension that brings it."""
+"""Node -> its module, where an extension brings it."""
 VERBS_OF_EXTENSIONS = {"dme": "ipp_dme", "replay": "replay"}
 METHODS = {
     "tracer_multistation": "tracer",
@@ -45,9 +46,9 @@ version = re.search(r'__version__ = "(.+)"', Path(NAME, "__init__.py").read_text
 
 
 def module_of(node):
-    """Return the module of a node, its own or the one of its extension."""
+    """Return the module of a node."""
     extension = NODES_OF_EXTENSIONS.get(node)
-    return f"extensions.{extension}.node" if extension else f"nodes.{node}"
+    return f"extensions.{extension}" if extension else f"nodes.{node}"
 
 
 def shared_files():
@@ -162,6 +163,7 @@ setup(
         "rotcal_ros.settings": [
             f"dme = {NAME}.extensions.ipp_dme.settings:DmeSettings",
             f"instrument = {NAME}.extensions.instrument_plugins.settings:InstrumentSettings",
+            f"page = {NAME}.extensions.page.settings:PageSettings",
         ],
         "rotcal_ros.driver_checks": [
             f"dme = {NAME}.extensions.ipp_dme.check:CHECK",

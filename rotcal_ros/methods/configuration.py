@@ -29,7 +29,6 @@ from rotcal_ros.foundation.untrusted import line_of, load_yaml, read_text, why
 from rotcal_ros.methods.air_settings import AirSettings
 from rotcal_ros.methods.method import Method, find_method, method_names
 from rotcal_ros.methods.plan_files import PlanFile, with_contents
-from rotcal_ros.page.settings import PageSettings
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.health_settings import HealthSettings
 from rotcal_ros.planning.planner_settings import PlannerSettings
@@ -53,15 +52,17 @@ SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
     **EXTENSION_GROUPS,
     "topics": TopicSettings,
     "identity": Identity,
-    "page": PageSettings,
     "table_adapter": TableAdapterSettings,
 }
 """Groups of settings that are the same for all methods."""
-GROUPS: Final = (
+_ORDER: Final = (
     "identity", "cell", "plan", "capture", "air", "solver", "planner", "safety", "health",
-    "recorder", "bridge", *EXTENSION_GROUPS, "table_adapter", "topics", "page", "simulation",
+    "recorder", "bridge", "dme", "instrument", "table_adapter", "topics", "page", "simulation",
 )  # fmt: skip
-"""All groups, in the order in which a configuration is written."""
+"""How a configuration is written, with the groups of extensions that may be installed."""
+_KNOWN: Final = {*SHARED_GROUPS, "plan", "solver", "simulation"}
+GROUPS: Final = (*(name for name in _ORDER if name in _KNOWN), *sorted(_KNOWN.difference(_ORDER)))
+"""All groups, in the order in which a configuration is written; those of others come last."""
 ALL_NODES: Final = "/**"
 PARAMETERS: Final = "ros__parameters"
 USE_SIM_TIME: Final = "use_sim_time"
@@ -107,7 +108,6 @@ class Configuration:
     bridge: BridgeSettings
     topics: TopicSettings
     identity: Identity
-    page: PageSettings
     table_adapter: TableAdapterSettings
     simulation: Any
     simulated: bool

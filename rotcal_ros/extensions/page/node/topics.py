@@ -19,18 +19,9 @@ from rotcal_msgs.msg import Observation as ObservationMsg
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture.messages import stamp_ns
-from rotcal_ros.foundation.errors import RotcalError
-from rotcal_ros.foundation.observations import Command, LengthStatus, place_in_words
-from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
-from rotcal_ros.methods import Calibration
-from rotcal_ros.nodes.page import sections as page_sections
-from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.latest import NOW, SILENT
-from rotcal_ros.nodes.runtime.plans import calibration_of
-from rotcal_ros.nodes.runtime.qos import LATCHED, VIEW
-from rotcal_ros.nodes.runtime.roll_call import LOADING
-from rotcal_ros.page.board import Board, Course
-from rotcal_ros.page.state import (
+from rotcal_ros.extensions.page.board import Board, Course
+from rotcal_ros.extensions.page.node import sections as page_sections
+from rotcal_ros.extensions.page.state import (
     Cell,
     Lengths,
     LogLine,
@@ -40,6 +31,15 @@ from rotcal_ros.page.state import (
     Stream,
     Temperature,
 )
+from rotcal_ros.foundation.errors import RotcalError
+from rotcal_ros.foundation.observations import Command, LengthStatus, place_in_words
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
+from rotcal_ros.methods import Calibration
+from rotcal_ros.nodes.runtime.cell_node import CellNode
+from rotcal_ros.nodes.runtime.latest import NOW, SILENT
+from rotcal_ros.nodes.runtime.plans import calibration_of
+from rotcal_ros.nodes.runtime.qos import LATCHED, VIEW
+from rotcal_ros.nodes.runtime.roll_call import LOADING
 
 REJECTIONS: Final = 50
 LOG_LINES: Final = 100

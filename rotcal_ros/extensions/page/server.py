@@ -11,10 +11,10 @@ from typing import Final
 import uvicorn
 
 from rotcal_ros.compensation.secret import Secret
+from rotcal_ros.extensions.page.app import Actions, make_app
+from rotcal_ros.extensions.page.board import Board
+from rotcal_ros.extensions.page.settings import LOOPBACK, PageSettings
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.page.app import Actions, make_app
-from rotcal_ros.page.board import Board
-from rotcal_ros.page.settings import LOOPBACK, PageSettings
 
 CLOSING_S: Final = 2
 """For viewers to be told the end."""

@@ -20,8 +20,8 @@ def solution(**changes):
 
 
 def shown(message, tolerance_arcsec=0.0):
+    from rotcal_ros.extensions.page.node import sections as page_sections
     from rotcal_ros.foundation.identity import Identity
-    from rotcal_ros.nodes.page import sections as page_sections
 
     return page_sections.deviations(message, Identity(tolerance_arcsec=tolerance_arcsec))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, Final
 
-from rotcal_ros.page.state import Points, State
+from rotcal_ros.extensions.page.state import Points, State
 
 COURSE_POINTS: Final = 240
 

@@ -33,9 +33,9 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rotcal_ros.compensation.secret import Secret
+from rotcal_ros.extensions.page.board import Board
+from rotcal_ros.extensions.page.state import State, changes
 from rotcal_ros.foundation.escapes import printable_data
-from rotcal_ros.page.board import Board
-from rotcal_ros.page.state import State, changes
 
 STATIC: Final = Path(__file__).with_name("static")
 LOOK_PERIOD_S: Final = 0.2

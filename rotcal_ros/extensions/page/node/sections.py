@@ -14,12 +14,7 @@ from rotcal_msgs.msg import DeviationArray
 
 from rotcal_ros.evaluation.marks import measurement, tolerance
 from rotcal_ros.evaluation.withheld import withheld_by
-from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
-from rotcal_ros.foundation.identity import Identity
-from rotcal_ros.foundation.units import DEGREE
-from rotcal_ros.methods import Calibration
-from rotcal_ros.nodes.runtime.health import Health
-from rotcal_ros.page.state import (
+from rotcal_ros.extensions.page.state import (
     Cell,
     Curve,
     Deviations,
@@ -28,6 +23,11 @@ from rotcal_ros.page.state import (
     PlanView,
     Recording,
 )
+from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
+from rotcal_ros.foundation.identity import Identity
+from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.methods import Calibration
+from rotcal_ros.nodes.runtime.health import Health
 from rotcal_ros.planning.plan import Point
 
 SILENT: Final = 3

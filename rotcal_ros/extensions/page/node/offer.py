@@ -10,14 +10,14 @@ import numpy as np
 from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
 from rotcal_msgs.srv import ApplyTable, GetCorrection
 
+from rotcal_ros.extensions.page.app import Answer
+from rotcal_ros.extensions.page.state import Offer
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.qos import LATCHED
-from rotcal_ros.page.app import Answer
-from rotcal_ros.page.state import Offer
 
 BRIDGE: Final = "bridge"
 OFFERED: Final = "offered"

@@ -20,21 +20,21 @@ from rclpy.qos import qos_profile_action_status_default
 from rotcal_msgs.action import Calibrate
 from std_srvs.srv import Trigger
 
+from rotcal_ros.extensions.page.app import Answer
+from rotcal_ros.extensions.page.board import Board, Course
+from rotcal_ros.extensions.page.headline import Heard, now
+from rotcal_ros.extensions.page.node import sections as page_sections
+from rotcal_ros.extensions.page.node.offer import WaitingTable
+from rotcal_ros.extensions.page.node.topics import PageTopics, Streams
+from rotcal_ros.extensions.page.server import PageServer
+from rotcal_ros.extensions.page.settings import PageSettings
+from rotcal_ros.extensions.page.state import Cell, Standing, Steps
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.nodes.goal.outcome import Feedback, Outcome
-from rotcal_ros.nodes.page import sections as page_sections
-from rotcal_ros.nodes.page.offer import WaitingTable
-from rotcal_ros.nodes.page.topics import PageTopics, Streams
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.health import CALIBRATING
 from rotcal_ros.nodes.runtime.qos import VIEW
 from rotcal_ros.nodes.runtime.running import run
-from rotcal_ros.page.app import Answer
-from rotcal_ros.page.board import Board, Course
-from rotcal_ros.page.headline import Heard, now
-from rotcal_ros.page.server import PageServer
-from rotcal_ros.page.settings import PageSettings
-from rotcal_ros.page.state import Cell, Standing, Steps
 from rotcal_ros.planning.plan import PAUSED
 
 PERIOD_S: Final = 0.25

@@ -4,9 +4,9 @@ import itertools
 
 import pytest
 
-from rotcal_ros.page.board import Board, Course
-from rotcal_ros.page.headline import Heard, now
-from rotcal_ros.page.state import Now, Offer, State
+from rotcal_ros.extensions.page.board import Board, Course
+from rotcal_ros.extensions.page.headline import Heard, now
+from rotcal_ros.extensions.page.state import Now, Offer, State
 
 OFFER = Offer("abc", "def", "ok", "", "", "", "", applied=False)
 CALIBRATING = Heard(planner="calibrating: step 1", calibrating=True, activity="preflight: nodes")

@@ -20,7 +20,7 @@ expect = sync_api.expect
 pytestmark = pytest.mark.ros
 
 TIMEOUT_MS = 60_000
-CONFIG = Path(__file__).parents[2] / "config"
+CONFIG = Path(__file__).parents[3] / "config"
 SLOW = "simulation.time_scale=4.0"
 SIX = (
     "plan.table_positions=8",

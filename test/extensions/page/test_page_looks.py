@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from rotcal_ros.page.app import STATIC
+from rotcal_ros.extensions.page.app import STATIC
 
 CSS = (STATIC / "page.css").read_text()
 TEXTS = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from rotcal_ros.page.state import Now, Offer
+from rotcal_ros.extensions.page.state import Now, Offer
 from rotcal_ros.planning.plan import RELEASED, STOPPED
 
 _WORDS: Final = {

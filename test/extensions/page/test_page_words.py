@@ -5,11 +5,11 @@ import re
 import pytest
 from browser import launched
 
-from rotcal_ros.page.app import Answer
-from rotcal_ros.page.board import Board
-from rotcal_ros.page.server import PageServer
-from rotcal_ros.page.settings import PageSettings
-from rotcal_ros.page.state import (
+from rotcal_ros.extensions.page.app import Answer
+from rotcal_ros.extensions.page.board import Board
+from rotcal_ros.extensions.page.server import PageServer
+from rotcal_ros.extensions.page.settings import PageSettings
+from rotcal_ros.extensions.page.state import (
     Curve,
     Deviations,
     Mark,

@@ -11,12 +11,12 @@ import pytest
 from starlette.testclient import TestClient
 
 from rotcal_ros.compensation.secret import Secret
+from rotcal_ros.extensions.page import app as page_app
+from rotcal_ros.extensions.page.app import STATIC, Answer, make_app
+from rotcal_ros.extensions.page.board import Board
+from rotcal_ros.extensions.page.settings import PageSettings
+from rotcal_ros.extensions.page.state import Cell, LogLine, Now, State, changes
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.page import app as page_app
-from rotcal_ros.page.app import STATIC, Answer, make_app
-from rotcal_ros.page.board import Board
-from rotcal_ros.page.settings import PageSettings
-from rotcal_ros.page.state import Cell, LogLine, Now, State, changes
 
 ORIGIN = "http://127.0.0.1:8000"
 PASSWORD = "a page of one's own"
