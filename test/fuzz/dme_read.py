@@ -72,8 +72,8 @@ def harmed(rng: Random, data: bytes) -> bytes:
 
 def read_answers(path: Path) -> None:
     """Let the client begin a session, ask and touch; its threads must not break either."""
-    from rotcal_ros.dme.client import DmeClient
-    from rotcal_ros.dme.settings import DmeSettings
+    from rotcal_ros.extensions.ipp_dme.client import DmeClient
+    from rotcal_ros.extensions.ipp_dme.settings import DmeSettings
 
     broken: list[threading.ExceptHookArgs] = []
     before, threading.excepthook = threading.excepthook, broken.append
@@ -124,7 +124,7 @@ def _simulation() -> Any:
 
 def read_orders(path: Path) -> None:
     """Let the server hear a client; every line that it says must be one of the protocol."""
-    from rotcal_ros.dme.lines import LineBuffer, parse_response
+    from rotcal_ros.extensions.ipp_dme.lines import LineBuffer, parse_response
 
     said = asyncio.run(_converse(path.read_bytes()))
     for line in LineBuffer().feed(b"".join(said)):
@@ -132,9 +132,9 @@ def read_orders(path: Path) -> None:
 
 
 async def _converse(data: bytes) -> list[bytes]:
-    from rotcal_ros.dme.machine import SimulatedMachine
-    from rotcal_ros.dme.methods import Methods
-    from rotcal_ros.dme.server import Conversation
+    from rotcal_ros.extensions.ipp_dme.machine import SimulatedMachine
+    from rotcal_ros.extensions.ipp_dme.methods import Methods
+    from rotcal_ros.extensions.ipp_dme.server import Conversation
 
     said: list[bytes] = []
     failed: list[dict[str, Any]] = []
