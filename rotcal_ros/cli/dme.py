@@ -35,6 +35,7 @@ def serve(configuration: Path, host: str, port: int, version: str) -> None:
     listen at other addresses than this machine's own in a network that you trust only.
     """
     import asyncio
+    import time
 
     from rotcal_ros.dme.server import DmeServer
     from rotcal_ros.methods.configuration import read_configuration
@@ -42,7 +43,8 @@ def serve(configuration: Path, host: str, port: int, version: str) -> None:
     read = read_configuration(configuration)
     if not read.simulated:
         raise ConfigurationError(f"{configuration} has no group simulation: nothing to serve")
-    server = DmeServer(read.simulation, host, port, version)
+    cell = read.method.simulated_cell(read.simulation, time.time_ns())
+    server = DmeServer(cell, host, port, version)
 
     def listening() -> None:
         click.echo(f"I++ DME {version} at {host}:{server.port}, interrupt with Ctrl-C")
