@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import socket
 import threading
+import time
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
@@ -115,11 +116,11 @@ def _serve(listener: socket.socket, script: bytes) -> None:
 
 
 @cache
-def _simulation() -> Any:
+def _configuration() -> Any:
     from rotcal_ros.methods.configuration import changed, read_configuration
 
     configuration = read_configuration(ROOT / "config" / "ball_plate_dme.yaml")
-    return changed(configuration, ("simulation.time_scale=1000.0",)).simulation
+    return changed(configuration, ("simulation.time_scale=1000.0",))
 
 
 def read_orders(path: Path) -> None:
@@ -139,7 +140,9 @@ async def _converse(data: bytes) -> list[bytes]:
     said: list[bytes] = []
     failed: list[dict[str, Any]] = []
     asyncio.get_running_loop().set_exception_handler(lambda _, context: failed.append(context))
-    conversation = Conversation(Methods(SimulatedMachine(_simulation()), "1.4.3"), said.append)
+    method, settings = _configuration().method, _configuration().simulation
+    machine = SimulatedMachine(method.simulated_cell(settings, time.time_ns()))
+    conversation = Conversation(Methods(machine, "1.4.3"), said.append)
     try:
         conversation.take(data)
         await asyncio.sleep(IDLE_S)

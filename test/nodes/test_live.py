@@ -14,7 +14,7 @@ from rotcal_ros.bags.verdict import FileVerdict
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.configuration import parse_configuration
 from rotcal_ros.recordings.replay import read_recording
-from rotcal_ros.simulation import SimulatedCell
+from rotcal_ros.simulation.table import true_deviations
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -73,7 +73,7 @@ def test_a_calibration_ends_with_a_true_result_that_the_bag_repeats_bit_for_bit(
 
     result = Result.from_dict(json.loads(text))
     settings = parse_configuration(live.file.read_text()).simulation
-    truth = SimulatedCell(settings).truth(result.angles)["ECC"]
+    truth = true_deviations(settings.table, result.angles)["ECC"]
     error = result.deviations["ECC"] - truth
     assert np.all(np.abs(error - error[0]) <= 5 * result.std["ECC"] + 1e-12)
 

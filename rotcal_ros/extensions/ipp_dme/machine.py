@@ -20,7 +20,6 @@ from rotcal_ros.foundation.errors import ConfigurationError, ControllerError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import DEGREE, NANOSECOND
 from rotcal_ros.simulation import SimulatedCell
-from rotcal_ros.simulation.settings import SimulationSettings
 
 VOLUME_M: Final = 2.0
 """Farthest coordinate that the machine reaches, either way."""
@@ -58,11 +57,12 @@ class SimulatedMachine:
     Raises ConfigurationError for a cell whose table another program moves.
     """
 
-    def __init__(self, settings: SimulationSettings) -> None:
+    def __init__(self, cell: SimulatedCell) -> None:
+        settings = cell.settings
         if settings.table.external:
             raise ConfigurationError("simulation.table.external: a DME server moves its own table")
         self.settings = settings
-        self._cell = SimulatedCell(settings, time.time_ns())
+        self._cell = cell
         self._looked_s = time.monotonic()
         self._reported = 0
         self.probing = Probing()

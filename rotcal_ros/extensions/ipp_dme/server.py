@@ -31,7 +31,7 @@ from rotcal_ros.extensions.ipp_dme.lines import (
 from rotcal_ros.extensions.ipp_dme.machine import MethodError, SimulatedMachine
 from rotcal_ros.extensions.ipp_dme.methods import Methods, error_info
 from rotcal_ros.foundation.errors import ControllerError
-from rotcal_ros.simulation.settings import SimulationSettings
+from rotcal_ros.simulation import SimulatedCell
 
 VERSION: Final = "1.4.3"
 RECEIVED: Final = 65_536
@@ -50,10 +50,8 @@ class DmeServer:
     The machine lives as long as the server, a session as long as its connection at most.
     """
 
-    def __init__(
-        self, settings: SimulationSettings, host: str, port: int, version: str = VERSION
-    ) -> None:
-        self.machine = SimulatedMachine(settings)
+    def __init__(self, cell: SimulatedCell, host: str, port: int, version: str = VERSION) -> None:
+        self.machine = SimulatedMachine(cell)
         self.host, self.port, self.version = host, port, version
         self._free = asyncio.Lock()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from pathlib import Path
 
 import click
@@ -40,7 +41,8 @@ def serve(configuration: Path, host: str, port: int, version: str) -> None:
     read = read_configuration(configuration)
     if not read.simulated:
         raise ConfigurationError(f"{configuration} has no group simulation: nothing to serve")
-    server = DmeServer(read.simulation, host, port, version)
+    cell = read.method.simulated_cell(read.simulation, time.time_ns())
+    server = DmeServer(cell, host, port, version)
 
     def listening() -> None:
         click.echo(f"I++ DME {version} at {host}:{server.port}, interrupt with Ctrl-C")

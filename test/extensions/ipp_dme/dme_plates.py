@@ -30,6 +30,12 @@ def small(*changes):
     return prepare(changed(read_configuration(DEMO), (*SMALL, *changes)))
 
 
+def simulated_cell(calibration):
+    """Return the cell that a server is given, from now on."""
+    settings = calibration.configuration.simulation
+    return calibration.method.simulated_cell(settings, time.time_ns())
+
+
 def settings(port, **others):
     return DmeSettings(**{"port": port, "home": True, **QUICK, **others})
 

@@ -2,19 +2,19 @@
 
 import numpy as np
 import pytest
-from dme_plates import measure, small
+from dme_plates import measure, simulated_cell, small
 from known_truth import normalized_errors
 
 from rotcal_ros.extensions.ipp_dme.server import DmeServer, serving
 from rotcal_ros.foundation.components import COMPONENTS
-from rotcal_ros.simulation import SimulatedCell
 
 pytestmark = pytest.mark.slow
 
 
 def by_orders(calibration):
     """Return the observations of the same cell, driven by the orders of the suite."""
-    cell, capture = SimulatedCell(calibration.configuration.simulation), calibration.capture()
+    cell = calibration.method.simulated_cell(calibration.configuration.simulation)
+    capture = calibration.capture()
     observations = []
     for step in calibration.plan.steps:
         cell.order_table(step.command(0))
@@ -31,7 +31,7 @@ def by_orders(calibration):
 def solved():
     """Return calibration, the result through TCP and the one through orders."""
     calibration = small()
-    with serving(DmeServer(calibration.configuration.simulation, "127.0.0.1", 0)) as server:
+    with serving(DmeServer(simulated_cell(calibration), "127.0.0.1", 0)) as server:
         through_tcp = measure(calibration, server.port)
     assert [o.reason for o in through_tcp if not o.accepted] == []
     assert len(through_tcp) == len(calibration.plan.steps)
@@ -69,7 +69,6 @@ def test_a_table_turned_by_goto_measures_too(version, others, monkeypatch):
     calibration = small()
     if others:  # a machine whose R counts the other way round
         monkeypatch.setattr("rotcal_ros.extensions.ipp_dme.methods.DEGREE", -np.pi / 180.0)
-    simulation = calibration.configuration.simulation
-    with serving(DmeServer(simulation, "127.0.0.1", 0, version)) as server:
+    with serving(DmeServer(simulated_cell(calibration), "127.0.0.1", 0, version)) as server:
         observations = measure(calibration, server.port, steps=4, **others)
     assert [o.reason for o in observations] == [""] * 4

@@ -10,7 +10,7 @@ from threading import Lock
 
 import numpy as np
 import pytest
-from dme_plates import settings, small
+from dme_plates import settings, simulated_cell, small
 
 from rotcal_ros.extensions.ipp_dme.client import DmeClient
 from rotcal_ros.extensions.ipp_dme.driver import Measuring
@@ -80,7 +80,7 @@ class Session:
 
 def test_reflector_positions_through_tcp_find_the_truth(own):
     calibration = prepare(changed(read_configuration(OWN / "own_cell.yaml"), CHANGES))
-    with serving(DmeServer(small().configuration.simulation, "127.0.0.1", 0)) as server:
+    with serving(DmeServer(simulated_cell(small()), "127.0.0.1", 0)) as server:
         session = Session(calibration, server.port, own)
         found = [session.measured(step) for step in calibration.plan.steps]
         session.client.close()

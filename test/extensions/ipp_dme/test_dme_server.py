@@ -4,7 +4,7 @@ import random
 import socket
 
 import pytest
-from dme_plates import small
+from dme_plates import simulated_cell, small
 
 from rotcal_ros.extensions.ipp_dme.lines import Kind, parse_response
 from rotcal_ros.extensions.ipp_dme.server import DmeServer, serving
@@ -42,8 +42,8 @@ class Talk:
 
 @pytest.fixture(scope="module")
 def port():
-    simulation = small("simulation.time_scale=5.0").configuration.simulation
-    with serving(DmeServer(simulation, "127.0.0.1", 0)) as server:
+    cell = simulated_cell(small("simulation.time_scale=5.0"))
+    with serving(DmeServer(cell, "127.0.0.1", 0)) as server:
         yield server.port
 
 
@@ -191,9 +191,9 @@ def test_whatever_comes_the_server_goes_on(port):
 
 
 def test_a_port_that_is_taken_is_told(port):
-    simulation = small().configuration.simulation
+    cell = simulated_cell(small())
     with (
         pytest.raises(ControllerError, match=f"cannot listen at 127.0.0.1:{port}"),
-        serving(DmeServer(simulation, "127.0.0.1", port)),
+        serving(DmeServer(cell, "127.0.0.1", port)),
     ):
         pass

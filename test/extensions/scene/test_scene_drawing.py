@@ -17,7 +17,6 @@ from rotcal_ros.extensions.scene.layout import Layout, Progress, State, layout_o
 from rotcal_ros.extensions.scene.shapes import Transform
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods import prepare, read_configuration
-from rotcal_ros.simulation import SimulatedCell
 
 CONFIG = Path(__file__).parents[3] / "config"
 
@@ -80,7 +79,7 @@ def test_the_errors_are_those_that_were_simulated_times_the_stated_factor():
     """The mark on the rim, moved by the true six deviations."""
     known = calibration("ball_plate_demo")
     angles = np.linspace(0.0, 2 * np.pi, 7)[:-1]
-    truth = SimulatedCell(known.configuration.simulation).truth(angles)
+    truth = true_deviations(known.configuration.simulation.table, angles)
     shift = np.stack([truth[n] for n in ("EXC", "EYC", "EZC")], axis=1)
     turn = np.stack([truth[n] for n in ("EAC", "EBC", "ECC")], axis=1)
     layout = layout_of(known)
