@@ -17,6 +17,7 @@ from rotcal_ros.extensions.scene.layout import Layout, Progress, State, layout_o
 from rotcal_ros.extensions.scene.shapes import Transform
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods import prepare, read_configuration
+from rotcal_ros.simulation.table import true_deviations
 
 CONFIG = Path(__file__).parents[3] / "config"
 
