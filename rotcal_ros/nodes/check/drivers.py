@@ -14,7 +14,7 @@ from rotcal_ros.instrument_plugins.instrument import Tracer, Tracker
 from rotcal_ros.methods.check_lines import CheckLine
 
 if TYPE_CHECKING:
-    from rotcal_ros.nodes.check.heard import Heard
+    from rotcal_ros.nodes.check.heard import HeardCell
 
 _DME, _PLUGIN, _TABLE = "dme", "instrument", "table_adapter"
 _BRINGS: Final = {
@@ -24,7 +24,7 @@ _BRINGS: Final = {
 """Streams that the driver of a group will tell, and orders that it will obey."""
 
 
-def brought(heard: Heard) -> dict[str, list[str]]:
+def brought(heard: HeardCell) -> dict[str, list[str]]:
     """Return role -> nodes of all that drivers will bring which are not here yet."""
     found: dict[str, list[str]] = {}
     for group in (_TABLE, _DME, _PLUGIN):
@@ -35,7 +35,7 @@ def brought(heard: Heard) -> dict[str, list[str]]:
     return found
 
 
-def brought_line(heard: Heard, part: str, role: str, does: str) -> CheckLine | None:
+def brought_line(heard: HeardCell, part: str, role: str, does: str) -> CheckLine | None:
     """Return the line of a role that a driver will bring; None where none will."""
     nodes = heard.brought.get(role, [])
     if not nodes:
@@ -46,7 +46,7 @@ def brought_line(heard: Heard, part: str, role: str, does: str) -> CheckLine | N
     return CheckLine(part, role, "note", f"{nodes[0]} {does}, which rotcal run starts")
 
 
-def driver_lines(heard: Heard) -> Iterator[CheckLine]:
+def driver_lines(heard: HeardCell) -> Iterator[CheckLine]:
     """Yield whether the devices of the drivers are there, as far as that is seen from outside."""
     given = heard.configuration.given
     if _DME in given:
@@ -55,7 +55,7 @@ def driver_lines(heard: Heard) -> Iterator[CheckLine]:
         yield _plugin_line(heard)
 
 
-def _dme_line(heard: Heard) -> CheckLine:
+def _dme_line(heard: HeardCell) -> CheckLine:
     """Say whether the address takes connections; beside an adapter of this cell none is tried."""
     settings, node = heard.configuration.dme, FURTHER_NODES[_DME]
     place = f"{settings.host}:{settings.port}"
@@ -75,7 +75,7 @@ def _dme_line(heard: Heard) -> CheckLine:
     return CheckLine("machine", "I++ DME", "good", found)
 
 
-def _plugin_line(heard: Heard) -> CheckLine:
+def _plugin_line(heard: HeardCell) -> CheckLine:
     """Say what the plug-in makes; only its driver may connect, since that may move something."""
     settings, node = heard.configuration.instrument, FURTHER_NODES[_PLUGIN]
     title = f"plug-in {settings.plugin}, {settings.address or 'no address'}"
@@ -92,7 +92,7 @@ def _plugin_line(heard: Heard) -> CheckLine:
     return CheckLine("instrument", "plug-in", "open", f"{title}: {found}", todo)
 
 
-def _of_the_plugin(heard: Heard) -> tuple[str, ...]:
+def _of_the_plugin(heard: HeardCell) -> tuple[str, ...]:
     """Return what the plug-in brings; nothing where it cannot be made, which its line tells."""
     try:
         instrument = instrument_of(heard.configuration.instrument)

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from rotcal_ros.bags import names
 from rotcal_ros.methods import Configuration
-from rotcal_ros.nodes.writing.recording import Recording
+from rotcal_ros.nodes.writing.recording import BagRecording
 
 TOPIC: Final = "topic."
 """How the values of a beat begin that tell the absolute name of a role with another name."""
@@ -82,7 +82,7 @@ class CalledOtherwise:
         topics = ((counter.rpartition(" ")[2], count) for counter, count in losses.items())
         return sum(count for topic, count in topics if self.role(topic) in names.ROLES)
 
-    def keep_in(self, recording: Recording) -> None:
+    def keep_in(self, recording: BagRecording) -> None:
         """Note in a bag what is called otherwise."""
         if self.topics:
             recording.note(names.TOPICS, self.topics)
