@@ -24,9 +24,9 @@ import policy_figures as figures
 
 from rotcal_ros.methods.tracer.policy.further import best_at
 from rotcal_ros.methods.tracer.policy.lengths import LengthExperiment
-from rotcal_ros.methods.tracer.policy.measured import Measured
-from rotcal_ros.methods.tracer.policy.until_goal import Limits, UntilGoal, first_sweep
-from rotcal_ros.planning.choices import Outcome
+from rotcal_ros.methods.tracer.policy.measured import MeasuredLengths
+from rotcal_ros.methods.tracer.policy.until_goal import GoalLimits, UntilGoal, first_sweep
+from rotcal_ros.planning.choices import StepOutcome
 
 SPACING_M = 0.105
 SECTOR_DEG = 30.0
@@ -37,7 +37,7 @@ LOOSE_STD = 0.02  # m, of stations and zeros before anything is measured
 class Inverting:
     """The mean variance of the angles by a full inverse."""
 
-    def __init__(self, of: LengthExperiment, known: Measured) -> None:
+    def __init__(self, of: LengthExperiment, known: MeasuredLengths) -> None:
         self.of, self.m = of, len(of.plan.table_angles)
         own = np.array([o.step for o in known.observations])
         self.in_use = np.unique(of.target[own])
@@ -103,7 +103,7 @@ class Trouble:
     drift_m: float = 0.0  # from length to length
     break_after: int | None = None  # lengths
 
-    def changed(self, outcome: Outcome, number: int) -> Outcome:
+    def changed(self, outcome: StepOutcome, number: int) -> StepOutcome:
         """Return the length number ``number`` as it is read."""
         seen = outcome.observation
         if seen is None:
@@ -142,7 +142,7 @@ def seconds_of_choices(of: LengthExperiment, trouble: Trouble) -> Iterator[float
     noise_m = trouble.noise * figures.PLANNED_STD
     cell = figures.Cell(of, np.random.default_rng(1), noise_m, trouble.break_after)
     cell.blocked = trouble.blocked & (np.abs(azimuth) < SECTOR_DEG)
-    policy = UntilGoal(of, Limits(figures.GOAL))
+    policy = UntilGoal(of, GoalLimits(figures.GOAL))
     for number in count():
         begun = time.thread_time()
         choice = policy.choose()

@@ -8,7 +8,7 @@ from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
 from rotcal_ros.methods.tracer_six.solver import SixProblem
 from rotcal_ros.methods.tracer_six.solver.posterior import pulled
 from rotcal_ros.methods.tracer_six.solver.scatter import (
-    Contrasts,
+    ScatterContrasts,
     contrasts,
     enlargement,
     estimate,
@@ -56,7 +56,7 @@ class Linear:
     def solved(self, error, value):
         """Return errors (6, m) and standard deviations (6, m) as the solver has them."""
         found = self.contrasts
-        here = Contrasts(value, found.spread, found.radius, found.root)
+        here = ScatterContrasts(value, found.spread, found.radius, found.root)
         scatter = estimate(here, None, None, 0.01)
         used = scatter.weighing(self.arms)
         shrunk = used[0] / (1.0 + used[0] * np.maximum(self.level, 0.0))

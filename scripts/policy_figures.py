@@ -30,18 +30,18 @@ from rotcal_ros.foundation.observations import Approach, Observation, PointKind
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
 from rotcal_ros.methods.tracer.design.optimum import ideal_plan
 from rotcal_ros.methods.tracer.design.scene import Scene, on_table
-from rotcal_ros.methods.tracer.design.sequence_forecast import OrderForecast
+from rotcal_ros.methods.tracer.design.sequence_forecast import SequenceForecast
 from rotcal_ros.methods.tracer.policy.lengths import Costs, LengthExperiment
 from rotcal_ros.methods.tracer.policy.stated import Stated
 from rotcal_ros.methods.tracer.policy.until_goal import (
     RESERVE,
     RESERVE_PER_SEGMENT,
-    Limits,
+    GoalLimits,
     UntilGoal,
     first_sweep,
 )
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
-from rotcal_ros.planning.choices import Outcome, Standing
+from rotcal_ros.planning.choices import Standing, StepOutcome
 from rotcal_ros.planning.plan import Plan, Step
 
 MOUNT = np.array([0.0569, -0.0318, 0.1225])
@@ -150,7 +150,7 @@ class Cell:
         self.seconds, self.at, self.measured = 0.0, -1, of.nothing
         self.breaks, self.break_after, self.taken = 0, break_after, 0
 
-    def measure(self, index: int) -> Outcome:
+    def measure(self, index: int) -> StepOutcome:
         """Return how a step goes, and let the time pass."""
         step = self.of.plan.steps[index]
         self.seconds += TURN_S * (self.at != step.table_position)
@@ -158,7 +158,7 @@ class Cell:
         if self.blocked[index]:
             self.seconds += ATTEMPTS * STEP_S
             self.breaks += 1
-            return Outcome(index, None)
+            return StepOutcome(index, None)
         self.seconds += STEP_S
         distance = np.linalg.norm(self.targets[step.target] - self.stations[self.at])
         zero = self.zeros[0] + self.breaks if self.of.per_segment else self.zeros[self.at]
@@ -168,7 +168,7 @@ class Cell:
         self.measured.add(seen)
         self.taken += 1
         self.breaks += self.taken == self.break_after
-        return Outcome(index, seen)
+        return StepOutcome(index, seen)
 
     def errors(self, factor: float) -> Floats:
         """Return the errors (m,) of the deviations less their mean, rad, by least squares."""
@@ -211,7 +211,7 @@ class Run:
 
 def by_policy(cell: Cell) -> Run:
     """Measure as the policy chooses."""
-    policy = Quick(cell.of, Limits(GOAL))
+    policy = Quick(cell.of, GoalLimits(GOAL))
     slowest, reasons = 0.0, []
     while True:
         begun = time.thread_time()
@@ -311,7 +311,7 @@ def cost_of_protection(of: LengthExperiment) -> dict[str, Any]:
     zeros = 1 if of.per_segment else len(ANGLES)
     bound = ideal_plan(of.scene, of.lengths(every, of.nothing), zeros, (GOAL / 2.0) ** 2).bound
     turns = int((np.diff(of.position[steps]) != 0).sum())
-    forecast = OrderForecast(of.posed(of.nothing, 1.0, steps))(np.arange(len(steps)))
+    forecast = SequenceForecast(of.posed(of.nothing, 1.0, steps))(np.arange(len(steps)))
     return {
         "bound": ceil(bound),
         "lengths": len(steps),

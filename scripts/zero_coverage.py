@@ -28,7 +28,7 @@ from rotcal_ros.methods.tracer.design.settings import TracerDesignSettings
 from rotcal_ros.methods.tracer.solver import TracerProblem
 from rotcal_ros.methods.tracer.solver.angles import bearing_jacobian
 from rotcal_ros.methods.tracer.solver.gain import NetworkGain
-from rotcal_ros.methods.tracer.solver.shifts import Moments, Shifts, shifts_at
+from rotcal_ros.methods.tracer.solver.shifts import Shifts, TimedLengths, shifts_at
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
 from rotcal_ros.methods.tracer.solver.verdict import judge
 
@@ -141,7 +141,7 @@ def best(order: str, where: Places, runs: int) -> str:
     slips of a fringe: no test finds more of them (Neyman and Pearson). Their scores are drawn.
     """
     solution = adjust(measured(CASES[1], order, where, 0)[0])
-    moments = Moments.of(solution.grid, solution.problem.measuring_order)
+    moments = TimedLengths.of(solution.grid, solution.problem.measuring_order)
     shifts = shifts_at(solution.grid, solution.fit, moments, np.flatnonzero(moments.side > 0))
     apart = FRINGE * np.sqrt(shifts.information)
     alike = correlation(solution, shifts)

@@ -5,6 +5,7 @@ import os
 import re
 import runpy
 import sys
+from collections import defaultdict
 from configparser import ConfigParser
 from importlib import metadata, util
 from pathlib import Path
@@ -282,3 +283,12 @@ for one in told: self.still = lambda made: one
 def said(): ...
 """
     assert {*_given_names(ast.parse(text))} & VAGUE == VAGUE - {"told"}  # told is only read
+
+
+def test_a_class_name_means_one_thing():
+    places = defaultdict(list)
+    for path in sorted((ROOT / "rotcal_ros").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ClassDef):
+                places[node.name].append(str(path.relative_to(ROOT)))
+    assert {name: found for name, found in places.items() if len(found) > 1} == {}

@@ -38,7 +38,7 @@ class Words(NamedTuple):
     its: str
 
 
-class Limits(NamedTuple):
+class GatheringLimits(NamedTuple):
     """How many of a group may be rejected by chance, and how rarely tests alarm on sound data.
 
     ``significance``: of the test of groups; ``suspected``: of what cannot be proved.
@@ -116,7 +116,7 @@ def judged(
     return replace(before, judgement=found, counts=counts, contested=False)
 
 
-def doubts(gathering: Gathering, limits: Limits, words: Words) -> list[str]:
+def doubts(gathering: Gathering, limits: GatheringLimits, words: Words) -> list[str]:
     """Return a sentence about everything that gathers, and about groups that do not fit."""
     found = [_blamed(case, words) for case in gathering.blamed if _many(case, limits)]
     named = {case.group.name for case in gathering.blamed}
@@ -143,7 +143,7 @@ def micrometres(size: Floats) -> str:
     return " ".join(f"{x / MICROMETRE:+.2g}" for x in size.tolist()) + " um"
 
 
-def _many(case: Blame, limits: Limits) -> bool:
+def _many(case: Blame, limits: GatheringLimits) -> bool:
     """Whether so many are off together that it is no matter of single outliers."""
     whole = case.group.size + case.group.lost
     usual = binomial_quantile(1.0 - RARE, whole, limits.rejected_share)
@@ -166,7 +166,9 @@ def _blamed(case: Blame, words: Words) -> str:
     return text
 
 
-def _counted(counts: Sequence[Count], named: set[str], limits: Limits, words: Words) -> list[str]:
+def _counted(
+    counts: Sequence[Count], named: set[str], limits: GatheringLimits, words: Words
+) -> list[str]:
     """Return sentences about groups whose rejected share or chi-squared is no chance."""
     found = []
     significance = 1.0 - (1.0 - limits.significance) ** (1.0 / max(len(counts), 1))

@@ -203,7 +203,7 @@ def group_test(group: Group | Undivided, rest: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class SolutionView:
     """The linear view at a solution, by the covariance of all its unknowns.
 
     ``covariance`` (p, p): N^-1, of whatever the data and their priors leave of p unknowns;
@@ -260,10 +260,10 @@ class Dense:
     residual: Floats
 
     @cached_property
-    def view(self) -> View:
+    def view(self) -> SolutionView:
         """The view by the covariance of the unknowns."""
         gain = np.linalg.pinv(self.design)
-        return View(gain @ gain.T, self.outputs)
+        return SolutionView(gain @ gain.T, self.outputs)
 
     @property
     def std(self) -> Floats:

@@ -73,7 +73,7 @@ class Belief:
 BELIEF: Final = Belief()
 
 
-class Weighed(NamedTuple):
+class WeighedHypotheses(NamedTuple):
     """Hypotheses of one ``group``, with ln of prior times Bayes factor (q, t).
 
     ``single`` (q,): which are single outliers, and nothing that gathers.
@@ -98,7 +98,7 @@ class Judgement:
     freedom: tuple[float, ...]
     belief: Belief
     log_bayes: float
-    weighed: tuple[Weighed, ...]
+    weighed: tuple[WeighedHypotheses, ...]
 
     @cached_property
     def by_group(self) -> Floats:
@@ -114,7 +114,7 @@ class Judgement:
         outputs = self.groups[0].felt.outputs if self.groups else 0
         return total((each.found.moment(weights) for each, weights in self._weights()), outputs)
 
-    def _weights(self) -> Iterator[tuple[Weighed, Floats]]:
+    def _weights(self) -> Iterator[tuple[WeighedHypotheses, Floats]]:
         """Yield what gathers with its posterior probabilities (q, t)."""
         odds = np.log(self.belief.disturbed) + self.log_bayes
         evidence = np.logaddexp(np.log(1.0 - self.belief.disturbed), odds)
@@ -231,7 +231,7 @@ def _families(group: Group, belief: Belief) -> tuple[list[tuple[Bools, Floats]],
     return [single, (group.gathered, np.full(many, belief.gathered / many))], noisier
 
 
-def _weigh(g: int, group: Group, belief: Belief, searched: float) -> list[Weighed]:
+def _weigh(g: int, group: Group, belief: Belief, searched: float) -> list[WeighedHypotheses]:
     """Return the families of one group, each with priors that add up to its share of belief."""
     families, noisier = _families(group, belief)
     if chi2_sf(*group.together) < searched and len(other := search(group)):
@@ -243,8 +243,8 @@ def _weigh(g: int, group: Group, belief: Belief, searched: float) -> list[Weighe
     weight = found.log_bayes() + (np.log(prior) - alike)[:, None]
     noisy = whole.log_bayes() + float(np.log(noisier)) - alike
     return [
-        Weighed(g, found, weight, np.arange(len(prior)) < group.size),
-        Weighed(g, whole, noisy, np.zeros(1, dtype=np.bool_)),
+        WeighedHypotheses(g, found, weight, np.arange(len(prior)) < group.size),
+        WeighedHypotheses(g, whole, noisy, np.zeros(1, dtype=np.bool_)),
     ]
 
 

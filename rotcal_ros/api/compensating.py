@@ -10,7 +10,7 @@ from typing import Any, Literal
 from numpy.typing import ArrayLike
 
 from rotcal_ros.api.reading import Name
-from rotcal_ros.compensation.agreement import LARGEST_AGE_DAYS, Accepted, Machine
+from rotcal_ros.compensation.agreement import LARGEST_AGE_DAYS, Accepted, MachineIdentity
 from rotcal_ros.compensation.earlier import to_be_in_force
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.lookup import Correction
@@ -130,7 +130,7 @@ def write_controller_files(
         to_be_in_force(
             table,
             controller,
-            {"the machine (axis, serial)": Machine(axis, serial)},
+            {"the machine (axis, serial)": MachineIdentity(axis, serial)},
             Accepted(tuple(accept), largest_age_days),
             int(now.timestamp()) * 1_000_000_000,
             replaces=replaces,

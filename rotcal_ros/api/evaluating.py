@@ -21,7 +21,7 @@ from rotcal_ros.evaluation.propagated import Propagated, propagated
 from rotcal_ros.evaluation.quick_check import QuickCheck, quick_check
 from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.methods.ball_plate.design.ball_layout import WEIGHTS, Layout, best_layout
+from rotcal_ros.methods.ball_plate.design.ball_layout import WEIGHTS, BallLayout, best_layout
 from rotcal_ros.methods.calibration import prepare_whole
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements
@@ -162,7 +162,7 @@ def plan_plate(
     weights: tuple[float, ...] = WEIGHTS,
     seed: int = 0,
     starts: int = 40,
-) -> Layout:
+) -> BallLayout:
     """Find the ball steps on a grid of table positions that give the smallest uncertainty.
 
     ``min_gap`` grid steps lie between neighbours, ``subset_of`` are the steps of an existing

@@ -114,7 +114,7 @@ class OpenEnd:
     path: Path
     size: int
     torn: bytes
-    contents: Contents
+    contents: SummarySection
 
     @property
     def end(self) -> int:
@@ -162,7 +162,7 @@ def open_end(verdict: FileVerdict) -> OpenEnd | None:
         return None
     begun = _begun(journal)
     with path.open("rb") as file:
-        contents = Contents.of(file, begun[0] if begun else verdict.damages[0].offset)
+        contents = SummarySection.of(file, begun[0] if begun else verdict.damages[0].offset)
         file.seek(contents.end)
         torn = begun[1] if begun else file.read()
     return OpenEnd(path, path.stat().st_size, torn, contents) if contents.plain else None
@@ -201,7 +201,7 @@ def _inner(data: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 @dataclass
-class Contents:
+class SummarySection:
     """What the index at the end of a file says: collected from its records, in one pass.
 
     For files of our recorder whose records are known to be sound: messages stand in chunks.
@@ -220,7 +220,7 @@ class Contents:
     _last: bytes = b""
 
     @classmethod
-    def of(cls, file: BinaryIO, end: int) -> Contents:
+    def of(cls, file: BinaryIO, end: int) -> SummarySection:
         """Collect from the data section of ``file``; its whole records end at byte ``end``.
 
         ``plain`` is False for a file that was not written like ours.

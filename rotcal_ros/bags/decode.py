@@ -46,7 +46,7 @@ class Columns:
 
     rows: Ints
     values: NDArray[np.void]
-    layout: Layout
+    layout: FieldLayout
 
     def stamp_ns(self) -> Ints:
         """Return the header's stamps in integer nanoseconds."""
@@ -67,7 +67,7 @@ class Decoder:
         self.channel = channel
         self.broken = 0
         self._store, self.definitions = message_types(channel)
-        self._layouts: dict[int, list[tuple[Layout, Bytes]]] = {}
+        self._layouts: dict[int, list[tuple[FieldLayout, Bytes]]] = {}
         fields = self.definitions[channel.type_name][1]
         self.begins_with_header = bool(fields) and fields[0][1] == _HEADER
 
@@ -109,7 +109,7 @@ class Decoder:
 
     def _layout(
         self, message: Bytes, alike: Collection[str] | None
-    ) -> tuple[Layout, Bytes] | None:
+    ) -> tuple[FieldLayout, Bytes] | None:
         """Return a layout that fits ``message``, known or new; None when it is broken."""
         known = self._layouts.setdefault(len(message), [])
         for layout, template in known:
@@ -124,7 +124,7 @@ class Decoder:
         known.append((layout, message.copy()))
         return known[-1]
 
-    def _dtype(self, layout: Layout, wanted: Sequence[str]) -> np.dtype[np.void]:
+    def _dtype(self, layout: FieldLayout, wanted: Sequence[str]) -> np.dtype[np.void]:
         missing = [name for name in wanted if name not in layout.fields]
         if missing:
             raise BagError(
@@ -288,7 +288,7 @@ NUMBERS: Final = {
 
 
 @dataclass
-class Layout:
+class FieldLayout:
     """Fields of one shape of a message.
 
     ``fields`` maps a dotted name (``header.stamp.sec``, ``position``) to (dtype, offset);
@@ -348,7 +348,7 @@ def _readable(text: Bytes) -> bool:
     return True
 
 
-def work_out_layout(message: bytes, type_name: str, definitions: Definitions) -> Layout:
+def work_out_layout(message: bytes, type_name: str, definitions: Definitions) -> FieldLayout:
     """Return the layout of one serialised message; raises DamagedRecord when it is broken."""
     return _Walk(message, definitions).layout(type_name)
 
@@ -363,9 +363,9 @@ class _Walk:
         self._message = message
         self._definitions = definitions
         self._position = _ENCAPSULATION
-        self._layout = Layout(len(message), fixed=[(0, 2)])
+        self._layout = FieldLayout(len(message), fixed=[(0, 2)])
 
-    def layout(self, type_name: str) -> Layout:
+    def layout(self, type_name: str) -> FieldLayout:
         self._message_fields(type_name, "")
         self._layout.end = self._position
         return self._layout

@@ -22,7 +22,7 @@ Item = Block | Attachment | Metadata
 
 
 @dataclass(eq=False)
-class Contents:
+class StorageContents:
     """What is known beside its messages of a storage file, or of several that are read as one."""
 
     path: Path
@@ -31,7 +31,7 @@ class Contents:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
 
 
-class Scan(Contents, ABC):
+class Scan(StorageContents, ABC):
     """One pass over one storage file; ``position`` is how far it has come, in bytes.
 
     Iterate :meth:`blocks` to the end; ``channels``, ``attachments`` and ``metadata`` fill up on

@@ -33,7 +33,7 @@ from rotcal_ros.bags.blocks import HEADER_TYPE, Block, gather
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.run_number import run_number
-from rotcal_ros.bags.scan import Contents, Scan
+from rotcal_ros.bags.scan import Scan, StorageContents
 from rotcal_ros.foundation.arrays import Bools, Ints
 
 LEAST_NS: Final = 1_000_000_000
@@ -315,7 +315,7 @@ def sorted_blocks(
     blocks: Iterable[tuple[Scan, Block | None]],
     wanted: Mapping[ChannelDefinition, Decoder],
     sort_by: int,
-) -> Iterator[tuple[Contents, Block]]:
+) -> Iterator[tuple[StorageContents, Block]]:
     """Yield the messages of the ``wanted`` channels by time; ``blocks``: of :func:`read_blocks`.
 
     Files of one run belong together: their messages are sorted as one, and come with what is known
@@ -362,12 +362,12 @@ class _Group:
             whole = Block(block.data, block.start, block.size, headers)
             self._sorting.add(whole.select(chosen), keys[chosen])
 
-    def blocks(self) -> Iterator[tuple[Contents, Block]]:
+    def blocks(self) -> Iterator[tuple[StorageContents, Block]]:
         """Yield the sorted messages."""
         if not self.scans:
             return
         channels = {number: channel for channel, number in self._numbers.items()}
-        together = Contents(self.scans[0].path, channels)
+        together = StorageContents(self.scans[0].path, channels)
         for scan in self.scans:
             together.metadata |= scan.metadata
             together.attachments |= scan.attachments

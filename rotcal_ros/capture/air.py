@@ -38,7 +38,7 @@ QUANTITIES: Final[Mapping[type[AirSample], Quantity]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Air:
+class ObservedAir:
     """What an observation says of the air; None: not known."""
 
     temperature_c: float | None = None
@@ -105,7 +105,7 @@ class AirStreams:
             if quantity.expected(settings) and not stream.knows(wanted):
                 yield Missing(quantity, stream, wanted)
 
-    def at(self, begin_ns: int, since_ns: int | None, settings: CaptureSettings) -> Air:
+    def at(self, begin_ns: int, since_ns: int | None, settings: CaptureSettings) -> ObservedAir:
         """Return the air that goes with an attempt that began at ``begin_ns``.
 
         Each quantity is the last reading stamped ``temperature_lag_s`` or more before the probe
@@ -114,7 +114,7 @@ class AirStreams:
         """
         wanted = _wanted(begin_ns, since_ns, settings)
         known = (q for q in QUANTITIES.values() if q.expected(settings))
-        return Air(
+        return ObservedAir(
             **{q.column: _reading(self.by_name[q.name], wanted, since_ns, settings) for q in known}
         )
 

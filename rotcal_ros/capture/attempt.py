@@ -6,15 +6,15 @@ from dataclasses import dataclass, replace
 from math import nan
 from typing import Final
 
-from rotcal_ros.capture.air import Air, AirStreams
+from rotcal_ros.capture.air import AirStreams, ObservedAir
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import NEVER, Stream
-from rotcal_ros.capture.window import Reduced, TracerStream
+from rotcal_ros.capture.window import ReducedWindow, TracerStream
 from rotcal_ros.foundation.observations import Observation, ProbeSample
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.planning.plan import Step
 
-UNKNOWN_AIR: Final = Air()
+UNKNOWN_AIR: Final = ObservedAir()
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class Wait:
 
 
 @dataclass
-class Streams:
+class AttemptStreams:
     """The streams that an attempt is judged by.
 
     ``since_ns`` is the stamp of the first probe sample. What was read of the air before it is not
@@ -99,7 +99,7 @@ class Streams:
         timeout_s = settings.step_timeout_s if stream.single_shot else 0.0
         return nanoseconds(settings.clock_tolerance_s) + nanoseconds(timeout_s)
 
-    def air_at(self, attempt: Attempt, settings: CaptureSettings) -> Air:
+    def air_at(self, attempt: Attempt, settings: CaptureSettings) -> ObservedAir:
         """Return the air that goes with an attempt."""
         return self.air.at(attempt.begin_ns, self.since_ns, settings)
 
@@ -135,12 +135,12 @@ class Attempt:
 
     def observation(
         self,
-        reduced: Reduced,
+        reduced: ReducedWindow,
         *,
         n_samples: int = 0,
         window_ns: tuple[int, int] | None = None,
         table_angle_measured: float = nan,
-        air: Air = UNKNOWN_AIR,
+        air: ObservedAir = UNKNOWN_AIR,
         segment: int = 0,
     ) -> Observation:
         """Return the observation of this attempt; a reason in ``reduced`` rejects it."""
@@ -167,7 +167,7 @@ class Attempt:
 
     def rejection(self, reason: str) -> Observation:
         """Return the observation of an attempt that never came to a window."""
-        return self.observation(Reduced(reason=reason))
+        return self.observation(ReducedWindow(reason=reason))
 
 
 def belated_stamps(stream: Stream, settling_ns: int) -> tuple[int, int]:

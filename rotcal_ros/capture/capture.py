@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.capture.air import QUANTITIES, AirSample, AirStreams
-from rotcal_ros.capture.attempt import Attempt, Streams, Wait, nanoseconds, seconds
+from rotcal_ros.capture.attempt import Attempt, AttemptStreams, Wait, nanoseconds, seconds
 from rotcal_ros.capture.beam import Beam
 from rotcal_ros.capture.length import no_shot
 from rotcal_ros.capture.rules import CaptureRules
@@ -79,7 +79,7 @@ class Capture:
         tolerance = nanoseconds(settings.clock_tolerance_s)
         self._plan, self._settings, self._rules, self._run = plan, settings, rules, run
         self._required = [q for q in QUANTITIES.values() if q.name in required_air]
-        self._streams = Streams(
+        self._streams = AttemptStreams(
             tracer=TracerStream(
                 tolerance,
                 settings.max_length_m,

@@ -167,7 +167,7 @@ class Whose(Enum):
 
 
 @dataclass
-class _Waiting(Generic[T]):
+class _WaitingPlan(Generic[T]):
     plan: T
     since_s: float
     in_a_goal: bool = False
@@ -183,11 +183,11 @@ class PlansHeard(Generic[T]):
     know it yet.
     """
 
-    _waiting: dict[str, _Waiting[T]] = field(default_factory=dict)
+    _waiting: dict[str, _WaitingPlan[T]] = field(default_factory=dict)
 
     def offer(self, run: str, plan: T, now_s: float) -> None:
         """Take in a plan, which announces ``run``; the same again changes nothing."""
-        self._waiting.setdefault(run, _Waiting(plan, now_s))
+        self._waiting.setdefault(run, _WaitingPlan(plan, now_s))
 
     def judged(self, goals_run: str | None, now_s: float) -> Iterator[tuple[T, Whose]]:
         """Yield each plan of which it is known now whose it is, once.

@@ -6,7 +6,7 @@ import numpy as np
 
 from rotcal_ros.capture.attempt import (
     Attempt,
-    Streams,
+    AttemptStreams,
     Wait,
     forgotten,
     nanoseconds,
@@ -22,7 +22,7 @@ _MEMORY = "samples of that time are no longer in memory: one stream is far behin
 
 
 def decide_length(
-    attempt: Attempt, streams: Streams, settings: CaptureSettings
+    attempt: Attempt, streams: AttemptStreams, settings: CaptureSettings
 ) -> Observation | Wait:
     """Return the observation of a tracer step, or what is needed to decide.
 
@@ -50,7 +50,7 @@ def decide_length(
 
 
 def _start(
-    attempt: Attempt, streams: Streams, settings: CaptureSettings, deadline: int
+    attempt: Attempt, streams: AttemptStreams, settings: CaptureSettings, deadline: int
 ) -> int | Observation | Wait:
     """Return the stamp of the table's arrival."""
     table, angle = streams.table, attempt.step.table_angle
@@ -70,7 +70,7 @@ def _start(
 
 
 def _window(
-    attempt: Attempt, streams: Streams, settings: CaptureSettings, deadline: int, start: int
+    attempt: Attempt, streams: AttemptStreams, settings: CaptureSettings, deadline: int, start: int
 ) -> tuple[int, int] | Observation | Wait:
     """Return the indices of the first and the last reading of the window."""
     tracer = streams.tracer
@@ -113,7 +113,7 @@ def _too_few(
 
 
 def _observe(
-    attempt: Attempt, streams: Streams, settings: CaptureSettings, first: int, last: int
+    attempt: Attempt, streams: AttemptStreams, settings: CaptureSettings, first: int, last: int
 ) -> Observation:
     """Reduce the readings ``first`` to ``last``, the latter included."""
     tracer = streams.tracer

@@ -10,7 +10,7 @@ import numpy as np
 
 from rotcal_ros.capture.attempt import (
     Attempt,
-    Streams,
+    AttemptStreams,
     Wait,
     forgotten,
     nanoseconds,
@@ -19,17 +19,17 @@ from rotcal_ros.capture.attempt import (
 from rotcal_ros.capture.rules import Decide
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.table import departure, farthest, mean_angle
-from rotcal_ros.capture.window import Reduced, mean_and_scatter
+from rotcal_ros.capture.window import ReducedWindow, mean_and_scatter
 from rotcal_ros.foundation.observations import Observation, ProbeSample
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.planning.plan import Step
 
-PointReducer = Callable[[Sequence[ProbeSample], Step, CaptureSettings], Reduced]
+PointReducer = Callable[[Sequence[ProbeSample], Step, CaptureSettings], ReducedWindow]
 """How the points of a step become one value."""
 
 
 def decide_points(
-    attempt: Attempt, streams: Streams, settings: CaptureSettings, reduce: PointReducer
+    attempt: Attempt, streams: AttemptStreams, settings: CaptureSettings, reduce: PointReducer
 ) -> Observation | Wait:
     """Return the observation of a step that only the probe measures, or what is needed.
 
@@ -57,7 +57,7 @@ def decide_points(
     reduced = reduce(samples, attempt.step, settings)
     if departure(table, begin_ns, end_ns, angle, settings) is not None:
         off = farthest(table, begin_ns, end_ns, angle) / ARCSEC
-        reduced = Reduced(
+        reduced = ReducedWindow(
             reason=f"table not at rest in position during the probe points: up to {off:.4g} "
             f"arcsec off (allowed {settings.position_tolerance_arcsec:g})"
         )
@@ -75,15 +75,17 @@ def points(reduce: PointReducer) -> Decide:
     return partial(decide_points, reduce=reduce)
 
 
-def mean_point(samples: Sequence[ProbeSample], _step: Step, _settings: CaptureSettings) -> Reduced:
+def mean_point(
+    samples: Sequence[ProbeSample], _step: Step, _settings: CaptureSettings
+) -> ReducedWindow:
     """Return the mean of repeated points (m), or the one point with its own deviation."""
     if len(samples) == 1:
         std = samples[0].position_std
-        return Reduced(mean=samples[0].position, std=std, scatter=std, n_used=1)
+        return ReducedWindow(mean=samples[0].position, std=std, scatter=std, n_used=1)
     positions = np.array([sample.position for sample in samples])
     columns = [mean_and_scatter(column) for column in positions.T]
     scatter = tuple(s for _, s in columns)
-    return Reduced(
+    return ReducedWindow(
         mean=tuple(mean for mean, _ in columns),
         std=tuple(s / sqrt(len(samples)) for s in scatter),
         scatter=scatter,

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from rotcal_ros.capture.attempt import Attempt, Streams, Wait
+from rotcal_ros.capture.attempt import Attempt, AttemptStreams, Wait
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.planning.plan import Plan
 
-Decide = Callable[[Attempt, Streams, CaptureSettings], Observation | Wait]
+Decide = Callable[[Attempt, AttemptStreams, CaptureSettings], Observation | Wait]
 """Returns the observation of an attempt, or what it waits for."""
 Check = Callable[[Observation], Observation]
 """Returns an observation as it is, or rejected because it contradicts the earlier ones."""

@@ -18,7 +18,7 @@ from rotcal_ros.foundation.observations import LengthStatus
 from rotcal_ros.foundation.units import MICROMETRE, NANOSECOND
 
 SEQUENCE, LENGTH, STATUS = range(3)
-"""Columns of the tracer stream; the last one holds the :class:`Fault` once admitted."""
+"""Columns of the tracer stream; the last one holds the :class:`ReadingFault` once admitted."""
 
 CLOCK_JUMP_S = 0.5
 """A pause this long between readings in a row is a jump of their clock, where it is also"""
@@ -31,7 +31,7 @@ BEAM_BROKEN: Final = "beam broken"
 """What a reason says when something stood in the beam."""
 
 
-class Fault(IntEnum):
+class ReadingFault(IntEnum):
     """Why a reading cannot be used."""
 
     NONE = 0
@@ -44,22 +44,22 @@ class Fault(IntEnum):
 
 
 _WORDS = {
-    Fault.BEAM_BROKEN: BEAM_BROKEN,
-    Fault.UNSTABLE: "unstable by its own status",
-    Fault.UNKNOWN: "of unknown status",
-    Fault.NON_FINITE: "not a finite number",
-    Fault.IMPLAUSIBLE: "implausibly long",
-    Fault.SPIKE: "spikes",
+    ReadingFault.BEAM_BROKEN: BEAM_BROKEN,
+    ReadingFault.UNSTABLE: "unstable by its own status",
+    ReadingFault.UNKNOWN: "of unknown status",
+    ReadingFault.NON_FINITE: "not a finite number",
+    ReadingFault.IMPLAUSIBLE: "implausibly long",
+    ReadingFault.SPIKE: "spikes",
 }
 _STATUS_FAULT = {
-    LengthStatus.OK: Fault.NONE,
-    LengthStatus.BEAM_BROKEN: Fault.BEAM_BROKEN,
-    LengthStatus.UNSTABLE: Fault.UNSTABLE,
+    LengthStatus.OK: ReadingFault.NONE,
+    LengthStatus.BEAM_BROKEN: ReadingFault.BEAM_BROKEN,
+    LengthStatus.UNSTABLE: ReadingFault.UNSTABLE,
 }
 
 
 @dataclass(frozen=True, slots=True)
-class Reduced:
+class ReducedWindow:
     """Numbers of a window, empty where there are none, and the ``reason`` for a rejection."""
 
     mean: tuple[float, ...] = ()
@@ -87,11 +87,11 @@ class TracerStream(Stream):
     def _inspect(self, stamps: Stamps, values: Floats) -> Floats:
         """Turn the status into a fault and count faults and lost readings."""
         faults = classify(values[:, STATUS], values[:, LENGTH], self._max_length)
-        numbers = np.bincount(faults, minlength=len(Fault))
-        self.counts.beam_broken += int(numbers[Fault.BEAM_BROKEN])
-        self.counts.unstable += int(numbers[Fault.UNSTABLE] + numbers[Fault.UNKNOWN])
-        self.counts.non_finite += int(numbers[Fault.NON_FINITE])
-        self.counts.implausible += int(numbers[Fault.IMPLAUSIBLE])
+        numbers = np.bincount(faults, minlength=len(ReadingFault))
+        self.counts.beam_broken += int(numbers[ReadingFault.BEAM_BROKEN])
+        self.counts.unstable += int(numbers[ReadingFault.UNSTABLE] + numbers[ReadingFault.UNKNOWN])
+        self.counts.non_finite += int(numbers[ReadingFault.NON_FINITE])
+        self.counts.implausible += int(numbers[ReadingFault.IMPLAUSIBLE])
         sequence = values[:, SEQUENCE]
         before = sequence[0] - 1 if self._newest is None else self._newest[SEQUENCE]
         steps = sequence_steps(sequence, before)
@@ -100,20 +100,24 @@ class TracerStream(Stream):
         self.counts.out_of_order += int(np.count_nonzero(~forward | (steps == 0)))
         length = values[:, LENGTH]
         self.beam.follow(
-            stamps, sequence, length, faults == Fault.NONE, faults == Fault.BEAM_BROKEN
+            stamps,
+            sequence,
+            length,
+            faults == ReadingFault.NONE,
+            faults == ReadingFault.BEAM_BROKEN,
         )
         return np.column_stack([sequence, length, faults])
 
 
 def classify(status: Floats, length: Floats, max_length: float) -> Ints:
-    """Return the :class:`Fault` of each reading; all arrays have shape (n,)."""
-    faults = np.full(len(status), int(Fault.UNKNOWN), dtype=np.int64)
+    """Return the :class:`ReadingFault` of each reading; all arrays have shape (n,)."""
+    faults = np.full(len(status), int(ReadingFault.UNKNOWN), dtype=np.int64)
     for value, fault in _STATUS_FAULT.items():
         faults[status == value] = fault
-    usable = faults == Fault.NONE
-    faults[usable & ~np.isfinite(length)] = Fault.NON_FINITE
-    faults[usable & (np.abs(length) > max_length)] = Fault.IMPLAUSIBLE
-    faults[usable & np.isinf(length)] = Fault.NON_FINITE
+    usable = faults == ReadingFault.NONE
+    faults[usable & ~np.isfinite(length)] = ReadingFault.NON_FINITE
+    faults[usable & (np.abs(length) > max_length)] = ReadingFault.IMPLAUSIBLE
+    faults[usable & np.isinf(length)] = ReadingFault.NON_FINITE
     return faults
 
 
@@ -123,7 +127,7 @@ def sequence_steps(sequence: Floats, before: float) -> Ints:
     return steps
 
 
-def reduce_window(stamps: Stamps, readings: Floats, settings: CaptureSettings) -> Reduced:
+def reduce_window(stamps: Stamps, readings: Floats, settings: CaptureSettings) -> ReducedWindow:
     """Reduce the window ``stamps`` (n,), ``readings`` (n, 3) of an admitted tracer stream.
 
     The mean is that of the usable readings, spikes beyond ``spike_limit`` robust standard
@@ -135,16 +139,16 @@ def reduce_window(stamps: Stamps, readings: Floats, settings: CaptureSettings) -
     length = readings[:, LENGTH]
     faults = readings[:, STATUS].astype(np.int64)
     _mark_spikes(length, faults, settings)
-    used = faults == Fault.NONE
+    used = faults == ReadingFault.NONE
     n_used = int(np.count_nonzero(used))
     gap = _gap(readings[:, SEQUENCE])
     if n_used < min(2, len(length)) or n_used < settings.min_used_share * len(length):
-        return Reduced(n_used=n_used, reason=gap or _too_few(faults, length, settings))
+        return ReducedWindow(n_used=n_used, reason=gap or _too_few(faults, length, settings))
     if n_used == 1:  # a reading alone tells no scatter
-        return Reduced((float(length[used][0]),), (0.0,), (0.0,), 1)
+        return ReducedWindow((float(length[used][0]),), (0.0,), (0.0,), 1)
     mean, scatter = mean_and_scatter(length[used])
     drift = _drift(stamps[used], length[used], mean)
-    return Reduced(
+    return ReducedWindow(
         mean=(mean,),
         std=(scatter / sqrt(n_used),),
         scatter=(scatter,),
@@ -184,12 +188,14 @@ def mean_and_scatter(values: Floats) -> tuple[float, float]:
 
 
 def _mark_spikes(length: Floats, faults: Ints, settings: CaptureSettings) -> None:
-    good = faults == Fault.NONE
+    good = faults == ReadingFault.NONE
     if not good.any():
         return
     distance = np.abs(length[good] - np.median(length[good]))
     limit = settings.spike_limit * _MAD_TO_STD * float(np.median(distance))
-    faults[np.flatnonzero(good)[distance > max(limit, settings.spike_floor_m)]] = Fault.SPIKE
+    faults[np.flatnonzero(good)[distance > max(limit, settings.spike_floor_m)]] = (
+        ReadingFault.SPIKE
+    )
 
 
 def _drift(stamps: Stamps, length: Floats, mean: float) -> float:
@@ -216,14 +222,14 @@ def _gap(sequence: Floats) -> str:
 
 
 def _too_few(faults: Ints, length: Floats, settings: CaptureSettings) -> str:
-    counts = Counter(Fault(f) for f in faults.tolist() if f != Fault.NONE)
+    counts = Counter(ReadingFault(f) for f in faults.tolist() if f != ReadingFault.NONE)
     parts = ", ".join(f"{counts[fault]} {_WORDS[fault]}" for fault in sorted(counts))
     needed = f"expected at least {settings.min_used_share:.0%}"
     text = (
         f"only {len(faults) - counts.total()} of {len(faults)} readings usable: {parts}; {needed}"
     )
-    if counts[Fault.IMPLAUSIBLE]:
-        largest = float(np.abs(length[faults == Fault.IMPLAUSIBLE]).max())
+    if counts[ReadingFault.IMPLAUSIBLE]:
+        largest = float(np.abs(length[faults == ReadingFault.IMPLAUSIBLE]).max())
         text += (
             f"; found {largest:.6g} m, plausible are {settings.max_length_m:g} m"
             " (millimetres instead of metres?); topics.length_unit says which"

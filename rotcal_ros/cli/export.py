@@ -19,11 +19,11 @@ from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.report.terminal.console import say, tell
 
 if TYPE_CHECKING:
-    from rotcal_ros.compensation.agreement import Accepted, Machine
+    from rotcal_ros.compensation.agreement import Accepted, MachineIdentity
     from rotcal_ros.compensation.export import ExportFiles
     from rotcal_ros.compensation.table import CompensationTable
     from rotcal_ros.foundation.results import Result
-    from rotcal_ros.recordings.sources import Source
+    from rotcal_ros.recordings.sources import ResultSource
 
 VOLUMETRIC: Final = "volumetric"
 """Not a controller: all deviations that were measured, as CSV and JSON."""
@@ -105,7 +105,12 @@ def command(
     --machine-ini is read for what it says about the joint, and a copy of it that uses the table is
     written beside the table. The same as --set machine_ini=FILE.
     """
-    from rotcal_ros.compensation.agreement import LARGEST_AGE_DAYS, Accepted, Machine, words_of
+    from rotcal_ros.compensation.agreement import (
+        LARGEST_AGE_DAYS,
+        Accepted,
+        MachineIdentity,
+        words_of,
+    )
     from rotcal_ros.compensation.earlier import to_be_in_force
     from rotcal_ros.compensation.export import prepare_export
     from rotcal_ros.compensation.writing import write_files
@@ -115,7 +120,7 @@ def command(
     own = tuple(option for option in options if option not in changes)
     forward = _read(source, setup, targets, changes)
     asked = _Asked(
-        machine=Machine(check_axis(axis) if axis else "", serial or ""),
+        machine=MachineIdentity(check_axis(axis) if axis else "", serial or ""),
         accepted=Accepted(words_of(accept), LARGEST_AGE_DAYS if max_age is None else max_age),
         measured_axis=_axis_of(forward) or axis or DEFAULT_AXIS,
         now=datetime.now(timezone.utc),
@@ -158,7 +163,7 @@ def command(
 class _Asked:
     """What ``machine`` the person exports for, what is ``accepted``, and what was measured."""
 
-    machine: Machine
+    machine: MachineIdentity
     accepted: Accepted
     measured_axis: str
     now: datetime
@@ -168,7 +173,7 @@ class _Asked:
         return int(self.now.timestamp()) * 1_000_000_000
 
     @property
-    def machines(self) -> dict[str, Machine]:
+    def machines(self) -> dict[str, MachineIdentity]:
         return {"the export (--axis, --serial)": self.machine}
 
 
@@ -186,12 +191,12 @@ def _write_volumetric(
     result: Result, asked: _Asked, name: str | None, out: Path
 ) -> tuple[Path, ...]:
     """Write all deviations of ``result``; what contradicts is refused or said."""
-    from rotcal_ros.compensation.agreement import Machine, require
+    from rotcal_ros.compensation.agreement import MachineIdentity, require
     from rotcal_ros.compensation.volumetric import volumetric_files
     from rotcal_ros.compensation.writing import write_files
     from rotcal_ros.foundation.in_force import in_words
 
-    measured = Machine(asked.measured_axis, result.circumstances.identity.serial)
+    measured = MachineIdentity(asked.measured_axis, result.circumstances.identity.serial)
     begun_ns = result.circumstances.begun_ns or 0
     for note in require(measured, begun_ns, asked.machines, asked.accepted, asked.now_ns):
         say(f"warning: {note}")
@@ -229,7 +234,7 @@ def _of_configuration(option: str) -> bool:
 
 def _read(
     path: Path, setup: Path | None, targets: Path | None, changes: tuple[str, ...]
-) -> Source:
+) -> ResultSource:
     """Read a result, a bag or a table."""
     from rotcal_ros.recordings.inputs import Input
     from rotcal_ros.recordings.sources import read_source
@@ -238,8 +243,8 @@ def _read(
 
 
 def _table(
-    forward: Source,
-    backward: Source | None,
+    forward: ResultSource,
+    backward: ResultSource | None,
     axis: str,
     harmonics: int | None,
     spacing: float | None,
@@ -261,7 +266,7 @@ def _table(
     )
 
 
-def _axis_of(source: Source) -> str:
+def _axis_of(source: ResultSource) -> str:
     """Return the axis that was measured, as session, bag or result say; empty: not known."""
     return source.axis or source.result.circumstances.axis
 

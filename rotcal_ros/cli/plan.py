@@ -22,7 +22,7 @@ from rotcal_ros.foundation.units import ARCSEC, DEGREE, HOUR, MICROMETRE
 from rotcal_ros.report.terminal.console import progress
 
 if TYPE_CHECKING:
-    from rotcal_ros.methods.ball_plate.design.ball_layout import Layout
+    from rotcal_ros.methods.ball_plate.design.ball_layout import BallLayout
     from rotcal_ros.methods.ball_plate.design.ball_plan import BallPlan, Kinematics
     from rotcal_ros.methods.ball_plate.design.order_forecast import OrderForecast, UnitEffect
 
@@ -238,7 +238,7 @@ def order(
     return 0
 
 
-def _orders(layout: Layout, radius: float, kinematics: Kinematics) -> dict[str, BallPlan]:
+def _orders(layout: BallLayout, radius: float, kinematics: Kinematics) -> dict[str, BallPlan]:
     """Return the measurement of a layout in every order there is."""
     from rotcal_ros.methods.ball_plate.design.ball_plan import Order, plan_measurement
 
@@ -251,13 +251,13 @@ def _orders(layout: Layout, radius: float, kinematics: Kinematics) -> dict[str, 
     }
 
 
-def _layout_dict(layout: Layout) -> dict[str, Any]:
+def _layout_dict(layout: BallLayout) -> dict[str, Any]:
     facts = ("score", "bound", "gap", "optimal", "evaluated")
     named = {name: getattr(layout, name) for name in facts}
     return {"grid": layout.grid, "ball_steps": list(layout.steps), **named}
 
 
-def _print_layout(layout: Layout, std: dict[str, float]) -> None:
+def _print_layout(layout: BallLayout, std: dict[str, float]) -> None:
     click.echo(f"ball_steps: [{', '.join(map(str, layout.steps))}]   # of {layout.grid}")
     how = "proven optimal" if layout.optimal else "best found"
     click.echo(

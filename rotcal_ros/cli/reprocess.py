@@ -17,7 +17,7 @@ from rotcal_ros.foundation.session_folder import OVERVIEW, RESULTS_TABLE
 from rotcal_ros.report.terminal.console import progress, say, tell
 
 if TYPE_CHECKING:
-    from rotcal_ros.recordings.kept import Outcome
+    from rotcal_ros.recordings.kept import BagOutcome
     from rotcal_ros.recordings.results_dataset import ResultsDataset
 
 
@@ -113,7 +113,7 @@ class _Tally:
     bad: int = 0
     aside: list[str] = field(default_factory=list)
 
-    def count(self, outcome: Outcome) -> None:
+    def count(self, outcome: BagOutcome) -> None:
         self.bags += 1
         self.repeated += outcome.cached
         self.healed += outcome.healed
@@ -122,7 +122,7 @@ class _Tally:
             self.aside.append(f"{outcome.source}: {outcome.error}")
 
 
-def _followed(running: Iterable[Outcome], total: int, dataset: ResultsDataset) -> _Tally:
+def _followed(running: Iterable[BagOutcome], total: int, dataset: ResultsDataset) -> _Tally:
     """Keep the outcomes as they come, under a progress bar; show bad bags at once."""
     tally = _Tally()
     with progress("solving") as shown:

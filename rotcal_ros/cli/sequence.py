@@ -97,7 +97,7 @@ def _orders(
     """Return the competing orders of the plan's lengths."""
     from rotcal_ros.methods.tracer.calibration import problem
     from rotcal_ros.methods.tracer.design.sequence_choice import measuring_orders
-    from rotcal_ros.methods.tracer.design.sequence_forecast import OrderForecast
+    from rotcal_ros.methods.tracer.design.sequence_forecast import SequenceForecast
 
     plan = calibration.plan
     position, target = (
@@ -106,7 +106,7 @@ def _orders(
     )
     costs = model.costs(np.array(plan.table_angles), np.array(plan.targets), position, target)
     noisy = calibration.measured({}, SEED).observations
-    forecast = OrderForecast(problem(calibration.configuration, plan, noisy))
+    forecast = SequenceForecast(problem(calibration.configuration, plan, noisy))
     with progress("orders") as shown:
         return measuring_orders(
             position, target, costs, forecast, limit=limit, seed=seed, progress=shown

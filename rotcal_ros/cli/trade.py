@@ -135,7 +135,7 @@ def mirror(
     return _print(table, as_json)
 
 
-def _print(table: Trade, as_json: bool) -> int:
+def _print(table: TradeTable, as_json: bool) -> int:
     if as_json:
         print_json(table.data)
     else:
@@ -143,7 +143,7 @@ def _print(table: Trade, as_json: bool) -> int:
     return 0
 
 
-def _show(table: Trade) -> None:
+def _show(table: TradeTable) -> None:
     print_table(table.columns, table.title)
     print_words(*table.notes)
 
@@ -167,7 +167,7 @@ def _numbers(text: str, option: str) -> list[float]:
 
 
 @dataclass(frozen=True)
-class Trade:
+class TradeTable:
     """A trade table: ``data`` in SI for programs; ``columns``, title and ``notes`` for people."""
 
     data: dict[str, Any]
@@ -195,7 +195,7 @@ def tracer_table(
     zero: str = "run",
     turn_s: float = 10.0,
     length_s: float = 5.0,
-) -> Trade:
+) -> TradeTable:
     """Return how many targets and lengths each radius and noise takes."""
     from rotcal_ros.methods.tracer.design.settings import (
         PER_STATION,
@@ -236,7 +236,7 @@ def tracer_table(
     ]
     beyond = any(row.lengths is None for row in rows)
     notes = ("without a number of lengths it is out of reach: U is that of all lengths",) * beyond
-    return Trade({"need_rad": need_arcsec * ARCSEC, **_rows(rows)}, columns, title, notes)
+    return TradeTable({"need_rad": need_arcsec * ARCSEC, **_rows(rows)}, columns, title, notes)
 
 
 def plate_table(
@@ -246,7 +246,7 @@ def plate_table(
     radius_m: float = 0.185,
     sigma_um: float = 0.05,
     centre_s: float = 35.0,
-) -> Trade:
+) -> TradeTable:
     """Return what each number of balls gives, and what radius or noise it takes."""
     from rotcal_ros.methods.ball_plate.design.trade import plate_trade
 
@@ -276,7 +276,7 @@ def plate_table(
         f"whichever balls at whichever positions: {100.0 * least:.0f} to {100.0 * most:.0f} % of "
         "the centres is all that a plan could gain; only R, sigma and the number of centres matter"
     )
-    return Trade({"need_rad": need_arcsec * ARCSEC, **_rows(rows)}, columns, title, (note,))
+    return TradeTable({"need_rad": need_arcsec * ARCSEC, **_rows(rows)}, columns, title, (note,))
 
 
 def mirror_table(
@@ -286,7 +286,7 @@ def mirror_table(
     move_s: float = 600.0,
     pair_s: float = 50.0,
     nest_s: float = 10.0,
-) -> Trade:
+) -> TradeTable:
     """Return U and hours of each number of stations and reflectors."""
     from rotcal_ros.methods import parse_configuration, read_configuration
     from rotcal_ros.methods.plane_mirror.trade import USUAL, mirror_trade
@@ -308,7 +308,7 @@ def mirror_table(
         column_of("U/arcsec", [row.expanded for row in rows], ARCSEC, ".3f"),
     ]
     title = "plane mirror: stations, reflectors and hours (U with k = 2, rms)"
-    return Trade(_rows(rows), columns, title)
+    return TradeTable(_rows(rows), columns, title)
 
 
 def _rows(rows: Sequence[Any]) -> dict[str, Any]:

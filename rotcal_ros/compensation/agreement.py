@@ -27,14 +27,14 @@ DAY_S: Final = 86_400.0
 
 
 @dataclass(frozen=True)
-class Machine:
+class MachineIdentity:
     """The axis letter and the serial number of what a table is for; empty: not known."""
 
     axis: str = ""
     serial: str = ""
 
 
-NO_MACHINE: Final = Machine()
+NO_MACHINE: Final = MachineIdentity()
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Accepted:
 
 def agreeing(
     table: CompensationTable,
-    machines: Mapping[str, Machine],
+    machines: Mapping[str, MachineIdentity],
     accepted: Accepted,
     now_ns: int,
     made_ns: int = 0,
@@ -68,7 +68,7 @@ def agreeing(
     What contradicts and is accepted becomes a warning, and so does an age that is not known; the
     axis becomes that of the machines.
     """
-    measured = Machine(table.axis, table.serial)
+    measured = MachineIdentity(table.axis, table.serial)
     notes = require(measured, table.measured_from_ns or made_ns, machines, accepted, now_ns)
     axis = next((m.axis for m in machines.values() if m.axis), table.axis)
     fresh = tuple(note for note in notes if note not in table.warnings)
@@ -78,9 +78,9 @@ def agreeing(
 
 
 def require(
-    measured: Machine,
+    measured: MachineIdentity,
     made_ns: int,
-    machines: Mapping[str, Machine],
+    machines: Mapping[str, MachineIdentity],
     accepted: Accepted,
     now_ns: int,
 ) -> tuple[str, ...]:
@@ -109,7 +109,9 @@ def require(
     )
 
 
-def _contradictions(measured: Machine, machines: Mapping[str, Machine]) -> dict[str, list[str]]:
+def _contradictions(
+    measured: MachineIdentity, machines: Mapping[str, MachineIdentity]
+) -> dict[str, list[str]]:
     """Return where axis and serial number contradict, in words, by the word that accepts it."""
     found: dict[str, list[str]] = {}
     serial, its = (

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from rotcal_ros.compensation.adding import combined
-from rotcal_ros.compensation.agreement import Accepted, Machine, agreeing
+from rotcal_ros.compensation.agreement import Accepted, MachineIdentity, agreeing
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.effect import Effect, effect_of_result
 from rotcal_ros.compensation.held import HeldTable, held_table
@@ -23,7 +23,7 @@ from rotcal_ros.foundation.untrusted import load_json, read_text, why
 def to_be_in_force(
     table: CompensationTable,
     controller_name: str,
-    machine: Mapping[str, Machine],
+    machine: Mapping[str, MachineIdentity],
     accepted: Accepted,
     now_ns: int,
     *,

@@ -19,7 +19,7 @@ from typing import Final, cast
 import numpy as np
 
 from rotcal_ros.compensation.adding import Combination, combined
-from rotcal_ros.compensation.agreement import NO_MACHINE, Machine, agreeing
+from rotcal_ros.compensation.agreement import NO_MACHINE, MachineIdentity, agreeing
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.controller import Controller
 from rotcal_ros.compensation.controller_folder import STATE_FOLDER
@@ -36,7 +36,7 @@ from rotcal_ros.compensation.journal import (
     texts_of,
 )
 from rotcal_ros.compensation.network_store import make_store
-from rotcal_ros.compensation.offer import Offer, make_offer
+from rotcal_ros.compensation.offer import TableOffer, make_offer
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
 from rotcal_ros.compensation.writing import PROVENANCE, of_the_controller
 from rotcal_ros.foundation.arrays import Floats
@@ -81,13 +81,13 @@ class Feed:
     ) -> None:
         self.settings, self.axis = settings, axis
         self._takes_simulated = simulated or settings.accept_simulated
-        self._cell, self._stated = Machine(axis, serial), stated
+        self._cell, self._stated = MachineIdentity(axis, serial), stated
         self._now_ns = now_ns
         self._controller = make_controller(settings.controller, settings.controller_settings)
         self._store = store or make_store(settings, self._controller)
         self._journal = Journal(Path(settings.controller_folder) / STATE_FOLDER)
         self._exchanging = Exchange(self._store, self._journal, now_ns)
-        self.offer: Offer | None = None
+        self.offer: TableOffer | None = None
 
     def take(self, table: CompensationTable, stamp_ns: int) -> tuple[Path, ...]:
         """Hold ``table`` against the configuration, keep it, and write its files.
@@ -238,7 +238,7 @@ class Feed:
         """Let another bridge feed the controller."""
         self._store.close()
 
-    def _confirmed(self, confirmation: str) -> Offer:
+    def _confirmed(self, confirmation: str) -> TableOffer:
         """Return the offer with this hash, and hold the lock."""
         offer = self.offer
         if offer is None:
@@ -275,7 +275,7 @@ class Feed:
         if unfinished := self.unfinished():
             raise ControllerError(unfinished)
 
-    def _refuse_stale(self, offer: Offer) -> None:
+    def _refuse_stale(self, offer: TableOffer) -> None:
         restored_ns = self._journal.last_restore_ns()
         if offer.stamp_ns <= restored_ns:
             age = (restored_ns - offer.stamp_ns) * NANOSECOND
@@ -313,20 +313,24 @@ class Feed:
         )
 
     def _agreeing(
-        self, table: CompensationTable, stamp_ns: int, now_ns: int, held: Machine = NO_MACHINE
+        self,
+        table: CompensationTable,
+        stamp_ns: int,
+        now_ns: int,
+        held: MachineIdentity = NO_MACHINE,
     ) -> CompensationTable:
         """Return ``table`` if it belongs to this cell, and to what the table in force is for."""
         machines = {"this cell": self._cell, "the table in force": held}
         return agreeing(table, machines, self.settings.accepted, now_ns, stamp_ns)
 
-    def _refuse_unused(self, offer: Offer) -> None:
+    def _refuse_unused(self, offer: TableOffer) -> None:
         """Refuse a table that the machine's own files would ignore, or read in another way."""
         controller = self._controller.for_axis(self.axis)
         files = of_the_controller(offer.files)
         if wrong := controller.not_in_use(self.axis, files, Path(self.settings.controller_folder)):
             raise DataError(f"the machine would not use the table: {'; '.join(wrong)}")
 
-    def _refuse_another_base(self, offer: Offer) -> None:
+    def _refuse_another_base(self, offer: TableOffer) -> None:
         base = offer.table.adds_to
         if base and (found := self.in_force()) != base:
             since = [ns for ns, held in self._journal.history() if held == base]

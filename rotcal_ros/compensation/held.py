@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotcal_ros.compensation.agreement import NO_MACHINE, Machine
+from rotcal_ros.compensation.agreement import NO_MACHINE, MachineIdentity
 from rotcal_ros.compensation.controller import Controller, Rule
 from rotcal_ros.compensation.journal import contents_hash
 from rotcal_ros.compensation.writing import PROVENANCE, SCHEMA, of_the_controller
@@ -35,7 +35,7 @@ class HeldTable:
     period: float
     reference_angle: float
     first: float
-    machine: Machine = NO_MACHINE
+    machine: MachineIdentity = NO_MACHINE
 
     def correction(self, angle: Floats, approach: Approach) -> Floats:
         """Return the correction (rad) at ``angle`` (rad), that of a circle in the first turn."""
@@ -85,14 +85,14 @@ def held_table(controller: Controller, files: Mapping[str, str]) -> HeldTable:
     )
 
 
-def machine_of(files: Mapping[str, str]) -> Machine:
+def machine_of(files: Mapping[str, str]) -> MachineIdentity:
     """Return what ``files`` were made for, as far as the side file among them says it."""
     try:
         known = load_json(_side(files))
         axis, serial = (known.get(name, "") for name in ("axis", "serial"))
     except (ValueError, TypeError, AttributeError):
-        return Machine()
-    return Machine(*(text if isinstance(text, str) else "" for text in (axis, serial)))
+        return MachineIdentity()
+    return MachineIdentity(*(text if isinstance(text, str) else "" for text in (axis, serial)))
 
 
 def _side(files: Mapping[str, str]) -> str:

@@ -25,7 +25,7 @@ MAX_AHEAD_NS: Final = 1_000_000_000
 
 
 @dataclass(frozen=True)
-class Offer:
+class TableOffer:
     """A table, made at ``stamp_ns``, and the files that it becomes when it is applied.
 
     ``paths`` are those for people, empty where none are written. ``files`` are their texts.
@@ -54,7 +54,7 @@ class Offer:
 
 def make_offer(
     table: CompensationTable, stamp_ns: int, settings: BridgeSettings, axis: str, now_ns: int
-) -> Offer:
+) -> TableOffer:
     """Hold ``table`` against the configuration, and write its files for people.
 
     They go into a folder of their own, named after their hash; one that holds exactly these
@@ -76,12 +76,12 @@ def make_offer(
         accept_unverified=settings.accept_unverified,
     )
     if not settings.output_folder:
-        return Offer(table, stamp_ns, export, export.files, ())
+        return TableOffer(table, stamp_ns, export, export.files, ())
     folder = Path(settings.output_folder) / f"{table.axis}-{export.confirmation}".lower()
     if not folder.is_dir() or not any(folder.iterdir()):
-        return Offer(table, stamp_ns, export, export.files, write_files(export.files, folder))
+        return TableOffer(table, stamp_ns, export, export.files, write_files(export.files, folder))
     files = _looked_at(folder, export.files)
-    return Offer(table, stamp_ns, export, files, tuple(folder / name for name in files))
+    return TableOffer(table, stamp_ns, export, files, tuple(folder / name for name in files))
 
 
 def _refuse_unbelievable(table: CompensationTable, stamp_ns: int, now_ns: int) -> None:

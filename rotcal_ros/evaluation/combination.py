@@ -29,9 +29,9 @@ from rotcal_ros.evaluation.component_groups import (
     ENLARGEMENTS,
     GROUPS,
     OPEN,
+    ComponentGroup,
     Curves,
     Enlargement,
-    Group,
     combine_group,
 )
 from rotcal_ros.evaluation.joined_angles import Joined, union
@@ -108,7 +108,7 @@ class Combination:
     """The best estimate, and the groups of components whose inputs were combined for it."""
 
     result: Result
-    groups: tuple[Group, ...]
+    groups: tuple[ComponentGroup, ...]
 
 
 def combine(inputs: Sequence[CombinationInput], enlarge: Enlargement = "birge") -> Combination:
@@ -176,7 +176,7 @@ def _require_different(inputs: Sequence[CombinationInput]) -> None:
                 )
 
 
-def _result(groups: Sequence[Group], inputs: Sequence[CombinationInput]) -> Result:
+def _result(groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInput]) -> Result:
     """Put the groups together: one set of angles, one verdict."""
     joined = {c: own for group in groups for c, own in group.joined.items()}
     angles = union([own.angles for own in joined.values()], any(o.period for o in joined.values()))
@@ -222,7 +222,7 @@ def _result(groups: Sequence[Group], inputs: Sequence[CombinationInput]) -> Resu
 
 
 def _curves(
-    groups: Sequence[Group], inputs: Sequence[CombinationInput], angles: Floats
+    groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInput], angles: Floats
 ) -> tuple[dict[str, Floats], dict[str, Floats], list[FreeDirection], list[str]]:
     """Return deviations and covariances at ``angles``, what is open, and what is left out."""
     whole = any(not group.open_of(c).shape[1] for group in groups for c in group.joined)
@@ -253,7 +253,7 @@ def _curves(
     return deviations, covariance, free, notes
 
 
-def _names_of_open(group: Group, inputs: Sequence[CombinationInput]) -> str:
+def _names_of_open(group: ComponentGroup, inputs: Sequence[CombinationInput]) -> str:
     """Return between what the zeros of a group's inputs differ, in words."""
     names = dict.fromkeys(
         direction.name
@@ -265,7 +265,7 @@ def _names_of_open(group: Group, inputs: Sequence[CombinationInput]) -> str:
 
 
 def _linked(
-    protections: Sequence[Protection], name: str, groups: Sequence[Group]
+    protections: Sequence[Protection], name: str, groups: Sequence[ComponentGroup]
 ) -> tuple[Protection, ...]:
     """Return the protections of input ``name``; its gauge is estimated where others join it."""
     others = {
@@ -313,7 +313,7 @@ def _interpolated(
     ]
 
 
-def _unlinked(groups: Sequence[Group]) -> list[str]:
+def _unlinked(groups: Sequence[ComponentGroup]) -> list[str]:
     """Return in words which inputs share too few angles with the others."""
     names = {name for group in groups for name in group.interpolated}
     return [
@@ -322,7 +322,7 @@ def _unlinked(groups: Sequence[Group]) -> list[str]:
     ]
 
 
-def _largest_shares(groups: Sequence[Group]) -> dict[str, float]:
+def _largest_shares(groups: Sequence[ComponentGroup]) -> dict[str, float]:
     """Return by input its largest part of any standard uncertainty of the result, 0 to 1."""
     shares: dict[str, float] = {}
     for group in groups:
@@ -332,7 +332,9 @@ def _largest_shares(groups: Sequence[Group]) -> dict[str, float]:
     return shares
 
 
-def _details(groups: Sequence[Group], inputs: Sequence[CombinationInput]) -> dict[str, Any]:
+def _details(
+    groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInput]
+) -> dict[str, Any]:
     """Return the figures for people: where the result comes from and how well it fits."""
     figures = ("chi2", "dof", "p_value", "consistent", "farthest")
     return {

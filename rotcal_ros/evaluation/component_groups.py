@@ -70,7 +70,7 @@ class Link:
 
 
 @dataclass(frozen=True, eq=False)
-class Group:
+class ComponentGroup:
     """Components that were combined together, and what came of it.
 
     ``joined`` holds the angles of each component, ``columns`` its place among the unknowns;
@@ -146,7 +146,7 @@ class Group:
 
 def combine_group(
     components: Sequence[str], inputs: Mapping[str, Curves], enlarge: Enlargement, level: float
-) -> Group:
+) -> ComponentGroup:
     """Combine ``components`` of all ``inputs`` (by name), of which each has one at least.
 
     They are consistent when chance gives a larger chi-square more often than ``level``; if not,
@@ -180,7 +180,7 @@ def combine_group(
     except DataError as error:
         raise DataError(f"{', '.join(components)} of {', '.join(inputs)}: {error}") from error
     p_value = chi2_sf(pooled.chi2, pooled.dof) if pooled.dof else 1.0
-    group = Group(
+    group = ComponentGroup(
         inputs=tuple(" + ".join(names) for names in members),
         members=members,
         joined=joined,
@@ -202,10 +202,10 @@ def combine_group(
 class _Weighed(NamedTuple):
     """The parts of all inputs, what they leave open, and how they are weighed, by members."""
 
-    parts: list[Part]
+    parts: list[ComponentInput]
     left: Floats
     members: tuple[tuple[str, ...], ...]
-    weighed: list[Part]
+    weighed: list[ComponentInput]
 
 
 def _of_observations_alone(
@@ -222,8 +222,8 @@ def _of_observations_alone(
 
 
 def _with_open(
-    parts: Sequence[Part], common: Floats, between: Sequence[bool]
-) -> tuple[list[Part], Floats]:
+    parts: Sequence[ComponentInput], common: Floats, between: Sequence[bool]
+) -> tuple[list[ComponentInput], Floats]:
     """Return the parts, and an orthonormal basis (m, q) of what they leave open together.
 
     Besides ``common`` (m, g). What is read off a curve ``between`` its angles joins no zeros: a
@@ -247,7 +247,9 @@ def _with_open(
     ], left
 
 
-def _links(group: Group, inputs: Mapping[str, Curves], parts: Sequence[Part]) -> Iterator[Link]:
+def _links(
+    group: ComponentGroup, inputs: Mapping[str, Curves], parts: Sequence[ComponentInput]
+) -> Iterator[Link]:
     """Yield the offsets of single components that the group tells and one input alone does not."""
     for (name, curves), part in zip(inputs.items(), parts, strict=True):
         start = 0
@@ -273,8 +275,8 @@ def _which(word: str, column: Floats, curve: MeasuredCurve, rows: Ints) -> str:
 
 
 def _link(
-    group: Group,
-    part: Part,
+    group: ComponentGroup,
+    part: ComponentInput,
     place: slice,
     column: Floats,
     words: tuple[str, str, str, tuple[str, ...]],
@@ -294,7 +296,9 @@ def _link(
     )
 
 
-def _enlarged(group: Group, parts: Sequence[Part], gauge: Floats, enlarge: Enlargement) -> Group:
+def _enlarged(
+    group: ComponentGroup, parts: Sequence[ComponentInput], gauge: Floats, enlarge: Enlargement
+) -> ComponentGroup:
     """Return a group whose inputs contradict each other with larger uncertainties."""
     if len(parts) > 2:
         group = replace(group, farthest=group.inputs[farthest(parts, gauge)])
@@ -320,7 +324,7 @@ class _Seen:
     ``rows``: which values of the curve, ``grow``: times which matrix, ``place``: from where on.
     """
 
-    part: Part
+    part: ComponentInput
     rows: Mapping[str, Ints]
     grow: Mapping[str, Floats]
     place: Mapping[str, int]
@@ -352,7 +356,7 @@ def _part(
         c: grow[c] @ curve.covariance[np.ix_(rows[c], rows[c])] @ grow[c]
         for c, curve in own.items()
     }
-    part = Part(
+    part = ComponentInput(
         values=np.concatenate(list(values.values())),
         covariance=block_diag(*covariances.values()),
         design=np.concatenate(designs),
@@ -363,8 +367,8 @@ def _part(
 
 
 def _clustered(
-    seen: Mapping[str, _Seen], parts: Sequence[Part], inputs: Mapping[str, Curves]
-) -> tuple[tuple[tuple[str, ...], ...], list[Part]]:
+    seen: Mapping[str, _Seen], parts: Sequence[ComponentInput], inputs: Mapping[str, Curves]
+) -> tuple[tuple[tuple[str, ...], ...], list[ComponentInput]]:
     """Return the names of each part; inputs that share observations are one part together.
 
     ``parts`` are those of the inputs in their order, as they are to be weighed.
@@ -399,7 +403,7 @@ def _together(
     seen: Sequence[_Seen],
     names: Sequence[str],
     shared: Mapping[tuple[str, str], Mapping[str, Floats]],
-) -> Part:
+) -> ComponentInput:
     """Return the parts of one cluster as one, with what its members share."""
     if len(seen) == 1:
         return seen[0].part
@@ -414,7 +418,7 @@ def _together(
             at, to = ends[i] + mine.place[c], ends[j] + other.place[c]
             covariance[at : at + len(block), to : to + block.shape[1]] = block
             covariance[to : to + block.shape[1], at : at + len(block)] = block.T
-    return Part(
+    return ComponentInput(
         values=np.concatenate([own.part.values for own in seen]),
         covariance=covariance + floor(covariance),
         design=np.concatenate([own.part.design for own in seen]),
@@ -478,7 +482,7 @@ FLOOR: Final = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class ComponentInput:
     """One input: ``values`` (m,) with ``covariance`` (m, m), in rad or m.
 
     ``design`` (m, n) selects or interpolates the curve at the n unknowns, ``free`` (m, q) holds
@@ -510,7 +514,7 @@ class Pooled:
     dof: int
 
 
-def pool(parts: Sequence[Part], gauge: Floats) -> Pooled:
+def pool(parts: Sequence[ComponentInput], gauge: Floats) -> Pooled:
     """Return the best estimate of all ``parts``; ``gauge`` (n, g) is what none of them knows.
 
     Every part is whitened by the root of its covariance and freed of its own unknowns by an
@@ -546,7 +550,7 @@ def pool(parts: Sequence[Part], gauge: Floats) -> Pooled:
     )
 
 
-def common_std(parts: Sequence[Part], gauge: Floats) -> float:
+def common_std(parts: Sequence[ComponentInput], gauge: Floats) -> float:
     """Return the standard deviation that, added to every value, makes chi-square equal to dof.
 
     Mandel and Paule's between-laboratory component, here of every single value. Zero when
@@ -565,7 +569,7 @@ def common_std(parts: Sequence[Part], gauge: Floats) -> float:
     return float(np.sqrt(brentq(excess, 0.0, high, xtol=1e-6 * high, rtol=1e-9)))
 
 
-def widened(parts: Sequence[Part], variance: float) -> list[Part]:
+def widened(parts: Sequence[ComponentInput], variance: float) -> list[ComponentInput]:
     """Return the parts with an independent ``variance`` added to every value."""
     return [
         replace(part, covariance=part.covariance + variance * np.eye(len(part.values)))
@@ -573,7 +577,7 @@ def widened(parts: Sequence[Part], variance: float) -> list[Part]:
     ]
 
 
-def farthest(parts: Sequence[Part], gauge: Floats) -> int:
+def farthest(parts: Sequence[ComponentInput], gauge: Floats) -> int:
     """Return the part whose omission lowers chi-square most."""
     without = []
     for k, part in enumerate(parts):
@@ -583,7 +587,7 @@ def farthest(parts: Sequence[Part], gauge: Floats) -> int:
     return int(np.argmin(without))
 
 
-def _whitened(part: Part) -> Part:
+def _whitened(part: ComponentInput) -> ComponentInput:
     """Return the part with unit covariance, and orthogonal to its own unknowns.
 
     A large variance along the unknowns changes nothing but makes singular covariances regular:
@@ -603,4 +607,4 @@ def _whitened(part: Part) -> Part:
     white = np.linalg.solve(root, columns)
     q, _ = np.linalg.qr(np.linalg.solve(root, part.free))
     white -= q @ (q.T @ white)
-    return Part(white[:, -1], np.eye(m), white[:, :-1], q)
+    return ComponentInput(white[:, -1], np.eye(m), white[:, :-1], q)

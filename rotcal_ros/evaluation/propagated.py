@@ -23,7 +23,7 @@ from rotcal_ros.methods.method import Measurements
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class PropagatedComponent:
     """One component at all angles (n,), rad or m; ``value`` and ``linear_std`` of the solver."""
 
     value: Floats
@@ -43,13 +43,13 @@ class Propagated:
     seed: int
 
     @cached_property
-    def components(self) -> dict[str, Part]:
+    def components(self) -> dict[str, PropagatedComponent]:
         """What solver and trials say about each component."""
         names = self.result.components
         columns = (self.spread.mean, self.spread.std, self.spread.low, self.spread.high)
         split = [np.split(column, len(names)) for column in columns]
         return {
-            name: Part(
+            name: PropagatedComponent(
                 self.result.deviations[name], self.result.std[name], *(part[k] for part in split)
             )
             for k, name in enumerate(names)

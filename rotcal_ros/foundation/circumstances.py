@@ -33,7 +33,7 @@ class Range:
 
 
 @dataclass(frozen=True, slots=True)
-class Counts:
+class StepCounts:
     """How many steps there were.
 
     ``planned``: in the plan, for a policy those on offer; ``used``: observed and accepted;
@@ -66,7 +66,7 @@ class Circumstances:
     pressure_pa: Range | None = None
     humidity: Range | None = None
     refraction: str = ""
-    counts: Counts | None = None
+    counts: StepCounts | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return what is known in plain types, as it stands in result.json."""

@@ -18,7 +18,7 @@ _OF_THE_ITEM: Final = ("item", "maker", "model", "serial")
 
 
 @dataclass(frozen=True)
-class Instrument:
+class InstrumentIdentity:
     """One instrument that took part; empty texts are not known."""
 
     maker: str = setting("", doc="manufacturer")
@@ -34,24 +34,24 @@ class Instrument:
     @property
     def known(self) -> bool:
         """Whether anything is said about it."""
-        return self != Instrument()
+        return self != InstrumentIdentity()
 
 
 @dataclass(frozen=True)
 class Instruments:
     """The instruments of a cell, by what they do in it."""
 
-    tracer: Instrument = group(Instrument)
-    tracker: Instrument = group(Instrument)
-    machine: Instrument = group(Instrument)
-    ball_plate: Instrument = group(Instrument)
-    mirror: Instrument = group(Instrument)
-    thermometer: Instrument = group(Instrument)
-    barometer: Instrument = group(Instrument)
-    hygrometer: Instrument = group(Instrument)
+    tracer: InstrumentIdentity = group(InstrumentIdentity)
+    tracker: InstrumentIdentity = group(InstrumentIdentity)
+    machine: InstrumentIdentity = group(InstrumentIdentity)
+    ball_plate: InstrumentIdentity = group(InstrumentIdentity)
+    mirror: InstrumentIdentity = group(InstrumentIdentity)
+    thermometer: InstrumentIdentity = group(InstrumentIdentity)
+    barometer: InstrumentIdentity = group(InstrumentIdentity)
+    hygrometer: InstrumentIdentity = group(InstrumentIdentity)
 
     @property
-    def known(self) -> Mapping[str, Instrument]:
+    def known(self) -> Mapping[str, InstrumentIdentity]:
         """Those of which anything is said, by name."""
         named = {field.name: getattr(self, field.name) for field in fields(self)}
         return {name: instrument for name, instrument in named.items() if instrument.known}

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from rotcal_ros.bags.names import TRACER_LENGTH
 from rotcal_ros.capture import Capture
-from rotcal_ros.foundation.circumstances import Circumstances, Counts, Range
+from rotcal_ros.foundation.circumstances import Circumstances, Range, StepCounts
 from rotcal_ros.foundation.errors import ConfigurationError, PlanError
 from rotcal_ros.foundation.in_force import UNKNOWN, agreed
 from rotcal_ros.foundation.observations import Observation
@@ -120,7 +120,7 @@ class Calibration:
             pressure_pa=Range.of([o.pressure_pa for o in used]),
             humidity=Range.of([o.humidity for o in used]),
             refraction=self.refraction.in_words(used),
-            counts=Counts(
+            counts=StepCounts(
                 planned, len(steps), 0 if chosen else planned - len(steps), len(retried)
             ),
         )

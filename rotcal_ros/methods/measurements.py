@@ -69,7 +69,7 @@ def read_measurements(
     return method.table.read(configuration, table, targets)
 
 
-class StepFinder:
+class RowStepFinder:
     """Finds the step of the plan that a row measures, and refuses it twice.
 
     What the plan measures again, as a plan that closes does, may stand in the table again.

@@ -51,7 +51,7 @@ from rotcal_ros.nodes.capture import CaptureNode
 from rotcal_ros.nodes.check.adapter import GROUP, AdapterEars, controller_lines
 from rotcal_ros.nodes.check.drivers import brought_line, driver_lines
 from rotcal_ros.nodes.check.header_watch import HeaderWatch, watch_headers
-from rotcal_ros.nodes.check.heard import Heard
+from rotcal_ros.nodes.check.heard import HeardCell
 from rotcal_ros.nodes.check.neighbours import cell_lines
 from rotcal_ros.nodes.check.streams import clock_line, stream_lines
 from rotcal_ros.nodes.goal.preflight import frame_doubts
@@ -73,7 +73,7 @@ from rotcal_ros.planning.table_motion import PUBLISH_VELOCITY
 from rotcal_ros.sessions.domains import domains_in_use
 
 if TYPE_CHECKING:
-    from rotcal_ros.nodes.check.heard import Heard
+    from rotcal_ros.nodes.check.heard import HeardCell
 
 
 NAME: Final = "cell_check"
@@ -133,7 +133,7 @@ class Listening:
             )
         )
 
-    def heard(self, configuration: Configuration, calibration: Calibration | None) -> Heard:
+    def heard(self, configuration: Configuration, calibration: Calibration | None) -> HeardCell:
         """Return what came so far."""
         _, values = self._ears._report()
         concerns = {**values, **self._ears.health.concerns, **self._ears.health.alarms}
@@ -143,7 +143,7 @@ class Listening:
             words.setdefault(OFFSET, clocks)
         compared = self._offsets.compared()
         graph = CellGraph(self.node)
-        return Heard(
+        return HeardCell(
             graph, words, self.headers, configuration, calibration, compared, self._adapter
         )
 
@@ -173,7 +173,7 @@ def _configuration(path: str) -> Configuration:
 
 
 def _lines(
-    heard: Heard, frames: FramesHeard, calibration: Calibration | None
+    heard: HeardCell, frames: FramesHeard, calibration: Calibration | None
 ) -> Iterator[CheckLine]:
     yield from cell_lines(heard)
     yield from stream_lines(heard)
@@ -224,7 +224,7 @@ class FramesHeard:
     def __init__(self, node: Node) -> None:
         self._static = StaticFrames(node)
 
-    def lines(self, heard: Heard) -> Iterator[CheckLine]:
+    def lines(self, heard: HeardCell) -> Iterator[CheckLine]:
         """Yield which frames the headers name, and what is static among them."""
         cell, named = heard.configuration.cell, _by_frame(heard)
         if named:
@@ -243,7 +243,7 @@ class FramesHeard:
             yield CheckLine("frames", f"tf {frame}", "note", f"in {cell.machine_frame}: {where}")
 
 
-def _by_frame(heard: Heard) -> dict[str, list[str]]:
+def _by_frame(heard: HeardCell) -> dict[str, list[str]]:
     """Return frame -> topics that are stamped with it."""
     named: dict[str, list[str]] = {}
     for topic, watch in sorted(heard.headers.items()):
@@ -260,7 +260,7 @@ def _words(pose: Pose) -> str:
 _TYPE: Final = "std_msgs/msg/Bool"
 
 
-def safety_lines(heard: Heard) -> Iterator[CheckLine]:
+def safety_lines(heard: HeardCell) -> Iterator[CheckLine]:
     """Yield what stops the cell: a topic, names on /diagnostics, or nothing."""
     settings = heard.configuration.safety
     if settings.emergency_stop:
@@ -270,7 +270,7 @@ def safety_lines(heard: Heard) -> Iterator[CheckLine]:
         yield CheckLine("safety", "/diagnostics", "note", found)
 
 
-def _topic_line(heard: Heard) -> CheckLine:
+def _topic_line(heard: HeardCell) -> CheckLine:
     """Say whether somebody publishes the emergency stop, in the type that is understood."""
     settings = heard.configuration.safety
     name = heard.graph.resolve(settings.emergency_stop)
@@ -299,7 +299,7 @@ _TYPES: Final = {
 }
 
 
-def machine_lines(heard: Heard) -> Iterator[CheckLine]:
+def machine_lines(heard: HeardCell) -> Iterator[CheckLine]:
     """Yield a line for the joint and for every order."""
     if heard.adapter is not None:
         yield from _adapter_lines(heard)
@@ -309,17 +309,17 @@ def machine_lines(heard: Heard) -> Iterator[CheckLine]:
         yield from _order_lines(heard, order)
 
 
-def table_start(heard: Heard) -> float:
+def table_start(heard: HeardCell) -> float:
     """Return where the table stands (rad), as far as it was heard."""
     angle = table_angle(heard.values, heard.configuration)
     return angle if isfinite(angle) and not next(_doubts(heard), "") else 0.0
 
 
-def _doubts(heard: Heard) -> Iterator[str]:
+def _doubts(heard: HeardCell) -> Iterator[str]:
     return joint_doubts(heard.values, heard.configuration)
 
 
-def _joint_line(heard: Heard) -> CheckLine:
+def _joint_line(heard: HeardCell) -> CheckLine:
     joint = heard.configuration.cell.joint
     chosen = chosen_joint(heard.values, joint)
     if fault := next(heard.joint_faults(), ""):
@@ -335,7 +335,7 @@ def _joint_line(heard: Heard) -> CheckLine:
     return CheckLine("table", "joint", "good", found)
 
 
-def _order_lines(heard: Heard, order: str) -> Iterator[CheckLine]:
+def _order_lines(heard: HeardCell, order: str) -> Iterator[CheckLine]:
     """Yield who obeys an order, and who else than the planner gives it."""
     part, graph = _PARTS[order], heard.graph
     name, machines = graph.resolve(order), graph.machines(order)
@@ -355,7 +355,7 @@ def _order_lines(heard: Heard, order: str) -> Iterator[CheckLine]:
         yield CheckLine(part, order, "doubt", found, todo)
 
 
-def _adapter_lines(heard: Heard) -> Iterator[CheckLine]:
+def _adapter_lines(heard: HeardCell) -> Iterator[CheckLine]:
     """Yield what the adapter would say of its joint, and whether its controller is there."""
     assert heard.adapter is not None
     wrong, todo = heard.adapter.wrong()

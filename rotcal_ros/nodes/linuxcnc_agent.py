@@ -31,7 +31,7 @@ MOVE_TIMEOUT_S = 120.0
 STANDS_DEG = 1e-6
 
 
-class Machine:
+class LinuxCncMachine:
     """Commands and state of LinuxCNC; one thread uses one object."""
 
     def __init__(self, linuxcnc: Any, axis: str, joint: int) -> None:
@@ -134,7 +134,9 @@ def say(message: dict[str, Any]) -> None:
     sys.stdout.flush()
 
 
-def obey(machine: Machine, orders: queue.Queue[dict[str, float]], errors: list[str]) -> None:
+def obey(
+    machine: LinuxCncMachine, orders: queue.Queue[dict[str, float]], errors: list[str]
+) -> None:
     """Carry out orders, one after the other; what fails is reported, and the next is tried."""
     while True:
         try:
@@ -173,7 +175,7 @@ def main() -> None:
     component = hal.component(f"rotcal-agent-{os.getpid()}")
     component.ready()
     channel = linuxcnc.error_channel()
-    machine = Machine(linuxcnc, arguments.axis, arguments.joint)
+    machine = LinuxCncMachine(linuxcnc, arguments.axis, arguments.joint)
     if arguments.start:
         machine.start()
     machine.take()

@@ -22,7 +22,7 @@ from rotcal_ros.nodes.goal.asking import obstacle
 from rotcal_ros.nodes.goal.cell_links import CellLinks
 from rotcal_ros.nodes.goal.crew import Codes, Crew
 from rotcal_ros.nodes.goal.pauses import Pauses
-from rotcal_ros.nodes.goal.progress import Progress
+from rotcal_ros.nodes.goal.progress import GoalProgress
 from rotcal_ros.nodes.goal.run import GoalRun
 from rotcal_ros.nodes.goal.watch import GoalWatch
 from rotcal_ros.nodes.runtime.cell_node import IDLE_S, CellNode
@@ -160,7 +160,7 @@ class Planner(CellNode):
             self._links,
             self._stop,
             self._pauses,
-            Progress(
+            GoalProgress(
                 total=len(calibration.plan.steps),
                 step=continuation.start_index,
                 left=len(continuation.steps),
@@ -183,7 +183,7 @@ class Planner(CellNode):
         else:
             handle.abort()
 
-    def _show(self, handle: ServerGoalHandle, progress: Progress) -> None:
+    def _show(self, handle: ServerGoalHandle, progress: GoalProgress) -> None:
         """Publish feedback, not more often than a person can follow."""
         now = time.monotonic()
         measuring = 0 < progress.step < progress.total

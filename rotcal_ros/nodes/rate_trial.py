@@ -32,7 +32,7 @@ from rotcal_ros.nodes.runtime.draining import Batch, DrainedSubscription, sent_n
 from rotcal_ros.nodes.runtime.peer import Peer
 from rotcal_ros.nodes.runtime.qos import LISTENING_DEPTH, STREAM
 from rotcal_ros.nodes.runtime.running import use_middleware
-from rotcal_ros.nodes.writing.recording import Messages, Recording
+from rotcal_ros.nodes.writing.recording import BagRecording, Messages
 from rotcal_ros.planning.health_settings import HealthSettings
 
 RATE_HZ: Final = 1000
@@ -42,10 +42,10 @@ MATCH_S: Final = 10.0
 REST_S: Final = 5.0
 
 
-class Listener:
+class TrialListener:
     """What recorder and capture do with readings: keep their bytes, and understand them."""
 
-    def __init__(self, recording: Recording) -> None:
+    def __init__(self, recording: BagRecording) -> None:
         self._recording = recording
         self._kind = OWN[names.TRACER_LENGTH]
         self._channel = own_channel(f"/doctor/{names.TRACER_LENGTH}", self._kind)
@@ -81,8 +81,8 @@ def try_rate(folder: Path) -> tuple[bool, str]:
     """Return whether the rate was held, and what was found in words."""
     count = round(RATE_HZ * TRIAL_S)
     here, there = Peer("doctor_instrument", "/doctor"), Peer("doctor_recorder", "/doctor")
-    recording = Recording(BagWriter(folder / "bag"), QUEUE_BYTES, lambda *_: None)
-    heard = Listener(recording)
+    recording = BagRecording(BagWriter(folder / "bag"), QUEUE_BYTES, lambda *_: None)
+    heard = TrialListener(recording)
     depth = QoSProfile(depth=LISTENING_DEPTH)
     listening = DrainedSubscription(
         there.node, TracerLength, names.TRACER_LENGTH, depth, heard.hear, raw=True
@@ -101,7 +101,7 @@ def try_rate(folder: Path) -> tuple[bool, str]:
     return verdict(count, heard.understood, recording, heard.longest_s)
 
 
-def verdict(count: int, came: int, recording: Recording, longest_s: float) -> tuple[bool, str]:
+def verdict(count: int, came: int, recording: BagRecording, longest_s: float) -> tuple[bool, str]:
     """Return whether all of ``count`` readings came and were written, and that in words."""
     limit_s = HealthSettings().slow_after_s
     written = recording.messages

@@ -24,12 +24,12 @@ from rotcal_ros.nodes.runtime.turns import handle_events
 from rotcal_ros.nodes.writing.bookkeeping import LogTimes, Silences
 from rotcal_ros.nodes.writing.dropouts import TOGETHER_S, DropoutNotes
 from rotcal_ros.nodes.writing.heard_topic import HeardTopic
-from rotcal_ros.nodes.writing.listening import Listener
+from rotcal_ros.nodes.writing.listening import TopicListener
 from rotcal_ros.nodes.writing.receipts import Receipts
 from rotcal_ros.nodes.writing.recorded_session import RecordedSession
-from rotcal_ros.nodes.writing.recording import Messages, Recording
+from rotcal_ros.nodes.writing.recording import BagRecording, Messages
 from rotcal_ros.nodes.writing.session_bags import OpenBag, SessionBags
-from rotcal_ros.nodes.writing.surroundings import Parameters, keep_surroundings
+from rotcal_ros.nodes.writing.surroundings import NodeParameters, keep_surroundings
 
 CLOSE_TIMEOUT_S: Final = 15.0
 Request: TypeAlias = StartRecording.Request
@@ -46,7 +46,7 @@ class RecorderNode(CellNode):
         """Get ready to write."""
         self._settings = self.settings("recorder", RecorderSettings)
         self._bags, self._session = SessionBags(self._settings), RecordedSession()
-        self._recording: Recording | None = None
+        self._recording: BagRecording | None = None
         self._silences = Silences(self._settings.silence_s, time.monotonic())
         self._jumps_before, self._reading, self._unwanted = 0, False, False
         self._log_times = LogTimes(self._clock_jumps)
@@ -57,7 +57,7 @@ class RecorderNode(CellNode):
         self._called = CalledOtherwise(self.get_namespace())
         self._dropouts = DropoutNotes(self.resolve_topic_name(f"~/{names.DROPOUTS}"))
         heard = self._take, self._dropouts.note, self._called.topics.values
-        self._listener = Listener(self, *heard, fast=self._is_fast)
+        self._listener = TopicListener(self, *heard, fast=self._is_fast)
         self._receipts = Receipts(self, self._called, self._listener, self._session)
         self.every(GRAPH_PERIOD_S, self._note_losses)
 
@@ -74,7 +74,7 @@ class RecorderNode(CellNode):
         """Let messages gather while no bag is open."""
         return IDLE_S if not self.configured or self._writing() is None else 0.0
 
-    def _writing(self) -> Recording | None:
+    def _writing(self) -> BagRecording | None:
         """Return the recording whose bag is open."""
         return self._recording if self._recording and not self._recording.finished else None
 
@@ -159,14 +159,14 @@ class RecorderNode(CellNode):
         self._listener.begin(request.configuration)
         self._silences = Silences(self._settings.silence_s, time.monotonic())
         self._session.begin(request.plan_id, bag.run, bag.earlier)
-        recording = Recording(bag.writer, self._settings.queue_bytes, self._receipts.confirm)
+        recording = BagRecording(bag.writer, self._settings.queue_bytes, self._receipts.confirm)
         self._dropouts.begin(recording)
         self._called.keep(recording.note)  # before the configuration, where readers stop to look
         keep_surroundings(recording, request.configuration)
         bag.keep(request.configuration)
         self._listener.tell_again(recording.put)
         self._recording = recording
-        self._asked = Parameters(recording, self)
+        self._asked = NodeParameters(recording, self)
         self.begin(self._asked.ask)
         response.folder, response.success = str(bag.folder.path), True
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 
-from rotcal_ros.planning.choices import Choice, Outcome, Standing
+from rotcal_ros.planning.choices import Choice, Standing, StepOutcome
 
 
 class AsListed:
@@ -20,7 +20,7 @@ class AsListed:
             return Choice(None, "all steps of the list are done", Standing(0))
         return Choice(self._left[0], "next of the list", Standing(len(self._left)))
 
-    def note(self, outcome: Outcome) -> None:
+    def note(self, outcome: StepOutcome) -> None:
         """Strike the step off when it is the next one."""
         if self._left and self._left[0] == outcome.step:
             self._left.popleft()

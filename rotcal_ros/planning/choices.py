@@ -42,7 +42,7 @@ class Choice:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class StepOutcome:
     """How ``step`` went: its accepted observation, or None when it was given up."""
 
     step: int
@@ -59,5 +59,5 @@ class Policy(Protocol):
     def choose(self) -> Choice:
         """Return the next step, or that there is none; takes less than 50 ms."""
 
-    def note(self, outcome: Outcome) -> None:
+    def note(self, outcome: StepOutcome) -> None:
         """Take notice of how a step went, be it the chosen one or another."""

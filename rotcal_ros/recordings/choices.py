@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 from rotcal_ros import methods
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.methods.continuation import Continuation
-from rotcal_ros.planning.choices import Choice, Outcome, Standing
+from rotcal_ros.planning.choices import Choice, Standing, StepOutcome
 from rotcal_ros.planning.policy_names import AS_LISTED
 
 ENDLESS: Final = 2**62
@@ -93,7 +93,7 @@ def _outcome(
     recorded: RecordedChoice,
     later: Sequence[RecordedChoice],
     observations: Sequence[Observation],
-) -> Outcome:
+) -> StepOutcome:
     """Return how the step of a choice went: the last accepted attempt of those it has."""
     step = recorded.choice.step
     assert step is not None
@@ -103,7 +103,7 @@ def _outcome(
         for o in observations
         if o.step == step and o.accepted and recorded.attempt <= o.attempt < behind
     ]
-    return Outcome(step, max(accepted, key=lambda o: o.attempt, default=None))
+    return StepOutcome(step, max(accepted, key=lambda o: o.attempt, default=None))
 
 
 def _in_words(choice: Choice) -> str:

@@ -28,10 +28,10 @@ def find_bags(sources: Sequence[str]) -> tuple[str, ...]:
 
     Raises BagError when a source names nothing.
     """
-    found = _Found()
+    found = _NamedBags()
     for source in sources:
         named = False
-        for bag in _Search().bags_of(source):
+        for bag in _FolderSearch().bags_of(source):
             named = True
             found.add(bag)
         if not named:
@@ -39,7 +39,7 @@ def find_bags(sources: Sequence[str]) -> tuple[str, ...]:
     return found.bags()
 
 
-class _Found:
+class _NamedBags:
     """Bags in the order in which they were named, without those that are known already."""
 
     def __init__(self) -> None:
@@ -74,7 +74,7 @@ def _inodes(bag: str) -> Inodes:
         return frozenset()
 
 
-class _Search:
+class _FolderSearch:
     """One way through folders and lists that enters none of them twice, so that loops end."""
 
     def __init__(self) -> None:
@@ -137,7 +137,7 @@ class _Search:
             return
         base = Path(*_before_magic(Path(pattern).parts))
         matches = _compiled(pattern)
-        walk = _Search()
+        walk = _FolderSearch()
         yield from sorted(str(p) for p in walk.below(base) if matches.fullmatch(f"{p}/"))
 
     def below(self, folder: Path) -> Iterator[Path]:

@@ -20,7 +20,7 @@ TAIL_BYTES: Final = 1 << 16
 
 
 @dataclass(frozen=True)
-class Outcome:
+class BagOutcome:
     """What became of one bag; ``error`` is empty when there is a result.
 
     ``table`` tells rotary tables apart: cell and axis of the configuration that the bag was
@@ -78,7 +78,7 @@ def _state(file: Path) -> str:
     return f"{status.st_size} {status.st_mtime_ns} {tail}"
 
 
-def read_entry(folder: Path, key: str) -> Outcome | None:
+def read_entry(folder: Path, key: str) -> BagOutcome | None:
     """Return what is kept under ``key``, None when nothing is; raises BrokenEntry."""
     try:
         checksum, text = _path(folder, key).read_text(encoding="utf-8").split("\n", 1)
@@ -89,10 +89,10 @@ def read_entry(folder: Path, key: str) -> Outcome | None:
     if checksum != _checksum(text):
         raise BrokenEntry(f"{key}: not as it was written")
     known = json.loads(text)
-    return Outcome(**known | {name: tuple(known[name]) for name in ("warnings", "unread")})
+    return BagOutcome(**known | {name: tuple(known[name]) for name in ("warnings", "unread")})
 
 
-def write_entry(folder: Path, outcome: Outcome) -> None:
+def write_entry(folder: Path, outcome: BagOutcome) -> None:
     """Keep an outcome under its key: whole and on the medium, or not at all."""
     path = _path(folder, outcome.key)
     path.parent.mkdir(exist_ok=True, parents=True)

@@ -14,8 +14,8 @@ from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.plugins import culprit, in_words
 from rotcal_ros.methods.configuration import Configuration, parse_configuration
 from rotcal_ros.recordings.kept import (
+    BagOutcome,
     BrokenEntry,
-    Outcome,
     fingerprint,
     read_entry,
     write_entry,
@@ -37,7 +37,7 @@ class Job:
     verify_bytes: bool = False
 
 
-def solve_bag(job: Job) -> Outcome:
+def solve_bag(job: Job) -> BagOutcome:
     """Solve one bag; whatever goes wrong with it becomes part of the outcome."""
     begin = time.perf_counter()
     key, healed = "", False
@@ -51,13 +51,13 @@ def solve_bag(job: Job) -> Outcome:
         with local(job.source) as path:
             outcome = _solve(job, path, key)
     except Exception as error:  # one bad bag does not stop the rest
-        return Outcome(
+        return BagOutcome(
             job.source, key, error=_in_words(error), seconds=time.perf_counter() - begin
         )
     return _kept(job, replace(outcome, seconds=time.perf_counter() - begin, healed=healed))
 
 
-def _kept(job: Job, outcome: Outcome) -> Outcome:
+def _kept(job: Job, outcome: BagOutcome) -> BagOutcome:
     """Keep a good outcome; a full disk does not make it worse."""
     try:
         write_entry(Path(job.cache), replace(outcome, healed=False))
@@ -80,11 +80,11 @@ def _in_words(error: Exception) -> str:
     return f"{type(error).__name__} while solving, which is a fault of rotcal_ros: {error}"
 
 
-def _solve(job: Job, path: Path, key: str) -> Outcome:
+def _solve(job: Job, path: Path, key: str) -> BagOutcome:
     with unread() as missing:
         recording = read_recording(path, configuration=job.configuration)
     starts = [v.start_ns for v in recording.verdicts if v.start_ns is not None]
-    return Outcome(
+    return BagOutcome(
         source=job.source,
         key=key,
         table=_table(recording, job.source),

@@ -28,7 +28,7 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks, sha256_of
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.run_number import run_number
-from rotcal_ros.bags.scan import Contents, Scan
+from rotcal_ros.bags.scan import Scan, StorageContents
 from rotcal_ros.bags.session_identity import require_one_session
 from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session
 from rotcal_ros.bags.time_order import TimeOrder, TimeOrders, sorted_blocks
@@ -65,7 +65,7 @@ from rotcal_ros.recordings.recorded_setup import (
     require_one_configuration,
 )
 from rotcal_ros.recordings.streams import SLICE_NS, TIMED, StreamFeeder
-from rotcal_ros.recordings.topics import Part, Topics, of_one_cell
+from rotcal_ros.recordings.topics import RoleMessages, Topics, of_one_cell
 
 Source = Literal["streams", "observations"]
 
@@ -346,7 +346,7 @@ def _require_messages(verdicts: Sequence[FileVerdict], path: Path) -> None:
 
 
 @dataclass
-class _Found:
+class _BagContents:
     """What the files of a bag hold beside the streams."""
 
     recorded: list[Observation] = field(default_factory=list)
@@ -358,7 +358,7 @@ class _Found:
     order: TimeOrders = field(default_factory=TimeOrders)
     decoders: Decoders = field(default_factory=dict)
 
-    def take(self, part: Part, block: Block) -> None:
+    def take(self, part: RoleMessages, block: Block) -> None:
         """Take the messages of a part that is no stream."""
         if part.role == names.OBSERVATION:
             self.recorded += (records.observation(m) for _, m in part.messages(block))
@@ -379,7 +379,7 @@ def _read_in_order(
     make: Callable[[], StreamFeeder],
     source: Source,
     apart_ns: int,
-) -> tuple[_Found, StreamFeeder, TimeOrder]:
+) -> tuple[_BagContents, StreamFeeder, TimeOrder]:
     """Read all files; once more, sorted by time, where their order turns out to be another one."""
     feeder, scans = make(), list[Scan]()
     found = _read(_noted(passes(), scans), topics, feeder if source == "streams" else None)
@@ -394,7 +394,7 @@ def _read_in_order(
 
 def _noted(
     blocks: Iterable[tuple[Scan, Block | None]], scans: list[Scan]
-) -> Iterator[tuple[Contents, Block]]:
+) -> Iterator[tuple[StorageContents, Block]]:
     """Yield the blocks; passes that have come to their ends are put into ``scans``."""
     for scan, block in blocks:
         if block is None:
@@ -404,10 +404,10 @@ def _noted(
 
 
 def _read(
-    blocks: Iterable[tuple[Contents, Block]], topics: Topics, feeder: StreamFeeder | None
-) -> _Found:
+    blocks: Iterable[tuple[StorageContents, Block]], topics: Topics, feeder: StreamFeeder | None
+) -> _BagContents:
     """Read all files once; the streams go to ``feeder``."""
-    found, run = _Found(), 0
+    found, run = _BagContents(), 0
     for scan, block in blocks:
         before, run = run, run_number(scan.metadata, run)
         if feeder is not None and run != before:

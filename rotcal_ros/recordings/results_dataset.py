@@ -16,7 +16,7 @@ import numpy as np
 from rotcal_ros.bags.parquet import arrow
 from rotcal_ros.foundation.escapes import encodable
 from rotcal_ros.foundation.files import FolderLock, replace_atomically
-from rotcal_ros.recordings.kept import Outcome
+from rotcal_ros.recordings.kept import BagOutcome
 
 ROWS: Final = 50_000
 """Rows after which a part is written."""
@@ -65,7 +65,7 @@ class ResultsDataset:
         finally:
             self._lock.release()
 
-    def add(self, outcome: Outcome) -> None:
+    def add(self, outcome: BagOutcome) -> None:
         """Take the outcome of a bag; it is on the medium within PATIENCE_S and ROWS."""
         source = encodable(outcome.source)
         self._seen.add(_digest(source))
@@ -143,7 +143,7 @@ def _bags_of(table: Any) -> list[tuple[str, str, str | None]]:
     return list(zip(*columns, strict=True))
 
 
-def _batch(outcome: Outcome) -> Any:
+def _batch(outcome: BagOutcome) -> Any:
     """Return the rows of one bag."""
     pa, _ = arrow()
     outcome = replace(outcome, source=encodable(outcome.source))

@@ -26,7 +26,7 @@ from rotcal_ros.recordings.replay import Recording
 
 
 @dataclass(frozen=True)
-class Source:
+class ResultSource:
     """A result and where it comes from.
 
     ``sha256`` maps file names to hashes. ``axis`` is the letter of the measured axis, None where
@@ -38,7 +38,7 @@ class Source:
     axis: str | None = None
 
 
-def read_source(path: Path, given: Input | None = None) -> Source:
+def read_source(path: Path, given: Input | None = None) -> ResultSource:
     """Return the result in a JSON file, the solution of a bag or table, or a session's result.
 
     ``given`` is the path with a set-up, targets, changes: what they belong to is solved with them.
@@ -70,7 +70,7 @@ def read_source(path: Path, given: Input | None = None) -> Source:
     return source
 
 
-def _results(path: Path) -> dict[str, Source]:
+def _results(path: Path) -> dict[str, ResultSource]:
     """Return the result in a JSON file, or all evaluations by name; raises as read_source."""
     try:
         data = read_bytes(path)
@@ -78,9 +78,11 @@ def _results(path: Path) -> dict[str, Source]:
         hashed = {path.name: sha256(data).hexdigest()}
         ways = content.get(EVALUATIONS) if isinstance(content, dict) else None
         if not isinstance(ways, list) or not ways:
-            return {"": Source(Result.from_dict(content), hashed)}
+            return {"": ResultSource(Result.from_dict(content), hashed)}
         return {
-            way_name(way.get("changes", ())): Source(Result.from_dict(way.get("result")), hashed)
+            way_name(way.get("changes", ())): ResultSource(
+                Result.from_dict(way.get("result")), hashed
+            )
             for way in ways
         }
     except OSError as error:
@@ -93,10 +95,10 @@ def _results(path: Path) -> dict[str, Source]:
         raise DataError(f"{path}: {error}") from error
 
 
-def solved(measured: Recording | Measurements) -> Source:
+def solved(measured: Recording | Measurements) -> ResultSource:
     """Return the solution of a bag or a table."""
     axis = measured.configuration.cell.axis
-    return Source(measured.solve(), measured.sha256, axis)
+    return ResultSource(measured.solve(), measured.sha256, axis)
 
 
 def read_repeated_runs(path: Path) -> BidirectionalRuns:

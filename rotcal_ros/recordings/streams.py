@@ -23,7 +23,7 @@ from rotcal_ros.instruments.conversion import FEEDBACK, READING
 from rotcal_ros.instruments.forms import STAMP, Form, form_of
 from rotcal_ros.instruments.interpreter import Interpreter, table_samples
 from rotcal_ros.instruments.steps import Order, Position, StepFinder
-from rotcal_ros.recordings.topics import Part
+from rotcal_ros.recordings.topics import RoleMessages
 
 _TRACER: Final = (*STAMP, "sequence", "length", "status")
 _JOINTS: Final = (*STAMP, "position", "velocity")
@@ -42,7 +42,7 @@ Numbered = tuple[int, Any]
 """The row of a message in its block, and its record."""
 
 
-class Capture(Protocol):
+class RecordConsumer(Protocol):
     """What is needed of rotcal_ros.capture.Capture."""
 
     @property
@@ -76,7 +76,7 @@ class StreamFeeder:
 
     def __init__(
         self,
-        make: Callable[[int], Capture],
+        make: Callable[[int], RecordConsumer],
         joint: str = "",
         make_finder: Callable[[], StepFinder] | None = None,
         topics: TopicSettings | None = None,
@@ -121,10 +121,10 @@ class StreamFeeder:
         return {stream: dict(counts) for stream, counts in total.items()}
 
     @property
-    def _capture(self) -> Capture:
+    def _capture(self) -> RecordConsumer:
         return self._captures[-1]
 
-    def feed(self, block: Block, parts: list[Part]) -> None:
+    def feed(self, block: Block, parts: list[RoleMessages]) -> None:
         """Feed one block that ``parts`` splits into the topics of the cell."""
         others: list[Numbered] = []
         readings, feedback = np.zeros(0, READING), np.zeros(0, FEEDBACK)
@@ -207,7 +207,7 @@ class StreamFeeder:
         times: Ints = np.where(sent > 0, sent, came)
         return times
 
-    def _bare(self, block: Block, part: Part, form: Form) -> NDArray[np.void]:
+    def _bare(self, block: Block, part: RoleMessages, form: Form) -> NDArray[np.void]:
         """Return what a topic of bare numbers says, in file order."""
         numbers = (*form.numbers, *form.limits)
         found = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, len(numbers))))]
@@ -221,7 +221,7 @@ class StreamFeeder:
         sent = self._sent_ns(block, rows[order])
         return self._instruments.bare(part.role, rows[order], stamps[order], sent, values[order])
 
-    def _own(self, block: Block, part: Part, found: NDArray[np.void]) -> NDArray[np.void]:
+    def _own(self, block: Block, part: RoleMessages, found: NDArray[np.void]) -> NDArray[np.void]:
         """Return records (n,) of a role's own type in SI, by the common clock, in file order."""
         found = found[np.argsort(found["row"], kind="stable")]
         conventions = self._instruments.conventions
@@ -236,7 +236,7 @@ class StreamFeeder:
                 found[name] = convert(found[name])
         return found
 
-    def _readings(self, block: Block, part: Part) -> NDArray[np.void]:
+    def _readings(self, block: Block, part: RoleMessages) -> NDArray[np.void]:
         """Return the tracer readings of a block in file order."""
         form = form_of(part.role, part.decoder.channel.type_name)
         if form is not None:
@@ -245,7 +245,7 @@ class StreamFeeder:
         found = [np.zeros(0, READING), *(_readings_of(columns, part) for columns in shapes)]
         return self._own(block, part, np.concatenate(found))
 
-    def _feedback(self, block: Block, part: Part) -> NDArray[np.void]:
+    def _feedback(self, block: Block, part: RoleMessages) -> NDArray[np.void]:
         """Return the feedback of the table in a block in file order."""
         form = form_of(part.role, part.decoder.channel.type_name)
         if form is not None:
@@ -263,7 +263,7 @@ class StreamFeeder:
             found.append(rows)
         return self._own(block, part, np.concatenate(found))
 
-    def _single(self, block: Block, part: Part) -> Iterator[Numbered]:
+    def _single(self, block: Block, part: RoleMessages) -> Iterator[Numbered]:
         """Yield the records of a slow topic, message by message."""
         type_name = part.decoder.channel.type_name
         make = self._makers.get(part.role)
@@ -286,7 +286,7 @@ def _in_rows(known: NDArray[np.void], further: NDArray[np.void]) -> NDArray[np.v
     return every[np.argsort(every["row"], kind="stable")]
 
 
-def _tells_positions(part: Part) -> bool:
+def _tells_positions(part: RoleMessages) -> bool:
     """Return whether somebody tells where the probe is without a step."""
     is_probe = part.role == names.PROBE_POINT
     return is_probe and form_of(part.role, part.decoder.channel.type_name) is not None
@@ -319,7 +319,7 @@ def _samples(feedback: NDArray[np.void]) -> Iterator[Numbered]:
     yield from zip(feedback["row"].tolist(), table_samples(feedback.tolist()), strict=True)
 
 
-def _readings_of(columns: Columns, part: Part) -> NDArray[np.void]:
+def _readings_of(columns: Columns, part: RoleMessages) -> NDArray[np.void]:
     readings = np.zeros(len(columns.rows), READING)
     readings["row"] = part.rows[columns.rows]
     readings["stamp_ns"] = columns.stamp_ns()

@@ -16,7 +16,7 @@ from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import read_blocks
 from rotcal_ros.bags.reading_limits import ReadingLimits
-from rotcal_ros.bags.scan import Contents
+from rotcal_ros.bags.scan import StorageContents
 from rotcal_ros.foundation.arrays import Ints
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.methods import Configuration
@@ -27,7 +27,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Part:
+class RoleMessages:
     """The messages of one role in a block: their rows, ascending, and how to decode them."""
 
     role: str
@@ -144,9 +144,9 @@ class Topics:
     def split(
         self,
         block: Block,
-        scan: Contents,
+        scan: StorageContents,
         decoders: dict[ChannelDefinition, Decoder],
-    ) -> list[Part]:
+    ) -> list[RoleMessages]:
         """Return the parts of a block of ``scan`` that matter to the cell."""
         noted = scan.metadata.get(names.TOPICS, {})
         self._recorded |= {role: topic for role, topic in noted.items() if role in names.ROLES}
@@ -160,7 +160,7 @@ class Topics:
             decoder = decoders.get(channel) or self._decoder(channel)
             if decoder is not None:
                 decoders[channel] = decoder
-                parts.append(Part(role, np.flatnonzero(numbers == number), decoder))
+                parts.append(RoleMessages(role, np.flatnonzero(numbers == number), decoder))
         return parts
 
     def _decoder(self, channel: ChannelDefinition) -> Decoder | None:

@@ -24,7 +24,7 @@ from queue import Empty, SimpleQueue
 from typing import Any, Final
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
-from rotcal_ros.recordings.kept import Outcome
+from rotcal_ros.recordings.kept import BagOutcome
 from rotcal_ros.recordings.many import Job, solve_bag
 
 TIME_LIMIT_S: Final = 3600.0
@@ -44,7 +44,7 @@ def on_all_cores(
     workers: int | None = None,
     time_limit_s: float = TIME_LIMIT_S,
     work: Work = solve_bag,
-) -> Generator[Outcome, None, None]:
+) -> Generator[BagOutcome, None, None]:
     """Yield the outcomes as they come; ``workers`` processes, by default one for each core.
 
     A process that dies is started again and its job tried once more; a job that kills two, or
@@ -57,7 +57,7 @@ def on_all_cores(
     for member in crew:
         idle.put(member)
 
-    def done(job: Job) -> Outcome:
+    def done(job: Job) -> BagOutcome:
         member = idle.get()
         try:
             return member.do(job)
@@ -66,7 +66,7 @@ def on_all_cores(
 
     with ThreadPoolExecutor(workers) as threads:
         try:
-            running: set[Future[Outcome]] = set()
+            running: set[Future[BagOutcome]] = set()
             while True:
                 wanted = _WAITING * workers - len(running)
                 running |= {threads.submit(done, job) for job in islice(remaining, wanted)}
@@ -91,7 +91,7 @@ def on_cluster(
     scheduler: str,
     time_limit_s: float = TIME_LIMIT_S,
     work: Work = solve_bag,
-) -> Generator[Outcome, None, None]:
+) -> Generator[BagOutcome, None, None]:
     """Yield the outcomes as the workers of the Dask ``scheduler`` (tcp://...) deliver them.
 
     The workers need rotcal_ros installed and the bags and the cache at the same paths. They may
@@ -120,7 +120,7 @@ def on_cluster(
 
 def _through(
     client: Any, jobs: Iterator[Job], scheduler: str, time_limit_s: float, work: Work
-) -> Iterator[Outcome]:
+) -> Iterator[BagOutcome]:
     """Hand out jobs a few at a time and yield their outcomes."""
     finished: SimpleQueue[Any] = SimpleQueue()
     handed: dict[Any, tuple[Job, int]] = {}
@@ -173,7 +173,7 @@ def _gone(scheduler: str) -> BagError:
 _of_thread = threading.local()
 
 
-def supervised(job: Job, time_limit_s: float, work: Work) -> Outcome:
+def supervised(job: Job, time_limit_s: float, work: Work) -> BagOutcome:
     """Do a job in the process of its own that this thread of a worker keeps for that."""
     known: dict[Any, Supervised] = _of_thread.__dict__.setdefault("crew", {})
     member = known.setdefault((work, time_limit_s), Supervised(work, time_limit_s))
@@ -185,18 +185,18 @@ def _lost(future: Any) -> bool:
     return type(future.exception()).__name__ == "KilledWorker"
 
 
-def _outcome(future: Any, source: str) -> Outcome:
+def _outcome(future: Any, source: str) -> BagOutcome:
     """Return what a finished future holds; its workers may have died under it."""
     error = future.exception()
     if error is None:
-        outcome: Outcome = future.result()
+        outcome: BagOutcome = future.result()
         return outcome
     if _lost(future):
-        return Outcome(source, "", error="set aside: the cluster lost every worker that had it")
-    return Outcome(source, "", error=f"the cluster could not do it: {error!r}")
+        return BagOutcome(source, "", error="set aside: the cluster lost every worker that had it")
+    return BagOutcome(source, "", error=f"the cluster could not do it: {error!r}")
 
 
-Work = Callable[[Job], Outcome]
+Work = Callable[[Job], BagOutcome]
 TRIES: Final = 2
 """Deaths of its worker that are held against a bag."""
 FROM_OUTSIDE: Final = 5
@@ -224,7 +224,7 @@ class Supervised:
         self._connection: Connection[Any, Any] | None = None
         self._closed = False
 
-    def do(self, job: Job) -> Outcome:
+    def do(self, job: Job) -> BagOutcome:
         """Return what became of ``job``."""
         died: list[str] = []
         while not (_blamed(died) or self._closed):
@@ -234,15 +234,15 @@ class Supervised:
                 connection.send((self._work, job, self._time_limit_s + _GRACE_S))
                 if not connection.poll(self._time_limit_s):
                     self._end()
-                    return Outcome(job.source, "", error=self._too_long())
-                outcome: Outcome = connection.recv()
+                    return BagOutcome(job.source, "", error=self._too_long())
+                outcome: BagOutcome = connection.recv()
             except (EOFError, OSError, pickle.UnpicklingError):
                 died.append(self._end() + (MEMORY if _oom_kills() > out_of_memory else ""))
             else:
                 return outcome
         if self._closed:
-            return Outcome(job.source, "", error="ended before it was done")
-        return Outcome(job.source, "", error=f"set aside: it killed its worker {_times(died)}")
+            return BagOutcome(job.source, "", error="ended before it was done")
+        return BagOutcome(job.source, "", error=f"set aside: it killed its worker {_times(died)}")
 
     def close(self) -> None:
         """End the process, whatever it does."""

@@ -11,7 +11,7 @@ from datetime import datetime, timezone
 from typing import Final
 
 from rotcal_ros import __version__
-from rotcal_ros.foundation.circumstances import Circumstances, Counts, Range
+from rotcal_ros.foundation.circumstances import Circumstances, Range, StepCounts
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.in_force import in_words
 from rotcal_ros.foundation.results import Result
@@ -83,7 +83,7 @@ def about_the_plan(result: Result, rejected_attempts: int) -> list[Fact]:
     ]
 
 
-def in_numbers(result: Result, counts: Counts | None, rejected_attempts: int) -> str:
+def in_numbers(result: Result, counts: StepCounts | None, rejected_attempts: int) -> str:
     """Return the true counts in one line."""
     rejected = f"{len(result.rejected)} rejected by the solver"
     if counts is None:

@@ -38,7 +38,7 @@ class TableRow:
 
 
 @dataclass
-class Counts:
+class OverviewCounts:
     """What stands at the top of the overview."""
 
     bags: int = 0
@@ -48,12 +48,12 @@ class Counts:
     tables: list[TableRow] = field(default_factory=list)
 
 
-def write_overview(dataset: Path, configuration_text: str, path: Path) -> Counts:
+def write_overview(dataset: Path, configuration_text: str, path: Path) -> OverviewCounts:
     """Write the page at ``path`` and those it leads to, in a folder beside it; return the counts.
 
     One page for each table with its trend and its bags, pages of alarms, and a search.
     """
-    counts = Counts()
+    counts = OverviewCounts()
     folder = path.parent / FOLDER
     new = path.parent / f".{FOLDER}-new"
     shutil.rmtree(new, ignore_errors=True)
@@ -82,7 +82,7 @@ def write_overview(dataset: Path, configuration_text: str, path: Path) -> Counts
 
 
 def _write_table(
-    folder: Path, number: int, name: str, bags: Sequence[Bag], counts: Counts, index: Any
+    folder: Path, number: int, name: str, bags: Sequence[Bag], counts: OverviewCounts, index: Any
 ) -> None:
     """Write the pages of one table and its lines of the search; count it."""
     stem = f"table-{number}"
@@ -102,7 +102,7 @@ def _write_table(
     counts.tables.append(row)
 
 
-def _count(counts: Counts, row: TableRow, bag: Bag, file: str) -> None:
+def _count(counts: OverviewCounts, row: TableRow, bag: Bag, file: str) -> None:
     counts.bags += 1
     if bag.twin_of:
         counts.twins += 1

@@ -21,7 +21,7 @@ from rotcal_ros.foundation.untrusted import load_json, read_text
 from rotcal_ros.methods.configuration import read_policy
 from rotcal_ros.planning.policy_names import UNTIL_GOAL
 from rotcal_ros.recordings.replay import read_recording
-from rotcal_ros.recordings.sources import Source, read_source
+from rotcal_ros.recordings.sources import ResultSource, read_source
 from rotcal_ros.report.terminal.console import say
 from rotcal_ros.sessions.session import Session
 from rotcal_ros.simulation.table import true_deviations
@@ -108,7 +108,7 @@ def write_report(folder: SessionFolder, extra: Sequence[tuple[str, str]] = ()) -
 
 
 def export_files(
-    source: Source,
+    source: ResultSource,
     table: CompensationTable,
     names: Sequence[str],
     spacing: float | None = None,

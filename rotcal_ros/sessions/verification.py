@@ -35,7 +35,7 @@ from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.foundation.untrusted import load_json, read_text, why
 from rotcal_ros.methods import Calibration
 from rotcal_ros.methods.configuration import Configuration, read_configuration
-from rotcal_ros.recordings.sources import Source, read_source
+from rotcal_ros.recordings.sources import ResultSource, read_source
 from rotcal_ros.report.terminal.console import say
 from rotcal_ros.sessions.environment import require_ros
 from rotcal_ros.sessions.following import calibrate
@@ -80,7 +80,7 @@ class Request:
             return APPLIED
         return self.controllers[0] if self.controllers else cell.bridge.controller
 
-    def files(self, source: Source, cell: Configuration) -> dict[str, ExportFiles]:
+    def files(self, source: ResultSource, cell: Configuration) -> dict[str, ExportFiles]:
         """Return the files of all controllers for ``source``, by controller."""
         table = combined(table_from_result(source.result, axis=cell.cell.axis), lambda: None)
         # An arc is nothing for a control that repeats its table every turn.
@@ -88,7 +88,7 @@ class Request:
         names = (*(usual if cell.simulated else [self.applied(cell)]), *self.controllers)
         return self._export(source, table, cell, *dict.fromkeys(names))
 
-    def added(self, source: Source, cell: Configuration, first: ExportFiles) -> ExportFiles:
+    def added(self, source: ResultSource, cell: Configuration, first: ExportFiles) -> ExportFiles:
         """Return the files of the control, with what ``source`` found added to ``first``."""
         held = held_table(first.controller, first.files)
         table = combined(table_from_result(source.result, axis=cell.cell.axis), lambda: held)
@@ -96,7 +96,7 @@ class Request:
         return self._export(source, table, cell, name)[name]
 
     def _export(
-        self, source: Source, table: CompensationTable, cell: Configuration, *names: str
+        self, source: ResultSource, table: CompensationTable, cell: Configuration, *names: str
     ) -> dict[str, ExportFiles]:
         """Return the files; a controller that the group bridge names has its options there."""
         return export_files(
@@ -110,11 +110,11 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Measured:
+class FinishedSession:
     """A finished session and its result."""
 
     session: Session
-    source: Source
+    source: ResultSource
 
     @property
     def cell(self) -> Configuration:
@@ -209,11 +209,11 @@ def confirm_loaded(folder: Path) -> None:
 def _round(
     folder: Path,
     name: str,
-    before: Measured,
+    before: FinishedSession,
     exports: dict[str, ExportFiles],
     applied: ExportFiles,
     loaded: Loaded | None,
-) -> Measured | None:
+) -> FinishedSession | None:
     """Put the table that is ``applied`` into force and measure in the session ``name``.
 
     None where the user ended it, or has not loaded the table yet.
@@ -265,7 +265,9 @@ def _read_request(folder: Path) -> Request:
         raise ConfigurationError(f"{folder / REQUEST} is damaged: {why(error)}") from error
 
 
-def _outcome(rounds: dict[str, Measured], stated: float, effect: Effect | None) -> Verification:
+def _outcome(
+    rounds: dict[str, FinishedSession], stated: float, effect: Effect | None
+) -> Verification:
     again = rounds.get("again")
     simulated = rounds["before"].cell.simulated
     return Verification(
@@ -308,12 +310,12 @@ def _rehearse(request: Request, calibration: Calibration) -> None:
     perfect = Result(
         calibration.plan.method, angles, nothing, nothing, covariance, 1.0, 0, 0, measured_on=NONE
     )
-    request.files(Source(perfect, {}), calibration.configuration)
+    request.files(ResultSource(perfect, {}), calibration.configuration)
 
 
 def _measure(
     configuration: Path, path: Path, changes: Sequence[str], whole: Path
-) -> Measured | None:
+) -> FinishedSession | None:
     """Return the measurement in the session ``path``, carried out as far as it is not yet.
 
     DataError unless its verdict is ok, None when the user ended it.
@@ -341,7 +343,7 @@ def _measure(
             f"the measurement {path} has the verdict {source.result.verdict}: "
             f"{'; '.join(source.result.warnings)}"
         )
-    return Measured(session, source)
+    return FinishedSession(session, source)
 
 
 def _write_once(exports: dict[str, ExportFiles], folder: Path) -> None:
@@ -375,7 +377,7 @@ def _rows(export: ExportFiles) -> list[str]:
     ]
 
 
-def _true_figures(measured: Measured) -> Iso230:
+def _true_figures(measured: FinishedSession) -> Iso230:
     """Return ISO 230-2 of the simulated axis itself over the measured travel."""
     angles = measured.source.result.angles
     targets = np.linspace(angles[0], angles[-1], ISO_TARGETS)

@@ -8,7 +8,7 @@ from rotcal_ros.foundation.arrays import Floats, Stamps
 from rotcal_ros.foundation.observations import HumiditySample, PressureSample
 from rotcal_ros.foundation.refraction import Air, ciddor
 from rotcal_ros.foundation.units import NANOSECOND
-from rotcal_ros.simulation.noise import IndexedNoise, Source
+from rotcal_ros.simulation.noise import IndexedNoise, NoiseSource
 from rotcal_ros.simulation.settings import SimulatedAirSettings
 from rotcal_ros.simulation.temperature import SENSOR, SimulatedTemperature
 
@@ -24,8 +24,8 @@ class SimulatedAir:
         start_ns: int,
     ) -> None:
         self.settings, self._temperature, self._start_ns = settings, temperature, start_ns
-        self._pressure_noise = IndexedNoise(seed, Source.PRESSURE)
-        self._humidity_noise = IndexedNoise(seed, Source.HUMIDITY)
+        self._pressure_noise = IndexedNoise(seed, NoiseSource.PRESSURE)
+        self._humidity_noise = IndexedNoise(seed, NoiseSource.HUMIDITY)
 
     def pressure(self, stamps: Stamps) -> Floats:
         """Return the true pressure (n,), Pa."""

@@ -14,7 +14,7 @@ from rotcal_ros.foundation.units import NANOSECOND
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class MotionLimits:
     """Largest ``speed`` (per s), ``acceleration`` (per s^2), ``lag`` and its time constant (s)."""
 
     speed: float
@@ -61,7 +61,7 @@ class Motion:
     exponentially.
     """
 
-    def __init__(self, begin_ns: int, places: Sequence[float], limits: Limits) -> None:
+    def __init__(self, begin_ns: int, places: Sequence[float], limits: MotionLimits) -> None:
         self._limits = limits
         self._legs: list[Leg] = []
         self.end_ns = begin_ns
@@ -94,7 +94,7 @@ class Motion:
         return self._limits.lag * lag
 
 
-def _leg(begin_ns: int, start: float, stop: float, limits: Limits) -> Leg:
+def _leg(begin_ns: int, start: float, stop: float, limits: MotionLimits) -> Leg:
     way = abs(stop - start)
     ramp = min(limits.speed / limits.acceleration, sqrt(way / limits.acceleration))
     cruise = way / (limits.acceleration * ramp) - ramp if ramp > 0 else 0.0

@@ -12,7 +12,7 @@ from rotcal_ros.foundation.arrays import Floats
 _BLOCK = 512
 
 
-class Source(IntEnum):
+class NoiseSource(IntEnum):
     """What a stream of random numbers is for; methods of other packages count from 1000."""
 
     TRACER = 0

@@ -12,8 +12,8 @@ from rotcal_ros.foundation.arrays import Floats, Ints, Stamps
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.observations import Approach, TableSample
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
-from rotcal_ros.simulation.motion import Limits, Motion
-from rotcal_ros.simulation.noise import IndexedNoise, Source
+from rotcal_ros.simulation.motion import Motion, MotionLimits
+from rotcal_ros.simulation.noise import IndexedNoise, NoiseSource
 from rotcal_ros.simulation.settings import AngularHarmonics, LinearHarmonics, TableSettings
 
 
@@ -111,7 +111,7 @@ class SimulatedTable:
 
     def __init__(self, settings: TableSettings, seed: int, start_ns: int) -> None:
         self.settings = settings
-        self._limits = Limits(
+        self._limits = MotionLimits(
             speed=settings.speed_deg_s * DEGREE,
             acceleration=settings.acceleration_deg_s2 * DEGREE,
             lag=settings.settling_arcsec * ARCSEC,
@@ -120,9 +120,9 @@ class SimulatedTable:
         self._motion = Motion(start_ns, [settings.initial_angle_deg * DEGREE], self._limits)
         self._approach = Approach.POSITIVE
         self._arrivals = 0
-        self._arrival_noise = IndexedNoise(seed, Source.ARRIVAL)
-        self._motion_noise = IndexedNoise(seed, Source.ARRIVAL_MOTION)
-        self._feedback_noise = IndexedNoise(seed, Source.FEEDBACK)
+        self._arrival_noise = IndexedNoise(seed, NoiseSource.ARRIVAL)
+        self._motion_noise = IndexedNoise(seed, NoiseSource.ARRIVAL_MOTION)
+        self._feedback_noise = IndexedNoise(seed, NoiseSource.FEEDBACK)
         self.rest_ns = start_ns
 
     def order(self, now_ns: int, angle: float, approach: Approach) -> None:

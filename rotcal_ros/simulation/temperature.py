@@ -7,7 +7,7 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Floats, Stamps
 from rotcal_ros.foundation.observations import TemperatureSample
 from rotcal_ros.foundation.units import MICROMETRE, NANOSECOND
-from rotcal_ros.simulation.noise import IndexedNoise, Source
+from rotcal_ros.simulation.noise import IndexedNoise, NoiseSource
 from rotcal_ros.simulation.settings import TemperatureSettings
 
 SENSOR = "air"
@@ -18,7 +18,7 @@ class SimulatedTemperature:
 
     def __init__(self, settings: TemperatureSettings, seed: int, start_ns: int) -> None:
         self.settings, self._start_ns = settings, start_ns
-        self._noise = IndexedNoise(seed, Source.TEMPERATURE)
+        self._noise = IndexedNoise(seed, NoiseSource.TEMPERATURE)
 
     def change(self, stamps: Stamps) -> Floats:
         """Return the true change of temperature since the start, K, (n,)."""

@@ -17,7 +17,7 @@ from typing import Any
 from rotcal_ros.bags.closing import InterruptedSession
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
-from rotcal_ros.nodes.writing.recording import Channel, Messages, Receipt, Recording
+from rotcal_ros.nodes.writing.recording import BagRecording, Channel, Messages, Receipt
 
 DEFINITION = "uint64 number\nuint64 stamp_ns\n"
 READING = struct.Struct("<4xQQ")
@@ -55,7 +55,7 @@ def record(folder: Path, receipts: Any, how: dict[str, Any]) -> None:
     except Exception as error:
         receipts.send(("error", str(error)))
         return
-    recording = Recording(writer, 1 << 26, lambda r, _: receipts.send(("receipt", r.step)))
+    recording = BagRecording(writer, 1 << 26, lambda r, _: receipts.send(("receipt", r.step)))
     number = 0
     while not told_to_end and not recording.error:
         now_ns = time.time_ns() + clock_jump_ns(how, number)

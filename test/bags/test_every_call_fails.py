@@ -22,7 +22,7 @@ from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.foundation import disk
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.nodes.writing.recording import Channel, Messages, Receipt, Recording
+from rotcal_ros.nodes.writing.recording import BagRecording, Channel, Messages, Receipt
 
 ALL = bool(os.environ.get("ROTCAL_LONG_TESTS"))
 SAMPLE = 80
@@ -51,7 +51,7 @@ def record(folder: Path, *, earlier=None) -> tuple[list[int], str]:
         writer.note(names.RUN, {"number": 0})
     except BagError as error:
         return receipts, str(error)
-    recording = Recording(writer, 10**7, lambda receipt, _: receipts.append(receipt.step))
+    recording = BagRecording(writer, 10**7, lambda receipt, _: receipts.append(receipt.step))
     recording.attach(names.CONFIGURATION, "application/yaml", b"method: none\n")
     time_ns = 10**18
     for step in range(STEPS):

@@ -11,7 +11,7 @@ from capture_scenes import MS, SETTINGS, make_plan, make_scene, probe_sample, re
 
 from rotcal_ros.capture import Capture, CaptureRules
 from rotcal_ros.capture.points import points
-from rotcal_ros.capture.window import Reduced
+from rotcal_ros.capture.window import ReducedWindow
 from rotcal_ros.foundation.observations import PointKind
 
 KINDS = [PointKind.CENTRE, PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST]
@@ -88,7 +88,7 @@ def test_a_method_brings_its_own_way_to_make_one_value():
 
     def last(samples, step, settings):
         seen.append((len(samples), step, settings))
-        return Reduced(mean=samples[-1].position, n_used=1, reason="for once")
+        return ReducedWindow(mean=samples[-1].position, n_used=1, reason="for once")
 
     capture = Capture(plan, SETTINGS, CaptureRules({PointKind.CENTRE: points(last)}))
     (found,) = [o for record in scene.by_stamp() for o in capture.feed(record)]

@@ -18,7 +18,13 @@ from rotcal_ros.capture.table import (
     offset,
     why_not_at_rest,
 )
-from rotcal_ros.capture.window import Fault, Reduced, classify, mean_and_scatter, reduce_window
+from rotcal_ros.capture.window import (
+    ReadingFault,
+    ReducedWindow,
+    classify,
+    mean_and_scatter,
+    reduce_window,
+)
 from rotcal_ros.foundation.observations import LengthStatus
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
@@ -130,12 +136,12 @@ def reduced(lengths, sequence=None, status=None, **changes):
 
 
 def test_an_empty_reduction_has_no_numbers():
-    assert Reduced() == Reduced((), (), (), 0, "")
+    assert ReducedWindow() == ReducedWindow((), (), (), 0, "")
 
 
 @pytest.mark.parametrize(("bad", "accepted"), [(4, True), (5, False)])
 def test_a_share_that_is_just_enough_is_enough(bad, accepted):
-    status = np.where(np.arange(8) < bad, Fault.UNSTABLE, Fault.NONE)
+    status = np.where(np.arange(8) < bad, ReadingFault.UNSTABLE, ReadingFault.NONE)
     found = reduced(np.zeros(8), status=status, min_used_share=0.5)
     assert found.n_used == 8 - bad
     words = "only 3 of 8 readings usable: 5 unstable by its own status; expected at least 50%"
@@ -144,7 +150,7 @@ def test_a_share_that_is_just_enough_is_enough(bad, accepted):
 
 @pytest.mark.parametrize(("used", "accepted"), [(2, True), (1, False), (0, False)])
 def test_two_readings_are_the_least(used, accepted):
-    status = np.where(np.arange(3) < used, Fault.NONE, Fault.BEAM_BROKEN)
+    status = np.where(np.arange(3) < used, ReadingFault.NONE, ReadingFault.BEAM_BROKEN)
     found = reduced(np.arange(3.0), status=status)
     assert (found.reason == "") is accepted
     assert found.n_used == used
@@ -224,7 +230,7 @@ def test_lengths_up_to_the_limit_are_plausible():
     ok = float(LengthStatus.OK)
     length = np.array([20.0, -20.0, np.nextafter(20.0, 30.0), -21.0])
     assert classify(np.full(4, ok), length, 20.0).tolist() == [
-        Fault.NONE, Fault.NONE, Fault.IMPLAUSIBLE, Fault.IMPLAUSIBLE,
+        ReadingFault.NONE, ReadingFault.NONE, ReadingFault.IMPLAUSIBLE, ReadingFault.IMPLAUSIBLE,
     ]  # fmt: skip
 
 

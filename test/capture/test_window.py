@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from rotcal_ros.capture import CaptureSettings
-from rotcal_ros.capture.window import Fault, classify, reduce_window
+from rotcal_ros.capture.window import ReadingFault, classify, reduce_window
 from rotcal_ros.foundation.observations import LengthStatus
 
 LOOSE = CaptureSettings(max_std_m=1.0, max_drift_m=1.0, spike_limit=6.0, spike_floor_m=0.0)
@@ -59,12 +59,12 @@ def test_fault_of_each_reading():
     status = np.array([ok, ok, ok, ok, broken, unstable, LengthStatus.UNKNOWN, 77])
     length = np.array([1.0, np.nan, -np.inf, -20.1, np.nan, 1.0, 1.0, 1.0])
     assert classify(status, length, 20.0).tolist() == [
-        Fault.NONE,
-        Fault.NON_FINITE,
-        Fault.NON_FINITE,
-        Fault.IMPLAUSIBLE,
-        Fault.BEAM_BROKEN,
-        Fault.UNSTABLE,
-        Fault.UNKNOWN,
-        Fault.UNKNOWN,
+        ReadingFault.NONE,
+        ReadingFault.NON_FINITE,
+        ReadingFault.NON_FINITE,
+        ReadingFault.IMPLAUSIBLE,
+        ReadingFault.BEAM_BROKEN,
+        ReadingFault.UNSTABLE,
+        ReadingFault.UNKNOWN,
+        ReadingFault.UNKNOWN,
     ]

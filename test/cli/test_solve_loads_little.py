@@ -70,7 +70,7 @@ def test_loading_costs_little_beside_what_nobody_can_do_without(tmp_path):
 def test_a_bag_is_solved_with_its_own_method_alone(method):
     loaded = loaded_by(*solve(method))
     assert f"rotcal_ros.methods.{method}.solver" in loaded
-    others = {f"rotcal_ros.methods.{m}" for m in METHODS if m != method}
+    others = {f"rotcal_ros.methods.{m}.solver" for m in METHODS if m != method}
     assert not loaded & (others | set(NEVER))
 
 
@@ -78,7 +78,7 @@ def test_a_bag_is_solved_with_its_own_method_alone(method):
 def test_what_can_be_set_is_told_without_what_plans_captures_and_solves(method):
     loaded = loaded_by("settings", *method, "--json")
     assert "rotcal_ros.methods.settings_reference" in loaded
-    solvers = {f"rotcal_ros.methods.{m}" for m in (*METHODS, "tracer_six")}
+    solvers = {f"rotcal_ros.methods.{m}.solver" for m in (*METHODS, "tracer_six")}
     entries = {f"rotcal_ros.methods.{m}.method" for m in (*METHODS, "tracer_six")}
     never = {"rotcal_ros.methods.calibration", "rotcal_ros.capture.capture", "scipy"}
     assert not loaded & (solvers | entries | never | set(NEVER))

@@ -5,11 +5,11 @@ from dataclasses import replace
 import pytest
 from test_feed import made_before, table_of
 
-from rotcal_ros.compensation.agreement import Accepted, Machine, agreeing, words_of
+from rotcal_ros.compensation.agreement import Accepted, MachineIdentity, agreeing, words_of
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 
 DAY_NS = 86_400 * 10**9
-MACHINE = {"this cell": Machine("C", "4711")}
+MACHINE = {"this cell": MachineIdentity("C", "4711")}
 
 
 def table(serial="4711", axis="C"):
@@ -24,7 +24,7 @@ def asked(made, days=1.0, machines=MACHINE, words=(), largest=30.0):
 def test_what_agrees_is_as_it_was():
     made = table()
     assert asked(made) is made
-    assert asked(made, machines={"other": Machine()}) is made
+    assert asked(made, machines={"other": MachineIdentity()}) is made
     assert asked(replace(made, serial="")).serial == ""
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rotcal_ros as rc
-from rotcal_ros.foundation.circumstances import Circumstances, Counts, Range
+from rotcal_ros.foundation.circumstances import Circumstances, Range, StepCounts
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods import changed, prepare, read_configuration
@@ -50,7 +50,7 @@ def test_a_result_says_who_when_how_warm_and_how_many(real):
     assert (found.begun_ns, found.ended_ns) == (
         BEGUN_NS, BEGUN_NS + (n - 2) * SECOND + SECOND // 2,
     )  # fmt: skip
-    assert found.counts == Counts(planned=n, used=n - 1, skipped=1, retried=1)
+    assert found.counts == StepCounts(planned=n, used=n - 1, skipped=1, retried=1)
     assert found.temperature_c.lowest == 20.0
     assert found.temperature_c.highest == pytest.approx(20.0 + 0.001 * (n - 2))
     assert found.temperature_c.mean == pytest.approx(20.0 + 0.0005 * (n - 2))

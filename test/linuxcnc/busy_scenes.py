@@ -33,7 +33,7 @@ def rest(machine):
         time.sleep(0.1)
 
 
-machine = agent.Machine(linuxcnc, "A", A_JOINT)
+machine = agent.LinuxCncMachine(linuxcnc, "A", A_JOINT)
 machine.start()
 machine.take()
 found = {"at rest": asked()}

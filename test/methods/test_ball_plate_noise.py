@@ -11,7 +11,7 @@ from exact_plate import ExactPlate
 
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.methods.ball_plate.solver import plate_trials, solve
-from rotcal_ros.methods.ball_plate.solver.noise import Noise
+from rotcal_ros.methods.ball_plate.solver.noise import CentreNoise
 
 SIGMA = 5e-8
 SIX = [0, 3, 4, 9, 14, 20]
@@ -175,7 +175,7 @@ def test_exact_data_have_no_noise_to_compare(sizes):
 
 @pytest.mark.parametrize("own_std", [False, True])
 def test_to_state_each_axis_is_no_advice_where_each_axis_is_stated(own_std):
-    noise = Noise(
+    noise = CentreNoise(
         np.array([1e-7, 1e-7, 4e-7]), np.array([1e-7, 1e-7, 4e-7]), np.full(3, 90.0), 1e-9, 0.5,
         None, None, None, np.ones(3),
     )  # fmt: skip

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from rotcal_ros.methods import changed, prepare, read_configuration
-from rotcal_ros.planning.choices import Outcome
+from rotcal_ros.planning.choices import StepOutcome
 
 PAPER = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"
 SHORT = (
@@ -56,7 +56,7 @@ def test_the_reasons_name_a_wrong_length_a_drift_and_the_noise():
         assert seen.accepted, seen.reason
         if len(choices) == WRONG_NUMBER:
             seen = replace(seen, mean=(seen.mean[0] + WRONG_M,))
-        policy.note(Outcome(step, seen))
+        policy.note(StepOutcome(step, seen))
 
     wrong = choices[WRONG_NUMBER - 1].step
     reasons = [choice.reason for choice in choices]

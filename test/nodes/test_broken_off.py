@@ -14,8 +14,8 @@ from rotcal_ros.methods.configuration import dump_configuration, parse_configura
 from rotcal_ros.methods.continuation import Continuation, Recorded
 from rotcal_ros.nodes.goal import run as goal_run
 from rotcal_ros.nodes.goal.crew import Codes, GoalError
-from rotcal_ros.nodes.goal.measuring import Measuring
-from rotcal_ros.nodes.goal.progress import Progress
+from rotcal_ros.nodes.goal.measuring import GoalMeasurement
+from rotcal_ros.nodes.goal.progress import GoalProgress
 from rotcal_ros.nodes.goal.run import GoalBag, GoalRun
 from rotcal_ros.planning.plan import Pause
 from rotcal_ros.planning.planner_settings import PlannerSettings
@@ -49,7 +49,7 @@ class Cell(SimpleNamespace):
 
     def __init__(self, fails):
         super().__init__(done=[], fails=fails, observations={}, receipts={}, owed=None)
-        self.settings, self.progress = PlannerSettings(), Progress(len(PLAIN.plan.steps))
+        self.settings, self.progress = PlannerSettings(), GoalProgress(len(PLAIN.plan.steps))
         self.node, self.links = SimpleNamespace(now_ns=lambda: 0), self
 
     async def have_done(self, work="", _move=None):
@@ -88,7 +88,7 @@ class Cell(SimpleNamespace):
 def run_of(calibration, cell, steps, run=0):
     """Measure ``steps``; return what was asked for (texts) and ordered (steps)."""
     continuation = Continuation(PLAN_ID, run, steps[0], (), tuple(steps), ())
-    measuring = Measuring(calibration, continuation, cell)
+    measuring = GoalMeasurement(calibration, continuation, cell)
     measuring.asking, cell.done = cell, []
     try:
         asyncio.run(measuring.measure_all())
@@ -127,7 +127,7 @@ def goal(bag, start_index=0):
     node = SimpleNamespace(get_logger=lambda: SimpleNamespace(info=print, warning=print))
     links = SimpleNamespace(node=node, services=None)
     watch = SimpleNamespace(
-        links=links, progress=Progress(len(PLAIN.plan.steps)), settings=PlannerSettings(),
+        links=links, progress=GoalProgress(len(PLAIN.plan.steps)), settings=PlannerSettings(),
         end_run=lambda _: None, crew=SimpleNamespace(restart_wait_s=1.0),
     )  # fmt: skip
     made = GoalRun(PLAIN, PLAIN.from_the_start(start_index), watch)

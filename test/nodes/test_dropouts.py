@@ -14,7 +14,7 @@ from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.nodes.writing.bookkeeping import Silence
 from rotcal_ros.nodes.writing.dropouts import DropoutNotes
-from rotcal_ros.nodes.writing.recording import Channel, Messages, Recording
+from rotcal_ros.nodes.writing.recording import BagRecording, Channel, Messages
 
 TOPIC = "/cell/recorder/dropouts"
 SECOND = 10**9
@@ -27,7 +27,7 @@ def notes(tmp_path, monkeypatch):
     """Return notes into a bag, and a function that closes it and returns its verdict."""
     monkeypatch.setenv("AMENT_PREFIX_PATH", sys.prefix)
     writer = BagWriter(tmp_path / "bag", WriterSettings(min_free_bytes=0))
-    recording = Recording(writer, 30, lambda *_: None)
+    recording = BagRecording(writer, 30, lambda *_: None)
     made = DropoutNotes(TOPIC)
     made.begin(recording)
 

@@ -12,7 +12,7 @@ pytest.importorskip("rotcal_msgs")
 from rotcal_ros.foundation import machine_load
 from rotcal_ros.nodes.goal import watch as goal_watch
 from rotcal_ros.nodes.goal.crew import Codes, Crew, GoalError
-from rotcal_ros.nodes.goal.progress import Progress
+from rotcal_ros.nodes.goal.progress import GoalProgress
 from rotcal_ros.nodes.goal.watch import GoalWatch
 from rotcal_ros.nodes.runtime import cell_node
 from rotcal_ros.nodes.runtime.latest import HOPELESS, SILENT
@@ -46,7 +46,7 @@ class Cell:
         crew.nodes = {"capture", "recorder"}
         self.watch = GoalWatch(
             PlannerSettings(), links, SimpleNamespace(heed=lambda: "", latched=""),
-            SimpleNamespace(waiting=False), Progress(60, activity="step 3"),
+            SimpleNamespace(waiting=False), GoalProgress(60, activity="step 3"),
             lambda progress: self.shown.append(progress.activity), lambda: False, crew, 15.0,
             preflight=False, recording=True,
         )  # fmt: skip

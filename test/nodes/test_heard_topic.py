@@ -49,7 +49,7 @@ def test_a_topic_whose_subscription_fails_is_tried_again(monkeypatch):
     for name in ("message_type", "adapted_qos", "described_channel"):
         monkeypatch.setattr(listening, name, lambda *_arguments: SimpleNamespace())
     monkeypatch.setattr(listening, "_wanted_topics", lambda *_: {"/cell/plan": "a type"})
-    listener = object.__new__(listening.Listener)
+    listener = object.__new__(listening.TopicListener)
     listener.topics, listener.refused, listener._stop = {}, {}, []
     publisher = SimpleNamespace(qos_profile=None)
     listener._node = SimpleNamespace(get_publishers_info_by_topic=lambda _name: [publisher])

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from rotcal_ros.nodes.linuxcnc_agent import Machine, obey
+from rotcal_ros.nodes.linuxcnc_agent import LinuxCncMachine, obey
 
 
 class Program:
@@ -65,7 +65,7 @@ class Program:
 )
 def test_the_named_axis_moves_in_machine_coordinates_from_the_wanted_side(angle, side, moves):
     program = Program()
-    Machine(program, "A", 3).move({"angle_deg": angle, "side": side})
+    LinuxCncMachine(program, "A", 3).move({"angle_deg": angle, "side": side})
     assert program.commands == ["mode 3", *(f"G53 G90 G0 A{move:.9f}" for move in moves)]
 
 
@@ -78,7 +78,7 @@ def moved_by(machine, program, *orders):
 
 def test_an_order_that_repeats_the_last_one_moves_nothing():
     program = Program()
-    machine = Machine(program, "A", 3)
+    machine = LinuxCncMachine(program, "A", 3)
     assert moved_by(machine, program, (40.0, 1), (40.0, 1)) == [40.0]
     assert moved_by(machine, program, (40.0, -1), (40.0, -1)) == [42.0, 40.0]
     assert moved_by(machine, program, (40.0, 1)) == [38.0, 40.0]
@@ -86,7 +86,7 @@ def test_an_order_that_repeats_the_last_one_moves_nothing():
 
 def test_after_somebody_else_has_moved_it_the_axis_arrives_again():
     program = Program()
-    machine = Machine(program, "A", 3)
+    machine = LinuxCncMachine(program, "A", 3)
     machine.move({"angle_deg": 40.0, "side": 1})
     program.positions[3] = 41.0
     assert moved_by(machine, program, (40.0, 1)) == [38.0, 40.0]
@@ -102,7 +102,7 @@ def test_an_order_that_finds_the_machine_at_work_is_not_carried_out(work, why):
     program = Program()
     vars(program).update(work)
     with pytest.raises(RuntimeError, match=f"{why}.*: the order for A was not carried out"):
-        Machine(program, "A", 3).move({"angle_deg": 40.0})
+        LinuxCncMachine(program, "A", 3).move({"angle_deg": 40.0})
     assert program.commands == []
 
 
@@ -111,13 +111,13 @@ def test_every_joint_has_to_be_homed_and_the_table_has_to_be_one(joint):
     program = Program()
     program.homed[0] = joint - 3
     with pytest.raises(SystemExit, match="not homed" if joint == 3 else "no joint 4"):
-        Machine(program, "A", joint).take()
+        LinuxCncMachine(program, "A", joint).take()
 
 
 def test_a_linuxcnc_that_has_just_been_started_is_waited_for():
     program = Program()
     program.early_polls = 3
-    Machine(program, "A", 3).take()
+    LinuxCncMachine(program, "A", 3).take()
     assert program.commands == ["mode 3"]
 
 

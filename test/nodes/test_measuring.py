@@ -13,8 +13,8 @@ from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
 from rotcal_ros.methods.continuation import Continuation
 from rotcal_ros.nodes.goal.cell_links import CellLinks
-from rotcal_ros.nodes.goal.measuring import Measuring
-from rotcal_ros.nodes.goal.progress import Progress
+from rotcal_ros.nodes.goal.measuring import GoalMeasurement
+from rotcal_ros.nodes.goal.progress import GoalProgress
 from rotcal_ros.nodes.goal.watch import Codes, GoalError
 from rotcal_ros.planning.planner_settings import PlannerSettings
 
@@ -78,9 +78,9 @@ def measured(failing, steps=range(STEPS), earlier=()):
     continuation = Continuation(
         CALIBRATION.configuration.plan_id, run, left[0], (), left, observed
     )
-    cell, progress = Cell(failing), Progress(STEPS)
+    cell, progress = Cell(failing), GoalProgress(STEPS)
     watch = Watch(settings=PlannerSettings(), links=cell, progress=progress, owed=None)
-    asyncio.run(Measuring(CALIBRATION, continuation, watch).measure_all())
+    asyncio.run(GoalMeasurement(CALIBRATION, continuation, watch).measure_all())
     return cell, progress
 
 

@@ -2,10 +2,10 @@
 
 import pytest
 
-from rotcal_ros.nodes.runtime.identity import Identity, NameHolders, other_session, refusal
+from rotcal_ros.nodes.runtime.identity import NameHolders, ProcessIdentity, other_session, refusal
 
-FIRST = Identity("one", "a", -100.0)
-SECOND = Identity("two", "b", -50.0)
+FIRST = ProcessIdentity("one", "a", -100.0)
+SECOND = ProcessIdentity("two", "b", -50.0)
 
 
 def held(*beats):
@@ -15,23 +15,23 @@ def held(*beats):
 
 
 def test_an_identity_goes_through_a_beat_by_its_age():
-    heard = Identity.read(FIRST.in_a_beat(7.0), 1007.0)  # another machine's monotonic clock
-    assert heard == Identity("one", "a", pytest.approx(900.0))
+    heard = ProcessIdentity.read(FIRST.in_a_beat(7.0), 1007.0)  # another machine's monotonic clock
+    assert heard == ProcessIdentity("one", "a", pytest.approx(900.0))
     for text in ("", "1 2", "one a x", "one a -5", "one a " + "9" * 30):
-        assert Identity.read(text, 0.0) is None
+        assert ProcessIdentity.read(text, 0.0) is None
 
 
 def test_processes_of_a_session_are_as_old_as_it_and_never_equal():
     session = {"ROTCAL_SESSION": "5000000000-77"}
-    one, other = (Identity.own(session, 100.0) for _ in range(2))
+    one, other = (ProcessIdentity.own(session, 100.0) for _ in range(2))
     assert one.born_s == other.born_s == 5.0
     assert one.session == other.session
     assert one.is_older(other) != other.is_older(one)
-    alone = Identity.own({}, 100.0)
+    alone = ProcessIdentity.own({}, 100.0)
     assert one.is_older(alone)
     assert not alone.is_older(one)
     for strange in ("?", "1e9-3", f"{10**15}-3"):
-        assert Identity.own({"ROTCAL_SESSION": strange}, 100.0).born_s == 100.0
+        assert ProcessIdentity.own({"ROTCAL_SESSION": strange}, 100.0).born_s == 100.0
 
 
 @pytest.mark.parametrize("first_heard", [FIRST, SECOND])

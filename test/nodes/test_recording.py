@@ -7,7 +7,7 @@ import pytest
 from rotcal_ros.bags.reader import scan_file
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.foundation.machine_load import patient
-from rotcal_ros.nodes.writing.recording import Channel, Messages, Receipt, Recording
+from rotcal_ros.nodes.writing.recording import BagRecording, Channel, Messages, Receipt
 
 CHANNEL = Channel("/cell/a", "std_msgs/msg/Float64", "float64 data", "", "")
 TIMEOUT_S = 30.0
@@ -33,7 +33,7 @@ def test_a_receipt_is_given_when_the_message_before_it_is_on_disk(tmp_path):
         found.append((receipt, file, verdict(tmp_path).messages))
         given.set()
 
-    recording = Recording(BagWriter(tmp_path / "bag"), 1000, confirm)
+    recording = BagRecording(BagWriter(tmp_path / "bag"), 1000, confirm)
     recording.attach("a.txt", "text/plain", b"a")
     recording.put(message(1))
     recording.confirm(Receipt(7, 2))
@@ -53,7 +53,7 @@ def test_what_does_not_fit_the_queue_is_lost_and_counted_in_the_bag(tmp_path):
         blocked.set()
         go_on.wait(patient(TIMEOUT_S))
 
-    recording = Recording(BagWriter(tmp_path / "bag"), 30, confirm)
+    recording = BagRecording(BagWriter(tmp_path / "bag"), 30, confirm)
     recording.confirm(Receipt(0, 0))
     assert blocked.wait(patient(TIMEOUT_S))
     for number in range(5):
@@ -68,7 +68,7 @@ def test_what_does_not_fit_the_queue_is_lost_and_counted_in_the_bag(tmp_path):
 
 def test_after_a_failure_nothing_is_confirmed_and_everything_is_counted(tmp_path, monkeypatch):
     confirmed = []
-    recording = Recording(BagWriter(tmp_path / "bag"), 10**6, lambda *a: confirmed.append(a))
+    recording = BagRecording(BagWriter(tmp_path / "bag"), 10**6, lambda *a: confirmed.append(a))
     full = OSError(28, "No space left on device")
 
     def refuse(*_):
@@ -86,7 +86,7 @@ def test_after_a_failure_nothing_is_confirmed_and_everything_is_counted(tmp_path
 
 
 def test_a_closed_recording_ends_its_thread(tmp_path):
-    recording = Recording(BagWriter(tmp_path / "bag"), 1000, lambda *_: None)
+    recording = BagRecording(BagWriter(tmp_path / "bag"), 1000, lambda *_: None)
     assert not recording.finished
     recording.close({})
     assert recording.join(patient(TIMEOUT_S))

@@ -11,7 +11,7 @@ from live_cell import SUITE, Client, wait_until
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 from rotcal_ros.nodes import client as client_module
-from rotcal_ros.nodes.runtime.identity import Identity
+from rotcal_ros.nodes.runtime.identity import ProcessIdentity
 
 pytestmark = pytest.mark.ros
 
@@ -79,7 +79,7 @@ class PlannerOfOthers:
         return bool(self.planner_state)
 
     def values(self, name):
-        whose = Identity("one", "anybody", 0.0).in_a_beat(1.0)
+        whose = ProcessIdentity("one", "anybody", 0.0).in_a_beat(1.0)
         return {"identity": whose} if name == "planner" and self.planner_state else {}
 
     def state(self, _name):

@@ -59,7 +59,7 @@ def test_a_bag_that_is_closed_early_says_which_nodes_had_not_answered(monkeypatc
 
     monkeypatch.setattr(surroundings, "_parameters_of", answer)
     cell = Open()
-    parameters = surroundings.Parameters(cell, cell)
+    parameters = surroundings.NodeParameters(cell, cell)
     asked = parameters.ask()
     asked.send(None)
     assert cell.attached == []

@@ -3,13 +3,13 @@
 import pytest
 
 from rotcal_ros.nodes.goal import progress as module
-from rotcal_ros.nodes.goal.progress import Progress
+from rotcal_ros.nodes.goal.progress import GoalProgress
 
 
 def test_a_pause_neither_lengthens_nor_shortens_it(monkeypatch):
     now_s = [100.0]
     monkeypatch.setattr(module.time, "monotonic", lambda: now_s[0])
-    progress = Progress(total=10, done=2, left=8, started_s=100.0)
+    progress = GoalProgress(total=10, done=2, left=8, started_s=100.0)
     left = []
     for event, at_s in (
         ("", 120.0),
@@ -28,7 +28,7 @@ def test_a_pause_neither_lengthens_nor_shortens_it(monkeypatch):
 def test_it_is_never_negative_after_a_node_was_lost_before_the_first_step(monkeypatch):
     now_s = [100.0]
     monkeypatch.setattr(module.time, "monotonic", lambda: now_s[0])
-    progress = Progress(total=10, left=9, started_s=100.0)
+    progress = GoalProgress(total=10, left=9, started_s=100.0)
     progress.pause()
     now_s[0] = 160.0
     progress.begin()

@@ -20,7 +20,7 @@ from rotcal_ros.methods.tracer.design.sequence_choice import (
     nearest_next,
     shortest_possible,
 )
-from rotcal_ros.methods.tracer.design.sequence_forecast import Forecast, OrderForecast
+from rotcal_ros.methods.tracer.design.sequence_forecast import Forecast, SequenceForecast
 from rotcal_ros.planning.sequence_time import PAPER, Drive, TimeModel, duration
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"
@@ -117,7 +117,7 @@ def competing():
     noisy = calibration.measured({}, seed=1).observations
     posed = problem(configuration, calibration.plan, noisy)
     costs = PAPER.costs(ANGLES, targets, position, target)
-    ways = measuring_orders(position, target, costs, OrderForecast(posed))
+    ways = measuring_orders(position, target, costs, SequenceForecast(posed))
     return calibration, position, costs, ways
 
 

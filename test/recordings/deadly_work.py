@@ -6,11 +6,11 @@ import signal
 import time
 from pathlib import Path
 
-from rotcal_ros.recordings.kept import Outcome
+from rotcal_ros.recordings.kept import BagOutcome
 from rotcal_ros.recordings.many import Job, solve_bag
 
 
-def work(job: Job) -> Outcome:
+def work(job: Job) -> BagOutcome:
     name = Path(job.source).name
     if name.startswith("segfault"):
         ctypes.string_at(0)
@@ -30,18 +30,18 @@ def work(job: Job) -> Outcome:
         if (count := len(list(tries.iterdir()))) < 3:
             (tries / str(count)).touch()
             os.kill(os.getpid(), signal.SIGKILL)
-    return Outcome(job.source, name)
+    return BagOutcome(job.source, name)
 
 
-def solve_unless_deadly(job: Job) -> Outcome:
+def solve_unless_deadly(job: Job) -> BagOutcome:
     """Solve the bag, but for the one whose folder says that it kills."""
     if "deadly" in job.source:
         os._exit(9)
     return solve_bag(job)
 
 
-def slowly(job: Job) -> Outcome:
+def slowly(job: Job) -> BagOutcome:
     """Leave time to take the scheduler away."""
     time.sleep(0.3)
     Path(job.cache, Path(job.source).name).touch()
-    return Outcome(job.source, "k")
+    return BagOutcome(job.source, "k")

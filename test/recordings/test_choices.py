@@ -11,7 +11,7 @@ from chances import LONG
 from rotcal_ros.foundation.errors import ConfigurationError, PlanError
 from rotcal_ros.methods import changed, prepare, prepare_to_measure, read_configuration
 from rotcal_ros.methods.continuation import ATTEMPTS_PER_RUN, continued
-from rotcal_ros.planning.choices import Outcome
+from rotcal_ros.planning.choices import StepOutcome
 from rotcal_ros.recordings.choices import RecordedChoice, differences
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"
@@ -65,7 +65,7 @@ def run_of(posed, seen, continuation, most=1000, zero_m=0.0):
             for n in range(1 if accepted else GIVEN_UP)
         ]
         observed += observations
-        policy.note(Outcome(choice.step, observations[0] if accepted else None))
+        policy.note(StepOutcome(choice.step, observations[0] if accepted else None))
     return choices, observed
 
 

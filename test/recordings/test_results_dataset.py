@@ -11,7 +11,7 @@ import pyarrow.parquet as parquet
 
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.recordings.kept import Outcome
+from rotcal_ros.recordings.kept import BagOutcome
 from rotcal_ros.recordings.results_dataset import ResultsDataset, parts
 
 
@@ -27,7 +27,7 @@ def outcome(name, key="k", ecc=(0.0, 1e-6, 3e-6)):
         dof=3,
         n_observations=9,
     )
-    return Outcome(
+    return BagOutcome(
         f"/bags/table/{name}", key, start_ns=1_700_000_000 * 10**9, result=result.to_dict()
     )
 
@@ -49,7 +49,7 @@ def write_all(folder, outcomes):
 
 def test_one_row_per_bag_angle_and_component(tmp_path):
     folder = tmp_path / "results.parquet"
-    write(folder, outcome("a"), Outcome("/bags/table/bad", "", error="torn"))
+    write(folder, outcome("a"), BagOutcome("/bags/table/bad", "", error="torn"))
     good, bad = rows(folder)[:3], rows(folder)[3:]
     assert [(r["component"], r["angle_rad"], r["deviation"], r["std"]) for r in good] == [
         ("ECC", 0.0, 0.0, 1e-7), ("ECC", 0.5, 1e-6, 1e-7), ("ECC", 1.0, 3e-6, 1e-7)
@@ -60,7 +60,7 @@ def test_one_row_per_bag_angle_and_component(tmp_path):
 
 
 def test_a_second_call_adds_what_is_new_and_drops_what_no_longer_holds(tmp_path):
-    bad = Outcome("/bags/table/c", "", error="torn")
+    bad = BagOutcome("/bags/table/c", "", error="torn")
     write(tmp_path, outcome("a"), outcome("b"), bad)
     before = parts(tmp_path)
     write(tmp_path, outcome("a"), outcome("b", key="changed", ecc=(0.0, 5e-6)), outcome("d"))

@@ -7,8 +7,8 @@ from html.parser import HTMLParser
 
 import numpy as np
 
-from rotcal_ros.foundation.circumstances import Circumstances, Counts, Range
-from rotcal_ros.foundation.identity import Identity, Instrument, Instruments
+from rotcal_ros.foundation.circumstances import Circumstances, Range, StepCounts
+from rotcal_ros.foundation.identity import Identity, InstrumentIdentity, Instruments
 from rotcal_ros.foundation.protection import EFFECTS, Protection
 from rotcal_ros.foundation.results import Rejection, Residuals, Result
 from rotcal_ros.foundation.units import ARCSEC
@@ -21,17 +21,17 @@ IDENTITY = Identity(
     customer_address="Road 2, City", customer_number="4711", certificate_number="K-2026-17",
     received="2026-03-01", tolerance_arcsec=10.0,
     instruments=Instruments(
-        tracer=Instrument(
+        tracer=InstrumentIdentity(
             maker="Tracers", model="LT", serial="99", calibrated="2026-01-15", certificate="C-1"
         ),
-        thermometer=Instrument(serial="7"),
+        thermometer=InstrumentIdentity(serial="7"),
     ),
 )  # fmt: skip
 CIRCUMSTANCES = Circumstances(
     axis="C", identity=IDENTITY, begun_ns=1_772_524_800_000_000_000,
     ended_ns=1_772_532_000_000_000_000, temperature_c=Range(20.12, 19.9, 20.3),
     pressure_pa=Range(101_325.0, 101_300.0, 101_350.0), humidity=Range(0.45, 0.4, 0.5),
-    refraction="corrected by the tracer", counts=Counts(50, 48, 2, 3),
+    refraction="corrected by the tracer", counts=StepCounts(50, 48, 2, 3),
 )  # fmt: skip
 
 

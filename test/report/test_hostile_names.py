@@ -25,7 +25,7 @@ from rotcal_ros.foundation.escapes import printable, printable_lines, table_cell
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.settings import check_ros_name
-from rotcal_ros.recordings.sources import Source
+from rotcal_ros.recordings.sources import ResultSource
 from rotcal_ros.report.recorded import write_result
 from rotcal_ros.report.terminal.columns import Column, Titled, print_tables, print_words
 from rotcal_ros.report.terminal.console import say, tell
@@ -76,7 +76,7 @@ def named(name):
 @pytest.mark.parametrize("name", [ALL], ids=["all"])
 def test_the_report_shows_it_escaped(tmp_path, name):
     page = tmp_path / "report.html"
-    write_result(Source(named(name), {name: "0" * 64}), page)
+    write_result(ResultSource(named(name), {name: "0" * 64}), page)
     text = page.read_bytes().decode("utf-8")
     assert not unseen(text)
     assert "<b>&amp;</b>" not in text

@@ -16,7 +16,7 @@ from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods import changed, prepare, read_configuration
-from rotcal_ros.recordings.sources import Source, read_source
+from rotcal_ros.recordings.sources import ResultSource, read_source
 from rotcal_ros.report.verification import verification_section
 from rotcal_ros.sessions import verification
 from rotcal_ros.sessions.session import Session
@@ -59,7 +59,9 @@ def rounds(monkeypatch):
         empty = not made.configuration.simulation.table.compensation.angles_deg
         result = made.solve(lengths(made, len(found)), ["none" if empty else "unknown"])
         assert result.verdict == "ok", result.warnings
-        return verification.Measured(Session(made, SessionFolder(folder)), Source(result, {}))
+        return verification.FinishedSession(
+            Session(made, SessionFolder(folder)), ResultSource(result, {})
+        )
 
     monkeypatch.setattr(verification, "_measure", measure)
     monkeypatch.setattr(verification, "require_ros", lambda: None)
@@ -140,7 +142,7 @@ class RealCell:
             result_file.write_text(result.to_json())
             self.rounds[folder.name] = made.configuration
         session = Session(made, SessionFolder(folder))
-        return verification.Measured(session, read_source(result_file))
+        return verification.FinishedSession(session, read_source(result_file))
 
 
 @pytest.fixture

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotcal_ros.simulation.motion import Limits, Motion
+from rotcal_ros.simulation.motion import Motion, MotionLimits
 
 SECOND = 1_000_000_000
-STIFF = Limits(speed=2.0, acceleration=4.0, lag=0.0, settling_time=0.1)
+STIFF = MotionLimits(speed=2.0, acceleration=4.0, lag=0.0, settling_time=0.1)
 
 
 def stamps(*seconds):
@@ -41,7 +41,7 @@ def test_legs_follow_each_other():
 
 
 def test_lag_decays_exponentially_after_the_end():
-    limits = Limits(speed=2.0, acceleration=4.0, lag=0.01, settling_time=0.1)
+    limits = MotionLimits(speed=2.0, acceleration=4.0, lag=0.01, settling_time=0.1)
     motion = Motion(0, [0.0, 0.25], limits)
     position, velocity = motion.state(stamps(0.4, 0.5, 0.6, 0.7, 5.0))
     decay = np.exp([0, -1, -2, -45])
@@ -64,7 +64,7 @@ def test_at_rest_without_legs():
     acceleration=st.floats(0.1, 100),
 )
 def test_velocity_is_the_derivative_and_keeps_the_limits(start, way, speed, acceleration):
-    motion = Motion(0, [start, start + way], Limits(speed, acceleration, 0.0, 1.0))
+    motion = Motion(0, [start, start + way], MotionLimits(speed, acceleration, 0.0, 1.0))
     times = np.linspace(-0.1, 1.1, 997) * motion.end_ns
     h = round(1e-4 * motion.end_ns)
     before, at, after = (motion.state((times + d).astype(np.int64)) for d in (-h, 0, h))

@@ -9,7 +9,7 @@ from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.tables import Header, Row, Table, hashes
 from rotcal_ros.methods.calibration import prepare
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.measurements import PlannedMeasurements, StepFinder
+from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder
 
 FARTHEST_RAD = 0.02
 """No autocollimator reads more than a degree."""
@@ -24,7 +24,7 @@ def read(configuration: Configuration, table: Table, _targets: Path | None) -> P
     DataError names file and row of what cannot be.
     """
     calibration, settings = prepare(configuration), configuration.plan
-    find, observations = StepFinder(calibration.plan), []
+    find, observations = RowStepFinder(calibration.plan), []
     for row in table.rows():
         position, mounting = row.index("position"), row.index("mounting")
         if mounting >= len(settings.first_faces):

@@ -37,7 +37,7 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.circumstances import SIMULATED, Circumstances, Range
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, TRANSLATIONS
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
-from rotcal_ros.foundation.identity import Identity, Instrument
+from rotcal_ros.foundation.identity import Identity, InstrumentIdentity
 from rotcal_ros.foundation.in_force import in_words
 from rotcal_ros.foundation.results import Result
 
@@ -146,7 +146,7 @@ def _instruments(circumstances: Circumstances) -> Any:
     )
 
 
-def _instrument(name: str, instrument: Instrument) -> Any:
+def _instrument(name: str, instrument: InstrumentIdentity) -> Any:
     history = []
     if instrument.calibrated:
         history.append(f"Calibrated on {instrument.calibrated}.")

@@ -26,7 +26,7 @@ from typing import Final, NoReturn
 from rotcal_ros.extensions.ipp_dme.faults import (
     AnswerMissingError,
     DmeError,
-    Fault,
+    DmeFault,
     NotClearedError,
     ProtocolError,
 )
@@ -61,7 +61,7 @@ class DmeClient:
         self,
         settings: DmeSettings,
         hear: Callable[[TableSample | None, Point], None],
-        warn: Callable[[Fault], None],
+        warn: Callable[[DmeFault], None],
         now_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self.settings = settings
@@ -95,7 +95,7 @@ class DmeClient:
         self.blocked = self.blocked or NOT_STARTED
         self._drop()
 
-    def where(self) -> Standing:
+    def where(self) -> MachinePosition:
         """Ask where the machine stands."""
         return self._standing(call("Get", *REPORTED), self.settings.reply_timeout_s)
 
@@ -236,7 +236,7 @@ class DmeClient:
         except DmeError as error:
             self._fail(error)
 
-    def _standing(self, order: Call, limit_s: float) -> Standing:
+    def _standing(self, order: Call, limit_s: float) -> MachinePosition:
         """Run a call that reports where the machine stands."""
         data = self._do(order, limit_s)
         try:
@@ -283,13 +283,13 @@ class DmeClient:
         if tag != "E0000":
             self._tell(standing_of(text, "OnMoveReportE"))
 
-    def _concern(self, fault: Fault) -> None:
+    def _concern(self, fault: DmeFault) -> None:
         """Take an error that nobody asked for, or that stops nothing."""
         if fault.stops:
             self.blocked = self.blocked or f"the server tells by itself: {fault}"
         self._warn(fault)
 
-    def _tell(self, standing: Standing) -> None:
+    def _tell(self, standing: MachinePosition) -> None:
         with self._telling:
             angle = self._axis.angle(standing.r_deg, self._angle)
             feedback = self._speed.feed(self._now_ns(), angle)
@@ -301,28 +301,28 @@ REPORTED: Final = tuple(Call(name) for name in ("X", "Y", "Z", "R"))
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
+class MachinePosition:
     """Where the tip is (m, machine frame), and the table's R in degrees."""
 
     position: Point
     r_deg: float
 
 
-def parse_standing(data: Sequence[str], asked_by: str) -> Standing:
+def parse_standing(data: Sequence[str], asked_by: str) -> MachinePosition:
     """Return the one report among the data lines; ProtocolError when it is not there."""
     if len(data) != 1:
         raise ProtocolError(f"{asked_by}: expected one line of data, found {len(data)}")
     return standing_of(data[0], asked_by)
 
 
-def standing_of(text: str, asked_by: str) -> Standing:
+def standing_of(text: str, asked_by: str) -> MachinePosition:
     """Return the report in a data line; ProtocolError when it lacks X, Y, Z or R."""
     found = calls_by_name(parse_values(text))
     missing = [asked.name for asked in REPORTED if asked.name not in found]
     if missing:
         raise ProtocolError(f"{asked_by}: no {', '.join(missing)} in {text!r:.200}")
     x, y, z, r_deg = (found[asked.name].number() for asked in REPORTED)
-    return Standing((x * MILLIMETRE, y * MILLIMETRE, z * MILLIMETRE), r_deg)
+    return MachinePosition((x * MILLIMETRE, y * MILLIMETRE, z * MILLIMETRE), r_deg)
 
 
 FIRST_WITH_R: Final = 2

@@ -21,7 +21,7 @@ from threading import Thread
 from typing import Final
 
 from rotcal_ros.extensions.ipp_dme.client import DmeClient
-from rotcal_ros.extensions.ipp_dme.faults import DmeError, Fault
+from rotcal_ros.extensions.ipp_dme.faults import DmeError, DmeFault
 from rotcal_ros.extensions.ipp_dme.settings import DmeSettings
 from rotcal_ros.foundation.observations import (
     Approach,
@@ -64,7 +64,7 @@ class Driver:
         self.state, self.busy, self.refused, self.warnings = "starting a session", False, 0, 0
         self._publish_table, self._publish_point = publish_table, publish_point
         self._complain = complain
-        self._measuring = Measuring(self.client, now_ns)
+        self._measuring = OrderRunner(self.client, now_ns)
         self._jobs: SimpleQueue[_Order | _Clear | None] = SimpleQueue()
         self._wanted: _Order | None = None
         self._stopping = False
@@ -194,7 +194,7 @@ class Driver:
         if feedback is not None:
             self._publish_table(feedback)
 
-    def _warned(self, fault: Fault) -> None:
+    def _warned(self, fault: DmeFault) -> None:
         self.warnings += 1
         self._complain(f"the machine tells: {fault}")
 
@@ -203,7 +203,7 @@ NO_ORDER: Final = Command(0, 0, 0.0, Approach.UNKNOWN, PointKind.UNKNOWN, 0, (0.
 """Of a point that nobody ordered: its kind says so."""
 
 
-class Measuring:
+class OrderRunner:
     """Carries out orders one after the other; its points count up from 0."""
 
     def __init__(self, client: DmeClient, now_ns: Callable[[], int]) -> None:

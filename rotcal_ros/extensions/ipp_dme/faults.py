@@ -74,7 +74,7 @@ KNOWN: Final[Mapping[int, tuple[Severity, str]]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class DmeFault:
     """An error as a server reports it: ``cause`` is the method that found it."""
 
     severity: int
@@ -83,7 +83,7 @@ class Fault:
     text: str
 
     @classmethod
-    def known(cls, number: int, cause: str) -> Fault:
+    def known(cls, number: int, cause: str) -> DmeFault:
         """Return the error of the specification with this number."""
         severity, text = KNOWN[number]
         return cls(int(severity), number, cause, text)
@@ -104,7 +104,7 @@ class DmeError(RotcalError):
 class RefusedError(DmeError):
     """The server answered a command with errors: ``faults``, at least one of which stops it."""
 
-    def __init__(self, text: str, faults: tuple[Fault, ...]) -> None:
+    def __init__(self, text: str, faults: tuple[DmeFault, ...]) -> None:
         super().__init__(text)
         self.faults = faults
 

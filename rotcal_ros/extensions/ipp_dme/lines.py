@@ -11,7 +11,7 @@ from enum import Enum
 from itertools import count
 from typing import Final
 
-from rotcal_ros.extensions.ipp_dme.faults import Fault, ProtocolError
+from rotcal_ros.extensions.ipp_dme.faults import DmeFault, ProtocolError
 from rotcal_ros.extensions.ipp_dme.grammar import Call, Word, parse_call, written
 
 LONGEST: Final = 65_536
@@ -33,7 +33,7 @@ class Kind(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Response:
+class ResponseLine:
     """A line of a server; ``text`` holds its data or its error."""
 
     tag: str
@@ -43,20 +43,20 @@ class Response:
     def __str__(self) -> str:
         return f"{self.tag} {self.kind.value}" + (f" {self.text}" if self.text else "")
 
-    def fault(self) -> Fault:
+    def fault(self) -> DmeFault:
         """Return the error of an ERROR line; ProtocolError when it is none."""
         found = parse_call(self.text)
         match found.arguments:
             case (float(severity), float(number), Word() | Call() | str() as cause, str(text)):
                 where = cause if isinstance(cause, str) else str(cause)
-                return Fault(int(severity), int(number), where, text)
+                return DmeFault(int(severity), int(number), where, text)
         raise ProtocolError(
             f"expected Error(severity, number, cause, text), found {self.text!r:.200}"
         )
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class CommandLine:
     """A line of a client."""
 
     tag: str
@@ -66,19 +66,19 @@ class Command:
         return f"{self.tag} {self.call}"
 
 
-def error_line(tag: str, fault: Fault) -> Response:
+def error_line(tag: str, fault: DmeFault) -> ResponseLine:
     """Return the line that reports ``fault``."""
     cause, text = written(fault.cause), written(fault.text)
     words = f"Error({fault.severity}, {fault.number:04d}, {cause}, {text})"
-    return Response(tag, Kind.ERROR, words)
+    return ResponseLine(tag, Kind.ERROR, words)
 
 
-def parse_response(line: str) -> Response:
+def parse_response(line: str) -> ResponseLine:
     """Return the response that a line is; ProtocolError when it is none."""
     found = _RESPONSE.fullmatch(line)
     if found is None:
         raise ProtocolError(f"the server sent no line of I++ DME: {line!r:.200}")
-    return Response(found[1], Kind(found[2]), found[3] or "")
+    return ResponseLine(found[1], Kind(found[2]), found[3] or "")
 
 
 def is_tag(text: str) -> bool:

@@ -18,7 +18,7 @@ from rotcal_ros.extensions.ipp_dme.faults import (
     AnswerMissingError,
     ConnectionLostError,
     DmeError,
-    Fault,
+    DmeFault,
     ProtocolError,
     RefusedError,
 )
@@ -26,10 +26,10 @@ from rotcal_ros.extensions.ipp_dme.grammar import Call, call
 from rotcal_ros.extensions.ipp_dme.lines import (
     END,
     UNASKED,
-    Command,
+    CommandLine,
     Kind,
     LineBuffer,
-    Response,
+    ResponseLine,
     Tags,
     parse_response,
 )
@@ -44,17 +44,17 @@ LONG_TEXT: Final = 120
 class _Transaction:
     """A command on its way, and what came back so far."""
 
-    command: Command
+    command: CommandLine
     accepted: bool = False
     done: bool = False
     data: list[str] = field(default_factory=list)
-    faults: list[Fault] = field(default_factory=list)
+    faults: list[DmeFault] = field(default_factory=list)
 
     @property
     def stopped(self) -> bool:
         return any(fault.stops for fault in self.faults)
 
-    def take(self, response: Response) -> None:
+    def take(self, response: ResponseLine) -> None:
         match response.kind:
             case Kind.ACCEPTED:
                 self.accepted = True
@@ -82,7 +82,7 @@ class DmeLink:
         port: int,
         reply_timeout_s: float,
         on_report: Callable[[str, str], None],
-        on_warning: Callable[[Fault], None],
+        on_warning: Callable[[DmeFault], None],
     ) -> None:
         self.address, self.reply_timeout_s = f"{host}:{port}", reply_timeout_s
         self._on_report, self._on_warning = on_report, on_warning
@@ -107,7 +107,7 @@ class DmeLink:
         the server, AnswerMissingError, ConnectionLostError, ProtocolError.
         """
         tag = self._tags.event() if event else self._tags.command()
-        transaction = _Transaction(Command(tag, order))
+        transaction = _Transaction(CommandLine(tag, order))
         with self._changed:
             self._pending[tag] = transaction
         try:
@@ -130,7 +130,7 @@ class DmeLink:
         self._break("it was closed here")
         self._reader.join(self.reply_timeout_s)
 
-    def _send(self, command: Command) -> None:
+    def _send(self, command: CommandLine) -> None:
         line = str(command).encode("ascii") + END
         try:
             with self._sending:
@@ -161,7 +161,7 @@ class DmeLink:
                     )
                 self._changed.wait(deadline - now)
 
-    def _lost(self, command: Command) -> DmeError:
+    def _lost(self, command: CommandLine) -> DmeError:
         return ConnectionLostError(
             f"{_short(command.call)}: the connection to {self.address} is lost: {self.broken}"
         )
@@ -185,7 +185,7 @@ class DmeLink:
     def _abort(self) -> None:
         """Stop a machine whose answers cannot be read; it may hear still."""
         with suppress(DmeError):
-            self._send(Command(self._tags.event(), call("AbortE")))
+            self._send(CommandLine(self._tags.event(), call("AbortE")))
 
     def _receive(self) -> bytes:
         """Return what came, nothing at the end; the socket's time limit is for sending alone."""
@@ -193,7 +193,7 @@ class DmeLink:
             with suppress(TimeoutError):
                 return self._socket.recv(RECEIVED)
 
-    def _take(self, response: Response) -> None:
+    def _take(self, response: ResponseLine) -> None:
         """Give a response to its command; an answer that came too late to matter is left."""
         with self._changed:
             transaction = self._pending.get(response.tag)

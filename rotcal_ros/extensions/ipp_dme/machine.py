@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.extensions.ipp_dme.faults import Fault
+from rotcal_ros.extensions.ipp_dme.faults import DmeFault
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ConfigurationError, ControllerError
 from rotcal_ros.foundation.observations import Approach
@@ -38,7 +38,7 @@ class MethodError(Exception):
 
     def __init__(self, number: int, cause: str) -> None:
         super().__init__(number, cause)
-        self.fault = Fault.known(number, cause)
+        self.fault = DmeFault.known(number, cause)
 
 
 @dataclass(frozen=True, slots=True)

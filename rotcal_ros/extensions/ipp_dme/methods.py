@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.extensions.ipp_dme.faults import KNOWN, Fault, ProtocolError
+from rotcal_ros.extensions.ipp_dme.faults import KNOWN, DmeFault, ProtocolError
 from rotcal_ros.extensions.ipp_dme.grammar import Call, Value, Word, call, calls_by_name, written
 from rotcal_ros.extensions.ipp_dme.machine import MethodError, SimulatedMachine
 from rotcal_ros.foundation.arrays import Floats
@@ -36,7 +36,7 @@ class Methods:
         self.machine, self.version = machine, version
         self.tool, self.report = "Probe1", [Call(axis) for axis in AXES]
         self.system, self.user = "MachineCsy", False
-        self.warnings: list[Fault] = []
+        self.warnings: list[DmeFault] = []
         self._known: Mapping[str, Callable[[Call], Awaitable[Sequence[Value]]]] = {
             "AlignPart": self._align_part,
             "ChangeTool": self._change_tool,
@@ -175,7 +175,7 @@ class Methods:
             low, high = RANGES[name]
             wanted = argument.number()
             if not low <= wanted <= high:
-                self.warnings.append(Fault.known(504, order.name))
+                self.warnings.append(DmeFault.known(504, order.name))
             values[PROBING[name]] = min(max(wanted, low), high) * MILLIMETRE
         self.machine.set_probing(**values)
         return []

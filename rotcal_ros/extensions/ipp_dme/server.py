@@ -16,15 +16,15 @@ from contextlib import contextmanager, suppress
 from threading import Event, Thread
 from typing import Final
 
-from rotcal_ros.extensions.ipp_dme.faults import DmeError, Fault, ProtocolError
+from rotcal_ros.extensions.ipp_dme.faults import DmeError, DmeFault, ProtocolError
 from rotcal_ros.extensions.ipp_dme.grammar import Call, Value, Word, call, parse_call, written
 from rotcal_ros.extensions.ipp_dme.lines import (
     END,
     UNASKED,
-    Command,
+    CommandLine,
     Kind,
     LineBuffer,
-    Response,
+    ResponseLine,
     error_line,
     is_tag,
 )
@@ -93,7 +93,7 @@ class DmeServer:
             while received := await reader.read(RECEIVED):
                 conversation.take(received)
         except ProtocolError:
-            write(str(error_line(UNASKED, Fault.known(7, "Server"))).encode() + END)
+            write(str(error_line(UNASKED, DmeFault.known(7, "Server"))).encode() + END)
         except (OSError, asyncio.CancelledError):
             pass  # the client is gone, or this server is ended
         finally:
@@ -149,7 +149,7 @@ class Conversation:
         self._methods, self._write = methods, write
         self._lines = LineBuffer()
         self._session, self._in_error, self._ending = False, False, False
-        self._waiting: deque[Command] = deque()
+        self._waiting: deque[CommandLine] = deque()
         self._current: asyncio.Task[list[str]] | None = None
         self._wake = asyncio.Event()
         self._daemons: dict[str, asyncio.Task[None]] = {}
@@ -174,25 +174,25 @@ class Conversation:
     def _take_line(self, line: str) -> None:
         tag = line[:5]
         if not is_tag(tag):
-            self._say(error_line(UNASKED, Fault.known(1, "Server")))
+            self._say(error_line(UNASKED, DmeFault.known(1, "Server")))
             return
         if line[5:6] != " ":
-            self._refuse(tag, Fault.known(2, "Server"))
+            self._refuse(tag, DmeFault.known(2, "Server"))
             return
         try:
             order = parse_call(line[6:])
         except ProtocolError:
-            self._refuse(tag, Fault.known(507, "Server"))
+            self._refuse(tag, DmeFault.known(507, "Server"))
             return
         if tag.startswith("E") != order.name.endswith("E"):
-            self._refuse(tag, Fault.known(1, order.name))
+            self._refuse(tag, DmeFault.known(1, order.name))
         elif tag.startswith("E"):
             self._do_at_once(tag, order)
         elif len(self._waiting) >= MOST_PENDING:
-            self._refuse(tag, Fault.known(8, order.name))
+            self._refuse(tag, DmeFault.known(8, order.name))
         else:
-            self._say(Response(tag, Kind.ACCEPTED))
-            self._waiting.append(Command(tag, order))
+            self._say(ResponseLine(tag, Kind.ACCEPTED))
+            self._waiting.append(CommandLine(tag, order))
             self._wake.set()
 
     async def _work(self) -> None:
@@ -203,12 +203,12 @@ class Conversation:
             self._wake.clear()
             await self._wake.wait()
 
-    async def _do(self, command: Command) -> None:
+    async def _do(self, command: CommandLine) -> None:
         tag, order = command.tag, command.call
         self._current = asyncio.create_task(self._answer(order))
         try:
             for line in await self._current:
-                self._say(Response(tag, Kind.DATA, line))
+                self._say(ResponseLine(tag, Kind.DATA, line))
             for fault in self._methods.warnings:
                 self._say(error_line(tag, fault))
         except MethodError as refused:
@@ -217,13 +217,13 @@ class Conversation:
             if self._ending:
                 raise
             self._methods.machine.stop()
-            self._say(error_line(tag, Fault.known(6, order.name)))
+            self._say(error_line(tag, DmeFault.known(6, order.name)))
         except Exception:  # whatever a foreign command does, the client hears of it
-            self._fail(tag, Fault.known(511, order.name))
+            self._fail(tag, DmeFault.known(511, order.name))
         finally:
             self._current = None
             self._methods.warnings.clear()
-        self._say(Response(tag, Kind.DONE))
+        self._say(ResponseLine(tag, Kind.DONE))
 
     async def _answer(self, order: Call) -> list[str]:
         """Return the data of a command, as far as the state allows it to be done."""
@@ -245,7 +245,7 @@ class Conversation:
                 return self._stop_daemon(order)
             case "StopAllDaemons":
                 if not self._daemons:
-                    self._methods.warnings.append(Fault.known(512, order.name))
+                    self._methods.warnings.append(DmeFault.known(512, order.name))
                 self._end_daemons()
                 return []
         return await self._methods.run(order)
@@ -265,7 +265,7 @@ class Conversation:
 
     def _do_at_once(self, tag: str, order: Call) -> None:
         """Do a command of the fast queue."""
-        self._say(Response(tag, Kind.ACCEPTED))
+        self._say(ResponseLine(tag, Kind.ACCEPTED))
         try:
             if not self._session:
                 raise MethodError(8, order.name)
@@ -275,7 +275,7 @@ class Conversation:
                     return
                 case "GetErrStatusE":
                     answer = call("ErrStatus", int(self._in_error))
-                    self._say(Response(tag, Kind.DATA, written(answer)))
+                    self._say(ResponseLine(tag, Kind.DATA, written(answer)))
                 case "OnMoveReportE":
                     self._start_daemon(tag, order)
                 case _:
@@ -283,8 +283,8 @@ class Conversation:
         except MethodError as refused:
             self._fail(tag, refused.fault)
         except ProtocolError:
-            self._fail(tag, Fault.known(509, order.name))
-        self._say(Response(tag, Kind.DONE))
+            self._fail(tag, DmeFault.known(509, order.name))
+        self._say(ResponseLine(tag, Kind.DONE))
 
     async def _abort(self, tag: str) -> None:
         """End what is done and what waits, then say that it is ended."""
@@ -297,7 +297,7 @@ class Conversation:
                 await current
             await asyncio.sleep(0)  # the worker reports it first
         self._say_aborted(waiting)
-        self._say(Response(tag, Kind.DONE))
+        self._say(ResponseLine(tag, Kind.DONE))
 
     def _start_daemon(self, tag: str, order: Call) -> None:
         if self._in_error or tag in self._daemons or len(self._daemons) >= MOST_DAEMONS:
@@ -319,7 +319,7 @@ class Conversation:
             await asyncio.sleep(period_s)
             if self._methods.machine.moving:
                 standing = self._methods.standing(positions, "OnMoveReportE")
-                self._say(Response(tag, Kind.DATA, standing))
+                self._say(ResponseLine(tag, Kind.DATA, standing))
 
     def _stop_daemon(self, order: Call) -> list[str]:
         match order.arguments:
@@ -333,7 +333,7 @@ class Conversation:
             daemon.cancel()
         self._daemons.clear()
 
-    def _fail(self, tag: str, fault: Fault) -> None:
+    def _fail(self, tag: str, fault: DmeFault) -> None:
         """Report an error; one that stops ends what waits as well."""
         self._say(error_line(tag, fault))
         if fault.stops and self._session:
@@ -341,15 +341,15 @@ class Conversation:
             self._say_aborted(list(self._waiting))
             self._waiting.clear()
 
-    def _say_aborted(self, commands: list[Command]) -> None:
+    def _say_aborted(self, commands: list[CommandLine]) -> None:
         for command in commands:
-            self._say(error_line(command.tag, Fault.known(6, command.call.name)))
-            self._say(Response(command.tag, Kind.DONE))
+            self._say(error_line(command.tag, DmeFault.known(6, command.call.name)))
+            self._say(ResponseLine(command.tag, Kind.DONE))
 
-    def _refuse(self, tag: str, fault: Fault) -> None:
+    def _refuse(self, tag: str, fault: DmeFault) -> None:
         """Answer a line that is no command."""
         self._fail(tag, fault)
-        self._say(Response(tag, Kind.DONE))
+        self._say(ResponseLine(tag, Kind.DONE))
 
-    def _say(self, response: Response) -> None:
+    def _say(self, response: ResponseLine) -> None:
         self._write(str(response).encode("ascii") + END)

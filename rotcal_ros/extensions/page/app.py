@@ -34,7 +34,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rotcal_ros.compensation.secret import Secret
 from rotcal_ros.extensions.page.board import Board
-from rotcal_ros.extensions.page.state import State, changes
+from rotcal_ros.extensions.page.state import PageState, changes
 from rotcal_ros.foundation.escapes import printable_data
 
 STATIC: Final = Path(__file__).with_name("static")
@@ -110,7 +110,7 @@ def make_app(board: Board, actions: Actions, host: str, password: Secret | None 
 
 async def _events(board: Board, token: str) -> AsyncIterator[dict[str, str]]:
     """Yield the whole state, then what changes; a tick where nothing does."""
-    seen: State | None = None
+    seen: PageState | None = None
     sent_s = 0.0
     while seen is None or not seen.ended:
         state = board.state

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, Final
 
-from rotcal_ros.extensions.page.state import Points, State
+from rotcal_ros.extensions.page.state import PageState, Points
 
 COURSE_POINTS: Final = 240
 
@@ -17,7 +17,7 @@ class Board:
     """
 
     def __init__(self) -> None:
-        self.state = State()
+        self.state = PageState()
 
     def show(self, **sections: Any) -> None:
         """Show new sections in the place of the old ones."""

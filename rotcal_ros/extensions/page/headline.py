@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from rotcal_ros.extensions.page.state import Now, Offer
+from rotcal_ros.extensions.page.state import Now, ShownOffer
 from rotcal_ros.planning.plan import RELEASED, STOPPED
 
 _WORDS: Final = {
@@ -17,7 +17,7 @@ _WORDS: Final = {
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class HeardPlanner:
     """What was heard of the planner and its goal.
 
     ``planner`` is its state in words, empty when it is not there; ``silent`` that it was there
@@ -38,7 +38,7 @@ class Heard:
     error: str = ""
 
 
-def now(heard: Heard, offer: Offer | None = None) -> Now:
+def now(heard: HeardPlanner, offer: ShownOffer | None = None) -> Now:
     """Return the large line; ``offer`` is a table that waits for a person."""
     if heard.silent:
         return Now("failed", "The planner fell silent", _sentence(heard.error or "nothing moves"))
@@ -54,7 +54,7 @@ def _ready(planner: str) -> Now:
     return Now("ready", "Ready", _sentence(f"the planner is {planner}: no calibration runs"))
 
 
-def _calibrating(heard: Heard) -> Now:
+def _calibrating(heard: HeardPlanner) -> Now:
     if heard.stopping:
         return Now("stopping", "Stopping", "The bag is being closed.")
     if heard.instruction:
@@ -73,7 +73,7 @@ def _calibrating(heard: Heard) -> Now:
     return Now("measuring", headline, _sentence(heard.activity), stop=True)
 
 
-def _after_the_end(heard: Heard) -> Now | None:
+def _after_the_end(heard: HeardPlanner) -> Now | None:
     if not heard.ended:
         return None
     if heard.canceled:

@@ -48,7 +48,7 @@ class Now:
 
 
 @dataclass(frozen=True, slots=True)
-class Steps:
+class StepProgress:
     """How far the measurement has come; ``end_s`` is the expected end."""
 
     step: int
@@ -73,7 +73,7 @@ class Curve:
 
 
 @dataclass(frozen=True, slots=True)
-class Mark:
+class PageMark:
     """One answer about a result: ``line`` in words, ``kind`` names its colour."""
 
     name: str
@@ -92,13 +92,13 @@ class Deviations:
     curves: tuple[Curve, ...]
     observations: int
     final: bool
-    marks: tuple[Mark, ...]
+    marks: tuple[PageMark, ...]
     warnings: tuple[str, ...]
     withheld: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
+class ShownUncertainty:
     """The uncertainty of ECC and how it stands to the goal, if any.
 
     ``largest_arcsec`` is U, the largest expanded uncertainty (k = 2) of the curve, as everywhere;
@@ -135,7 +135,7 @@ class Pointing:
 
 
 @dataclass(frozen=True, slots=True)
-class Lengths:
+class LiveReading:
     """The live reading of the instrument, with its unit."""
 
     label: str
@@ -156,7 +156,7 @@ class Temperature:
 
 
 @dataclass(frozen=True, slots=True)
-class Rejection:
+class RejectedAttempt:
     """An attempt that was not accepted."""
 
     time_s: float
@@ -174,7 +174,7 @@ class NodeState:
 
 
 @dataclass(frozen=True, slots=True)
-class Stream:
+class TopicState:
     """An instrument's topic."""
 
     topic: str
@@ -183,7 +183,7 @@ class Stream:
 
 
 @dataclass(frozen=True, slots=True)
-class Recording:
+class RecorderState:
     """The bag: ``lost`` messages known to be lost, free space beside it."""
 
     file: str
@@ -204,7 +204,7 @@ class LogLine:
 
 
 @dataclass(frozen=True, slots=True)
-class Offer:
+class ShownOffer:
     """A compensation table that waits at the bridge; ``why_not`` says why it cannot be applied.
 
     ``in_force``, ``residual`` and ``bridge`` are what the bridge says in words of the table that
@@ -233,7 +233,7 @@ class Offer:
 
 
 @dataclass(frozen=True, slots=True)
-class State:
+class PageState:
     """All that the page shows; ``ended`` says that the cell has been switched off in order.
 
     ``length_course`` holds the lengths of the last minute, mm.
@@ -241,27 +241,27 @@ class State:
 
     cell: Cell = Cell()
     now: Now = Now()
-    steps: Steps | None = None
+    steps: StepProgress | None = None
     deviations: Deviations | None = None
-    standing: Standing = Standing()
+    standing: ShownUncertainty = ShownUncertainty()
     view: PlanView | None = None
     pointing: Pointing | None = None
-    lengths: Lengths | None = None
+    lengths: LiveReading | None = None
     length_course: Points = ()
     temperatures: tuple[Temperature, ...] = ()
-    rejections: tuple[Rejection, ...] = ()
+    rejections: tuple[RejectedAttempt, ...] = ()
     nodes: tuple[NodeState, ...] = ()
-    streams: tuple[Stream, ...] = ()
-    recording: Recording | None = None
+    streams: tuple[TopicState, ...] = ()
+    recording: RecorderState | None = None
     log: tuple[LogLine, ...] = ()
-    offer: Offer | None = None
+    offer: ShownOffer | None = None
     ended: bool = False
 
 
-NAMES: Final = tuple(field.name for field in fields(State))
+NAMES: Final = tuple(field.name for field in fields(PageState))
 
 
-def changes(seen: State | None, state: State) -> Mapping[str, Any]:
+def changes(seen: PageState | None, state: PageState) -> Mapping[str, Any]:
     """Return what a viewer has to be sent who has ``seen`` a state: all of it for None."""
     return {
         name: _plain(getattr(state, name))

@@ -70,7 +70,7 @@ class ReplayedBag:
         """
         files = bag_files(path)
         require_one_session(files)
-        found = _Found()
+        found = _BagPass()
         for scan, block in read_blocks(files, progress):
             if block is not None:
                 found.take(scan, block)
@@ -111,7 +111,7 @@ class ReplayedBag:
         """Return the remappings without which the nodes hear not all of it."""
         return [f"-r {role}:={topic}" for role, topic in sorted(self.called.topics.items())]
 
-    def _name(self, found: _Found) -> None:
+    def _name(self, found: _BagPass) -> None:
         """Find out which topics play which role."""
         self.called.topics = {r: t for r, t in found.names.items() if r in names.ROLES}
         plan = self.called.topics.get(names.PLAN)
@@ -157,7 +157,7 @@ class ReplayedBag:
 
 
 @dataclass
-class _Found:
+class _BagPass:
     """What one pass over the files of a bag finds."""
 
     channels: dict[str, ChannelDefinition] = field(default_factory=dict)

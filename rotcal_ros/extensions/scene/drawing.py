@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.extensions.scene.layout import Layout, State
+from rotcal_ros.extensions.scene.layout import PlaceState, SceneLayout
 from rotcal_ros.extensions.scene.shapes import Balls, Colour, Disc, Label, Lines, Shape, Transform
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.geometry.rotations import rotation_about_z
@@ -23,11 +23,11 @@ GREY: Final[Colour] = (0.55, 0.58, 0.62, 0.6)
 DARK: Final[Colour] = (0.2, 0.22, 0.25, 1.0)
 BLUE: Final[Colour] = (0.0, 0.45, 0.7, 1.0)
 RED: Final[Colour] = (0.9, 0.1, 0.1, 0.9)
-COLOURS: Final[Mapping[State, Colour]] = {
-    State.OPEN: (0.6, 0.6, 0.6, 0.7),
-    State.CURRENT: (0.94, 0.89, 0.26, 1.0),
-    State.DONE: (0.0, 0.62, 0.45, 1.0),
-    State.REJECTED: (0.84, 0.37, 0.0, 1.0),
+COLOURS: Final[Mapping[PlaceState, Colour]] = {
+    PlaceState.OPEN: (0.6, 0.6, 0.6, 0.7),
+    PlaceState.CURRENT: (0.94, 0.89, 0.26, 1.0),
+    PlaceState.DONE: (0.0, 0.62, 0.45, 1.0),
+    PlaceState.REJECTED: (0.84, 0.37, 0.0, 1.0),
 }
 """Of the places; told apart by those who do not see red and green as well (Okabe and Ito)."""
 _UP: Final = np.array([0.0, 0.0, 1.0])
@@ -54,7 +54,7 @@ class Errors:
 
 
 def draw_still(
-    layout: Layout, states: Sequence[State], errors: Errors | None, exaggeration: float
+    layout: SceneLayout, states: Sequence[PlaceState], errors: Errors | None, exaggeration: float
 ) -> tuple[Shape, ...]:
     """Return the axis, the places with their states, and the errors ``exaggeration`` times."""
     radius = layout.radius
@@ -80,7 +80,7 @@ def draw_still(
     return tuple(shapes)
 
 
-def draw_moving(layout: Layout, angle: float, step: Step | None) -> tuple[Shape, ...]:
+def draw_moving(layout: SceneLayout, angle: float, step: Step | None) -> tuple[Shape, ...]:
     """Return the table at ``angle`` (rad), its zero mark, the instruments, and the beam."""
     radius, thickness = layout.radius, 0.06 * layout.radius
     mark = np.stack([np.zeros(3), rotation_about_z(angle) @ np.array([radius, 0.0, 0.0])])
@@ -103,7 +103,7 @@ def standing_frames() -> tuple[Transform, ...]:
     return (Transform(MACHINE, TABLE_BASE),)
 
 
-def moving_frames(layout: Layout, angle: float, step: Step | None) -> tuple[Transform, ...]:
+def moving_frames(layout: SceneLayout, angle: float, step: Step | None) -> tuple[Transform, ...]:
     """Return the frame that turns with the table (rad), and that of a tracer on it."""
     frames = [Transform(TABLE_BASE, TABLE, angle=angle)]
     places, number = layout.stations.places, 0 if step is None else step.station

@@ -17,7 +17,7 @@ _MARGIN = 1.2
 _LEAST_RADIUS_M = 0.1
 
 
-class State(Enum):
+class PlaceState(Enum):
     """What was last seen at a place."""
 
     OPEN = "open"
@@ -27,7 +27,7 @@ class State(Enum):
 
 
 @dataclass(frozen=True)
-class Layout:
+class SceneLayout:
     """Nominal geometry of a plan in the table's fixed frame, which is the machine's too (m).
 
     ``places`` are those that the plan's steps go to, each once; ``radius`` is that of the table.
@@ -50,7 +50,7 @@ class Layout:
         return np.array([self.instruments(angle)[step.station], step.position])
 
 
-def layout_of(calibration: Calibration) -> Layout:
+def layout_of(calibration: Calibration) -> SceneLayout:
     """Return the layout of a calibration; the table reaches as far as what it carries."""
     method, plan = calibration.method, calibration.plan
     stations = Stations()
@@ -61,16 +61,16 @@ def layout_of(calibration: Calibration) -> Layout:
     if not stations.places:
         on_table = places  # an artefact on the table is what is measured
     reach = max((float(np.hypot(x, y)) for x, y, _ in on_table), default=0.0)
-    return Layout(plan.steps, places, stations, max(_MARGIN * reach, _LEAST_RADIUS_M))
+    return SceneLayout(plan.steps, places, stations, max(_MARGIN * reach, _LEAST_RADIUS_M))
 
 
-class Progress:
+class SceneProgress:
     """What was last seen at the places of a layout."""
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: SceneLayout) -> None:
         index = {place: number for number, place in enumerate(layout.places)}
         self._place = [index[step.position] for step in layout.steps]
-        self._seen = [State.OPEN] * len(layout.places)
+        self._seen = [PlaceState.OPEN] * len(layout.places)
         self._ordered: int | None = None
 
     def order(self, step: int) -> None:
@@ -79,14 +79,14 @@ class Progress:
 
     def observe(self, step: int, *, accepted: bool) -> None:
         """Note what became of a step."""
-        self._seen[self._place[step]] = State.DONE if accepted else State.REJECTED
+        self._seen[self._place[step]] = PlaceState.DONE if accepted else PlaceState.REJECTED
         if step == self._ordered:
             self._ordered = None
 
     @property
-    def states(self) -> tuple[State, ...]:
+    def states(self) -> tuple[PlaceState, ...]:
         """The state of each place."""
         states = list(self._seen)
         if self._ordered is not None:
-            states[self._place[self._ordered]] = State.CURRENT
+            states[self._place[self._ordered]] = PlaceState.CURRENT
         return tuple(states)

@@ -29,7 +29,7 @@ from rotcal_ros.extensions.scene.drawing import (
     moving_frames,
     standing_frames,
 )
-from rotcal_ros.extensions.scene.layout import Layout, Progress, layout_of
+from rotcal_ros.extensions.scene.layout import SceneLayout, SceneProgress, layout_of
 from rotcal_ros.extensions.scene.shapes import Balls, Colour, Disc, Label, Lines, Shape, Transform
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.units import DEGREE
@@ -125,8 +125,8 @@ class SceneNode(CellNode):
     def configure(self) -> None:
         """Wait for a plan."""
         self._exaggeration = self._wanted_exaggeration()
-        self._layout: Layout | None = None
-        self._progress: Progress | None = None
+        self._layout: SceneLayout | None = None
+        self._progress: SceneProgress | None = None
         self._errors: Errors | None = None
         self._announced = False
         self._joint, self._heard = "", set[str]()
@@ -154,7 +154,7 @@ class SceneNode(CellNode):
         topics = calibration.configuration.topics.renamed()
         self._hear_feedback(topics.get(names.JOINT_STATES, names.JOINT_STATES))
         self._layout = layout_of(calibration)
-        self._progress = Progress(self._layout)
+        self._progress = SceneProgress(self._layout)
         self._errors, self._step, self._shown, self._changed = None, None, None, True
         self._announced = False
         self._state = f"drawing {message.method}"

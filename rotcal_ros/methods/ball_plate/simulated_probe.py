@@ -14,8 +14,8 @@ from rotcal_ros.methods.ball_plate.simulation_settings import (
     TouchProbeSettings,
 )
 from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
-from rotcal_ros.simulation.motion import Limits, Motion
-from rotcal_ros.simulation.noise import IndexedNoise, Source
+from rotcal_ros.simulation.motion import Motion, MotionLimits
+from rotcal_ros.simulation.noise import IndexedNoise, NoiseSource
 from rotcal_ros.simulation.table import rotations
 
 _PLAY_M = 1e-4
@@ -40,7 +40,7 @@ def plate_balls(settings: SimulatedPlateSettings, seed: int) -> Floats:
     places = settings.circle_radius_m * np.column_stack(
         [np.cos(angle), np.sin(angle), np.zeros_like(angle)]
     )
-    noise = IndexedNoise(seed, Source.BALL)
+    noise = IndexedNoise(seed, NoiseSource.BALL)
     errors = np.array([noise.normal(3 * int(step), 3) for step in steps])
     turn = np.array(settings.clamping_turn_arcsec)[:, None] * ARCSEC
     clamped = (places + settings.manufacture_um * MICROMETRE * errors) @ rotations(*turn)[0].T
@@ -52,7 +52,7 @@ class MachineError:
     """The systematic error of the machine: a smooth field, the same at every visit."""
 
     def __init__(self, settings: TouchProbeSettings, seed: int) -> None:
-        noise = IndexedNoise(seed, Source.MACHINE)
+        noise = IndexedNoise(seed, NoiseSource.MACHINE)
         count = 3 * _WAVES
         self._waves = noise.normal(0, 3 * count).reshape(count, 3) / settings.wavelength_m
         self._phases = 2.0 * np.pi * noise.uniform(0, count)
@@ -84,10 +84,10 @@ class SimulatedTouchProbe(SimulatedInstrument):
         self.settings = settings
         self._table, self._balls = table, plate_balls(plate, seed)
         self._reach = 0.5 * plate.ball_diameter_m + settings.tip_radius_m
-        self._limits = Limits(settings.speed_m_s, settings.acceleration_m_s2, 0.0, 1.0)
+        self._limits = MotionLimits(settings.speed_m_s, settings.acceleration_m_s2, 0.0, 1.0)
         self._error = MachineError(settings, seed)
-        self._noise = IndexedNoise(seed, Source.TOUCH)
-        self._dirt = IndexedNoise(seed, Source.DIRT)
+        self._noise = IndexedNoise(seed, NoiseSource.TOUCH)
+        self._dirt = IndexedNoise(seed, NoiseSource.DIRT)
         self._from = self._place = settings.initial_position_m
         self._lift = 0.0
         self._motion = Motion(start_ns, [0.0], self._limits)

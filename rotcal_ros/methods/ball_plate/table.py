@@ -16,7 +16,7 @@ from rotcal_ros.foundation.tables import Header, Row, Table, hashes
 from rotcal_ros.methods.ball_plate.plate import parse_plate
 from rotcal_ros.methods.calibration import prepare
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.measurements import PlannedMeasurements, StepFinder
+from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder
 
 STD: Final[Header] = ("sx_m", "sy_m", "sz_m")
 _CENTRES: Final[Header] = ("position", "ball_step", "x_m", "y_m", "z_m")
@@ -36,7 +36,7 @@ def read(configuration: Configuration, table: Table, _targets: Path | None) -> P
         solver = replace(configuration.solver, own_std=True)
         configuration = replace(configuration, solver=solver)
     calibration = prepare(configuration)
-    find = StepFinder(calibration.plan, target="ball step")
+    find = RowStepFinder(calibration.plan, target="ball step")
     observations = []
     for number, row in enumerate(table.rows()):
         step = find(row, row.index("position"), row.index("ball_step"))

@@ -10,7 +10,7 @@ import numpy as np
 
 from rotcal_ros.capture.points import mean_point
 from rotcal_ros.capture.settings import CaptureSettings
-from rotcal_ros.capture.window import Reduced
+from rotcal_ros.capture.window import ReducedWindow
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.observations import ProbeSample
 from rotcal_ros.foundation.units import MICROMETRE, MILLIMETRE
@@ -25,21 +25,21 @@ _DOUBT = 5.0
 
 def touched_centre(
     samples: Sequence[ProbeSample], step: Step, settings: CaptureSettings
-) -> Reduced:
+) -> ReducedWindow:
     """Return the centre (m) of the sphere through touch points, where the plan has the ball."""
     return in_place(fitted_centre(samples, step, settings), step, settings)
 
 
 def reported_centre(
     samples: Sequence[ProbeSample], step: Step, settings: CaptureSettings
-) -> Reduced:
+) -> ReducedWindow:
     """Return the centre (m) that the machine computed, where the plan has the ball."""
     return in_place(mean_point(samples, step, settings), step, settings)
 
 
 def fitted_centre(
     samples: Sequence[ProbeSample], step: Step, settings: CaptureSettings
-) -> Reduced:
+) -> ReducedWindow:
     """Return the centre (m) of the sphere through touch points, or why there is none.
 
     The ball's and the tip's radius are known; points that stand out of the others (dirt) are
@@ -47,15 +47,15 @@ def fitted_centre(
     """
     tips = sorted({sample.tip_radius for sample in samples})
     if len(tips) > 1 or not tips[0] >= 0.0:
-        return Reduced(reason=f"the touch points name the tip radii {tips} m; expected one")
+        return ReducedWindow(reason=f"the touch points name the tip radii {tips} m; expected one")
     points = np.array([[sample.position for sample in samples]])
     spheres = fit_spheres(points, radius=0.5 * step.ball_diameter, tip_radius=tips[0])
     n_used = int(spheres.used.sum())
     if spheres.reason[0]:
-        return Reduced(n_used=n_used, reason=spheres.reason[0])
+        return ReducedWindow(n_used=n_used, reason=spheres.reason[0])
     x, y, z = spheres.centres[0].tolist()
     std_x, std_y, std_z = np.sqrt(np.diag(spheres.covariance[0])).tolist()
-    return Reduced(
+    return ReducedWindow(
         mean=(x, y, z),
         std=(std_x, std_y, std_z),
         scatter=(float(spheres.std[0]),) * 3,
@@ -64,7 +64,7 @@ def fitted_centre(
     )
 
 
-def in_place(reduced: Reduced, step: Step, settings: CaptureSettings) -> Reduced:
+def in_place(reduced: ReducedWindow, step: Step, settings: CaptureSettings) -> ReducedWindow:
     """Return ``reduced``, rejected when the ball is not where the plan has it."""
     if reduced.reason:
         return reduced

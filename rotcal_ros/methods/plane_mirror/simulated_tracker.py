@@ -20,7 +20,7 @@ from rotcal_ros.methods.plane_mirror.simulation_settings import (
 )
 from rotcal_ros.methods.plane_mirror.solver.problem import TrackerNoise
 from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
-from rotcal_ros.simulation.noise import IndexedNoise, Source
+from rotcal_ros.simulation.noise import IndexedNoise, NoiseSource
 
 _HOUR_S: Final = 3600.0
 
@@ -52,10 +52,10 @@ class SimulatedTracker(SimulatedInstrument):
             transverse_std=settings.transverse_std_um * MICROMETRE,
             transverse_std_per_metre=settings.transverse_std_um_per_m * MICROMETRE,
         )
-        self._point_noise = IndexedNoise(seed, Source.TRACKER)
-        self._stand_noise = IndexedNoise(seed, Source.STAND)
-        self._nest_noise = IndexedNoise(seed, Source.NEST)
-        self._reflector_noise = IndexedNoise(seed, Source.REFLECTOR)
+        self._point_noise = IndexedNoise(seed, NoiseSource.TRACKER)
+        self._stand_noise = IndexedNoise(seed, NoiseSource.STAND)
+        self._nest_noise = IndexedNoise(seed, NoiseSource.NEST)
+        self._reflector_noise = IndexedNoise(seed, NoiseSource.REFLECTOR)
         self._put_up: Command | None = None
         self._start_ns = start_ns
         self._wrong: dict[tuple[int, int], int] = {}

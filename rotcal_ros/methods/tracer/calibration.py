@@ -21,13 +21,13 @@ from rotcal_ros.methods.tracer.lengths import (
 )
 from rotcal_ros.methods.tracer.settings import TracerPlanSettings
 from rotcal_ros.methods.tracer.solver.joins import (
-    Pairs,
+    RepeatedLengths,
     Runs,
     adjust_at_equal_places,
     adjust_joined,
 )
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
-from rotcal_ros.methods.tracer.solver.reported import Weighed, with_reported
+from rotcal_ros.methods.tracer.solver.reported import WeighedSolution, with_reported
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution
 from rotcal_ros.methods.tracer.solver.solve import result_of
 from rotcal_ros.methods.tracer.solver.trials import trials_about
@@ -82,7 +82,7 @@ def _solved(
 
 def _at_equal_places(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
-) -> Weighed[TracerSolution]:
+) -> WeighedSolution[TracerSolution]:
     """Return the solution of one run, its lengths reduced to the mean place of their target."""
     posed = problem(configuration, plan, observations)
     shift = reported_positions(observations) - posed.targets[posed.target]
@@ -136,7 +136,7 @@ def _runs(configuration: Configuration, plan: Plan, observations: Sequence[Obser
         row = np.array([row_of[o.step] for o in again], dtype=np.int64)
         twin = problem(configuration, plan, again) if again else posed
         pairs.append(
-            Pairs(
+            RepeatedLengths(
                 run=number,
                 row=row,
                 length=twin.length[: len(again)],

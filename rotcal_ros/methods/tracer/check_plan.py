@@ -25,7 +25,7 @@ from rotcal_ros.methods.tracer.design.check_lengths import (
 from rotcal_ros.methods.tracer.design.ordering import noisy_problem
 from rotcal_ros.methods.tracer.design.scene import Scene, on_table
 from rotcal_ros.methods.tracer.design.sequence_choice import least_hidden, measuring_orders
-from rotcal_ros.methods.tracer.design.sequence_forecast import Forecast, OrderForecast
+from rotcal_ros.methods.tracer.design.sequence_forecast import Forecast, SequenceForecast
 from rotcal_ros.methods.tracer.design.settings import TracerDesignSettings
 from rotcal_ros.methods.tracer.plan import LEAST_ANGLES, block_of_targets
 from rotcal_ros.methods.tracer.plan_tables import write_pairs, write_targets
@@ -144,7 +144,7 @@ def _in_order(
     used, target = np.unique(found.lengths.target, return_inverse=True)
     pairs = np.column_stack([found.lengths.position, target])
     solver, angles, targets = configuration.solver, scene.table_angles, scene.targets[used]
-    unseen = OrderForecast(
+    unseen = SequenceForecast(
         noisy_problem(
             scene, found.lengths, one_zero=solver.zero == "per_segment", seed=SEED,
             slip=solver.slip_m, limits=solver,

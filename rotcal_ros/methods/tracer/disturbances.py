@@ -108,7 +108,7 @@ SECTOR: Final = 0.4
 
 
 @dataclass(frozen=True, eq=False)
-class Steps:
+class PlannedSteps:
     """The steps of a plan as arrays (n,): position, target, time."""
 
     position: Ints
@@ -170,9 +170,9 @@ def in_a_sector(
     return found
 
 
-def steps_of(plan: Plan) -> Steps:
+def steps_of(plan: Plan) -> PlannedSteps:
     """Return the steps of a plan as arrays."""
-    return Steps(
+    return PlannedSteps(
         position=np.array([step.table_position for step in plan.steps], dtype=np.int64),
         target=np.array([step.target for step in plan.steps], dtype=np.int64),
         time=times(plan),
@@ -182,7 +182,7 @@ def steps_of(plan: Plan) -> Steps:
 def _stations(
     configuration: Configuration,
     plan: Plan,
-    steps: Steps,
+    steps: PlannedSteps,
     sizes: Sizes,
     streams: tuple[np.random.Generator, np.random.Generator],
 ) -> Floats:
@@ -207,7 +207,7 @@ def _stations(
 def reflector_places(
     configuration: Configuration,
     plan: Plan,
-    steps: Steps,
+    steps: PlannedSteps,
     sizes: Sizes,
     noise: np.random.Generator,
 ) -> Floats:

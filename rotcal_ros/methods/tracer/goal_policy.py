@@ -17,7 +17,7 @@ from rotcal_ros.methods.continuation import Continuation
 from rotcal_ros.methods.tracer.design.scene import Scene, on_table
 from rotcal_ros.methods.tracer.policy.lengths import Costs, LengthExperiment
 from rotcal_ros.methods.tracer.policy.stated import Stated
-from rotcal_ros.methods.tracer.policy.until_goal import Limits, UntilGoal
+from rotcal_ros.methods.tracer.policy.until_goal import GoalLimits, UntilGoal
 from rotcal_ros.methods.tracer.settings import TracerPlanSettings
 from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
 from rotcal_ros.planning.choices import Policy
@@ -44,10 +44,12 @@ def until_goal(configuration: Configuration, plan: Plan) -> Callable[[Continuati
         )
     experiment = length_experiment(configuration, plan)
     _check_reach(experiment, goal, source)
-    return partial(_begun, experiment, Limits(goal, configuration.solver.rejection_significance))
+    return partial(
+        _begun, experiment, GoalLimits(goal, configuration.solver.rejection_significance)
+    )
 
 
-def _begun(experiment: LengthExperiment, limits: Limits, continuation: Continuation) -> Policy:
+def _begun(experiment: LengthExperiment, limits: GoalLimits, continuation: Continuation) -> Policy:
     if continuation.run == 0 and continuation.start_index:
         raise PlanError(
             f"start_index {continuation.start_index}: the policy {UNTIL_GOAL} measures in an "

@@ -13,8 +13,8 @@ from rotcal_ros.methods.tracer.simulated_tracer import SimulatedTracer
 from rotcal_ros.methods.tracer.simulation_settings import LengthsSimulationSettings
 from rotcal_ros.simulation.air import SimulatedAir
 from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
-from rotcal_ros.simulation.motion import Limits, Motion
-from rotcal_ros.simulation.noise import IndexedNoise, Source
+from rotcal_ros.simulation.motion import Motion, MotionLimits
+from rotcal_ros.simulation.noise import IndexedNoise, NoiseSource
 from rotcal_ros.simulation.temperature import SimulatedTemperature
 from rotcal_ros.simulation.ticks import Ticks
 
@@ -46,15 +46,15 @@ class TracerAndReflector(SimulatedInstrument):
         self._tracer = SimulatedTracer(tracer, settings.faults, seed, start_ns)
         self._ticks = Ticks(start_ns, tracer.rate_hz)
         self.settings = probe
-        self._limits = Limits(
+        self._limits = MotionLimits(
             speed=probe.speed_m_s,
             acceleration=probe.acceleration_m_s2,
             lag=probe.settling_um * MICROMETRE,
             settling_time=probe.settling_time_s,
         )
-        self._target_noise = IndexedNoise(seed, Source.TARGET)
-        self._repeat_noise = IndexedNoise(seed, Source.PROBE_REPEAT)
-        self._following_noise = IndexedNoise(seed, Source.FOLLOWING)
+        self._target_noise = IndexedNoise(seed, NoiseSource.TARGET)
+        self._repeat_noise = IndexedNoise(seed, NoiseSource.PROBE_REPEAT)
+        self._following_noise = IndexedNoise(seed, NoiseSource.FOLLOWING)
         self._arrivals = 0
         self._ordered = probe.initial_position_m
         self._from = self._actual_to = self._reported = np.array(self._ordered)

@@ -16,7 +16,7 @@ from rotcal_ros.methods.tracer.simulation_settings import (
     FaultSettings,
     SimulatedReadingsSettings,
 )
-from rotcal_ros.simulation.noise import IndexedNoise, Source
+from rotcal_ros.simulation.noise import IndexedNoise, NoiseSource
 
 
 class SimulatedTracer:
@@ -35,14 +35,14 @@ class SimulatedTracer:
         self.settings, self._faults = settings, faults
         shift_um = settings.zero_shift_um * np.random.default_rng([seed, start_ns]).normal()
         self._dead_distance_m = settings.dead_distance_m + shift_um * MICROMETRE
-        self._noise = IndexedNoise(seed, Source.TRACER)
-        self._spike = IndexedNoise(seed, Source.SPIKE)
-        self._spike_sign = IndexedNoise(seed, Source.SPIKE_SIGN)
-        self._dropout = IndexedNoise(seed, Source.DROPOUT)
-        self._non_finite = IndexedNoise(seed, Source.NON_FINITE)
-        self._break = IndexedNoise(seed, Source.BREAK)
-        self._break_shift = IndexedNoise(seed, Source.BREAK_SHIFT)
-        self._slip = IndexedNoise(seed, Source.SLIP)
+        self._noise = IndexedNoise(seed, NoiseSource.TRACER)
+        self._spike = IndexedNoise(seed, NoiseSource.SPIKE)
+        self._spike_sign = IndexedNoise(seed, NoiseSource.SPIKE_SIGN)
+        self._dropout = IndexedNoise(seed, NoiseSource.DROPOUT)
+        self._non_finite = IndexedNoise(seed, NoiseSource.NON_FINITE)
+        self._break = IndexedNoise(seed, NoiseSource.BREAK)
+        self._break_shift = IndexedNoise(seed, NoiseSource.BREAK_SHIFT)
+        self._slip = IndexedNoise(seed, NoiseSource.SLIP)
         self._breaks, self._slips, self._dark = 0, 0, False
 
     def blocked(self, table_angles_deg: Floats, target: int) -> Bools:

@@ -14,7 +14,7 @@ from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.tables import Header, Table, hashes, read_table, require_header
 from rotcal_ros.methods.calibration import Calibration, prepare
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.measurements import PlannedMeasurements, StepFinder
+from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder
 from rotcal_ros.methods.tracer.plan import explicit_plan, plan_of
 from rotcal_ros.methods.tracer.plausibility import LengthCheck
 from rotcal_ros.planning.plan import Point
@@ -51,7 +51,7 @@ def read(configuration: Configuration, table: Table, targets: Path | None) -> Pl
         else:
             plan = plan_of(angles, read_targets(targets), unknown)
         calibration = Calibration(configuration, plan)
-    find, check = StepFinder(calibration.plan), LengthCheck(calibration.plan)
+    find, check = RowStepFinder(calibration.plan), LengthCheck(calibration.plan)
     observations = []
     for row in table.rows():
         step = find(row, row.index("position"), row.index("target"))

@@ -22,7 +22,7 @@ from rotcal_ros.methods.tracer.lengths import (
     reported_positions,
 )
 from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION
-from rotcal_ros.methods.tracer.solver.reported import Weighed, with_reported
+from rotcal_ros.methods.tracer.solver.reported import WeighedSolution, with_reported
 from rotcal_ros.methods.tracer.solver.station import locate_stations
 from rotcal_ros.methods.tracer_six.places import described
 from rotcal_ros.methods.tracer_six.plan import LOCATING, places_of
@@ -67,7 +67,7 @@ def trials(
 
 def _at_equal_places(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
-) -> Weighed[SixSolution]:
+) -> WeighedSolution[SixSolution]:
     """Return the solution, its lengths reduced to the mean place of their target.
 
     Seen from the planned place: the tracer is near enough to it for some tenths of a micrometre.

@@ -24,7 +24,7 @@ from rotcal_ros.methods.disturbance import (
 )
 from rotcal_ros.methods.tracer.disturbances import (
     TANGENTIAL,
-    Steps,
+    PlannedSteps,
     in_a_sector,
     leaning_axis,
     of_lengths,
@@ -70,7 +70,7 @@ def measure(
 def _stations(
     configuration: Configuration,
     plan: Plan,
-    steps: Steps,
+    steps: PlannedSteps,
     sizes: Sizes,
     true: dict[str, Floats],
     other: np.random.Generator,

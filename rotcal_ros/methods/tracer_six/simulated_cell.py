@@ -14,7 +14,7 @@ from rotcal_ros.methods.tracer.simulated_cell import TracerAndReflector
 from rotcal_ros.methods.tracer_six.simulation_settings import SixSimulationSettings
 from rotcal_ros.planning.points import triples
 from rotcal_ros.simulation.instrument import Table
-from rotcal_ros.simulation.noise import IndexedNoise, Source
+from rotcal_ros.simulation.noise import IndexedNoise, NoiseSource
 from rotcal_ros.simulation.temperature import SimulatedTemperature
 
 _MOST: Final = 1000
@@ -38,8 +38,8 @@ class CarriedTracer(TracerAndReflector):
         self.tracer_settings = settings.tracer
         self._places = triples(settings.tracer.places_m, "simulation.tracer.places_m")
         super().__init__(settings, self._places[0], table, temperature, start_ns)
-        self._placing = IndexedNoise(settings.seed, Source.MOUNTING)
-        self._mounted_zero = IndexedNoise(settings.seed, Source.MOUNTED_ZERO)
+        self._placing = IndexedNoise(settings.seed, NoiseSource.MOUNTING)
+        self._mounted_zero = IndexedNoise(settings.seed, NoiseSource.MOUNTED_ZERO)
         self._mountings: dict[int, int] = {}
         self._place, self._step = -1, -1
         self._done: set[int] = set()

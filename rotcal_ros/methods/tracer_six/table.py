@@ -17,7 +17,7 @@ from rotcal_ros.foundation.settings import declarations
 from rotcal_ros.foundation.tables import Header, Table, hashes
 from rotcal_ros.methods.calibration import Calibration, prepare
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.measurements import PlannedMeasurements, StepFinder
+from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder
 from rotcal_ros.methods.tracer.table import SEGMENT, read_targets, targets_of_table
 from rotcal_ros.methods.tracer_six.plan import plan_of
 from rotcal_ros.methods.tracer_six.plausibility import PlaceLengths
@@ -44,7 +44,7 @@ def read(configuration: Configuration, table: Table, targets: Path | None) -> Pl
         files.append(targets)
         plan = plan_of(configuration.plan, read_targets(targets))
         calibration = Calibration(configuration, plan)
-    find, check = StepFinder(calibration.plan, stations=True), PlaceLengths(calibration.plan)
+    find, check = RowStepFinder(calibration.plan, stations=True), PlaceLengths(calibration.plan)
     observations = []
     for row in table.rows():
         step = find(row, row.index("position"), row.index("target"), row.index("place"))

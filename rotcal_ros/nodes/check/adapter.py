@@ -25,7 +25,7 @@ from rotcal_ros.ros2_control.obeyed import JointWatch
 from rotcal_ros.ros2_control.settings import TableAdapterSettings
 
 if TYPE_CHECKING:
-    from rotcal_ros.nodes.check.heard import Heard
+    from rotcal_ros.nodes.check.heard import HeardCell
 
 GROUP: Final = "table_adapter"
 _LISTENERS: Final = {"trajectory": "joint_trajectory", "positions": "commands"}
@@ -102,7 +102,7 @@ class AdapterEars:
             self._watch.hear(sample, time.monotonic())
 
 
-def controller_lines(heard: Heard) -> Iterator[CheckLine]:
+def controller_lines(heard: HeardCell) -> Iterator[CheckLine]:
     """Yield whether who takes the adapter's orders is there, and takes them as it gives them."""
     settings, node = heard.configuration.table_adapter, heard.graph.node
     try:

@@ -11,7 +11,7 @@ from rotcal_ros.foundation.node_names import FURTHER_NODES
 from rotcal_ros.methods.check_lines import CheckLine, DriverCheck
 
 if TYPE_CHECKING:
-    from rotcal_ros.nodes.check.heard import Heard
+    from rotcal_ros.nodes.check.heard import HeardCell
 
 _OWN: Final = {
     "table_adapter": DriverCheck(lambda _settings: (names.JOINT_STATES, names.TABLE_ANGLE))
@@ -19,7 +19,7 @@ _OWN: Final = {
 """Group -> what its driver brings; those of extensions are found by their entry points."""
 
 
-def brought(heard: Heard) -> dict[str, list[str]]:
+def brought(heard: HeardCell) -> dict[str, list[str]]:
     """Return role -> nodes of all that drivers will bring which are not here yet."""
     found: dict[str, list[str]] = {}
     for group, check in _checks(heard):
@@ -29,7 +29,7 @@ def brought(heard: Heard) -> dict[str, list[str]]:
     return found
 
 
-def brought_line(heard: Heard, part: str, role: str, does: str) -> CheckLine | None:
+def brought_line(heard: HeardCell, part: str, role: str, does: str) -> CheckLine | None:
     """Return the line of a role that a driver will bring; None where none will."""
     nodes = heard.brought.get(role, [])
     if not nodes:
@@ -40,7 +40,7 @@ def brought_line(heard: Heard, part: str, role: str, does: str) -> CheckLine | N
     return CheckLine(part, role, "note", f"{nodes[0]} {does}, which rotcal run starts")
 
 
-def driver_lines(heard: Heard) -> Iterator[CheckLine]:
+def driver_lines(heard: HeardCell) -> Iterator[CheckLine]:
     """Yield whether the devices of the drivers are there, as far as that is seen from outside."""
     configuration = heard.configuration
     for group, check in _checks(heard):
@@ -49,7 +49,7 @@ def driver_lines(heard: Heard) -> Iterator[CheckLine]:
             yield check.look(configuration.group(group), here, configuration.simulated)
 
 
-def _checks(heard: Heard) -> Iterator[tuple[str, DriverCheck]]:
+def _checks(heard: HeardCell) -> Iterator[tuple[str, DriverCheck]]:
     """Yield the drivers that the configuration asks for, by their groups."""
     of_extensions = plugins.names(plugins.DRIVER_CHECKS)
     for group in FURTHER_NODES:

@@ -23,7 +23,7 @@ SIMULATION: Final = FURTHER_NODES["simulation"]
 
 
 @dataclass(frozen=True)
-class Heard:
+class HeardCell:
     """What a check has to judge by; ``calibration``: None where no configuration was given.
 
     ``compared`` are the streams whose clocks could be held against that of the table. ``adapter``

@@ -12,12 +12,12 @@ from rotcal_ros.nodes.runtime.cell_graph import CellGraph
 from rotcal_ros.sessions.domains import DEFAULT_DOMAIN, domains_in_use
 
 if TYPE_CHECKING:
-    from rotcal_ros.nodes.check.heard import Heard
+    from rotcal_ros.nodes.check.heard import HeardCell
 
 _OURS: Final = ("cell_check", "_cell_check_ears")
 
 
-def cell_lines(heard: Heard) -> Iterator[CheckLine]:
+def cell_lines(heard: HeardCell) -> Iterator[CheckLine]:
     """Yield who is there."""
     others = [pair for pair in heard.graph.nodes() if pair[0] not in _OURS]
     place = heard.graph.node.get_namespace()
@@ -34,7 +34,7 @@ def cell_lines(heard: Heard) -> Iterator[CheckLine]:
         yield CheckLine("cell", "calibration", "doubt", found, todo)
 
 
-def _nobody(heard: Heard) -> CheckLine:
+def _nobody(heard: HeardCell) -> CheckLine:
     """Return the line of a graph with nobody in it, and how to look elsewhere."""
     domain = int(os.environ.get("ROS_DOMAIN_ID") or DEFAULT_DOMAIN)
     if heard.started_by_us:

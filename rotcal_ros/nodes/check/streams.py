@@ -13,7 +13,7 @@ from rotcal_ros.instruments.interpreter import FAST
 from rotcal_ros.methods.check_lines import CheckLine, State
 from rotcal_ros.nodes.check.drivers import brought_line
 from rotcal_ros.nodes.check.header_watch import HeaderWatch
-from rotcal_ros.nodes.check.heard import Heard
+from rotcal_ros.nodes.check.heard import HeardCell
 from rotcal_ros.nodes.check.neighbours import namesakes
 from rotcal_ros.nodes.goal.preflight import (
     air_doubts,
@@ -52,13 +52,13 @@ _IN_WORDS: Final[Mapping[str, str]] = {
 }  # fmt: skip
 
 
-def stream_lines(heard: Heard) -> Iterator[CheckLine]:
+def stream_lines(heard: HeardCell) -> Iterator[CheckLine]:
     """Yield a line for every stream."""
     for topic in KINDS:
         yield _line(heard, topic)
 
 
-def clock_line(heard: Heard) -> CheckLine:
+def clock_line(heard: HeardCell) -> CheckLine:
     """Say whether the clocks of the streams agree, by the times of arrival."""
     if OFFSET in heard.values:
         return CheckLine("clocks", "stamps", "missing", heard.values[OFFSET], _CLOCKS)
@@ -70,7 +70,7 @@ def clock_line(heard: Heard) -> CheckLine:
     return CheckLine("clocks", "stamps", "good", found)
 
 
-def _line(heard: Heard, topic: str) -> CheckLine:
+def _line(heard: HeardCell, topic: str) -> CheckLine:
     part, _ = KINDS[topic]
     offers, watch = heard.graph.offers(heard.name(topic)), heard.headers.get(topic, HeaderWatch())
     if not offers:
@@ -86,7 +86,7 @@ def _line(heard: Heard, topic: str) -> CheckLine:
     )  # fmt: skip
 
 
-def _absent(heard: Heard, topic: str) -> CheckLine:
+def _absent(heard: HeardCell, topic: str) -> CheckLine:
     """Return the line of a stream that nobody publishes."""
     part, kind = KINDS[topic]
     name = heard.name(topic)
@@ -106,7 +106,9 @@ def _absent(heard: Heard, topic: str) -> CheckLine:
     return CheckLine(part, topic, "note", "nobody publishes it, and nobody needs it")
 
 
-def _problem(heard: Heard, topic: str, offers: list[Any], watch: HeaderWatch) -> tuple[str, str]:
+def _problem(
+    heard: HeardCell, topic: str, offers: list[Any], watch: HeaderWatch
+) -> tuple[str, str]:
     """Return why nothing can be measured with a stream, and what to do; empty: it can be."""
     _, kind = KINDS[topic]
     name, limit_s = heard.name(topic), heard.configuration.planner.stream_timeout_s
@@ -130,7 +132,7 @@ def _problem(heard: Heard, topic: str, offers: list[Any], watch: HeaderWatch) ->
     return "", ""
 
 
-def _faults(heard: Heard, topic: str) -> Iterator[str]:
+def _faults(heard: HeardCell, topic: str) -> Iterator[str]:
     """Yield what the preflight has against the numbers of a stream."""
     values, configuration = heard.values, heard.configuration
     if topic == names.TRACER_LENGTH:
@@ -147,7 +149,7 @@ def _silent(watch: HeaderWatch, name: str) -> str:
     return f"{name} delivers nothing usable: see its status, and whether its numbers are finite"
 
 
-def _doubt(heard: Heard, topic: str, watch: HeaderWatch) -> tuple[str, str]:
+def _doubt(heard: HeardCell, topic: str, watch: HeaderWatch) -> tuple[str, str]:
     """Return what looks wrong about a stream though it can be measured with, and what to do."""
     limit_s = heard.configuration.capture.stamp_offset_s
     planned, is_table = heard.calibration, topic == names.JOINT_STATES
@@ -169,7 +171,7 @@ def _doubt(heard: Heard, topic: str, watch: HeaderWatch) -> tuple[str, str]:
     return "", ""
 
 
-def _seen(heard: Heard, topic: str, offers: list[Any]) -> str:
+def _seen(heard: HeardCell, topic: str, offers: list[Any]) -> str:
     """Return what there is to see of a stream that somebody publishes."""
     nodes = ", ".join(sorted({info.node_name for info in offers}))
     profile = offers[0].qos_profile

@@ -15,7 +15,7 @@ from rotcal_ros.nodes.goal.crew import Codes, GoalError
 from rotcal_ros.nodes.goal.watch import GoalWatch, HaltedError
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.latest import WAITING_FOR
-from rotcal_ros.planning.choices import Choice, Outcome, Standing
+from rotcal_ros.planning.choices import Choice, Standing, StepOutcome
 from rotcal_ros.planning.plan import Pause
 from rotcal_ros.planning.policy_names import AS_LISTED
 
@@ -23,7 +23,7 @@ SETTLING_S: Final = 1.2
 """So long after a clock was set the capture takes nothing (1 s), once it has noticed."""
 
 
-class Measuring:
+class GoalMeasurement:
     """Measures the steps of one goal; no attempt at a step has a number twice.
 
     ``reasons`` says why attempts were rejected, or came to nothing; ``asking`` asks a person.
@@ -153,7 +153,7 @@ class Measuring:
             progress.rejected += 1
         progress.note(index, accepted=captured)
         attempts = ((index, first + number) for number in range(limit))
-        self._policy.note(Outcome(index, self._watch.links.last_accepted(attempts)))
+        self._policy.note(StepOutcome(index, self._watch.links.last_accepted(attempts)))
         self.reasons += reasons
         return [] if captured else reasons
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 
 @dataclass
-class Progress:
+class GoalProgress:
     """How far a goal has come; ``uncertainty`` and ``goal`` are those of the policy, rad.
 
     ``started_s`` and ``paused_s`` are monotonic; None: no pause is on.

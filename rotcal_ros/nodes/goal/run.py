@@ -29,7 +29,7 @@ from rotcal_ros.methods.continuation import Continuation, Recorded
 from rotcal_ros.nodes.goal.asking import Asking
 from rotcal_ros.nodes.goal.cell_links import CellLinks
 from rotcal_ros.nodes.goal.crew import SOLVER, Codes, GoalError
-from rotcal_ros.nodes.goal.measuring import Measuring
+from rotcal_ros.nodes.goal.measuring import GoalMeasurement
 from rotcal_ros.nodes.goal.preflight import doubts, expected_air, faults, without_air
 from rotcal_ros.nodes.goal.watch import GoalWatch
 from rotcal_ros.nodes.runtime import conversions
@@ -59,7 +59,7 @@ class GoalRun:
         self.verdict_line = ""
         self._run, self._believed = "", Believed()
         self.watch = watch
-        self.measuring = Measuring(calibration, continuation, watch)
+        self.measuring = GoalMeasurement(calibration, continuation, watch)
 
     async def execute(self) -> Codes:
         """Carry the goal out; every way to end leaves a closed bag and an explained outcome."""
@@ -166,7 +166,7 @@ class GoalRun:
         known = await self.bag.recorded()
         try:
             left = self._calibration.continued(known.run, known.observations, self._from_step)
-            self.measuring = Measuring(self._calibration, left, self.watch)
+            self.measuring = GoalMeasurement(self._calibration, left, self.watch)
         except RotcalError as error:
             raise GoalError(Codes.BAD_CONFIGURATION, str(error)) from error
         self._continuation, self.watch.progress.left = left, len(left.steps)

@@ -15,7 +15,7 @@ from rotcal_ros.foundation.machine_load import AwakeClock, Patience
 from rotcal_ros.nodes.goal.cell_links import CellLinks
 from rotcal_ros.nodes.goal.crew import Codes, Crew, GoalError
 from rotcal_ros.nodes.goal.pauses import Pauses
-from rotcal_ros.nodes.goal.progress import Progress
+from rotcal_ros.nodes.goal.progress import GoalProgress
 from rotcal_ros.nodes.runtime.cell_graph import ORDERS
 from rotcal_ros.nodes.runtime.cell_node import until
 from rotcal_ros.nodes.runtime.clock_news import jumps_told
@@ -60,8 +60,8 @@ class GoalWatch:
     links: CellLinks
     stop: EmergencyStop
     pauses: Pauses
-    progress: Progress
-    show: Callable[[Progress], None]
+    progress: GoalProgress
+    show: Callable[[GoalProgress], None]
     canceled: Callable[[], bool]
     crew: Crew
     patience_s: float

@@ -28,14 +28,14 @@ _AS_THE_GRAPH_SHOWS_IT: Final = QoSProfile(
 
 
 @dataclass(frozen=True)
-class Offer:
+class ExpectedPublisher:
     """A publisher that is still to come."""
 
     node_name: str
     qos_profile: QoSProfile
 
 
-PLANNERS: Final = Offer("planner", _AS_THE_GRAPH_SHOWS_IT)
+PLANNERS: Final = ExpectedPublisher("planner", _AS_THE_GRAPH_SHOWS_IT)
 """What the planner offers, for as long as there is none."""
 
 
@@ -111,7 +111,10 @@ class CellGraph:
 
 
 def deaf_listeners(
-    node: Node, topic: str, counts: Callable[[str], bool], to_come: Iterable[Offer] = ()
+    node: Node,
+    topic: str,
+    counts: Callable[[str], bool],
+    to_come: Iterable[ExpectedPublisher] = (),
 ) -> Iterator[str]:
     """Yield in words which subscribers of an absolute ``topic`` get nothing of a publisher.
 

@@ -43,7 +43,7 @@ from rotcal_ros.foundation.observations import (
 )
 from rotcal_ros.foundation.results import FreeDirection as OpenZero
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.nodes.goal.progress import Progress
+from rotcal_ros.nodes.goal.progress import GoalProgress
 from rotcal_ros.planning.choices import Choice
 from rotcal_ros.planning.plan import MACHINE_FRAME
 
@@ -279,7 +279,7 @@ def _filled(kind: Any, record: object, stamp_ns: int, frame: str = TABLE, **othe
     return kind(**{**same, **others, "header": header(stamp_ns, frame)})
 
 
-def feedback_message(progress: Progress, current_std: float) -> Calibrate.Feedback:
+def feedback_message(progress: GoalProgress, current_std: float) -> Calibrate.Feedback:
     """Return how far a goal has come; ``current_std`` in rad."""
     return Calibrate.Feedback(
         step=progress.step,

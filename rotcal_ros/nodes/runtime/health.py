@@ -24,7 +24,7 @@ from rotcal_ros.foundation.plugins import culprit
 from rotcal_ros.nodes.runtime.clock_news import ClockNews
 from rotcal_ros.nodes.runtime.draining import Batch, DrainedSubscription
 from rotcal_ros.nodes.runtime.heartbeat import BEAT_PERIOD_S, BUSY, LEAVING, Heartbeat
-from rotcal_ros.nodes.runtime.identity import IDENTITY, Identity, NameHolders, refusal
+from rotcal_ros.nodes.runtime.identity import IDENTITY, NameHolders, ProcessIdentity, refusal
 from rotcal_ros.nodes.runtime.memory import end_without_memory
 from rotcal_ros.nodes.runtime.processes_here import PROCESS, is_of_here, why_gone
 from rotcal_ros.nodes.runtime.roll_call import RollCall
@@ -69,7 +69,7 @@ class Health:
         self.awake = AwakeClock()
         self._roll = RollCall(self.settings)
         self._holders = NameHolders()
-        self.identity = Identity.own(os.environ, time.monotonic())
+        self.identity = ProcessIdentity.own(os.environ, time.monotonic())
         self.refused = ""
         self.others: dict[str, DiagnosticStatus] = {}
         self._read: dict[str, tuple[DiagnosticStatus, dict[str, str]]] = {}
@@ -169,14 +169,14 @@ class Health:
                     self._roll.forget(name)
                     self.others.pop(name, None)
             elif name == self._node.get_name():
-                self._meet(Identity.read(identity, now_s))
+                self._meet(ProcessIdentity.read(identity, now_s))
             elif name in self.lost and why_gone(values.get(PROCESS, "")):
                 continue  # its last beats came late
             elif self._holders.is_holder(name, identity, now_s):
                 self._roll.hear(name, awake_s - _seconds(values.get(BUSY, "")))
                 self.others[name] = status
 
-    def _meet(self, other: Identity | None) -> None:
+    def _meet(self, other: ProcessIdentity | None) -> None:
         """Hear a beat of this node's own name: of two nodes the younger one ends."""
         if self._report is None or other is None or other.process == self.identity.process:
             return

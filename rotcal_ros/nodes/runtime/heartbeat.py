@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from rotcal_ros.bags import names
-from rotcal_ros.nodes.runtime.identity import IDENTITY, Identity
+from rotcal_ros.nodes.runtime.identity import IDENTITY, ProcessIdentity
 from rotcal_ros.nodes.runtime.processes_here import PROCESS, own_process
 
 BEAT_PERIOD_S: Final = 0.2
@@ -29,7 +29,7 @@ _TOLD_S: Final = 0.5
 class Heartbeat:
     """Sends what the node told last; from the second beat on also while it takes no turn."""
 
-    def __init__(self, node: Node, identity: Identity) -> None:
+    def __init__(self, node: Node, identity: ProcessIdentity) -> None:
         self._context, self._identity = node.context, identity
         self._process = own_process()
         self._publisher = node.create_publisher(

@@ -145,7 +145,7 @@ PATIENCE_S: Final = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class _Waiting:
+class _WaitingObservation:
     """An observation that wants its receipt; all but its point has been here since ``all_else_s``.
 
     That is monotonic time.
@@ -166,7 +166,7 @@ class PendingReceipts:
 
     def __init__(self, *, answered: bool) -> None:
         self._answers: set[tuple[int, int]] | None = set() if answered else None
-        self._waiting: list[_Waiting] = []
+        self._waiting: list[_WaitingObservation] = []
         self._lost = 0
         self._reached_ns = 0
         self._set_back: tuple[int, int] | None = None  # from one stamp to another
@@ -191,7 +191,7 @@ class PendingReceipts:
 
     def expect(self, step: int, attempt: int, window_end_ns: int) -> None:
         """Take an observation that wants a receipt."""
-        self._waiting.append(_Waiting(window_end_ns, Receipt(step, attempt)))
+        self._waiting.append(_WaitingObservation(window_end_ns, Receipt(step, attempt)))
 
     def due(self, reached_ns: int | None, lost: int, now_s: float) -> Iterator[Receipt]:
         """Yield what can be confirmed now that the readings have come to ``reached_ns``.

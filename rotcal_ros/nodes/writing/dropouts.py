@@ -12,7 +12,7 @@ from rotcal_ros.bags.dropouts import MESSAGE_TYPE, QUEUE, SILENCE, Dropout
 from rotcal_ros.nodes.runtime.channels import own_channel
 from rotcal_ros.nodes.runtime.conversions import time_message
 from rotcal_ros.nodes.writing.bookkeeping import Silence
-from rotcal_ros.nodes.writing.recording import Messages, Recording
+from rotcal_ros.nodes.writing.recording import BagRecording, Messages
 
 TOGETHER_S: Final = 1.0
 """Gaps of a topic for the same reason within this time are written as one dropout."""
@@ -26,10 +26,10 @@ class DropoutNotes:
 
     def __init__(self, topic: str) -> None:
         self._topic = topic
-        self._recording: Recording | None = None
+        self._recording: BagRecording | None = None
         self._waiting: dict[tuple[str, str], tuple[float, Dropout]] = {}
 
-    def begin(self, recording: Recording) -> None:
+    def begin(self, recording: BagRecording) -> None:
         """Write into ``recording`` from now on; what was missing before is not told there."""
         self._recording = recording
         self._waiting.clear()

@@ -34,7 +34,7 @@ TOGETHER_S: Final = 0.02
 """So often is taken what is fast: a turn costs as much for one message as for many."""
 
 
-class Listener:
+class TopicListener:
     """Subscribes to topics as they appear and hands their messages to ``take``.
 
     What is missing goes to ``missed``, before the messages behind it go to ``take``.

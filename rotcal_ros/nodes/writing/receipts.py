@@ -17,7 +17,7 @@ from rotcal_ros.nodes.runtime.draining import Batch
 from rotcal_ros.nodes.runtime.qos import EVENT
 from rotcal_ros.nodes.writing.bookkeeping import NEEDED, PendingReceipts
 from rotcal_ros.nodes.writing.heard_topic import HeardTopic
-from rotcal_ros.nodes.writing.listening import Listener
+from rotcal_ros.nodes.writing.listening import TopicListener
 from rotcal_ros.nodes.writing.recorded_session import RecordedSession
 from rotcal_ros.nodes.writing.recording import Receipt
 
@@ -26,7 +26,11 @@ class Receipts:
     """The receipts of a recorder that are due, and their topic."""
 
     def __init__(
-        self, node: CellNode, called: CalledOtherwise, listener: Listener, session: RecordedSession
+        self,
+        node: CellNode,
+        called: CalledOtherwise,
+        listener: TopicListener,
+        session: RecordedSession,
     ) -> None:
         self._clock, self._called, self._listener = node.get_clock(), called, listener
         self._logger, self._awake = node.get_logger(), node.health.awake

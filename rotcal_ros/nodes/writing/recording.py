@@ -68,7 +68,7 @@ class Receipt:
     lost: int = 0
 
 
-class Recording:
+class BagRecording:
     """One bag being written. ``confirm`` is called from the thread, after the sync.
 
     After a failure of the disk ``error`` says why, nothing is confirmed any more, and what still

@@ -21,13 +21,13 @@ from rotcal_ros.foundation.distribution import distribution, rclpy_version
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.methods.configuration import read_subject
 from rotcal_ros.nodes.runtime.cell_node import CellNode, until
-from rotcal_ros.nodes.writing.recording import Recording
+from rotcal_ros.nodes.writing.recording import BagRecording
 
 TIMEOUT_S: Final = 3.0
 _PACKAGES = ("numpy", "scipy", "mcap", "rclpy", "ros-rclpy", "rotcal_msgs")
 
 
-def keep_surroundings(recording: Recording, configuration_text: str) -> None:
+def keep_surroundings(recording: BagRecording, configuration_text: str) -> None:
     """Put the configuration, its subject and the versions into a bag."""
     recording.attach(names.CONFIGURATION, "application/yaml", configuration_text.encode())
     recording.note(names.SUBJECT, subject(configuration_text))
@@ -66,14 +66,14 @@ def _version(package: str) -> str:
         return ""
 
 
-class Parameters:
+class NodeParameters:
     """What the nodes say of their parameters: node name -> parameter -> value, as JSON in a bag.
 
     They are asked while the calibration begins. A node that does not answer is null, and so is one
     that had not yet answered when the bag was closed.
     """
 
-    def __init__(self, recording: Recording, node: CellNode) -> None:
+    def __init__(self, recording: BagRecording, node: CellNode) -> None:
         self._recording, self._node = recording, node
         self._found: dict[str, Any] = {}
         self._attached = False

@@ -25,7 +25,7 @@ from rotcal_ros.report.terminal.columns import (
 
 if TYPE_CHECKING:  # a result is printed without what compares and combines
     from rotcal_ros.evaluation.compare import Comparison
-    from rotcal_ros.evaluation.component_groups import Group
+    from rotcal_ros.evaluation.component_groups import ComponentGroup
     from rotcal_ros.evaluation.propagated import Propagated
     from rotcal_ros.evaluation.quick_check import QuickCheck
 
@@ -58,7 +58,7 @@ def print_result(result: Result) -> None:
         print_words(mark.line, colour=mark.colour)
 
 
-def say_groups(groups: Sequence[Group]) -> None:
+def say_groups(groups: Sequence[ComponentGroup]) -> None:
     """Print for each group of components how well the inputs agree, and their weights."""
     print_words(
         *(

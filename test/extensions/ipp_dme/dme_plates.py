@@ -5,7 +5,7 @@ from pathlib import Path
 from threading import Lock
 
 from rotcal_ros.extensions.ipp_dme.client import DmeClient
-from rotcal_ros.extensions.ipp_dme.driver import Measuring
+from rotcal_ros.extensions.ipp_dme.driver import OrderRunner
 from rotcal_ros.extensions.ipp_dme.settings import DmeSettings
 from rotcal_ros.methods import changed, prepare
 from rotcal_ros.methods.configuration import read_configuration
@@ -51,7 +51,7 @@ def measure(calibration, port, *, steps=None, **others):
 
     client = DmeClient(settings(port, **others), hear, lambda fault: None)
     client.start()
-    measuring, capture = Measuring(client, time.time_ns), calibration.capture()
+    measuring, capture = OrderRunner(client, time.time_ns), calibration.capture()
     for step in calibration.plan.steps[:steps]:
         for point in measuring.carry_out(step.command(0), step, lambda: False):
             with lock:

@@ -7,7 +7,7 @@ from math import degrees
 import pytest
 from wire import DEADLINE_S, wait_for
 
-from rotcal_ros.extensions.ipp_dme.driver import Driver, Measuring
+from rotcal_ros.extensions.ipp_dme.driver import Driver, OrderRunner
 from rotcal_ros.extensions.ipp_dme.settings import DmeSettings
 from rotcal_ros.foundation.observations import Approach, Command, PointKind
 from rotcal_ros.planning.plan import Step
@@ -164,7 +164,7 @@ def test_before_every_motion_it_is_asked_whether_somebody_wants_it_still(serve, 
     order = replace(TARGET, kind=kind, position=(0.1, 0.0, 0.3), approach=Approach.NEGATIVE)
     for motions in range(3):
         before, asked = server.names().count("GoTo"), count()
-        measuring = Measuring(client, lambda: 0)
+        measuring = OrderRunner(client, lambda: 0)
         given_up = lambda: next(asked) >= motions  # noqa: B023, E731
         assert list(measuring.carry_out(order, STEP, given_up)) == []
         assert server.names().count("GoTo") == before + motions

@@ -17,7 +17,7 @@ from rotcal_ros.extensions.ipp_dme.lines import (
     LONGEST,
     Kind,
     LineBuffer,
-    Response,
+    ResponseLine,
     Tags,
     is_tag,
     parse_response,
@@ -89,7 +89,7 @@ def test_errors_are_read_as_the_specification_and_as_servers_write_them():
     fault = parse_response(quoted).fault()
     assert (fault.number, fault.text, fault.stops) == (504, "Argument out of range", False)
     with pytest.raises(ProtocolError, match="severity, number, cause, text"):
-        Response("00001", Kind.ERROR, "Error(3)").fault()
+        ResponseLine("00001", Kind.ERROR, "Error(3)").fault()
 
 
 def test_tags_are_five_characters_and_count_round():

@@ -13,7 +13,7 @@ import pytest
 from dme_plates import settings, simulated_cell, small
 
 from rotcal_ros.extensions.ipp_dme.client import DmeClient
-from rotcal_ros.extensions.ipp_dme.driver import Measuring
+from rotcal_ros.extensions.ipp_dme.driver import OrderRunner
 from rotcal_ros.extensions.ipp_dme.server import DmeServer, serving
 from rotcal_ros.foundation.observations import LengthStatus, PointKind, TracerSample
 from rotcal_ros.methods import changed, prepare
@@ -40,7 +40,7 @@ class Session:
         self.capture, self.noise, self.count = calibration.capture(), np.random.default_rng(3), 0
         self.client = DmeClient(settings(port), self.hear, lambda fault: None)
         self.client.start()
-        self.measuring = Measuring(self.client, time.time_ns)
+        self.measuring = OrderRunner(self.client, time.time_ns)
 
     def hear(self, record, _position=None):
         if record is not None:

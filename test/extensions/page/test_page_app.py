@@ -15,7 +15,7 @@ from rotcal_ros.extensions.page import app as page_app
 from rotcal_ros.extensions.page.app import STATIC, Answer, make_app
 from rotcal_ros.extensions.page.board import Board
 from rotcal_ros.extensions.page.settings import PageSettings
-from rotcal_ros.extensions.page.state import Cell, LogLine, Now, State, changes
+from rotcal_ros.extensions.page.state import Cell, LogLine, Now, PageState, changes
 from rotcal_ros.foundation.errors import ConfigurationError
 
 ORIGIN = "http://127.0.0.1:8000"
@@ -268,7 +268,7 @@ def test_a_late_viewer_gets_everything_then_changes():
     assert data["token"] == "secret"
     assert data["cell"]["item"] == "T-100"
     assert data["now"]["headline"] == "Measuring"
-    assert {*State.__slots__} <= data.keys()
+    assert {*PageState.__slots__} <= data.keys()
 
 
 @pytest.mark.slow
@@ -285,15 +285,15 @@ def test_after_the_end_nothing_more_comes():
 
 
 def test_only_what_changed_is_sent():
-    old = State(cell=Cell(item="T-100"))
-    new = State(cell=Cell(item="T-100"), now=Now("ready", "Ready"))
+    old = PageState(cell=Cell(item="T-100"))
+    new = PageState(cell=Cell(item="T-100"), now=Now("ready", "Ready"))
     assert changes(old, new).keys() == {"now"}
     assert changes(old, old) == {}
-    assert changes(None, old).keys() == {*State.__slots__}
+    assert changes(None, old).keys() == {*PageState.__slots__}
 
 
 def test_what_is_no_number_becomes_nothing():
-    text = json.dumps(changes(None, State(log=(LogLine(float("nan"), True, "n", "t"),))))
+    text = json.dumps(changes(None, PageState(log=(LogLine(float("nan"), True, "n", "t"),))))
     assert json.loads(text)["log"] == [{"time_s": None, "error": True, "node": "n", "text": "t"}]
 
 

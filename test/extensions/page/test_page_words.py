@@ -12,13 +12,13 @@ from rotcal_ros.extensions.page.settings import PageSettings
 from rotcal_ros.extensions.page.state import (
     Curve,
     Deviations,
-    Mark,
     Now,
+    PageMark,
     PlanView,
     Pointing,
-    Rejection,
-    Standing,
-    Steps,
+    RejectedAttempt,
+    ShownUncertainty,
+    StepProgress,
 )
 
 playwright = pytest.importorskip("playwright.sync_api")
@@ -28,20 +28,22 @@ pytestmark = pytest.mark.slow
 # What a policy tells in its 67th step of 105 expected ones; the plan holds 2344 pairs.
 MEASURING = {
     "now": Now("measuring", "Measuring", "Table position 5, target 34.", stop=True),
-    "steps": Steps(step=66, total=105, accepted=64, rejected=6, left=39, end_s=None),
+    "steps": StepProgress(step=66, total=105, accepted=64, rejected=6, left=39, end_s=None),
     "view": PlanView((0.0, 30.0, 60.0), ((0.5, 0.0), (0.0, 0.5)), ((0.1, 0.1),)),
     "pointing": Pointing(
         "table position 5, target 34", 150.0, (0.5, 0.0), (0.1, 0.1), (0.0, 30.0)
     ),
-    "rejections": (Rejection(1.7e9, "table position 2, target 21 (attempt 2)", "beam broken"),),
-    "standing": Standing(
+    "rejections": (
+        RejectedAttempt(1.7e9, "table position 2, target 21 (attempt 2)", "beam broken"),
+    ),
+    "standing": ShownUncertainty(
         largest_arcsec=0.96, rms_arcsec=0.6, goal_arcsec=0.79, course=((10.0, 1.5), (64.0, 0.96))
     ),
 }
 CURVE = Curve("ECC", "arcsec", (0.0, -3.0), (0.0, 0.96))
 MARKS = (
-    Mark("measurement", "partly", "measurement: ok"),
-    Mark("tolerance", "beyond", "tolerance: beyond ±2 arcsec (ECC)"),
+    PageMark("measurement", "partly", "measurement: ok"),
+    PageMark("tolerance", "beyond", "tolerance: beyond ±2 arcsec (ECC)"),
 )
 DONE = MEASURING | {
     "now": Now("done", "Finished, measurement ok", "The result and its bag are on disk."),
@@ -109,7 +111,7 @@ def test_u_is_the_largest_of_the_curve_everywhere_and_the_goals_figure_has_its_o
 
 
 def test_before_all_stations_are_placed_the_goals_figure_is_not_known(shown):
-    unknown = Standing(largest_arcsec=None, rms_arcsec=None, goal_arcsec=0.79)
+    unknown = ShownUncertainty(largest_arcsec=None, rms_arcsec=None, goal_arcsec=0.79)
     page = shown(MEASURING | {"standing": unknown})
     assert page.locator("#uncertainty").inner_text() == "–"
     assert page.inner_text("#goal").endswith("goal: rms of U 0.79″, now not known yet")

@@ -13,7 +13,7 @@ from rotcal_ros.extensions.scene.drawing import (
     moving_frames,
     standing_frames,
 )
-from rotcal_ros.extensions.scene.layout import Layout, Progress, State, layout_of
+from rotcal_ros.extensions.scene.layout import PlaceState, SceneLayout, SceneProgress, layout_of
 from rotcal_ros.extensions.scene.shapes import Transform
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods import prepare, read_configuration
@@ -85,7 +85,9 @@ def test_the_errors_are_those_that_were_simulated_times_the_stated_factor():
     turn = np.stack([truth[n] for n in ("EAC", "EBC", "ECC")], axis=1)
     layout = layout_of(known)
     shapes = named(
-        draw_still(layout, (State.OPEN,) * len(layout.places), Errors(angles, shift, turn), 5e4)
+        draw_still(
+            layout, (PlaceState.OPEN,) * len(layout.places), Errors(angles, shift, turn), 5e4
+        )
     )
     assert shapes["exaggeration"].text == "errors x 50000"
     radius = layout.radius
@@ -108,26 +110,26 @@ def test_every_place_has_the_colour_of_what_was_seen_there_last():
     known = calibration("tracer_paper")  # all stations at one target, then the next
     layout = layout_of(known)
     assert layout.places == known.plan.targets
-    progress = Progress(layout)
-    assert set(progress.states) == {State.OPEN}
+    progress = SceneProgress(layout)
+    assert set(progress.states) == {PlaceState.OPEN}
     second = next(step for step in known.plan.steps if step.target == 1)
     progress.order(0)
-    assert progress.states[:2] == (State.CURRENT, State.OPEN)
+    assert progress.states[:2] == (PlaceState.CURRENT, PlaceState.OPEN)
     progress.observe(0, accepted=False)
-    assert progress.states[0] is State.REJECTED
+    assert progress.states[0] is PlaceState.REJECTED
     progress.order(second.index)
     progress.observe(0, accepted=True)
-    assert progress.states[:3] == (State.DONE, State.CURRENT, State.OPEN)
+    assert progress.states[:3] == (PlaceState.DONE, PlaceState.CURRENT, PlaceState.OPEN)
     balls = named(draw_still(layout, progress.states, None, 1.0))["places"]
-    assert balls.colours[0] == COLOURS[State.DONE]
+    assert balls.colours[0] == COLOURS[PlaceState.DONE]
     assert len(balls.points) == len(balls.colours) == len(layout.places)
-    assert len(set(COLOURS.values())) == len(State)
+    assert len(set(COLOURS.values())) == len(PlaceState)
 
 
 def test_a_tracer_of_unknown_place_is_left_out():
     configuration = read_configuration(CONFIG / "tracer.yaml")
     known = prepare(configuration)
     layout = layout_of(known)
-    assert isinstance(layout, Layout)
+    assert isinstance(layout, SceneLayout)
     if not configuration.plan.tracer_m:
         assert layout.beam(known.plan.steps[0], 0.0) is None

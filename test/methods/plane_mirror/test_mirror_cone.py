@@ -3,7 +3,7 @@ import pytest
 
 from rotcal_ros.geometry.rotations import rotation_from_vector
 from rotcal_ros.methods.plane_mirror.solver import cone
-from rotcal_ros.methods.plane_mirror.solver.layout import Pairs
+from rotcal_ros.methods.plane_mirror.solver.layout import MirrorPairs
 from rotcal_ros.methods.plane_mirror.solver.normals import tangent_frame
 from rotcal_ros.methods.plane_mirror.solver.outcomes import registered_response
 from rotcal_ros.methods.plane_mirror.solver.stitching import (
@@ -24,7 +24,7 @@ def on_cone(azimuth, lean):
 
 def pairs_of(position, station):
     index = np.arange(len(position))
-    return Pairs(index, index, index, index, np.array(position), np.array(station))
+    return MirrorPairs(index, index, index, index, np.array(position), np.array(station))
 
 
 @pytest.mark.parametrize("lean", np.radians([0.0, 1.4, 5.0, -3.0]))

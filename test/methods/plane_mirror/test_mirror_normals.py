@@ -6,7 +6,7 @@ from scipy.optimize import least_squares
 
 from rotcal_ros.geometry.rotations import rotation_from_vector
 from rotcal_ros.methods.plane_mirror.solver import TrackerNoise
-from rotcal_ros.methods.plane_mirror.solver.layout import Pairs
+from rotcal_ros.methods.plane_mirror.solver.layout import MirrorPairs
 from rotcal_ros.methods.plane_mirror.solver.normals import (
     fit_normals,
     image_response,
@@ -27,7 +27,7 @@ def image(points, normal=NORMAL, offset=OFFSET):
 def one_group(n):
     index = np.arange(n)
     zero = np.zeros(1, dtype=int)
-    return Pairs(index, index + n, np.zeros(n, dtype=int), zero, zero, zero)
+    return MirrorPairs(index, index + n, np.zeros(n, dtype=int), zero, zero, zero)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])

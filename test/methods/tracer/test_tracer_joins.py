@@ -8,7 +8,13 @@ from chances import LONG
 from tracer_scene import arc, low_ring, simulate
 
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.methods.tracer.solver.joins import Pairs, Runs, _joins, adjust_joined, join_of
+from rotcal_ros.methods.tracer.solver.joins import (
+    RepeatedLengths,
+    Runs,
+    _joins,
+    adjust_joined,
+    join_of,
+)
 from rotcal_ros.methods.tracer.solver.solve import solve
 
 STD = 2e-7
@@ -25,7 +31,7 @@ def interrupted(seed=0, again=8, moved=0.0, variant="station"):
     noise = rng.normal(scale=STD, size=len(row)) - rng.normal(scale=STD, size=len(row))
     length = problem.length[row] + OFFSET + noise
     length[: len(row) // 2] += moved
-    pairs = Pairs(1, row, length, np.full(len(row), STD), np.zeros((len(row), 3)))
+    pairs = RepeatedLengths(1, row, length, np.full(len(row), STD), np.zeros((len(row), 3)))
     changed = replace(problem, length=problem.length + OFFSET * run)
     return scene, problem, changed, run, pairs
 
@@ -99,7 +105,9 @@ def interrupted_twice(seed, loose):
     for later in (1, 2):
         row = np.flatnonzero(run == later - 1)[::11][:8]
         length = true[row] + offset[later] + rng.normal(scale=loose * STD, size=8)
-        pairs.append(Pairs(later, row, length, np.full(8, loose * STD), np.zeros((8, 3))))
+        pairs.append(
+            RepeatedLengths(later, row, length, np.full(8, loose * STD), np.zeros((8, 3)))
+        )
     changed = replace(problem, length=problem.length + offset[run])
     return scene, Runs(changed, run, np.zeros((len(run), 3)), pairs)
 
@@ -160,7 +168,9 @@ def test_a_run_that_only_repeats_steps_changes_nothing():
 
 def test_without_anything_measured_again_there_is_no_result():
     _, _, changed, run, pairs = interrupted()
-    none = Pairs(1, pairs.row[:0], pairs.length[:0], pairs.length_std[:0], pairs.shift[:0])
+    none = RepeatedLengths(
+        1, pairs.row[:0], pairs.length[:0], pairs.length_std[:0], pairs.shift[:0]
+    )
     with pytest.raises(DataError, match="was measured again in run 1"):
         adjust_joined(runs(changed, run, none)).result()
 

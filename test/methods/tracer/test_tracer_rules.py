@@ -11,8 +11,8 @@ from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.methods.tracer.solver.error_motion import ErrorMotion
 from rotcal_ros.methods.tracer.solver.grid import arrange
-from rotcal_ros.methods.tracer.solver.joins import Pairs, Runs, adjust_joined, join_of
-from rotcal_ros.methods.tracer.solver.noise import Noise
+from rotcal_ros.methods.tracer.solver.joins import RepeatedLengths, Runs, adjust_joined, join_of
+from rotcal_ros.methods.tracer.solver.noise import NoiseFactors
 from rotcal_ros.methods.tracer.solver.observability import (
     check_counts,
     check_station_spread,
@@ -23,18 +23,18 @@ from rotcal_ros.methods.tracer.solver.schur import eliminate
 from rotcal_ros.methods.tracer.solver.solution import adjust
 from rotcal_ros.methods.tracer.solver.solve import solve
 from rotcal_ros.methods.tracer.solver.uncertainty import GlobalTest
-from rotcal_ros.methods.tracer.solver.verdict import Closure, Evidence, closures, judge
+from rotcal_ros.methods.tracer.solver.verdict import CircleClosure, Evidence, closures, judge
 from rotcal_ros.methods.tracer.solver_settings import TracerLimits
 
 LIMITS = TracerLimits()
 GOOD = Evidence(
     lengths=GlobalTest(1.0, 0.5),
-    noise=Noise(np.ones(5), np.full(5, np.nan), np.full(5, 1e-7), estimated=False),
+    noise=NoiseFactors(np.ones(5), np.full(5, np.nan), np.full(5, 1e-7), estimated=False),
     unexplained=1.0,
     circle=GlobalTest(1.0, 0.5),
     error_motion=ErrorMotion(0.0, 0.0, 1e-7, 7, 0.0),
     radial_rms=1e-7,
-    closures=(Closure(0, 9, 1e-7, 1e-7),),
+    closures=(CircleClosure(0, 9, 1e-7, 1e-7),),
     n_lengths=100,
     n_rejected=0,
     missing=(),
@@ -49,7 +49,7 @@ def noise(component, factor, sure=20.0):
     factors, log_std = np.ones(5), np.ones(5)
     factors[component] = factor
     log_std[component] = abs(np.log(factor)) / sure
-    return Noise(factors, log_std, np.full(5, 1e-7), estimated=True)
+    return NoiseFactors(factors, log_std, np.full(5, 1e-7), estimated=True)
 
 
 def test_good_evidence_leaves_nothing_to_say():
@@ -98,7 +98,7 @@ def test_a_closure_may_be_as_large_as_the_normal_quantile():
     limit = norm.isf(0.0005)
     for size, verdict in ((limit - 0.001, "ok"), (limit + 0.001, "suspect")):
         for sign in (1, -1):
-            closure = Closure(2, 7, sign * size * 1e-6, 1e-6)
+            closure = CircleClosure(2, 7, sign * size * 1e-6, 1e-6)
             found, warnings = judge(replace(GOOD, closures=(closure,)), LIMITS)
             assert found == verdict
             assert len(warnings) == (verdict != "ok")
@@ -314,7 +314,7 @@ def joined(disagreement):
     run = (problem.target >= 12).astype(np.int64)
     row = np.flatnonzero(run == 0)[::14][:8]
     apart = disagreement * np.tile([1.0, -1.0], 4)
-    pairs = Pairs(
+    pairs = RepeatedLengths(
         1, row, problem.length[row] + 3e-5 + apart, np.full(8, 2 * STD), np.zeros((8, 3))
     )
     runs = Runs(

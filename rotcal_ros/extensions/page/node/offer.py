@@ -11,7 +11,7 @@ from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
 from rotcal_msgs.srv import ApplyTable, GetCorrection
 
 from rotcal_ros.extensions.page.app import Answer
-from rotcal_ros.extensions.page.state import Offer
+from rotcal_ros.extensions.page.state import ShownOffer
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.observations import Approach
@@ -45,7 +45,7 @@ class WaitingTable:
         self._look_up = node.create_client(GetCorrection, "get_correction")
         self._apply = node.create_client(ApplyTable, "apply")
 
-    def offer(self) -> Offer | None:
+    def offer(self) -> ShownOffer | None:
         """Return what the bridge says now."""
         health = self._node.health
         values = health.values(BRIDGE) if BRIDGE in health.present() else {}
@@ -60,7 +60,7 @@ class WaitingTable:
         elif self._drawn_for != confirmation:
             why_not = why_not or UNDRAWN
             self._see_to_the_drawing(confirmation, values["table_hash"])
-        return Offer(
+        return ShownOffer(
             confirmation=confirmation,
             table_hash=values["table_hash"],
             verdict=values.get("verdict", ""),

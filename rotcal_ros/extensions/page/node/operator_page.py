@@ -22,13 +22,13 @@ from std_srvs.srv import Trigger
 
 from rotcal_ros.extensions.page.app import Answer
 from rotcal_ros.extensions.page.board import Board, Course
-from rotcal_ros.extensions.page.headline import Heard, now
+from rotcal_ros.extensions.page.headline import HeardPlanner, now
 from rotcal_ros.extensions.page.node import sections as page_sections
 from rotcal_ros.extensions.page.node.offer import WaitingTable
-from rotcal_ros.extensions.page.node.topics import PageTopics, Streams
+from rotcal_ros.extensions.page.node.topics import CapturedValues, PageTopics
 from rotcal_ros.extensions.page.server import PageServer
 from rotcal_ros.extensions.page.settings import PageSettings
-from rotcal_ros.extensions.page.state import Cell, Standing, Steps
+from rotcal_ros.extensions.page.state import Cell, ShownUncertainty, StepProgress
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.nodes.goal.outcome import Feedback, Outcome
 from rotcal_ros.nodes.runtime.cell_node import CellNode
@@ -53,7 +53,7 @@ class OperatorPage(CellNode):
         """Serve the page."""
         settings = self.settings("page", PageSettings)
         self.board = Board()
-        self._streams = Streams()
+        self._streams = CapturedValues()
         self._course = Course()
         self._drawn: float | None = None
         self._beat: object = None
@@ -112,7 +112,7 @@ class OperatorPage(CellNode):
         """Forget what belongs to an earlier goal."""
         self._course, self._drawn = Course(), None
         self._topics.begin()
-        self.board.show(standing=Standing(), recording=None)
+        self.board.show(standing=ShownUncertainty(), recording=None)
 
     def _look(self) -> None:
         """Bring what the heartbeats tell up to date."""
@@ -137,12 +137,12 @@ class OperatorPage(CellNode):
             offer=offer,
         )
 
-    def _heard(self) -> Heard:
+    def _heard(self) -> HeardPlanner:
         health, goal = self.health, self._goal
         state = health.state(PLANNER)
         activity = goal.feedback.activity if goal.feedback else ""
         outcome = goal.outcome
-        return Heard(
+        return HeardPlanner(
             planner=state,
             silent=PLANNER in health.lost,
             calibrating=goal.running or (outcome is None and state.startswith(CALIBRATING)),
@@ -155,7 +155,7 @@ class OperatorPage(CellNode):
             error=outcome.error_msg if outcome else "",
         )
 
-    def _standing(self) -> Standing:
+    def _standing(self) -> ShownUncertainty:
         """Return U of the curve, and where there is a goal the policy's figure beside it."""
         feedback, curve = self._goal.feedback, self._topics.uncertainty
         if feedback is None:
@@ -164,9 +164,9 @@ class OperatorPage(CellNode):
             self._drawn = curve
             self._course.add(feedback.accepted, round(curve / ARCSEC, 4))
         if self._topics.withheld:
-            return Standing(withheld=self._topics.withheld)
+            return ShownUncertainty(withheld=self._topics.withheld)
         rms, goal = feedback.uncertainty_rad, feedback.goal_rad
-        return Standing(
+        return ShownUncertainty(
             largest_arcsec=None if curve is None else round(curve / ARCSEC, 4),
             rms_arcsec=None if rms is None else round(rms / ARCSEC, 4),
             goal_arcsec=None if goal is None else goal / ARCSEC,
@@ -209,13 +209,13 @@ class FollowedGoal:
         """Whether nothing more is to be heard of a goal."""
         return self._id is None or self.outcome is not None
 
-    def steps(self) -> Steps | None:
+    def steps(self) -> StepProgress | None:
         """Return how far the goal has come, None before its first feedback."""
         heard = self.feedback
         if heard is None:
             return None
         left_s = None if self.outcome or heard.instruction else heard.time_left_s
-        return Steps(
+        return StepProgress(
             step=heard.step,
             total=heard.total,
             accepted=heard.accepted,

@@ -18,10 +18,10 @@ from rotcal_ros.extensions.page.state import (
     Cell,
     Curve,
     Deviations,
-    Mark,
     NodeState,
+    PageMark,
     PlanView,
-    Recording,
+    RecorderState,
 )
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.identity import Identity
@@ -93,7 +93,7 @@ def deviations(message: DeviationArray, identity: Identity) -> Deviations:
     )
 
 
-def _marks(message: DeviationArray, identity: Identity, why: str) -> tuple[Mark, ...]:
+def _marks(message: DeviationArray, identity: Identity, why: str) -> tuple[PageMark, ...]:
     """Return the marks of a final solution, as its report has them."""
     values, std = (
         {n: np.array(found) for n in COMPONENTS if len(found := getattr(message, n.lower() + end))}
@@ -103,7 +103,7 @@ def _marks(message: DeviationArray, identity: Identity, why: str) -> tuple[Mark,
     covered = bool(message.verdict_line) and "," not in line  # what is not covered stands behind
     about = measurement(message.verdict, line, covered=covered)
     against = tolerance(values, std, identity, why)
-    return tuple(Mark(m.name, m.kind, m.line) for m in (about, against) if m is not None)
+    return tuple(PageMark(m.name, m.kind, m.line) for m in (about, against) if m is not None)
 
 
 def _rounded(values: Iterable[float]) -> tuple[float | None, ...]:
@@ -128,12 +128,12 @@ def _words(status: DiagnosticStatus) -> str:
     return "; ".join([str(status.message), *(f"without {t}" for t in trouble)])
 
 
-def recording(values: Mapping[str, str]) -> Recording | None:
+def recording(values: Mapping[str, str]) -> RecorderState | None:
     """Return how the bag is doing, from the recorder's values; None before there is one."""
     if "file" not in values:
         return None
     losses = {k: int(n) for k, n in values.items() if k not in OF_THE_BAG and n.isdigit()}
-    return Recording(
+    return RecorderState(
         file=values["file"],
         messages=int(values.get("messages", 0)),
         lost=sum(n for name, n in losses.items() if not name.startswith("silent")),

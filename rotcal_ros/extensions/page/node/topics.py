@@ -23,13 +23,13 @@ from rotcal_ros.extensions.page.board import Board, Course
 from rotcal_ros.extensions.page.node import sections as page_sections
 from rotcal_ros.extensions.page.state import (
     Cell,
-    Lengths,
+    LiveReading,
     LogLine,
     Pointing,
     Points,
-    Rejection,
-    Stream,
+    RejectedAttempt,
     Temperature,
+    TopicState,
 )
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.observations import Command, LengthStatus, place_in_words
@@ -57,7 +57,7 @@ class PageTopics:
     def __init__(self, node: CellNode, board: Board) -> None:
         self._node, self._board = node, board
         self._calibration: Calibration | None = None
-        self._rejections: deque[Rejection] = deque(maxlen=REJECTIONS)
+        self._rejections: deque[RejectedAttempt] = deque(maxlen=REJECTIONS)
         self._log: deque[LogLine] = deque(maxlen=LOG_LINES)
         self._visited: dict[float, None] = {}
         self.uncertainty: float | None = None
@@ -105,7 +105,7 @@ class PageTopics:
     def _take_observation(self, message: ObservationMsg) -> None:
         if not message.accepted:
             place = place_in_words(message.table_index, message.target, message.attempt)
-            row = Rejection(time.time(), place, message.reason)
+            row = RejectedAttempt(time.time(), place, message.reason)
             self._rejections.appendleft(row)
             self._board.show(rejections=tuple(self._rejections))
 
@@ -148,7 +148,7 @@ WORDS: Final = {
 HOUR_S: Final = 3600.0
 
 
-class Streams:
+class CapturedValues:
     """Takes the values of the capture, beat by beat."""
 
     def __init__(self) -> None:
@@ -175,25 +175,27 @@ class Streams:
                 self._lengths.append((round(time.time(), 1), round(length, 4)))
         self._feel()
 
-    def streams(self) -> tuple[Stream, ...]:
+    def streams(self) -> tuple[TopicState, ...]:
         """Return rate and silence of every topic that was heard."""
         found = []
         for topic, counts in sorted(self._counts.items()):
             (begun_s, first), (end_s, last) = counts[0], counts[-1]
             rate = (last - first) / (end_s - begun_s) if end_s > begun_s else 0.0
             silent = self._values.get(f"{SILENT}{topic}")
-            found.append(Stream(topic, round(rate, 1), None if silent is None else float(silent)))
+            found.append(
+                TopicState(topic, round(rate, 1), None if silent is None else float(silent))
+            )
         return tuple(found)
 
-    def lengths(self) -> Lengths | None:
+    def lengths(self) -> LiveReading | None:
         """Return the live reading: a length, else where the probe is; None before any."""
         if words := self._reading(names.TRACER_LENGTH):
             length = float(words[0]) * 1e3
             shown = f"{length:.4f} mm" if math.isfinite(length) else "–"
-            return Lengths("Length", shown, WORDS.get(words[1], ""))
+            return LiveReading("Length", shown, WORDS.get(words[1], ""))
         if words := self._reading(names.PROBE_POINT):
             at = "  ".join(f"{float(x) * 1e3:.3f}" for x in words)
-            return Lengths("Probe x y z", f"{at} mm", "")
+            return LiveReading("Probe x y z", f"{at} mm", "")
         return None
 
     def length_course(self) -> Points:

@@ -24,7 +24,7 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
-class Layout:
+class BallLayout:
     """A layout of balls and what it promises when all CMM positions are measured.
 
     ``variances`` (4,) are the mean variances for unit noise as of
@@ -57,7 +57,7 @@ class Layout:
         return {name: sigma * scale[name] * float(std[_INDEX[name]]) for name in COMPONENTS}
 
 
-def rate(grid: int, steps: Ints | list[int], weights: tuple[float, ...] = WEIGHTS) -> Layout:
+def rate(grid: int, steps: Ints | list[int], weights: tuple[float, ...] = WEIGHTS) -> BallLayout:
     """Return what one given layout promises; PlanError when it separates nothing."""
     layout = np.unique(np.asarray(steps, dtype=np.int64))
     if len(layout) < 4 or layout[0] < 0 or layout[-1] >= grid:
@@ -79,7 +79,7 @@ def best_layout(
     starts: int = 40,
     exact: bool = True,
     progress: Progress | None = None,
-) -> Layout:
+) -> BallLayout:
     """Find the layout of ``n_balls`` on a grid with the smallest weighted mean variance.
 
     ``min_gap`` keeps neighbours at least so many steps apart; ``subset_of`` restricts the steps
@@ -165,7 +165,7 @@ def _choices(values: Iterable[int], count: int) -> Iterator[Ints]:
 
 def _exhaustive(
     grid: int, batches: Iterator[Ints], weights: Floats, count: int, progress: Progress | None
-) -> Layout | None:
+) -> BallLayout | None:
     """Look at all layouts."""
     best, seen = None, 0
     for layouts in batches:
@@ -188,10 +188,10 @@ def _exchange(
     seed: int,
     starts: int,
     progress: Progress | None,
-) -> Layout | None:
+) -> BallLayout | None:
     """Move one ball at a time to where it helps most, from several random layouts."""
     rng = np.random.default_rng(seed)
-    best: Layout | None = None
+    best: BallLayout | None = None
     evaluated = 0
     for start in range(starts):
         layout = _random_layout(rng, grid, n_balls, places, min_gap)
@@ -256,9 +256,9 @@ def _scores(variances: Floats, weights: Floats) -> Floats:
 
 def _layout(
     grid: int, steps: Ints, variances: Floats, weights: Floats, evaluated: int, optimal: bool
-) -> Layout:
+) -> BallLayout:
     first, second, third, fourth = variances.tolist()
-    return Layout(
+    return BallLayout(
         grid=grid,
         steps=tuple(np.sort(steps).tolist()),
         variances=(first, second, third, fourth),

@@ -12,7 +12,7 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.errors import ObservabilityError, PlanError
 from rotcal_ros.foundation.units import MICROMETRE
-from rotcal_ros.methods.ball_plate.design.ball_layout import Layout, best_layout
+from rotcal_ros.methods.ball_plate.design.ball_layout import BallLayout, best_layout
 from rotcal_ros.methods.ball_plate.design.ball_plan import spread_out
 from rotcal_ros.methods.ball_plate.solver.general import solve_general
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, grid_angles
@@ -29,7 +29,7 @@ class Effort:
     over the table positions, metres or radians; ``centres`` the number of balls to be probed.
     """
 
-    layout: Layout
+    layout: BallLayout
     positions: tuple[int, ...]
     expanded: float
 
@@ -98,7 +98,7 @@ def unit_std(
 
 
 def _fewest_positions(
-    layout: Layout, component: str, radius: float, limit: float
+    layout: BallLayout, component: str, radius: float, limit: float
 ) -> tuple[tuple[int, ...], float] | None:
     """Bisect the number of CMM positions; None when all are not enough.
 

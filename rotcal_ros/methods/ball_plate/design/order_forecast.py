@@ -13,7 +13,7 @@ from rotcal_ros.methods.ball_plate.solver.closure import split
 from rotcal_ros.methods.ball_plate.solver.estimate import least_squares
 from rotcal_ros.methods.ball_plate.solver.order_effects import (
     RANDOM_MOMENTS,
-    Disturbance,
+    DisplacementPatterns,
     drift_error,
     found_size,
     knock_error,
@@ -92,7 +92,7 @@ def _nominal(plan: BallPlan, radius: float) -> BallPlateProblem:
 def _effect(
     kind: str,
     axis: int,
-    patterns: list[Disturbance] | tuple[Disturbance, ...],
+    patterns: list[DisplacementPatterns] | tuple[DisplacementPatterns, ...],
     amount: Floats,
     length: float,
     std: Floats,

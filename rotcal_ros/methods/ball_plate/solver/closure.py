@@ -18,7 +18,7 @@ from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.methods.ball_plate.solver import model
 from rotcal_ros.methods.ball_plate.solver.drift import drift_columns
-from rotcal_ros.methods.ball_plate.solver.model import Drift
+from rotcal_ros.methods.ball_plate.solver.model import OriginDrift
 from rotcal_ros.methods.ball_plate.solver.order_effects import SIGNIFICANCE
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 
@@ -29,7 +29,7 @@ GROSS: Final = 1e-3
 
 
 @dataclass(frozen=True)
-class Closure:
+class PlateClosure:
     """How a table position measured again at the end differs from its first time.
 
     ``shift`` (3,) m and ``rotation`` (3,) rad, later - first, in the fixed frame, with standard
@@ -107,9 +107,9 @@ def closures(
     closing: BallPlateProblem,
     sigma: tuple[Floats, Floats],
     dof: float,
-    drift: Drift | None,
+    drift: OriginDrift | None,
     repeatability: Floats,
-) -> tuple[Closure, ...]:
+) -> tuple[PlateClosure, ...]:
     """Compare the rows ``closing`` with the fitted rows of ``problem`` that they repeat.
 
     ``sigma`` are the standard deviations (3,) of the coordinates of fitted and of closing rows (of
@@ -129,12 +129,12 @@ def closures(
     for position in np.unique(closing.position):
         rows = np.flatnonzero(fair & (closing.position == position))
         if len(rows) > 2:
-            pairs = _Pairs(problem, closing, first[rows], rows, sigma, drift, repeatability)
+            pairs = _BallPairs(problem, closing, first[rows], rows, sigma, drift, repeatability)
             found.append(pairs.compare(dof))
     return tuple(found)
 
 
-class _Pairs:
+class _BallPairs:
     """First and last measurements of the balls at one table position."""
 
     def __init__(
@@ -144,7 +144,7 @@ class _Pairs:
         first: Ints,
         last: Ints,
         sigma: tuple[Floats, Floats],
-        drift: Drift | None,
+        drift: OriginDrift | None,
         repeatability: Floats,
     ) -> None:
         self.position, self.radius = int(closing.position[last[0]]), problem.radius
@@ -167,7 +167,7 @@ class _Pairs:
             columns = columns * np.tile(sigma[0], len(drift.amount))
             self.variance += columns @ drift.unit_covariance @ columns.T
 
-    def compare(self, dof: float) -> Closure:
+    def compare(self, dof: float) -> PlateClosure:
         """Fit one motion to the changes; the worst ball goes while it contradicts the others."""
         kept = np.arange(len(self.change))
         while True:
@@ -179,7 +179,7 @@ class _Pairs:
             kept = np.delete(kept, worst)
         std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         value = gain / 6.0
-        return Closure(
+        return PlateClosure(
             position=self.position,
             shift=motion[:3],
             shift_std=std[:3],

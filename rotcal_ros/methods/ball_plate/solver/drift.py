@@ -17,9 +17,9 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate.solver.model import (
     FIELDS,
-    Drift,
     LinearFit,
-    Parameters,
+    OriginDrift,
+    PlateParameters,
     Solution,
 )
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
@@ -40,7 +40,9 @@ def drift_columns(run_time: Floats, degree: int) -> Floats:
     return columns.reshape(len(run_time), 3, 3 * degree)
 
 
-def drifted(problem: BallPlateProblem, reference: BallPlateProblem, drift: Drift | None) -> Floats:
+def drifted(
+    problem: BallPlateProblem, reference: BallPlateProblem, drift: OriginDrift | None
+) -> Floats:
     """Return where an estimated drift moved the rows (n, 3); ``reference`` has its time."""
     if drift is None:
         return np.zeros_like(problem.centres)
@@ -85,13 +87,13 @@ class Border:
     def fit(self, plain: LinearFit) -> LinearFit:
         """Return the factored model with the drift among its unknowns."""
 
-        def fit(observed: Floats) -> tuple[Parameters, Floats]:
+        def fit(observed: Floats) -> tuple[PlateParameters, Floats]:
             found, residuals = plain.fit(observed)
             amount = self.amount(residuals)
             less = {name: getattr(found, name) - m @ amount for name, m in self.moved.items()}
-            return Parameters(**less), residuals - self.remains @ amount
+            return PlateParameters(**less), residuals - self.remains @ amount
 
-        def solution(estimate: Parameters, residuals: Floats) -> Solution:
+        def solution(estimate: PlateParameters, residuals: Floats) -> Solution:
             return self._enlarged(plain.solution(estimate, residuals))
 
         return LinearFit(fit, solution)
@@ -112,7 +114,7 @@ class Border:
             rest = replace(problem, centres=problem.centres - self.columns @ amount)
             solution = settle(rest, plain)
             amount = amount + self.amount(solution.residuals)
-        found = Drift(amount.reshape(-1, 3), self.inverse)
+        found = OriginDrift(amount.reshape(-1, 3), self.inverse)
         return replace(self._enlarged(solution), drift=found)
 
     def _enlarged(self, solution: Solution) -> Solution:
@@ -126,7 +128,7 @@ class Border:
         }
         return replace(
             solution,
-            unit_std=Parameters(**std),
+            unit_std=PlateParameters(**std),
             unit_covariance=partial(self._covariance, solution),
             cofactor=partial(self._cofactor, solution),
             dof=solution.dof - len(self.inverse),

@@ -8,7 +8,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.methods.ball_plate.solver import drift, gaps, general, model, rigorous, spectral
-from rotcal_ros.methods.ball_plate.solver.model import LinearFit, Parameters, Solution
+from rotcal_ros.methods.ball_plate.solver.model import LinearFit, PlateParameters, Solution
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 
 FEW_GAPS = 20
@@ -67,7 +67,7 @@ def _same_everywhere(problem: BallPlateProblem) -> Floats | None:
 def _scaled(linear: LinearFit, axes: Floats) -> LinearFit:
     """Return the fit whose unit covariances belong to noise of ``axes`` (3,)."""
 
-    def solution(estimate: Parameters, residuals: Floats) -> Solution:
+    def solution(estimate: PlateParameters, residuals: Floats) -> Solution:
         unit = linear.solution(estimate, residuals)
 
         def covariance(first: str, second: str) -> Floats:

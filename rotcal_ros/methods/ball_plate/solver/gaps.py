@@ -15,7 +15,7 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate.solver import model, spectral
-from rotcal_ros.methods.ball_plate.solver.model import FIELDS, LinearFit, Parameters, Solution
+from rotcal_ros.methods.ball_plate.solver.model import FIELDS, LinearFit, PlateParameters, Solution
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, on_circle
 
 DETERMINED = 1e-7
@@ -46,7 +46,7 @@ def factored(problem: BallPlateProblem, gaps: Ints) -> LinearFit:
     linear = spectral.factored(complete)
     responses, inverse = _correction(complete, linear, gaps)
 
-    def fit(observed: Floats) -> tuple[Parameters, Floats]:
+    def fit(observed: Floats) -> tuple[PlateParameters, Floats]:
         filled = np.zeros((len(complete.centres), 3))
         filled[measured] = observed
         _, start = linear.fit(filled)
@@ -54,7 +54,7 @@ def factored(problem: BallPlateProblem, gaps: Ints) -> LinearFit:
         estimate, residuals = linear.fit(filled)
         return estimate, residuals[measured]
 
-    def solution(estimate: Parameters, residuals: Floats) -> Solution:
+    def solution(estimate: PlateParameters, residuals: Floats) -> Solution:
         start = linear.solution(estimate, np.zeros((len(complete.centres), 3)))
         estimates = tuple(response for response, _ in responses)
         moved = np.stack([left[measured] for _, left in responses], axis=2)
@@ -74,7 +74,7 @@ def factored(problem: BallPlateProblem, gaps: Ints) -> LinearFit:
 
 def _correction(
     complete: BallPlateProblem, linear: LinearFit, gaps: Ints
-) -> tuple[list[tuple[Parameters, Floats]], Floats]:
+) -> tuple[list[tuple[PlateParameters, Floats]], Floats]:
     """Return the responses (3m) to unit deviations at the gaps, and the inverse at the gaps."""
     responses = []
     for cell in gaps:
@@ -103,18 +103,22 @@ def _complete(problem: BallPlateProblem, gaps: Ints) -> tuple[BallPlateProblem, 
 
 
 def _corrected_std(
-    std: Parameters, responses: tuple[Parameters, ...], inverse: Floats
-) -> Parameters:
+    std: PlateParameters, responses: tuple[PlateParameters, ...], inverse: Floats
+) -> PlateParameters:
     fields = {}
     for name in FIELDS:
         columns = np.stack([getattr(response, name) for response in responses], axis=-1)
         added = np.einsum("...i,ij,...j->...", columns, inverse, columns)
         fields[name] = np.sqrt(getattr(std, name) ** 2 + added)
-    return Parameters(**fields)
+    return PlateParameters(**fields)
 
 
 def _table_covariance(
-    start: Solution, responses: tuple[Parameters, ...], inverse: Floats, first: str, second: str
+    start: Solution,
+    responses: tuple[PlateParameters, ...],
+    inverse: Floats,
+    first: str,
+    second: str,
 ) -> Floats:
     """Return the unit covariance of two components, with what the gaps add."""
     columns = np.stack([response.component(first) for response in responses], axis=1)

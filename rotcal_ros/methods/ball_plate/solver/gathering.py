@@ -20,7 +20,7 @@ import numpy as np
 from rotcal_ros.adjust import gathering as engine
 from rotcal_ros.adjust.distributions import chi2_isf
 from rotcal_ros.adjust.felt import Felt
-from rotcal_ros.adjust.gathering import Count, Gathering, Limits, Words
+from rotcal_ros.adjust.gathering import Count, Gathering, GatheringLimits, Words
 from rotcal_ros.adjust.groups import Group, GroupTest
 from rotcal_ros.adjust.judgement import Belief, blame, judge
 from rotcal_ros.adjust.reliability import Hidden, hidden
@@ -30,12 +30,12 @@ from rotcal_ros.foundation.protection import POWER
 from rotcal_ros.methods.ball_plate.solver import general, model
 from rotcal_ros.methods.ball_plate.solver.drift import drift_columns
 from rotcal_ros.methods.ball_plate.solver.model import Solution
-from rotcal_ros.methods.ball_plate.solver.order_effects import Layout, layout_of
+from rotcal_ros.methods.ball_plate.solver.order_effects import RowOrder, layout_of
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 
 SIGNIFICANCE: Final = 0.01
 """Probability below which chance may cost good centres of one place."""
-LIMITS: Final = Limits(rejected_share=3e-4, significance=0.002, suspected=0.003)
+LIMITS: Final = GatheringLimits(rejected_share=3e-4, significance=0.002, suspected=0.003)
 """Single outliers are rare: two of eight are no chance. One of 100 sound plates reaches
 ``suspected``, for in some of so many groups subsets are searched; motion has its own test."""
 BELIEF: Final = Belief(disturbed=0.8)
@@ -60,7 +60,7 @@ LARGEST: Final = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class GatheredRows:
     """The rows (e,) of the group ``number`` of a kind, and its residual cofactor (e, 3, e, 3).
 
     ``eigen``: the cofactor's eigenvalues and vectors. ``gathered`` (q, e) are its subsets,
@@ -100,13 +100,13 @@ class Place:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class GatheringView:
     """All groups of a layout, and the errors (6 N, n, 3) of the deviations per unit of a row.
 
     Of table positions without a centre they are zero.
     """
 
-    places: tuple[Place, ...]
+    places: tuple[GatheredRows, ...]
     response: Floats
 
 
@@ -298,7 +298,7 @@ def _common(groups: list[Group]) -> list[str]:
     return found
 
 
-def _shows(group: Group, place: Place) -> bool:
+def _shows(group: Group, place: GatheredRows) -> bool:
     """Whether a group or a common shift of one of its gathered subsets stands out."""
     squares, rank = group.together
     if squares > chi2_isf(SUSPICIOUS, max(rank, 1)):
@@ -318,7 +318,7 @@ def _named(groups: list[Group], problem: BallPlateProblem, taken: Taken) -> list
     return found
 
 
-def view_of(problem: BallPlateProblem) -> View:
+def view_of(problem: BallPlateProblem) -> GatheringView:
     """Return the groups of a problem; those of a layout are remembered."""
     std = problem.std
     if std is not None and not np.ptp(std, axis=0).any() and std[0, 0] == std[0, 1]:
@@ -327,11 +327,11 @@ def view_of(problem: BallPlateProblem) -> View:
     if std is problem.std:
         return view
     own = np.ones(3) if problem.std is None else problem.std[0]
-    return View(view.places, view.response * own)
+    return GatheringView(view.places, view.response * own)
 
 
 @lru_cache(maxsize=4)
-def _of_layout(layout: Layout) -> View:
+def _of_layout(layout: RowOrder) -> GatheringView:
     problem = layout.problem()
     view = general.linear_view(problem)
     n = len(problem.centres)
@@ -356,10 +356,10 @@ def _of_layout(layout: Layout) -> View:
     )
     everywhere = np.zeros((6, problem.n_positions, n, 3))
     everywhere[:, problem.table_positions] = response.reshape(6, -1, n, 3)
-    return View(places, everywhere.reshape(-1, n, 3))
+    return GatheringView(places, everywhere.reshape(-1, n, 3))
 
 
-def _placed(problem: BallPlateProblem, cofactor: Floats, kind: str, number: int) -> Place:
+def _placed(problem: BallPlateProblem, cofactor: Floats, kind: str, number: int) -> GatheredRows:
     rows = np.flatnonzero(_columns(problem)[kind] == number)
     gathered = _subsets(problem, kind, rows)
     part = gathered.astype(np.float64)
@@ -368,7 +368,7 @@ def _placed(problem: BallPlateProblem, cofactor: Floats, kind: str, number: int)
     inverse = np.linalg.pinv(square, rcond=1e-6, hermitian=True) if len(part) else square
     values, vectors = np.linalg.eigh(cofactor.reshape(3 * len(rows), -1))
     eigen = (np.clip(values, 0.0, 1.0), vectors)
-    return Place(kind, number, rows, cofactor, eigen, gathered, inverse)
+    return GatheredRows(kind, number, rows, cofactor, eigen, gathered, inverse)
 
 
 def _columns(problem: BallPlateProblem) -> dict[str, Ints]:

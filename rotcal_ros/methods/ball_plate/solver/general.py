@@ -18,7 +18,7 @@ from scipy.sparse import csr_array
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate.solver import model
-from rotcal_ros.methods.ball_plate.solver.model import LinearFit, Parameters, Solution
+from rotcal_ros.methods.ball_plate.solver.model import LinearFit, PlateParameters, Solution
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 
 MIN_BALLS = 3
@@ -44,13 +44,13 @@ def factored(problem: BallPlateProblem) -> LinearFit:
     system = _Eliminated(problem)
     mover = _to_constraints(problem, system.invisible)
 
-    def fit(observed: Floats) -> tuple[Parameters, Floats]:
+    def fit(observed: Floats) -> tuple[PlateParameters, Floats]:
         vector = system.solve(observed)
         vector += system.solve(observed - system.fitted(vector))  # iterative refinement
         vector = mover @ vector
         return model.unpack(problem, vector), observed - system.fitted(vector)
 
-    def solution(estimate: Parameters, residuals: Floats) -> Solution:
+    def solution(estimate: PlateParameters, residuals: Floats) -> Solution:
         covariance = mover @ system.covariance() @ mover.T
         return Solution(
             estimate=estimate,

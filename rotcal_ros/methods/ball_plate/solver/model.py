@@ -34,7 +34,7 @@ TABLE_COMPONENTS = {
 
 
 @dataclass(frozen=True)
-class Parameters:
+class PlateParameters:
     """Everything the method finds, or its standard deviations.
 
     ``plate`` (R, 3) are the errors a_j of the balls at table position 0, ``cmm`` (S, 3) those
@@ -58,7 +58,7 @@ class Parameters:
 
 
 @dataclass(frozen=True)
-class Drift:
+class OriginDrift:
     """An estimated drift of the CMM's origin, metres over the run, (degree, 3) in x, y, z.
 
     The first row is the linear part, the second the bow: what it adds at both ends of the run to
@@ -79,15 +79,15 @@ class Solution:
     computed; ``cofactor()`` (n, 3, 3) is their unit covariance. ``weighted_square_sum`` is w'w.
     """
 
-    estimate: Parameters
-    unit_std: Parameters
+    estimate: PlateParameters
+    unit_std: PlateParameters
     unit_covariance: Callable[[str, str], Floats]
     residuals: Floats
     cofactor: Callable[[], Floats]
     weighted_square_sum: float
     dof: int
     way: str
-    drift: Drift | None = None
+    drift: OriginDrift | None = None
 
 
 @dataclass(frozen=True)
@@ -98,17 +98,17 @@ class LinearFit:
     the residuals (n, 3); ``solution`` joins parameters and residuals with their covariances.
     """
 
-    fit: Callable[[Floats], tuple[Parameters, Floats]]
-    solution: Callable[[Parameters, Floats], Solution]
+    fit: Callable[[Floats], tuple[PlateParameters, Floats]]
+    solution: Callable[[PlateParameters, Floats], Solution]
 
 
-def scaled(unit: Parameters, axes: Floats) -> Parameters:
+def scaled(unit: PlateParameters, axes: Floats) -> PlateParameters:
     """Scale standard deviations: ``axes`` (3,) belong to x, y (the same) and z of a centre.
 
     Rotations about x and y are measured along z, the one about z in the plane.
     """
     turned = axes[[2, 2, 0]]
-    return Parameters(
+    return PlateParameters(
         plate=unit.plate * axes,
         cmm=unit.cmm * axes,
         rotation=unit.rotation * turned,
@@ -134,7 +134,7 @@ def rounding_variance(problem: BallPlateProblem) -> float:
     return float((ROUNDING * problem.radius / _smallest(problem)) ** 2)
 
 
-def least_variance(problem: BallPlateProblem, found: Parameters) -> float:
+def least_variance(problem: BallPlateProblem, found: PlateParameters) -> float:
     """Return the variance of a centre that is no noise yet, in units of ``std`` if there is one.
 
     So much is left of exact data: by their last bits, and because the model takes the CMM's error
@@ -272,11 +272,11 @@ def null_space(problem: BallPlateProblem) -> Floats:
     return space
 
 
-def unpack(problem: BallPlateProblem, vector: Floats) -> Parameters:
+def unpack(problem: BallPlateProblem, vector: Floats) -> PlateParameters:
     """Split a vector (P,) of unknowns (or of their standard deviations) into its parts."""
     at = offsets(problem)
     parts = vector.reshape(-1, 3)
-    return Parameters(
+    return PlateParameters(
         plate=parts[: at.cmm // 3],
         cmm=parts[at.cmm // 3 : at.rotation // 3],
         rotation=parts[at.rotation // 3 : at.translation // 3] / problem.radius,

@@ -35,7 +35,7 @@ PLANE = "x and y"
 
 
 @dataclass(frozen=True)
-class Noise:
+class CentreNoise:
     """Standard deviations of a centre in x, y, z: ``used`` and ``estimated`` (3,).
 
     In metres, or in units of the rows' own ``std``. ``dof`` (3,) are their degrees of freedom.
@@ -149,9 +149,9 @@ def assess(
     fits: Iterable[tuple[Fitted, float]],
     stated: float | None,
     *,
-    first: Noise | None = None,
+    first: CentreNoise | None = None,
     weights: Floats | None = None,
-) -> Noise:
+) -> CentreNoise:
     """Return the noise of a centre from fits and the angles their frames are turned by, rad.
 
     ``stated`` is the standard deviation to be tested, None when nothing was stated. ``weights``
@@ -184,13 +184,13 @@ def assess(
         used[:2] = _pooled(factors[:2], dof[:2])
     if p_axial >= AXIS_SIGNIFICANCE and dof_z < OWN_SIGMA and first is None:
         used[:] = _pooled(factors, dof)
-    found = Noise(
+    found = CentreNoise(
         used * weights, factors * weights, dof, p_axial, p_plane, None, None, None, weights
     )
     return found if stated is None else _tested(found, stated)
 
 
-def _tested(noise: Noise, stated: float) -> Noise:
+def _tested(noise: CentreNoise, stated: float) -> CentreNoise:
     """Test a statement; where the residuals contradict it and are larger, they are used."""
     total = float(noise.dof.sum())
     p_value = _two_sided(chi2_sf(noise.pooled**2 * total / stated**2, total))

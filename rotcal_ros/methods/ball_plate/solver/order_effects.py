@@ -43,7 +43,7 @@ NOTHING: Final = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
-class Disturbance:
+class DisplacementPatterns:
     """Some patterns of displacement, m columns: amounts in metres, rotations times radius.
 
     ``response`` (6, N, m) are the errors of the six deviations per unit, m and rad. The amount a
@@ -70,13 +70,13 @@ class OrderEffects:
     ``moments`` are the places in the order of measurement from which on the plate has moved.
     """
 
-    drift: Disturbance
-    knocks: tuple[Disturbance, ...]
+    drift: DisplacementPatterns
+    knocks: tuple[DisplacementPatterns, ...]
     moments: Ints
 
 
 @dataclass(frozen=True)
-class Layout:
+class RowOrder:
     """Which rows are measured when, in a form that can be looked up: arrays as bytes."""
 
     grid: int
@@ -121,13 +121,13 @@ def order_effects(problem: BallPlateProblem, closing: BallPlateProblem | None) -
     return _of_layout(layout_of(problem, closing))
 
 
-def layout_of(problem: BallPlateProblem, closing: BallPlateProblem | None) -> Layout:
+def layout_of(problem: BallPlateProblem, closing: BallPlateProblem | None) -> RowOrder:
     """Return what of a problem does not depend on the measured values."""
     rows = np.stack([problem.position, problem.ball_step, problem.rows])
     last = np.empty((0, 3), dtype=np.int64)
     if closing is not None:
         last = np.stack([closing.position, closing.ball_step, closing.rows], axis=1)
-    return Layout(
+    return RowOrder(
         problem.grid,
         problem.bidirectional,
         problem.radius,
@@ -140,10 +140,12 @@ def layout_of(problem: BallPlateProblem, closing: BallPlateProblem | None) -> La
 
 
 @lru_cache(maxsize=4)
-def _of_layout(layout: Layout) -> OrderEffects:
+def _of_layout(layout: RowOrder) -> OrderEffects:
     problem = layout.problem()
     motion = motion_columns(problem)
-    pairs = _Pairs(problem, np.frombuffer(layout.closing, dtype=np.int64).reshape(-1, 3), motion)
+    pairs = _ClosingRows(
+        problem, np.frombuffer(layout.closing, dtype=np.int64).reshape(-1, 3), motion
+    )
     solve = _solver(problem)
     n = len(problem.centres)
     quick = problem.complete and n <= MANY_CENTRES
@@ -161,7 +163,7 @@ def _of_layout(layout: Layout) -> OrderEffects:
     )
 
 
-def _solver(problem: BallPlateProblem) -> Callable[[Floats, Floats], Disturbance]:
+def _solver(problem: BallPlateProblem) -> Callable[[Floats, Floats], DisplacementPatterns]:
     """Return the function from columns (n, 3, m) and their closure to a disturbance."""
     respond, weight = factored(problem).fit, weights(problem)[:, :, None]
     border = drift_columns(problem.run_time, problem.drift)
@@ -171,7 +173,7 @@ def _solver(problem: BallPlateProblem) -> Callable[[Floats, Floats], Disturbance
         own = curves(found)
         inverse = np.linalg.inv(np.einsum("nia,nib->ab", weight * border, own_left))
 
-    def solve(columns: Floats, closing: Floats) -> Disturbance:
+    def solve(columns: Floats, closing: Floats) -> DisplacementPatterns:
         found, left = responses(respond, columns)
         response = curves(found)
         information = np.einsum("nia,nib->ab", weight * columns, left)
@@ -180,7 +182,7 @@ def _solver(problem: BallPlateProblem) -> Callable[[Floats, Floats], Disturbance
             shared = np.einsum("nia,nib->ab", weight * border, left)
             response = response - own @ (inverse @ shared)
             information = information - shared.T @ inverse @ shared
-        return Disturbance(response, 0.5 * (information + information.T), closing, total)
+        return DisplacementPatterns(response, 0.5 * (information + information.T), closing, total)
 
     return solve
 
@@ -193,7 +195,7 @@ def motion_columns(problem: BallPlateProblem) -> Floats:
     return columns
 
 
-class _Pairs:
+class _ClosingRows:
     """Closing rows (position, ball step, row number) with the rows that they repeat."""
 
     def __init__(self, problem: BallPlateProblem, closing: Ints, motion: Floats) -> None:
@@ -223,7 +225,9 @@ def needed(parameters: int, dof: int, tests: int = 1) -> float:
     return f_noncentrality(limit, parameters, dof, POWER)
 
 
-def found_size(disturbance: Disturbance, amount: Floats, fit: float, closure: float) -> float:
+def found_size(
+    disturbance: DisplacementPatterns, amount: Floats, fit: float, closure: float
+) -> float:
     """Return how many times ``amount`` (m,) must be there to be found, for unit noise.
 
     ``fit`` and ``closure`` are the noncentralities that the two tests need; infinite when both
@@ -236,7 +240,9 @@ def found_size(disturbance: Disturbance, amount: Floats, fit: float, closure: fl
     return float(best**-0.5) if best > blind else float("inf")
 
 
-def worst_unseen(disturbance: Disturbance, std: Floats, fit: float, closure: float) -> float:
+def worst_unseen(
+    disturbance: DisplacementPatterns, std: Floats, fit: float, closure: float
+) -> float:
     """Return the largest error, in ``std`` (6, N) for unit noise, of what is not yet found.
 
     Over all directions of the amounts, components and positions; of the bounds by either test

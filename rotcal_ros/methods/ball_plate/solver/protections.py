@@ -11,7 +11,7 @@ from rotcal_ros.foundation.units import MICROMETRE
 
 
 @dataclass(frozen=True)
-class Facts:
+class PlateEvidence:
     """What a result's protections follow from.
 
     ``drift_error`` and ``knock_error`` are the largest errors, in stated standard uncertainties,
@@ -37,7 +37,7 @@ class Facts:
     group_allowance: float
 
 
-def protections(facts: Facts) -> tuple[Protection, ...]:
+def protections(facts: PlateEvidence) -> tuple[Protection, ...]:
     """Return all protections, of centres that do not tell which way is up."""
     return ordered(
         [
@@ -76,7 +76,7 @@ def protections(facts: Facts) -> tuple[Protection, ...]:
 _DEGREES: Final = {1: "linear", 2: "quadratic"}
 
 
-def _drift(facts: Facts) -> Protection:
+def _drift(facts: PlateEvidence) -> Protection:
     if facts.drift_degree:
         shape = _DEGREES[facts.drift_degree]
         return Protection("drift", "estimated", f"a {shape} drift of each axis is an unknown")
@@ -95,7 +95,7 @@ def _drift(facts: Facts) -> Protection:
     )
 
 
-def _knock(facts: Facts) -> Protection:
+def _knock(facts: PlateEvidence) -> Protection:
     if facts.knock_error <= TOLERABLE:
         why = "a motion of the plate on the table contradicts earlier centres of the same balls"
         return Protection("knock", "tested", why, facts.knock_error)
@@ -108,7 +108,7 @@ def _knock(facts: Facts) -> Protection:
     )
 
 
-def _repeatability(facts: Facts) -> Protection:
+def _repeatability(facts: PlateEvidence) -> Protection:
     if facts.repeatability:
         why = f"from {facts.n_repeated} repeated stops of the table"
         return Protection("repeatability", "estimated", why)
@@ -122,12 +122,12 @@ def _repeatability(facts: Facts) -> Protection:
     )
 
 
-def _scale(facts: Facts) -> Protection:
+def _scale(facts: PlateEvidence) -> Protection:
     why = "a wrong radius of the ball circle shows in all centres; it scales the rotations"
     return Protection("scale", "tested", why, facts.scale_error)
 
 
-def _gauge(facts: Facts) -> Protection:
+def _gauge(facts: PlateEvidence) -> Protection:
     if facts.n_groups > 1 and facts.group_allowance > 0.0:
         why = f"the budget holds {facts.group_allowance / MICROMETRE:g} um between the groups"
         return Protection("gauge", "bounded", why)

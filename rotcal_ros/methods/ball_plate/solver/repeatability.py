@@ -18,7 +18,7 @@ from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.methods.ball_plate.solver import model
 from rotcal_ros.methods.ball_plate.solver.closure import visit_numbers
 from rotcal_ros.methods.ball_plate.solver.estimate import factored
-from rotcal_ros.methods.ball_plate.solver.order_effects import Layout, layout_of
+from rotcal_ros.methods.ball_plate.solver.order_effects import RowOrder, layout_of
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.solver.response import Responder, curves
 
@@ -136,7 +136,7 @@ def _forms(stops: _Stops, residuals: Floats) -> Floats:
 
 
 @lru_cache(maxsize=4)
-def _expected(layout: Layout) -> _Expected | None:
+def _expected(layout: RowOrder) -> _Expected | None:
     problem = layout.problem()
     stops, respond = _Stops(problem), factored(problem).fit
     rng = np.random.default_rng(20250101)

@@ -13,20 +13,20 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS
-from rotcal_ros.methods.ball_plate.solver.model import Parameters
+from rotcal_ros.methods.ball_plate.solver.model import PlateParameters
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 
-Responder = Callable[[Floats], tuple[Parameters, Floats]]
+Responder = Callable[[Floats], tuple[PlateParameters, Floats]]
 """Takes displacements (n, 3) of the centres, m, to the parameters and residuals (n, 3)."""
 
 
-def responses(respond: Responder, displacements: Floats) -> tuple[list[Parameters], Floats]:
+def responses(respond: Responder, displacements: Floats) -> tuple[list[PlateParameters], Floats]:
     """Return the parameters for each of the displacements (n, 3, m), and residuals (n, 3, m)."""
     found = [respond(displacements[:, :, m]) for m in range(displacements.shape[2])]
     return [parameters for parameters, _ in found], np.stack([left for _, left in found], axis=2)
 
 
-def curves(parameters: list[Parameters]) -> Floats:
+def curves(parameters: list[PlateParameters]) -> Floats:
     """Return the six deviations (6, N, m), m and rad, in the order of COMPONENTS."""
     return np.array(
         [np.stack([p.component(name) for p in parameters], axis=1) for name in COMPONENTS]
@@ -41,6 +41,6 @@ def weights(problem: BallPlateProblem) -> Floats:
     return own
 
 
-def unit_std(parameters: Parameters) -> Floats:
+def unit_std(parameters: PlateParameters) -> Floats:
     """Return the standard deviations (6, N) of the six deviations out of all of them."""
     return np.array([parameters.component(name) for name in COMPONENTS])

@@ -19,7 +19,7 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.geometry.rotations import rotation_about_z, rotation_from_vector
 from rotcal_ros.methods.ball_plate.solver import model
-from rotcal_ros.methods.ball_plate.solver.model import FIELDS, LinearFit, Parameters, Solution
+from rotcal_ros.methods.ball_plate.solver.model import FIELDS, LinearFit, PlateParameters, Solution
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, on_circle
 
 SETTLED = 3e-4
@@ -45,7 +45,7 @@ def settle(problem: BallPlateProblem, linear: LinearFit) -> Solution:
             residuals = misclosure @ pose.frame.T
             return linear.solution(pose.in_machine_axes(found), residuals)
         step, residuals = linear.fit(misclosure)
-        found = Parameters(**{f: getattr(found, f) + getattr(step, f) for f in FIELDS})
+        found = PlateParameters(**{f: getattr(found, f) + getattr(step, f) for f in FIELDS})
         pose = pose.moved(step)
     raise DataError(
         f"the fit does not settle in {MOST_ROUNDS} rounds, plate and axis are too far off for "
@@ -53,7 +53,9 @@ def settle(problem: BallPlateProblem, linear: LinearFit) -> Solution:
     )
 
 
-def computed(problem: BallPlateProblem, found: Parameters, plate: Floats, cmm: Floats) -> Floats:
+def computed(
+    problem: BallPlateProblem, found: PlateParameters, plate: Floats, cmm: Floats
+) -> Floats:
     """Return the centres (n, 3) that the exact model predicts for the rows of ``problem``.
 
     ``plate`` and ``cmm`` (n, 3) are the errors of ball and CMM position of each row; the table
@@ -78,17 +80,17 @@ class _Pose:
     origin: Floats = field(default_factory=lambda: np.zeros(3))
 
     @classmethod
-    def of(cls, found: Parameters) -> _Pose:
+    def of(cls, found: PlateParameters) -> _Pose:
         """Return the pose that the parameters of a solution state."""
         tilt = rotation_from_vector(found.axis_rotation * [1.0, 1.0, 0.0])
         return cls(tilt @ rotation_about_z(found.axis_rotation[2]), found.axis_shift)
 
-    def moved(self, step: Parameters) -> _Pose:
+    def moved(self, step: PlateParameters) -> _Pose:
         """Return the pose after the small motion of a step, given in this frame."""
         turned = self.frame @ rotation_from_vector(step.axis_rotation)
         return _Pose(turned, self.origin + self.frame @ step.axis_shift)
 
-    def in_machine_axes(self, found: Parameters) -> Parameters:
+    def in_machine_axes(self, found: PlateParameters) -> PlateParameters:
         """Return parameters with the pose, their vectors along x and y of the machine.
 
         The frame is tilt times a turn about the axis; the latter is the plate's, not the axis's.
@@ -100,12 +102,12 @@ class _Pose:
         turn = rotation_from_vector(tilt).T @ self.frame
         yaw = np.array([0.0, 0.0, np.arctan2(turn[1, 0], turn[0, 0])])
         vectors = {f: getattr(found, f) @ turn.T for f in ("cmm", "rotation", "translation")}
-        return Parameters(
+        return PlateParameters(
             plate=found.plate, axis_rotation=tilt + yaw, axis_shift=self.origin, **vectors
         )
 
 
-def _misclosure(problem: BallPlateProblem, found: Parameters, pose: _Pose) -> Floats:
+def _misclosure(problem: BallPlateProblem, found: PlateParameters, pose: _Pose) -> Floats:
     """Return observed - computed (n, 3) in the frame of axis and plate."""
     ball = np.searchsorted(problem.balls, problem.ball_step)
     cmm = np.searchsorted(problem.cmm_positions, problem.cmm_index)
@@ -118,7 +120,7 @@ def _misclosure(problem: BallPlateProblem, found: Parameters, pose: _Pose) -> Fl
     return misclosure
 
 
-def _neglected(problem: BallPlateProblem, found: Parameters) -> float:
+def _neglected(problem: BallPlateProblem, found: PlateParameters) -> float:
     """Return a bound on the length of all products that the linear model neglects.
 
     In units of the smallest standard deviation where the rows have their own.

@@ -21,7 +21,7 @@ from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.ball_plate.solver import general, model
 from rotcal_ros.methods.ball_plate.solver.closure import split as closing_apart
 from rotcal_ros.methods.ball_plate.solver.model import Solution
-from rotcal_ros.methods.ball_plate.solver.noise import AXIS_SIGNIFICANCE, Noise, assess
+from rotcal_ros.methods.ball_plate.solver.noise import AXIS_SIGNIFICANCE, CentreNoise, assess
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, grid_step, position_of
 from rotcal_ros.methods.ball_plate.solver.rejection import Fitted, fit_and_reject
 from rotcal_ros.methods.ball_plate.solver.screening import screen
@@ -29,7 +29,7 @@ from rotcal_ros.methods.ball_plate.solver.separability import common_divisor
 
 
 @dataclass(frozen=True)
-class Group:
+class PositionGroup:
     """One group: the table positions (M,) of the whole grid, and the problem of the group.
 
     The problem lives on the group's own grid, in a frame turned by ``turn`` radians about z.
@@ -51,9 +51,9 @@ class PlateSolution:
 
     problem: BallPlateProblem
     whole: BallPlateProblem
-    groups: tuple[Group, ...]
+    groups: tuple[PositionGroup, ...]
     fits: tuple[Fitted, ...]
-    noise: Noise
+    noise: CentreNoise
     rejected: tuple[Rejection, ...]
 
     @cached_property
@@ -126,9 +126,9 @@ def adjust(problem: BallPlateProblem) -> PlateSolution:
 
 def _fitted(
     whole: BallPlateProblem, closing: BallPlateProblem | None
-) -> tuple[tuple[Group, ...], tuple[Fitted, ...]]:
+) -> tuple[tuple[PositionGroup, ...], tuple[Fitted, ...]]:
     """Cut a problem into its groups, if it has any, and fit each."""
-    alone = Group(np.arange(whole.n_positions), 0.0, whole, closing)
+    alone = PositionGroup(np.arange(whole.n_positions), 0.0, whole, closing)
     groups = split(whole, closing) if whole.separate_groups else (alone,)
     return groups, tuple(
         fit_and_reject(group.problem, whole.take(np.isin(whole.rows, group.problem.rows)))
@@ -136,11 +136,13 @@ def _fitted(
     )
 
 
-def _turned(groups: tuple[Group, ...], fits: tuple[Fitted, ...]) -> list[tuple[Fitted, float]]:
+def _turned(
+    groups: tuple[PositionGroup, ...], fits: tuple[Fitted, ...]
+) -> list[tuple[Fitted, float]]:
     return [(fit, group.turn) for group, fit in zip(groups, fits, strict=True)]
 
 
-def _weights(whole: BallPlateProblem, n_groups: int, noise: Noise) -> Floats:
+def _weights(whole: BallPlateProblem, n_groups: int, noise: CentreNoise) -> Floats:
     """Return the standard deviations (3,) to weigh with.
 
     x and y count as one where nothing speaks against it; also for groups, whose frames are turned,
@@ -153,7 +155,9 @@ def _weights(whole: BallPlateProblem, n_groups: int, noise: Noise) -> Floats:
     return weights
 
 
-def split(problem: BallPlateProblem, closing: BallPlateProblem | None = None) -> tuple[Group, ...]:
+def split(
+    problem: BallPlateProblem, closing: BallPlateProblem | None = None
+) -> tuple[PositionGroup, ...]:
     """Cut a problem into its groups of table positions.
 
     The number of groups is the common divisor of the ball steps and the grid (Eq. 22), 2 in the
@@ -169,7 +173,9 @@ def split(problem: BallPlateProblem, closing: BallPlateProblem | None = None) ->
     return tuple(groups)
 
 
-def _group(problem: BallPlateProblem, first: int, count: int, start: int | None = None) -> Group:
+def _group(
+    problem: BallPlateProblem, first: int, count: int, start: int | None = None
+) -> PositionGroup:
     """Cut out the table positions first, first + count, ... and turn them to start at zero."""
     step = grid_step(problem.position, problem.grid)
     rows = np.flatnonzero(step % count == first)
@@ -199,16 +205,16 @@ def _group(problem: BallPlateProblem, first: int, count: int, start: int | None 
     )
     own = np.arange(group_problem.n_positions)
     positions = position_of(first + count * grid_step(own, grid), own < grid, problem.grid)
-    return Group(positions, turn, group_problem)
+    return PositionGroup(positions, turn, group_problem)
 
 
-def turned_back(group: Group, vectors: Floats) -> Floats:
+def turned_back(group: PositionGroup, vectors: Floats) -> Floats:
     """Bring vectors (n, 3) of the group's frame back to the frame of the whole."""
     back: Floats = vectors @ rotation_about_z(group.turn).T
     return back
 
 
-def turned_covariance(group: Group, solution: Solution, name: str) -> Floats:
+def turned_covariance(group: PositionGroup, solution: Solution, name: str) -> Floats:
     """Return the (M, M) unit covariance of one component in the frame of the whole."""
     field, axis = model.TABLE_COMPONENTS[name]
     if group.turn == 0.0:

@@ -13,11 +13,16 @@ from rotcal_ros.foundation.results import Residuals, Result, Verdict
 from rotcal_ros.methods.ball_plate.solver import model, rigorous
 from rotcal_ros.methods.ball_plate.solver.drift import drifted
 from rotcal_ros.methods.ball_plate.solver.general import MIN_BALLS
-from rotcal_ros.methods.ball_plate.solver.noise import Noise
+from rotcal_ros.methods.ball_plate.solver.noise import CentreNoise
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.solver.rejection import Fitted
 from rotcal_ros.methods.ball_plate.solver.separability import separability
-from rotcal_ros.methods.ball_plate.solver.solution import Group, PlateSolution, adjust, turned_back
+from rotcal_ros.methods.ball_plate.solver.solution import (
+    PlateSolution,
+    PositionGroup,
+    adjust,
+    turned_back,
+)
 from rotcal_ros.methods.ball_plate.solver.trials import influence_of
 from rotcal_ros.methods.ball_plate.solver.trust import completed
 from rotcal_ros.methods.ball_plate.solver.zeros import groups_in_words, zeros_of
@@ -97,7 +102,7 @@ def _warnings(solution: PlateSolution) -> tuple[str, ...]:
     return tuple(warnings)
 
 
-def _verdict(fits: tuple[Fitted, ...], noise: Noise, share: float) -> Verdict:
+def _verdict(fits: tuple[Fitted, ...], noise: CentreNoise, share: float) -> Verdict:
     if any(fit.knock is not None for fit in fits):
         return "failed"
     if (noise.contradicts and noise.larger) or share > MANY_REJECTED:
@@ -131,7 +136,7 @@ def _residuals(solution: PlateSolution) -> Residuals:
     )
 
 
-def _all_residuals(group: Group, fit: Fitted) -> Floats:
+def _all_residuals(group: PositionGroup, fit: Fitted) -> Floats:
     """Observed - computed (n, 3) of all rows of a group, used or not, in the group's frame.
 
     NaN at table positions that were left out.
@@ -181,7 +186,7 @@ def _details(solution: PlateSolution) -> dict[str, Any]:
     }
 
 
-def _group_details(group: Group, fit: Fitted, scale: Floats) -> dict[str, Any]:
+def _group_details(group: PositionGroup, fit: Fitted, scale: Floats) -> dict[str, Any]:
     problem, solution = fit.problem, fit.solution
     names = {
         "plate": "plate_errors",

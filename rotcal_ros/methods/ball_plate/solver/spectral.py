@@ -15,7 +15,7 @@ from rotcal_ros.foundation.components import ROTATIONS
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.ball_plate.solver import harmonics, model
 from rotcal_ros.methods.ball_plate.solver.harmonics import AXIS, PLANE, Harmonics
-from rotcal_ros.methods.ball_plate.solver.model import FIELDS, LinearFit, Parameters, Solution
+from rotcal_ros.methods.ball_plate.solver.model import FIELDS, LinearFit, PlateParameters, Solution
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, grid_angles
 
 
@@ -37,14 +37,14 @@ def factored(problem: BallPlateProblem) -> LinearFit:
     system = harmonics.factor(problem.grid, problem.balls)
     turn = np.exp(1j * problem.angles)
 
-    def fit(observed: Floats) -> tuple[Parameters, Floats]:
+    def fit(observed: Floats) -> tuple[PlateParameters, Floats]:
         spectrum, mean = harmonics.to_harmonics(_in_table_frame(problem, observed, turn))
         table, cmm, rest = harmonics.fit(system, spectrum)
         pose = _axis_pose(problem, cmm)
         fields, residuals = _back(problem, turn, table, cmm, rest)
         return _estimate(problem, turn, fields, mean, pose), residuals
 
-    def solution(estimate: Parameters, residuals: Floats) -> Solution:
+    def solution(estimate: PlateParameters, residuals: Floats) -> Solution:
         return Solution(
             estimate=estimate,
             unit_std=_unit_std(problem.grid, problem.radius, tuple(problem.balls.tolist())),
@@ -108,14 +108,14 @@ def _estimate(
     fields: Floats,
     mean: Complexes,
     pose: tuple[complex, complex],
-) -> Parameters:
+) -> PlateParameters:
     """Join all parameters; ``mean`` (2, R), x + i y and z, is harmonic zero on the plate."""
     tilt, shift = pose
     out = turn[problem.balls]
     local = mean[0] * out.conj()  # radial and tangential
     common = local.imag.sum() / len(out), mean[1].real.sum() / len(out)  # u_z, v_z (Eq. 19)
     ball = (local - 1j * common[0]) * out
-    return Parameters(
+    return PlateParameters(
         plate=np.stack([ball.real, ball.imag, mean[1].real - common[1]], axis=1),
         cmm=fields[2],
         rotation=fields[1] / problem.radius,
@@ -126,7 +126,7 @@ def _estimate(
 
 
 @lru_cache(maxsize=harmonics.LAYOUTS)
-def _unit_std(grid: int, radius: float, balls: tuple[int, ...]) -> Parameters:
+def _unit_std(grid: int, radius: float, balls: tuple[int, ...]) -> PlateParameters:
     """Return the standard deviations of all parameters for unit noise, read-only."""
     steps = np.array(balls, dtype=np.int64)
     system, turn = harmonics.factor(grid, steps), np.exp(1j * grid_angles(grid))
@@ -143,7 +143,7 @@ def _unit_std(grid: int, radius: float, balls: tuple[int, ...]) -> Parameters:
     less = np.full((len(out), 3), common)
     less[:, 0] *= out.imag**2
     less[:, 1] *= out.real**2
-    stds = Parameters(
+    stds = PlateParameters(
         plate=np.sqrt(1.0 / grid - less),
         cmm=fields[2],
         rotation=fields[1] / radius,

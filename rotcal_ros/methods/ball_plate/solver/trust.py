@@ -24,19 +24,19 @@ from rotcal_ros.foundation.results import Result, plain_fields
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.ball_plate.solver import gathering, repeatability
-from rotcal_ros.methods.ball_plate.solver.closure import Closure, closures
+from rotcal_ros.methods.ball_plate.solver.closure import PlateClosure, closures
 from rotcal_ros.methods.ball_plate.solver.drift import VISIBLE, drift_columns
 from rotcal_ros.methods.ball_plate.solver.estimate import solved
 from rotcal_ros.methods.ball_plate.solver.model import (
-    Drift,
+    OriginDrift,
     Solution,
     least_variance,
     of_component,
 )
-from rotcal_ros.methods.ball_plate.solver.noise import Noise
+from rotcal_ros.methods.ball_plate.solver.noise import CentreNoise
 from rotcal_ros.methods.ball_plate.solver.order_effects import (
     SIGNIFICANCE,
-    Disturbance,
+    DisplacementPatterns,
     OrderEffects,
     drift_error,
     knock_error,
@@ -44,7 +44,7 @@ from rotcal_ros.methods.ball_plate.solver.order_effects import (
     order_effects,
 )
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
-from rotcal_ros.methods.ball_plate.solver.protections import Facts, protections
+from rotcal_ros.methods.ball_plate.solver.protections import PlateEvidence, protections
 from rotcal_ros.methods.ball_plate.solver.rejection import Fitted
 from rotcal_ros.methods.ball_plate.solver.repeatability import Repeatability
 from rotcal_ros.methods.ball_plate.solver.response import unit_std, weights
@@ -64,7 +64,7 @@ class Findings:
     drifts: tuple[DriftTest, ...]
     motions: tuple[MotionTest, ...]
     scatters: tuple[Repeatability | None, ...]
-    closures: tuple[Closure, ...]
+    closures: tuple[PlateClosure, ...]
 
 
 def completed(result: Result, solution: PlateSolution) -> Result:
@@ -95,7 +95,7 @@ def completed(result: Result, solution: PlateSolution) -> Result:
 
 def _findings(solution: PlateSolution) -> Findings:
     """Run all tests; where a knock is found already, there is no second search."""
-    effects, drifts, motions, scatters, closed = [], [], [], [], list[Closure]()
+    effects, drifts, motions, scatters, closed = [], [], [], [], list[PlateClosure]()
     for group, fit in zip(solution.groups, solution.fits, strict=True):
         mine = order_effects(fit.problem, group.closing)
         effects.append(mine)
@@ -129,7 +129,7 @@ def _scatter(fit: Fitted) -> Repeatability | None:
     return repeatability.repeatability(problem, residuals)
 
 
-def _sigma(noise: Noise, fit: Fitted) -> tuple[Floats, Floats]:
+def _sigma(noise: CentreNoise, fit: Fitted) -> tuple[Floats, Floats]:
     """Return the standard deviations (3,) of fitted and of closing rows, no less than rounding."""
     least = np.sqrt(least_variance(fit.problem, fit.solution.estimate))
     fitted = np.maximum(noise.used / noise.weights, least)
@@ -201,7 +201,7 @@ def _turned(response: Floats, turn: float) -> Floats:
     return turned.reshape(response.shape)
 
 
-def _facts(result: Result, solution: PlateSolution, found: Findings) -> Facts:
+def _facts(result: Result, solution: PlateSolution, found: Findings) -> PlateEvidence:
     problem = solution.problem
     errors = [(0.0, 0.0)]
     tiny = np.finfo(float).tiny
@@ -213,7 +213,7 @@ def _facts(result: Result, solution: PlateSolution, found: Findings) -> Facts:
         dof = max(fit.solution.dof, 8)
         errors.append((drift_error(effects, std, dof), knock_error(effects, std, dof)))
     stops = [repeatability.arrivals(fit.problem) for fit in solution.fits]
-    return Facts(
+    return PlateEvidence(
         drift_error=max(error for error, _ in errors),
         knock_error=max(error for _, error in errors),
         drift_degree=problem.drift,
@@ -384,7 +384,7 @@ def _least(problem: BallPlateProblem, solution: Solution) -> float:
 
 
 def _tested(
-    pattern: Disturbance, right: Floats, solution: Solution, floor: float
+    pattern: DisplacementPatterns, right: Floats, solution: Solution, floor: float
 ) -> tuple[Floats, Floats, float, float]:
     """Return amount, unit covariance, p value of its F test, and the variance of the rest."""
     values, vectors = np.linalg.eigh(pattern.information)
@@ -400,7 +400,7 @@ def _tested(
     return amount, inverse, f_sf(gain / rank / variance, rank, dof), variance
 
 
-def _estimated(solution: Solution, drift: Drift) -> DriftTest:
+def _estimated(solution: Solution, drift: OriginDrift) -> DriftTest:
     linear = drift.unit_covariance[:3, :3]
     variance = solution.weighted_square_sum / solution.dof
     amount = drift.amount[0]

@@ -17,7 +17,7 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.protection import POWER
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.methods.plane_mirror.solver.drift import N_PARTS, StationDrift
-from rotcal_ros.methods.plane_mirror.solver.outcomes import Outcome
+from rotcal_ros.methods.plane_mirror.solver.outcomes import AdjustedCurve
 from rotcal_ros.methods.plane_mirror.solver.prepare import Prepared, PreparedWay
 
 LARGE: Final = 1.0
@@ -27,7 +27,7 @@ KNOCK: Final = 4.0
 
 
 @dataclass(frozen=True, eq=False)
-class Correction:
+class DriftCorrection:
     """The correction of K parts of the drift, each of one station from knot to knot.
 
     ``moved`` (K, N) is what each part did to the deviations in rad, ``noise`` (K, N) the standard
@@ -44,11 +44,13 @@ class Correction:
         return np.abs(self.moved) / scale, self.noise / scale
 
 
-def correct(prepared: PreparedWay, outcome: Outcome) -> tuple[Outcome, Correction]:
+def correct(
+    prepared: PreparedWay, outcome: AdjustedCurve
+) -> tuple[AdjustedCurve, DriftCorrection]:
     """Return the outcome with the uncertainty of the drift in it, and what the drift did."""
     drift, n = prepared.drift, len(prepared.angles)
     if not drift.size:
-        return outcome, Correction(np.zeros((0, n)), np.zeros((0, n)), np.zeros((n, n)))
+        return outcome, DriftCorrection(np.zeros((0, n)), np.zeros((0, n)), np.zeros((n, n)))
     response, covariance = prepared.drift_response(), drift.covariance
     change = np.concatenate([s.change.ravel() for s in drift.stations])
     parts = response.reshape(n, -1, N_PARTS)
@@ -64,10 +66,10 @@ def correct(prepared: PreparedWay, outcome: Outcome) -> tuple[Outcome, Correctio
             chi_square=outcome.chi_square + sum(s.chi_square for s in drift.stations),
             dof=outcome.dof + sum(s.dof for s in drift.stations),
         )
-    return outcome, Correction(moved, noise, added)
+    return outcome, DriftCorrection(moved, noise, added)
 
 
-def large_drifts(prepared: Prepared, correction: Correction, std: Floats) -> list[str]:
+def large_drifts(prepared: Prepared, correction: DriftCorrection, std: Floats) -> list[str]:
     """Return in words at which stations the correction is larger than may be taken as linear."""
     if not len(correction.moved):
         return []
@@ -94,7 +96,7 @@ def limits(prepared: Prepared, noise: Floats) -> Floats:
     return np.maximum(LARGE, normal_isf(prepared.problem.significance / 2.0 / tests) * noise)
 
 
-def unseen_knock(prepared: Prepared, correction: Correction, std: Floats) -> float:
+def unseen_knock(prepared: Prepared, correction: DriftCorrection, std: Floats) -> float:
     """Return the error, in standard uncertainties, of a knock of the tracker found with POWER."""
     _, noise = correction.shares(std)
     found = limits(prepared, noise) + normal_isf(1.0 - POWER) * noise
@@ -111,7 +113,9 @@ def in_words(station: StationDrift) -> str:
     )
 
 
-def drift_details(prepared: PreparedWay, correction: Correction, std: Floats) -> dict[str, Any]:
+def drift_details(
+    prepared: PreparedWay, correction: DriftCorrection, std: Floats
+) -> dict[str, Any]:
     """Return the drift of each station for the result; nothing where none was estimated."""
     if not prepared.drift.size:
         return {}

@@ -69,7 +69,7 @@ class StationDrift:
 
 
 @dataclass(frozen=True, eq=False)
-class Drift:
+class NestDrift:
     """The drift of all stations whose nests were closed, and how far it had come at each row.
 
     ``course`` (n, K) is the share of each of K changes that a row has, counted from the mean
@@ -116,7 +116,7 @@ class Drift:
         return total
 
 
-def find_drift(problem: PlaneMirrorProblem) -> Drift:
+def find_drift(problem: PlaneMirrorProblem) -> NestDrift:
     """Estimate the drift of every station that saw its nests before and after its positions."""
     found: list[StationDrift] = []
     still_open: list[int] = []
@@ -130,10 +130,10 @@ def find_drift(problem: PlaneMirrorProblem) -> Drift:
         own = problem.station == station
         columns += list((_course(problem.moment, drift) * own[:, None]).T)
     course = np.column_stack(columns) if columns else np.zeros((len(problem.xyz), 0))
-    return Drift(tuple(found), course, tuple(still_open))
+    return NestDrift(tuple(found), course, tuple(still_open))
 
 
-def displaced_nests(problem: PlaneMirrorProblem, drift: Drift) -> list[str]:
+def displaced_nests(problem: PlaneMirrorProblem, drift: NestDrift) -> list[str]:
     """Return in words which nests the drift leaves out because they did not stay at a station."""
     return [
         f"nest {name} moved while the tracker was at station "

@@ -35,7 +35,7 @@ from rotcal_ros.methods.plane_mirror.solver.prepare import (
     PreparedNormals,
     PreparedPoints,
     PreparedWay,
-    Screened,
+    ScreenedPoints,
     prepare,
 )
 from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem
@@ -69,7 +69,7 @@ class Settled(NamedTuple):
     ``points`` is None for reflectors on the table, and where too many unknowns were not judged.
     """
 
-    screened: Screened
+    screened: ScreenedPoints
     gathering: Gathering
     points: Linear | None
 
@@ -81,7 +81,7 @@ def settled(problem: PlaneMirrorProblem) -> Settled:
     there. Raises DataError or GeometryError as :func:`~.prepare.prepare`.
     """
     screened = _tried(problem)
-    if isinstance(screened, Screened) and not screened.lost:
+    if isinstance(screened, ScreenedPoints) and not screened.lost:
         sound = _judged(screened, Gathering())
         if _left_out(screened, sound.gathering) is None:
             return sound
@@ -94,7 +94,7 @@ def settled(problem: PlaneMirrorProblem) -> Settled:
     return together if together is not None and found else _judged(screened, Gathering())
 
 
-def _tried(problem: PlaneMirrorProblem) -> Screened | DataError:
+def _tried(problem: PlaneMirrorProblem) -> ScreenedPoints | DataError:
     """Return the problem as single pairs are judged; or why it is refused."""
     try:
         return prepare(problem)
@@ -133,7 +133,7 @@ def _largest_share(together: Settled) -> float:
     return share
 
 
-def _judged(screened: Screened, before: Gathering) -> Settled:
+def _judged(screened: ScreenedPoints, before: Gathering) -> Settled:
     """Return ``before`` with what the groups of a screened problem say."""
     prepared = screened.prepared
     if _unknowns(prepared) > MOST_UNKNOWNS:
@@ -151,7 +151,9 @@ def _unknowns(prepared: PreparedWay) -> int:
     return 3 * len(prepared.angles) + prepared.drift.size
 
 
-def _left_out(screened: Screened, gathering: Gathering) -> tuple[Gathering, dict[int, str]] | None:
+def _left_out(
+    screened: ScreenedPoints, gathering: Gathering
+) -> tuple[Gathering, dict[int, str]] | None:
     """Return what is proved to be wrong together, and why by row of both points of a pair.
 
     None where nothing is proved, where it is nests, and where a position would lose all its pairs.
@@ -276,7 +278,9 @@ def _of_names(count: int) -> Bools:
 
 def doubts(gathering: Gathering, problem: PlaneMirrorProblem) -> list[str]:
     """Return a sentence about everything that gathers, and about groups that do not fit."""
-    return engine.doubts(gathering, engine.Limits(USUAL_SHARE, problem.significance), WORDS)
+    return engine.doubts(
+        gathering, engine.GatheringLimits(USUAL_SHARE, problem.significance), WORDS
+    )
 
 
 def details(gathering: Gathering) -> dict[str, Any]:

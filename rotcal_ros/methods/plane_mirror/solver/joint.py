@@ -22,7 +22,7 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.geometry.rotations import rotation_from_vector
 from rotcal_ros.methods.plane_mirror.solver import cone
-from rotcal_ros.methods.plane_mirror.solver.layout import Nests, Pairs
+from rotcal_ros.methods.plane_mirror.solver.layout import MirrorPairs, Nests
 from rotcal_ros.methods.plane_mirror.solver.normals import Normals
 from rotcal_ros.methods.plane_mirror.solver.registration import (
     Poses,
@@ -58,7 +58,7 @@ class Together:
     ``nest_weight`` (Q, 3, 3) are inverse covariances (1/m^2), ``tilt_std`` (rad) is the table's.
     """
 
-    pairs: Pairs
+    pairs: MirrorPairs
     nests: Nests
     nest_weight: Floats
     tilt_std: float
@@ -76,7 +76,7 @@ class Equations:
     chi_square: Floats
 
 
-def start_mirror(normals: Normals, pairs: Pairs, poses: Poses, angles: Floats) -> Mirror:
+def start_mirror(normals: Normals, pairs: MirrorPairs, poses: Poses, angles: Floats) -> Mirror:
     """Return approximate unknowns from registered normals; positions seen twice use the first."""
     placed = poses.turned(normals.normal, pairs.station)
     axis, height = cone.fit_cone(placed, angles[pairs.position])
@@ -176,7 +176,7 @@ def nest_chi_square(residual: Floats, nests: Nests, weight: Floats, poses: Poses
 
 
 def group_terms(
-    normals: Normals, pairs: Pairs, mirror: Mirror
+    normals: Normals, pairs: MirrorPairs, mirror: Mirror
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Per group: derivatives by (psi, eps, d) and by the shared unknowns, discrepancy, weight.
 
@@ -213,7 +213,9 @@ def group_terms(
     return local, shared, discrepancy, plane_weight(normals, pairs, mirror.poses, t, b)
 
 
-def plane_weight(normals: Normals, pairs: Pairs, poses: Poses, t: Floats, b: Floats) -> Floats:
+def plane_weight(
+    normals: Normals, pairs: MirrorPairs, poses: Poses, t: Floats, b: Floats
+) -> Floats:
     """Return the inverse covariance (..., G, 3, 3) of each plane: n along t, along b, offset.
 
     t and b (..., G, 3) are unit vectors in the common frame.

@@ -15,7 +15,7 @@ from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem
 
 
 @dataclass(frozen=True)
-class Pairs:
+class MirrorPairs:
     """Direct and mirrored rows (P,) of one reflector each, sorted by group.
 
     A group is one table position seen from one tracker station: ``position`` and ``station``
@@ -40,10 +40,10 @@ class Pairs:
             at = np.flatnonzero(self.station == station)
             yield int(station), at, angles[self.position[at]]
 
-    def keep(self, wanted: Bools) -> Pairs:
+    def keep(self, wanted: Bools) -> MirrorPairs:
         """Return the pairs (P,) that are wanted, without the groups that become empty."""
         groups, group = np.unique(self.group[wanted], return_inverse=True)
-        return Pairs(
+        return MirrorPairs(
             direct=self.direct[wanted],
             mirrored=self.mirrored[wanted],
             group=group.astype(np.int64),
@@ -97,7 +97,7 @@ class Reflectors:
             yield at, angles[self.position[at]]
 
 
-def find_pairs(problem: PlaneMirrorProblem) -> Pairs:
+def find_pairs(problem: PlaneMirrorProblem) -> MirrorPairs:
     """Match direct and mirrored rows; repeated measurements are matched in their order.
 
     Raises DataError when one of a pair is missing, naming position, station and nest.
@@ -118,7 +118,7 @@ def find_pairs(problem: PlaneMirrorProblem) -> Pairs:
     places = np.column_stack([problem.position[direct], problem.station[direct]])
     group_places, group = np.unique(places, axis=0, return_inverse=True)
     group = group.ravel().astype(np.int64)
-    return Pairs(
+    return MirrorPairs(
         direct=direct,
         mirrored=mirrored,
         group=group,

@@ -19,7 +19,7 @@ import numpy as np
 
 from rotcal_ros.adjust.explanations import Hypotheses
 from rotcal_ros.adjust.felt import Felt
-from rotcal_ros.adjust.groups import View
+from rotcal_ros.adjust.groups import SolutionView
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.methods.plane_mirror.solver import joint
 from rotcal_ros.methods.plane_mirror.solver.direct import (
@@ -105,9 +105,9 @@ class Linear:
     felt: Floats | None = None
 
     @cached_property
-    def view(self) -> View:
+    def view(self) -> SolutionView:
         """The view by the covariance of the unknowns; what nothing tells stays as it is."""
-        return View(self._inverse[0], self.outputs)
+        return SolutionView(self._inverse[0], self.outputs)
 
     @property
     def dof(self) -> int:

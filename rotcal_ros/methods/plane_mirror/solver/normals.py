@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats
-from rotcal_ros.methods.plane_mirror.solver.layout import Pairs
+from rotcal_ros.methods.plane_mirror.solver.layout import MirrorPairs
 from rotcal_ros.methods.plane_mirror.solver.problem import TrackerNoise
 
 _STEPS: Final = 2  # from the mean of M - M': first noise squared, then rounding
@@ -36,7 +36,7 @@ class Normals:
     information: Floats
 
 
-def fit_normals(points: Floats, pairs: Pairs, weight: Floats) -> Normals:
+def fit_normals(points: Floats, pairs: MirrorPairs, weight: Floats) -> Normals:
     """Fit the plane of every group by weighted least squares.
 
     ``points`` (..., n, 3) in metres, any leading axes (trials); ``weight`` (P, 3, 3) from
@@ -63,7 +63,7 @@ def fit_normals(points: Floats, pairs: Pairs, weight: Floats) -> Normals:
     return Normals(normal, offset, misclosure, information)
 
 
-def pair_weights(points: Floats, pairs: Pairs, noise: TrackerNoise) -> Floats:
+def pair_weights(points: Floats, pairs: MirrorPairs, noise: TrackerNoise) -> Floats:
     """Return the inverse covariances (P, 3, 3) of the conditions at ``points`` (n, 3)."""
     direct, mirrored = points[pairs.direct], points[pairs.mirrored]
     normal, offset = _start(direct, mirrored, pairs)
@@ -86,7 +86,7 @@ def tangent_frame(normal: Floats, axis: Floats) -> tuple[Floats, Floats]:
     return t, np.cross(normal, t)
 
 
-def incidence(points: Floats, pairs: Pairs, normal: Floats) -> Floats:
+def incidence(points: Floats, pairs: MirrorPairs, normal: Floats) -> Floats:
     """Return the angle (P,) in rad between each mirrored beam and its normal (G, 3)."""
     beam = points[pairs.mirrored]
     cosine = -np.einsum("pi,pi->p", beam, normal[pairs.group]) / np.linalg.norm(beam, axis=-1)
@@ -108,7 +108,7 @@ def image_response(direct: Floats, mirrored: Floats, normal: Floats, offset: Flo
     return response
 
 
-def _start(direct: Floats, mirrored: Floats, pairs: Pairs) -> tuple[Floats, Floats]:
+def _start(direct: Floats, mirrored: Floats, pairs: MirrorPairs) -> tuple[Floats, Floats]:
     """Exact for one pair: the perpendicular bisector of M and M'; else the mean over pairs."""
     normal = _sum(direct - mirrored, pairs, -2)
     normal = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
@@ -116,7 +116,9 @@ def _start(direct: Floats, mirrored: Floats, pairs: Pairs) -> tuple[Floats, Floa
     return normal, _sum(height, pairs, -1) / np.bincount(pairs.group)
 
 
-def condition_jacobian(direct: Floats, normal: Floats, offset: Floats, pairs: Pairs) -> Floats:
+def condition_jacobian(
+    direct: Floats, normal: Floats, offset: Floats, pairs: MirrorPairs
+) -> Floats:
     """Return the derivative (..., P, 3, 4) of the conditions by (n, h) of their groups."""
     n = normal[..., pairs.group, :]
     height = np.einsum("...pi,...pi->...p", direct, n) - offset[..., pairs.group]
@@ -125,7 +127,7 @@ def condition_jacobian(direct: Floats, normal: Floats, offset: Floats, pairs: Pa
 
 
 def _condition(
-    direct: Floats, mirrored: Floats, normal: Floats, offset: Floats, pairs: Pairs
+    direct: Floats, mirrored: Floats, normal: Floats, offset: Floats, pairs: MirrorPairs
 ) -> Floats:
     """Condition e = M' - M + 2 (n.M - h) n (..., P, 3) in metres."""
     n = normal[..., pairs.group, :]
@@ -144,5 +146,5 @@ def tangent_basis(normal: Floats) -> Floats:
     return basis
 
 
-def _sum(values: Floats, pairs: Pairs, axis: int) -> Floats:
+def _sum(values: Floats, pairs: MirrorPairs, axis: int) -> Floats:
     return np.add.reduceat(values, pairs.start, axis=axis)

@@ -24,7 +24,7 @@ from rotcal_ros.methods.plane_mirror.solver.direct import (
     local_axes,
 )
 from rotcal_ros.methods.plane_mirror.solver.joint import plane_weight
-from rotcal_ros.methods.plane_mirror.solver.layout import Pairs, Reflectors
+from rotcal_ros.methods.plane_mirror.solver.layout import MirrorPairs, Reflectors
 from rotcal_ros.methods.plane_mirror.solver.nest_tests import NestFit, nest_fit
 from rotcal_ros.methods.plane_mirror.solver.normals import (
     Normals,
@@ -53,7 +53,7 @@ _CERTAIN = 1e-300
 
 
 @dataclass(frozen=True)
-class Outcome:
+class AdjustedCurve:
     """Deviations (N,) in rad from the first position, covariance (N, N), chi square and dof.
 
     ``details`` are plain values for the result.
@@ -104,7 +104,7 @@ def empty_residuals(problem: PlaneMirrorProblem) -> Residuals:
     )
 
 
-def outcome_of(prepared: PreparedWay, residuals: Residuals) -> Outcome:
+def outcome_of(prepared: PreparedWay, residuals: Residuals) -> AdjustedCurve:
     """Return the outcome of the way that ``prepared`` belongs to; enters the residuals."""
     if isinstance(prepared, PreparedPoints):
         return _direct(prepared, residuals)
@@ -115,7 +115,7 @@ def outcome_of(prepared: PreparedWay, residuals: Residuals) -> Outcome:
     return _registered(prepared, residuals)
 
 
-def _stitched(prepared: PreparedNormals, residuals: Residuals) -> Outcome:
+def _stitched(prepared: PreparedNormals, residuals: Residuals) -> AdjustedCurve:
     """Stitching: a plane per station, zeros tied by shared positions."""
     pairs, angles = prepared.pairs, prepared.angles
     normals, groups = _groups(prepared, residuals)
@@ -129,7 +129,7 @@ def _stitched(prepared: PreparedNormals, residuals: Residuals) -> Outcome:
     return _of_readings(prepared, readings, response, cones, groups, _Fit(details=details))
 
 
-def _registered(prepared: PreparedNormals, residuals: Residuals) -> Outcome:
+def _registered(prepared: PreparedNormals, residuals: Residuals) -> AdjustedCurve:
     """Registration: one plane for all normals in the frame of the first station."""
     pairs, angles, poses = prepared.pairs, prepared.angles, prepared.poses
     normals, groups = _groups(prepared, residuals)
@@ -148,7 +148,7 @@ def _registered(prepared: PreparedNormals, residuals: Residuals) -> Outcome:
     return _of_readings(prepared, readings, response, cones, groups, rest)
 
 
-def _joined(prepared: PreparedJoint, residuals: Residuals) -> Outcome:
+def _joined(prepared: PreparedJoint, residuals: Residuals) -> AdjustedCurve:
     """Joint: the least squares of everything at once; the nests are in its chi square."""
     problem, pairs, mirror = prepared.problem, prepared.pairs, prepared.mirror
     normals, groups = _groups(prepared, residuals)
@@ -159,7 +159,7 @@ def _joined(prepared: PreparedJoint, residuals: Residuals) -> Outcome:
     contrast[:, 0] -= 1.0
     covariance = contrast @ joint.angle_covariance(equations) @ contrast.T
     n_known = len(pairs.direct) + len(prepared.nests.row) - prepared.nests.n_points
-    return Outcome(
+    return AdjustedCurve(
         deviations=cone.deviation(mirror.psi, prepared.angles),
         covariance=covariance + tilt_crosstalk(problem, float(np.sin(mirror.beta)), n),
         chi_square=float(equations.chi_square) + groups.chi_square,
@@ -173,7 +173,7 @@ def _joined(prepared: PreparedJoint, residuals: Residuals) -> Outcome:
     )
 
 
-def _direct(prepared: PreparedPoints, residuals: Residuals) -> Outcome:
+def _direct(prepared: PreparedPoints, residuals: Residuals) -> AdjustedCurve:
     """Direct: plane and circle through the places of reflectors on the table."""
     reflectors, angles, problem = prepared.reflectors, prepared.angles, prepared.problem
     nests = _nests(prepared, residuals)
@@ -185,7 +185,7 @@ def _direct(prepared: PreparedPoints, residuals: Residuals) -> Outcome:
     m = len(radii)
     circles = _circles(prepared, residuals, off_circle, covariance[m:, m:])
     gain = prepared.joining @ direct_response(reflectors, angles, radii)
-    return Outcome(
+    return AdjustedCurve(
         deviations=prepared.joining @ direct_readings(placed, reflectors, angles),
         covariance=gain @ covariance[: 2 * m, : 2 * m] @ gain.T,
         chi_square=circles.chi_square + nests.chi_square,
@@ -205,7 +205,7 @@ def _of_readings(
     cones: _Cones,
     groups: _Fit,
     rest: _Fit,
-) -> Outcome:
+) -> AdjustedCurve:
     """Join readings; chi square of groups, cones, positions seen repeatedly, and the rest."""
     pairs, angles = prepared.pairs, prepared.angles
     n, zero = pairs.n_groups, cones.zero
@@ -225,7 +225,7 @@ def _of_readings(
     overlaps = misfit(readings, design, reading_covariance)
     gain = prepared.joining
     crosstalk = tilt_crosstalk(prepared.problem, cones.height, len(angles))
-    return Outcome(
+    return AdjustedCurve(
         deviations=gain @ readings,
         covariance=gain @ reading_covariance @ gain.T + crosstalk,
         chi_square=groups.chi_square + about_cones[0] + overlaps[0] + rest.chi_square,
@@ -311,7 +311,7 @@ def _enter(residuals: Residuals, rows: Ints, length: Floats, share: Floats, test
 def _enter_pairs(
     residuals: Residuals,
     problem: PlaneMirrorProblem,
-    pairs: Pairs,
+    pairs: MirrorPairs,
     normals: Normals,
     weight: Floats,
 ) -> None:
@@ -343,7 +343,7 @@ def _enter_pairs(
 
 def normal_covariance(
     normals: Normals,
-    pairs: Pairs,
+    pairs: MirrorPairs,
     poses: Poses,
     axes: Floats,
     pose_covariance: Floats,
@@ -369,7 +369,7 @@ def normal_covariance(
     return covariance
 
 
-def registered_response(pairs: Pairs, angles: Floats, height: float) -> Floats:
+def registered_response(pairs: MirrorPairs, angles: Floats, height: float) -> Floats:
     """Return the derivative (G, 2 G) of angles about one common axis by tau and eta."""
     azimuth = angles[pairs.position]
     cos_beta = float(np.sqrt(1.0 - height**2))
@@ -452,7 +452,9 @@ def cone_misfit(
     return misfit(values, cone.circle_design(azimuth, zero), covariance)
 
 
-def stitched_covariance(normals: Normals, pairs: Pairs, axes: Floats, tilt_std: float) -> Floats:
+def stitched_covariance(
+    normals: Normals, pairs: MirrorPairs, axes: Floats, tilt_std: float
+) -> Floats:
     """Return the covariance (2 G, 2 G) of the normals in their stations; ``axes`` (G, 3)."""
     n_stations = int(pairs.station.max()) + 1
     own = Poses(np.tile(np.eye(3), (n_stations, 1, 1)), np.zeros((n_stations, 3)))

@@ -23,10 +23,10 @@ from rotcal_ros.methods.plane_mirror.solver.direct import (
     fit_circle,
     require_circles,
 )
-from rotcal_ros.methods.plane_mirror.solver.drift import Drift, displaced_nests, find_drift
+from rotcal_ros.methods.plane_mirror.solver.drift import NestDrift, displaced_nests, find_drift
 from rotcal_ros.methods.plane_mirror.solver.layout import (
+    MirrorPairs,
     Nests,
-    Pairs,
     Reflectors,
     find_nests,
     find_pairs,
@@ -60,7 +60,7 @@ class Prepared(ABC):
     """
 
     problem: PlaneMirrorProblem
-    drift: Drift
+    drift: NestDrift
     positions: Ints
     angles: Floats
     nests: Nests
@@ -119,7 +119,7 @@ class PreparedPoints(Prepared):
 class PreparedNormals(Prepared):
     """The ways "stitching" and "registration": a mirror, seen in pairs of points."""
 
-    pairs: Pairs
+    pairs: MirrorPairs
     pair_weight: Floats
 
     def normals(self, points: Floats) -> Normals:
@@ -160,7 +160,7 @@ PreparedWay = PreparedPoints | PreparedNormals
 """A prepared problem of any way; that of "joint" is one of normals."""
 
 
-def registered_readings(normals: Floats, pairs: Pairs, angles: Floats) -> Floats:
+def registered_readings(normals: Floats, pairs: MirrorPairs, angles: Floats) -> Floats:
     """Return one reading (..., G) per normal (..., G, 3) in the common frame."""
     commanded = angles[pairs.position]
     axis, _ = cone.fit_cone(normals, commanded)
@@ -168,7 +168,7 @@ def registered_readings(normals: Floats, pairs: Pairs, angles: Floats) -> Floats
 
 
 @dataclass(frozen=True)
-class Screened:
+class ScreenedPoints:
     """A prepared problem with what the screening left out and what the user must know.
 
     ``lost``: rows of the mirrored points that contradict others.
@@ -182,7 +182,7 @@ class Screened:
 
 def prepare(
     problem: PlaneMirrorProblem, left_out: Mapping[int, str] | None = None, *, singly: bool = True
-) -> Screened:
+) -> ScreenedPoints:
     """Screen and lay out a problem; raises DataError or GeometryError when it has no solution.
 
     ``left_out``: rows of both points of pairs that are not used, and why. ``singly``: pairs that
@@ -197,8 +197,8 @@ def prepare(
 
 
 def _prepare_mirror(
-    problem: PlaneMirrorProblem, drift: Drift, left_out: Mapping[int, str], singly: bool
-) -> Screened:
+    problem: PlaneMirrorProblem, drift: NestDrift, left_out: Mapping[int, str], singly: bool
+) -> ScreenedPoints:
     pairs = find_pairs(problem)
     screening.check_pairs(problem, pairs)
     if left_out:
@@ -242,10 +242,10 @@ def _prepare_mirror(
     if problem.way == "joint":
         prepared = _with_mirror(prepared)
     lost = tuple(r.index for r in inconsistent if problem.kind[r.index] == PointKind.MIRRORED)
-    return Screened(prepared, (*rejected, *inconsistent), tuple(warnings), lost)
+    return ScreenedPoints(prepared, (*rejected, *inconsistent), tuple(warnings), lost)
 
 
-def _prepare_direct(problem: PlaneMirrorProblem, drift: Drift) -> Screened:
+def _prepare_direct(problem: PlaneMirrorProblem, drift: NestDrift) -> ScreenedPoints:
     reflectors = find_reflectors(problem)
     require_circles(problem, reflectors)
     poses, nests, warnings = _stations(problem, drift)
@@ -268,10 +268,10 @@ def _prepare_direct(problem: PlaneMirrorProblem, drift: Drift) -> Screened:
         joining=joining,
         reflectors=reflectors,
     )
-    return Screened(prepared, (), tuple(warnings))
+    return ScreenedPoints(prepared, (), tuple(warnings))
 
 
-def _stations(problem: PlaneMirrorProblem, drift: Drift) -> tuple[Poses, Nests, list[str]]:
+def _stations(problem: PlaneMirrorProblem, drift: NestDrift) -> tuple[Poses, Nests, list[str]]:
     if problem.station.max() == 0:
         return *_one_station(), displaced_nests(problem, drift)
     poses, nests, moved = register(problem, find_nests(problem), drift.size)

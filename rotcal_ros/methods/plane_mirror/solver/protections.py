@@ -10,12 +10,12 @@ from rotcal_ros.adjust.distributions import chi2_isf, normal_isf
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.protection import POWER, Protection, ordered
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.methods.plane_mirror.solver.correction import Correction, unseen_knock
+from rotcal_ros.methods.plane_mirror.solver.correction import DriftCorrection, unseen_knock
 from rotcal_ros.methods.plane_mirror.solver.prepare import PreparedPoints, PreparedWay
 
 
 @dataclass(frozen=True, eq=False)
-class Facts:
+class MirrorEvidence:
     """What the statements rest on: the prepared data, what the drift did, and the result.
 
     ``std`` (N,) in rad; ``dof`` degrees of freedom of the residuals; ``closure_std`` (rad) of the
@@ -24,7 +24,7 @@ class Facts:
     """
 
     prepared: PreparedWay
-    correction: Correction
+    correction: DriftCorrection
     std: Floats
     dof: int
     closure_std: float | None
@@ -36,7 +36,7 @@ class Facts:
         return isinstance(self.prepared, PreparedPoints)
 
 
-def protections(facts: Facts) -> tuple[Protection, ...]:
+def protections(facts: MirrorEvidence) -> tuple[Protection, ...]:
     """Return a statement about every effect, in the fixed order."""
     return ordered(
         (
@@ -54,7 +54,7 @@ def protections(facts: Facts) -> tuple[Protection, ...]:
     )
 
 
-def _drift(facts: Facts) -> Protection:
+def _drift(facts: MirrorEvidence) -> Protection:
     drift, problem = facts.prepared.drift, facts.prepared.problem
     if drift.open_stations:
         names = ", ".join(problem.station_name(s) for s in drift.open_stations)
@@ -73,7 +73,7 @@ def _drift(facts: Facts) -> Protection:
     )
 
 
-def _uneven_drift(facts: Facts) -> tuple[Protection, ...]:
+def _uneven_drift(facts: MirrorEvidence) -> tuple[Protection, ...]:
     """Return the statement about a drift that is no straight line between rounds of nests.
 
     None where no drift is known at all: then everything is said there.
@@ -99,7 +99,7 @@ def _uneven_drift(facts: Facts) -> tuple[Protection, ...]:
     )
 
 
-def _knock(facts: Facts) -> Protection:
+def _knock(facts: MirrorEvidence) -> Protection:
     problem = facts.prepared.problem
     carried = "a reflector" if facts.direct else "a mirror"
     if facts.closure_std is None:
@@ -127,7 +127,7 @@ def _knock(facts: Facts) -> Protection:
     )
 
 
-def _noise(facts: Facts) -> Protection:
+def _noise(facts: MirrorEvidence) -> Protection:
     if not facts.dof:
         return Protection("axis noise", "not protected", "nothing is measured twice")
     error = _hidden(facts.prepared.problem.significance, facts.dof)
@@ -141,7 +141,7 @@ def _noise(facts: Facts) -> Protection:
     )
 
 
-def _error_motion(facts: Facts) -> Protection:
+def _error_motion(facts: MirrorEvidence) -> Protection:
     if facts.direct:
         return Protection(
             "error motion",
@@ -172,14 +172,14 @@ def _refraction() -> Protection:
     )
 
 
-def _scale(facts: Facts) -> Protection:
+def _scale(facts: MirrorEvidence) -> Protection:
     what = "circles" if facts.direct else "lengths"
     return Protection(
         "scale", "harmless", f"a scale of the range changes all {what} alike and no angle"
     )
 
 
-def _tilt(facts: Facts) -> Protection:
+def _tilt(facts: MirrorEvidence) -> Protection:
     if facts.direct:
         return Protection(
             "tilt",

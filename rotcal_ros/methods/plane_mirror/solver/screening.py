@@ -16,7 +16,7 @@ from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.results import Rejection
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.geometry.rotations import wrap_angle
-from rotcal_ros.methods.plane_mirror.solver.layout import Pairs
+from rotcal_ros.methods.plane_mirror.solver.layout import MirrorPairs
 from rotcal_ros.methods.plane_mirror.solver.normals import Normals, fit_normals, incidence
 from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem
 
@@ -30,7 +30,7 @@ MAX_DEVIATION: Final = 1.0 * DEGREE
 """No rotary table is this wrong; a commanded angle or a nest is."""
 
 
-def check_pairs(problem: PlaneMirrorProblem, pairs: Pairs) -> None:
+def check_pairs(problem: PlaneMirrorProblem, pairs: MirrorPairs) -> None:
     """Refuse a reflector measured twice directly, and direct and mirrored points exchanged.
 
     The plane half way between M and M' separates the tracker from the image, so the direct point
@@ -55,8 +55,8 @@ def check_pairs(problem: PlaneMirrorProblem, pairs: Pairs) -> None:
 
 
 def drop_steep(
-    problem: PlaneMirrorProblem, pairs: Pairs, normals: Normals
-) -> tuple[Pairs, list[Rejection]]:
+    problem: PlaneMirrorProblem, pairs: MirrorPairs, normals: Normals
+) -> tuple[MirrorPairs, list[Rejection]]:
     """Leave out pairs whose beam strikes the mirror beyond the incidence limit."""
     angle = incidence(problem.xyz, pairs, normals.normal)
     steep = angle > problem.incidence_limit
@@ -76,8 +76,8 @@ def drop_steep(
 
 
 def drop_inconsistent(
-    problem: PlaneMirrorProblem, pairs: Pairs, weight: Floats
-) -> tuple[Pairs, Floats, list[Rejection]]:
+    problem: PlaneMirrorProblem, pairs: MirrorPairs, weight: Floats
+) -> tuple[MirrorPairs, Floats, list[Rejection]]:
     """Leave out the pair that contradicts the others of its group; returns pairs and weights.
 
     All pairs of a group show the same plane. Of three or more, the one that does not fit is found
@@ -111,7 +111,7 @@ def drop_inconsistent(
         pairs, weight = pairs.keep(wanted), weight[wanted]
 
 
-def check_normals(problem: PlaneMirrorProblem, pairs: Pairs, normals: Normals) -> None:
+def check_normals(problem: PlaneMirrorProblem, pairs: MirrorPairs, normals: Normals) -> None:
     """Refuse a normal that stands degrees away from where the table was sent."""
     for station, at, commanded in pairs.stations(problem.angles):
         n = normals.normal[at]
@@ -183,7 +183,9 @@ def repeats(
     return entries, warnings
 
 
-def _culprit(problem: PlaneMirrorProblem, pairs: Pairs, weight: Floats, group: int) -> int | None:
+def _culprit(
+    problem: PlaneMirrorProblem, pairs: MirrorPairs, weight: Floats, group: int
+) -> int | None:
     """Return the pair of a group without which the others agree; None when that is undecided."""
     members = np.flatnonzero(pairs.group == group)
     left = []
@@ -198,7 +200,7 @@ def _culprit(problem: PlaneMirrorProblem, pairs: Pairs, weight: Floats, group: i
     return int(members[int(np.argmin(left))])
 
 
-def _undecided(problem: PlaneMirrorProblem, pairs: Pairs, group: int) -> str:
+def _undecided(problem: PlaneMirrorProblem, pairs: MirrorPairs, group: int) -> str:
     names = ", ".join(str(problem.nest[row]) for row in pairs.direct[pairs.group == group])
     return (
         f"{problem.source}: {problem.position_name(int(pairs.position[group]))}, tracker "

@@ -13,14 +13,18 @@ from rotcal_ros.foundation.results import FreeDirection, Result
 from rotcal_ros.methods.plane_mirror.solver import gathering, screening
 from rotcal_ros.methods.plane_mirror.solver.correction import correct, drift_details, large_drifts
 from rotcal_ros.methods.plane_mirror.solver.normals import incidence
-from rotcal_ros.methods.plane_mirror.solver.outcomes import Outcome, empty_residuals, outcome_of
+from rotcal_ros.methods.plane_mirror.solver.outcomes import (
+    AdjustedCurve,
+    empty_residuals,
+    outcome_of,
+)
 from rotcal_ros.methods.plane_mirror.solver.prepare import (
     PreparedNormals,
     PreparedPoints,
     PreparedWay,
 )
 from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem
-from rotcal_ros.methods.plane_mirror.solver.protections import Facts, protections
+from rotcal_ros.methods.plane_mirror.solver.protections import MirrorEvidence, protections
 from rotcal_ros.methods.plane_mirror.solver.stitching import islands
 from rotcal_ros.methods.plane_mirror.solver.swing import swing_covariance
 
@@ -58,7 +62,7 @@ def solve(problem: PlaneMirrorProblem) -> Result:
     gathers = gathering.doubts(gathered, problem)
     warnings = [*screened.warnings, *gathers, *warnings, *drifted, *differing]
     closes = closure.get("closure_std_rad")
-    facts = Facts(prepared, correction, std, outcome.dof, closes, points is not None)
+    facts = MirrorEvidence(prepared, correction, std, outcome.dof, closes, points is not None)
     details = {**_details(prepared, outcome), "repeats": repeats, **closure}
     details |= gathering.details(gathered)
     steps = np.diff(np.eye(len(prepared.angles)), axis=0)
@@ -103,7 +107,7 @@ def _std(covariance: Floats) -> Floats:
     return np.sqrt(np.maximum(np.diag(covariance), 0.0))
 
 
-def _details(prepared: PreparedWay, outcome: Outcome) -> dict[str, Any]:
+def _details(prepared: PreparedWay, outcome: AdjustedCurve) -> dict[str, Any]:
     """Return the method's own part of the result; SI, plain arrays and numbers."""
     return {
         "way": prepared.problem.way,
@@ -115,7 +119,7 @@ def _details(prepared: PreparedWay, outcome: Outcome) -> dict[str, Any]:
 
 
 def _judge(
-    problem: PlaneMirrorProblem, outcome: Outcome, sigma0: float
+    problem: PlaneMirrorProblem, outcome: AdjustedCurve, sigma0: float
 ) -> tuple[Floats, list[str]]:
     """Covariance, scaled when the residuals are larger than the stated noise allows."""
     if outcome.dof == 0:

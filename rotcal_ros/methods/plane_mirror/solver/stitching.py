@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, GeometryError
 from rotcal_ros.methods.plane_mirror.solver import cone
-from rotcal_ros.methods.plane_mirror.solver.layout import Pairs
+from rotcal_ros.methods.plane_mirror.solver.layout import MirrorPairs
 from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem
 
 MIN_ARC: Final = 5e-3
@@ -53,7 +53,7 @@ def islands(position: Ints, zero: Ints, n: int) -> tuple[Ints, Ints]:
     return label[:n].astype(np.int64), label[n:].astype(np.int64)
 
 
-def require_overlap(problem: PlaneMirrorProblem, pairs: Pairs) -> None:
+def require_overlap(problem: PlaneMirrorProblem, pairs: MirrorPairs) -> None:
     """Raise DataError naming the station that no chain of shared positions ties to the first."""
     _, used = np.unique(pairs.station, return_inverse=True)
     _, label = islands(pairs.position, used, len(problem.angles))
@@ -67,7 +67,7 @@ def require_overlap(problem: PlaneMirrorProblem, pairs: Pairs) -> None:
         )
 
 
-def stitch(normals: Floats, pairs: Pairs, angles: Floats) -> Floats:
+def stitch(normals: Floats, pairs: MirrorPairs, angles: Floats) -> Floats:
     """Return one reading (..., G) per group: deviation in rad from its station's first group.
 
     ``normals`` (..., G, 3) each in the frame of its station, ``angles`` (N,) commanded.
@@ -81,7 +81,7 @@ def stitch(normals: Floats, pairs: Pairs, angles: Floats) -> Floats:
     return readings
 
 
-def stitch_response(normals: Floats, pairs: Pairs, angles: Floats) -> Floats:
+def stitch_response(normals: Floats, pairs: MirrorPairs, angles: Floats) -> Floats:
     """Return the derivative (G, 2 G) of :func:`stitch` by (tau, eta) of all normals (G, 3).
 
     tau, eta: movement of a normal along t and b of :func:`~.normals.tangent_frame`, in rad.
@@ -108,7 +108,7 @@ def stitch_response(normals: Floats, pairs: Pairs, angles: Floats) -> Floats:
     return response
 
 
-def station_cones(normals: Floats, pairs: Pairs, angles: Floats) -> tuple[Floats, Floats]:
+def station_cones(normals: Floats, pairs: MirrorPairs, angles: Floats) -> tuple[Floats, Floats]:
     """Return the table axis (..., G, 3) as each group's station sees it, and the height (...).
 
     The height s = sin(elevation of the normals) is the mean over the stations that can tell:
@@ -133,7 +133,7 @@ def station_cones(normals: Floats, pairs: Pairs, angles: Floats) -> tuple[Floats
     return axes, height
 
 
-def require_cone(problem: PlaneMirrorProblem, pairs: Pairs, angles: Floats) -> None:
+def require_cone(problem: PlaneMirrorProblem, pairs: MirrorPairs, angles: Floats) -> None:
     """Raise GeometryError when no plane of rotation can be found, or not at one station."""
     counts = np.bincount(pairs.station)
     if counts.max() < 3:
@@ -153,7 +153,7 @@ def require_cone(problem: PlaneMirrorProblem, pairs: Pairs, angles: Floats) -> N
             )
 
 
-def _shares(pairs: Pairs, angles: Floats) -> dict[int, float]:
+def _shares(pairs: MirrorPairs, angles: Floats) -> dict[int, float]:
     """Weight of each station with three or more normals in the common cone height."""
     weights = {}
     for station, at, azimuth in pairs.stations(angles):

@@ -70,7 +70,7 @@ def fewest_lengths(
     ``one_zero``: all lengths share their zero.
     Raises PlanError when no choice suffices; the text says which limit could be checked.
     """
-    search = _Search(scene, rule, expected_std, one_zero, least_redundancy)
+    search = _LengthSearch(scene, rule, expected_std, one_zero, least_redundancy)
     search.require_possible()
     ways = [search.pruned(targets) for targets in search.target_sets(progress)[-WAYS:]]
     known = search.known(min(ways, key=len))
@@ -84,7 +84,7 @@ def fewest_lengths(
 
 
 @dataclass(frozen=True, eq=False)
-class _Search:
+class _LengthSearch:
     """What is asked of a choice of lengths, and the ways to a better one."""
 
     scene: Scene

@@ -12,7 +12,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Ints
 from rotcal_ros.methods.tracer.design.optimum import Progress
-from rotcal_ros.methods.tracer.design.penalty import Choice, Demands
+from rotcal_ros.methods.tracer.design.penalty import Demands, LengthSelection
 from rotcal_ros.methods.tracer.design.scene import Lengths, Scene
 
 ENOUGH: Final = 1e-12
@@ -45,7 +45,7 @@ def fewest_lengths(
     An index may come up to ``repeats`` times. ``start``: indices to begin with, rather too many
     than too few. None when no plan was found within the ``exchanges``.
     """
-    search = _Search(Choice(scene, pool, segments, demands, start), repeats, seed)
+    search = _ExchangeSearch(LengthSelection(scene, pool, segments, demands, start), repeats, seed)
     while search.exchanges < exchanges and not search.least:
         search.proceed()
         if progress is not None:
@@ -53,10 +53,10 @@ def fewest_lengths(
     return search.best
 
 
-class _Search:
+class _ExchangeSearch:
     """The state of the search."""
 
-    def __init__(self, choice: Choice, repeats: int, seed: int) -> None:
+    def __init__(self, choice: LengthSelection, repeats: int, seed: int) -> None:
         self.choice, self.repeats = choice, repeats
         self.best: Ints | None = None
         self.exchanges = 0

@@ -78,7 +78,7 @@ def ideal_plan(
     ``repeats``: how often a pair may be measured, None for any number. It stops at ``gap`` or
     after ROUNDS. Raises PlanError when all candidates together do not reach the goal.
     """
-    search = _Search(scene, candidates, segments, goal, repeats)
+    search = _MultiplicativeSearch(scene, candidates, segments, goal, repeats)
     for done in range(ROUNDS):
         search.look_at_all()
         if progress is not None:
@@ -112,7 +112,7 @@ def least_count(
     return float(repeats * (whole + (needed - before) / best[whole]))
 
 
-class _Search:
+class _MultiplicativeSearch:
     """The state of the multiplicative algorithm."""
 
     def __init__(

@@ -19,7 +19,7 @@ from rotcal_ros.methods.tracer.design.sequence_choice import (
     least_hidden,
     measuring_orders,
 )
-from rotcal_ros.methods.tracer.design.sequence_forecast import OrderForecast, ranks
+from rotcal_ros.methods.tracer.design.sequence_forecast import SequenceForecast, ranks
 from rotcal_ros.methods.tracer.design.settings import SHARED, TracerDesignSettings
 from rotcal_ros.methods.tracer.solver.prediction import predicted
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
@@ -204,7 +204,7 @@ def _in_order(design: TracerDesign) -> OrderedDesign:
         slip=settings.slip_m, limits=settings.limits,
     )  # fmt: skip
     ways = measuring_orders(
-        position, target, costs, OrderForecast(problem), limit=settings.max_unseen,
+        position, target, costs, SequenceForecast(problem), limit=settings.max_unseen,
         seed=settings.seed,
     )  # fmt: skip
     order = least_hidden(ways, settings.max_unseen)

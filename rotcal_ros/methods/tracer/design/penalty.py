@@ -58,7 +58,7 @@ class Demands:
     depth: float = 0.0
 
 
-class Choice:
+class LengthSelection:
     """The lengths ``chosen`` (N,), indices into the ``pool``, and how they meet the demands.
 
     An index may come more than once. ``add`` and ``remove`` change the choice; ``renew`` takes

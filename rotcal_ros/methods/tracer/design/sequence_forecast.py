@@ -44,7 +44,7 @@ class Forecast:
         }
 
 
-class OrderForecast:
+class SequenceForecast:
     """Judges orders of the lengths of one plan; ``problem`` holds lengths with the stated noise.
 
     Raises ObservabilityError when the plan cannot tell the angle at all.

@@ -39,7 +39,7 @@ MomentsAt: TypeAlias = Callable[[float], Moments]
 """Moments by the variance s^2 of the noise."""
 
 
-class Contrasts:
+class LengthContrasts:
     """k lengths; everything in units of their planned standard deviations.
 
     ``design`` (k, p): A above; ``targets`` (k, q): T; ``length`` (k,): y, observed less computed;

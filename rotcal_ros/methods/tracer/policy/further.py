@@ -12,7 +12,7 @@ from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.methods.tracer.design.information import Information
 from rotcal_ros.methods.tracer.design.scene import Lengths
 from rotcal_ros.methods.tracer.policy.lengths import LengthExperiment, rms
-from rotcal_ros.methods.tracer.policy.measured import Measured
+from rotcal_ros.methods.tracer.policy.measured import MeasuredLengths
 
 ROUNDS: Final = 6
 """In about so many rounds further steps are put together."""
@@ -44,7 +44,7 @@ class Wish:
 
 def pick(
     of: LengthExperiment,
-    measured: Measured,
+    measured: MeasuredLengths,
     allowed: Bools,
     chance: Floats,
     wish: Wish,
@@ -97,7 +97,7 @@ def _batch(of: LengthExperiment, known: Information, missing: float, before: int
 def best_at(
     of: LengthExperiment,
     position: int | None,
-    measured: Measured,
+    measured: MeasuredLengths,
     queued: Collection[int],
     allowed: Bools,
     chance: Floats,
@@ -131,7 +131,11 @@ def as_sweep(of: LengthExperiment, steps: Collection[int], at: int | None) -> li
 
 
 def _shortlist(
-    of: LengthExperiment, known: Information, candidates: Ints, measured: Measured, chance: Floats
+    of: LengthExperiment,
+    known: Information,
+    candidates: Ints,
+    measured: MeasuredLengths,
+    chance: Floats,
 ) -> Ints:
     """Return some candidates of each station: the best ones, and some of all directions."""
     if len(candidates) <= SHORTLIST:

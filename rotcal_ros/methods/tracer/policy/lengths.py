@@ -22,8 +22,8 @@ from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.methods.tracer.design.information import Information
 from rotcal_ros.methods.tracer.design.ordering import noisy_problem
 from rotcal_ros.methods.tracer.design.scene import Lengths, Scene
-from rotcal_ros.methods.tracer.policy.contrasts import Contrasts
-from rotcal_ros.methods.tracer.policy.measured import Measured
+from rotcal_ros.methods.tracer.policy.contrasts import LengthContrasts
+from rotcal_ros.methods.tracer.policy.measured import MeasuredLengths
 from rotcal_ros.methods.tracer.policy.noise import (
     LengthNoise,
     estimated_noise,
@@ -85,24 +85,24 @@ class LengthExperiment:
         return self.scene.beams(self.position, self.target)[0]
 
     @property
-    def nothing(self) -> Measured:
+    def nothing(self) -> MeasuredLengths:
         """What is measured before the first step."""
-        return Measured(self.per_segment)
+        return MeasuredLengths(self.per_segment)
 
     def information(
-        self, measured: Measured, noise: float, further: Collection[int] | Ints = ()
+        self, measured: MeasuredLengths, noise: float, further: Collection[int] | Ints = ()
     ) -> Information:
         """Return what the ``measured`` lengths tell, and those of ``further`` steps."""
         zeros = len(measured.beams) if self.per_segment else self.stations
         return Information(self._noisier(noise), self._known(measured, further), zeros)
 
-    def _known(self, measured: Measured, further: Collection[int] | Ints = ()) -> Lengths:
+    def _known(self, measured: MeasuredLengths, further: Collection[int] | Ints = ()) -> Lengths:
         rows = np.array([o.step for o in measured.observations], dtype=np.int64)
         zero = measured.segments() if self.per_segment else self.position[rows]
         lengths = Lengths.of(self.position[rows], self.target[rows], zero)
         return lengths + self.lengths(further, measured)
 
-    def lengths(self, steps: Collection[int] | Ints, measured: Measured) -> Lengths:
+    def lengths(self, steps: Collection[int] | Ints, measured: MeasuredLengths) -> Lengths:
         """Return the lengths of ``steps`` as they would be read now."""
         rows = np.fromiter(steps, dtype=np.int64, count=len(steps))
         zero = measured.segment_now if self.per_segment else self.position[rows]
@@ -110,7 +110,7 @@ class LengthExperiment:
 
     def planned(
         self,
-        measured: Measured,
+        measured: MeasuredLengths,
         noise: float,
         coverage_factor: float,
         further: Collection[int] | Ints = (),
@@ -127,7 +127,7 @@ class LengthExperiment:
 
     def uncertainty(
         self,
-        measured: Measured,
+        measured: MeasuredLengths,
         noise: float,
         coverage_factor: float,
         further: Sequence[int] = (),
@@ -147,7 +147,7 @@ class LengthExperiment:
         return coverage_factor * float(np.sqrt(about_mean / len(covariance)))
 
     def posed(
-        self, measured: Measured, noise: float, further: Sequence[int] | Ints = ()
+        self, measured: MeasuredLengths, noise: float, further: Sequence[int] | Ints = ()
     ) -> TracerProblem:
         """Return the problem that the solver will have to solve, with made-up readings."""
         lengths = self._known(measured, further)
@@ -165,18 +165,18 @@ class LengthExperiment:
         angles = replace(self.scene, error_motion_std=error_motion).error_motion_angles
         return COVERAGE_FACTOR * float(np.sqrt(np.trace(angles) / len(angles)))
 
-    def share_of_noise(self, measured: Measured, noise: float) -> float:
+    def share_of_noise(self, measured: MeasuredLengths, noise: float) -> float:
         """Return d ln(variance) / d ln(noise^2): how much of the mean variance the noise makes."""
         low, high = (
             self.information(measured, noise * f).variances().mean() for f in (0.95, 1.05)
         )
         return float(np.log(high / low) / (2.0 * np.log(1.05 / 0.95)))
 
-    def solvable(self, measured: Measured, further: Collection[int] = ()) -> bool:
+    def solvable(self, measured: MeasuredLengths, further: Collection[int] = ()) -> bool:
         """Whether every station has enough lengths, those of ``further`` steps included."""
         return not self.lacking(self._known(measured, further)).any()
 
-    def lacking_in_words(self, measured: Measured) -> str:
+    def lacking_in_words(self, measured: MeasuredLengths) -> str:
         """Return which stations have too few lengths; empty when all have enough."""
         found = self._telling(self._known(measured))
         return ", ".join(
@@ -200,7 +200,7 @@ class LengthExperiment:
         return np.asarray(self._telling(lengths) < self.minimum)
 
     def noise(
-        self, measured: Measured, significance: float, factor: float | None = None
+        self, measured: MeasuredLengths, significance: float, factor: float | None = None
     ) -> tuple[LengthNoise, tuple[Observation, float] | None]:
         """Return the noise of the ``measured`` lengths, and the most suspect one.
 
@@ -246,7 +246,9 @@ RIDGE: Final = 1e-12
 """Share of the diagonal that keeps a station in place where its lengths leave a direction open."""
 
 
-def contrasts(scene: Scene, observations: Sequence[Observation], zero: Ints | None) -> Contrasts:
+def contrasts(
+    scene: Scene, observations: Sequence[Observation], zero: Ints | None
+) -> LengthContrasts:
     """Return what the lengths (k,) of ``scene`` tell about their noise.
 
     ``zero`` (k,): the unknown zero of each length; None: every station has its own, and a later
@@ -266,7 +268,7 @@ def contrasts(scene: Scene, observations: Sequence[Observation], zero: Ints | No
     std = np.sqrt(scene.beams(position, target)[1])
     time = np.array([o.window_end_ns for o in observations], dtype=np.float64)
     errors = errors.reshape(len(target), -1) / std[:, None]
-    return Contrasts(design / std[:, None], errors, y / std, time - time[0])
+    return LengthContrasts(design / std[:, None], errors, y / std, time - time[0])
 
 
 def _columns(group: Ints) -> Floats:

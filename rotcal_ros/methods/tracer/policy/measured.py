@@ -12,7 +12,7 @@ from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.planning.time_order import time_order
 
 
-class Measured:
+class MeasuredLengths:
     """Accepted observations of single steps, as the solver will take them.
 
     With a zero per station the last observation of a step counts, with a zero ``per_segment`` the
@@ -64,9 +64,9 @@ class Measured:
         own = [key for key in self._kept if key[1] == step]
         return self._kept[max(own)] if own else None
 
-    def only(self, steps: Collection[int]) -> Measured:
+    def only(self, steps: Collection[int]) -> MeasuredLengths:
         """Return what was measured of ``steps``."""
-        return Measured(self.per_segment, (o for o in self.observations if o.step in steps))
+        return MeasuredLengths(self.per_segment, (o for o in self.observations if o.step in steps))
 
     @cached_property
     def beams(self) -> tuple[tuple[int, int], ...]:

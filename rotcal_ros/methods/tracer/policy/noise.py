@@ -19,7 +19,11 @@ from scipy.special import ndtr, ndtri, stdtrit
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
-from rotcal_ros.methods.tracer.policy.contrasts import Contrasts, degrees_of_freedom, likeliest
+from rotcal_ros.methods.tracer.policy.contrasts import (
+    LengthContrasts,
+    degrees_of_freedom,
+    likeliest,
+)
 
 CHECKED: Final = 1e-6
 DOUBTFUL: Final = 3
@@ -48,7 +52,7 @@ def student_factor(dof: float) -> float:
     return float(stdtrit(dof, ndtr(COVERAGE_FACTOR)))
 
 
-def estimated_noise(lengths: Contrasts) -> LengthNoise:
+def estimated_noise(lengths: LengthContrasts) -> LengthNoise:
     """Return the noise of the lengths; without a contrast 1 with zero degrees of freedom."""
     if lengths.count <= 0:
         return LengthNoise(1.0, 0.0, np.zeros(len(lengths)), 0.0)
@@ -56,12 +60,12 @@ def estimated_noise(lengths: Contrasts) -> LengthNoise:
     return _judged(lengths, variance, degrees_of_freedom(lengths.moments, variance))
 
 
-def judged_lengths(lengths: Contrasts, factor: float) -> LengthNoise:
+def judged_lengths(lengths: LengthContrasts, factor: float) -> LengthNoise:
     """Return the tests of :func:`estimated_noise` with a ``factor`` that is known; zero dof."""
     return _judged(lengths, factor**2, 0.0)
 
 
-def _judged(lengths: Contrasts, variance: float, dof: float) -> LengthNoise:
+def _judged(lengths: LengthContrasts, variance: float, dof: float) -> LengthNoise:
     checked = lengths.checked(variance)
     seen = checked * variance > CHECKED
     test = np.where(seen, lengths.pull(variance) / np.sqrt(np.where(seen, checked, 1.0)), 0.0)
@@ -69,7 +73,7 @@ def _judged(lengths: Contrasts, variance: float, dof: float) -> LengthNoise:
 
 
 def suspect_length(
-    lengths: Contrasts, noise: LengthNoise, significance: float
+    lengths: LengthContrasts, noise: LengthNoise, significance: float
 ) -> tuple[int, float] | None:
     """Return which of the lengths is the most suspect, and its test value; None: none is.
 

@@ -49,13 +49,13 @@ from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 from rotcal_ros.methods.tracer.design.exchange import fewest_lengths
 from rotcal_ros.methods.tracer.design.penalty import Demands
 from rotcal_ros.methods.tracer.design.sequence_choice import least_hidden, measuring_orders
-from rotcal_ros.methods.tracer.design.sequence_forecast import OrderForecast
+from rotcal_ros.methods.tracer.design.sequence_forecast import SequenceForecast
 from rotcal_ros.methods.tracer.policy.further import MOST_AT_ONCE, Wish, as_sweep, best_at, pick
 from rotcal_ros.methods.tracer.policy.lengths import LengthExperiment
-from rotcal_ros.methods.tracer.policy.measured import Measured
+from rotcal_ros.methods.tracer.policy.measured import MeasuredLengths
 from rotcal_ros.methods.tracer.policy.noise import LengthNoise, student_factor
 from rotcal_ros.methods.tracer.policy.stated import Allowance, Stated
-from rotcal_ros.planning.choices import Choice, Outcome, Standing
+from rotcal_ros.planning.choices import Choice, Standing, StepOutcome
 from rotcal_ros.planning.sequence_time import stated_time
 
 PLANNED_FACTOR: Final = student_factor(math.inf)
@@ -76,7 +76,7 @@ UNKNOWN: Final = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class GoalLimits:
     """The goal (rad, k = 2, rms over the angles) and how sure the tests have to be.
 
     ``significance``: probability of suspecting any length, or a drift, when all is well.
@@ -97,7 +97,7 @@ class UntilGoal:
     def __init__(
         self,
         experiment: LengthExperiment,
-        limits: Limits,
+        limits: GoalLimits,
         *,
         again: Iterable[int] = (),
         earlier: Iterable[Observation] = (),
@@ -135,11 +135,11 @@ class UntilGoal:
         """Follow the earlier runs, whose choices are found again from what they observed."""
         for seen in sorted(earlier, key=lambda o: (o.run, o.window_end_ns, o.attempt)):
             while (step := self._next().step) != seen.step and step in given_up:
-                self.note(Outcome(step, None))
+                self.note(StepOutcome(step, None))
                 given_up.remove(step)
-            self.note(Outcome(seen.step, seen))
+            self.note(StepOutcome(seen.step, seen))
         for step in sorted(given_up):
-            self.note(Outcome(step, None))
+            self.note(StepOutcome(step, None))
 
     def _first_sweep(self) -> list[int]:
         """Return the steps of the first sweep, with the reserve where there are enough."""
@@ -168,7 +168,7 @@ class UntilGoal:
             step, reason = self._queue[0] = self._better_than(step, reason)
         return Choice(step, reason, NOWHERE)
 
-    def note(self, outcome: Outcome) -> None:
+    def note(self, outcome: StepOutcome) -> None:
         """Take notice of a length, or of a step that was given up."""
         step = outcome.step
         queued = next((entry for entry in self._queue if entry[0] == step), None)
@@ -375,14 +375,14 @@ class Closing:
         """Whether there are such steps: a sweep is closed once."""
         return bool(self._changes)
 
-    def begin(self, measured: Measured) -> tuple[int, int]:
+    def begin(self, measured: MeasuredLengths) -> tuple[int, int]:
         """Return the first and the middle step of what was measured."""
         by_time = [measured.observations[row] for row in measured.time_order().argsort()]
         steps = by_time[0].step, by_time[len(by_time) // 2].step
         self._changes = dict.fromkeys(steps, math.nan)
         return steps
 
-    def note(self, observation: Observation, measured: Measured) -> None:
+    def note(self, observation: Observation, measured: MeasuredLengths) -> None:
         """Take notice of a length, before it is ``measured``: one that closes is compared."""
         step = observation.step
         if not math.isnan(self._changes.get(step, 0.0)):
@@ -462,7 +462,7 @@ def protected(of: LengthExperiment, steps: list[int]) -> Sweep:
     position, target = of.position[rows], of.target[rows]
     time = stated_time(of.costs.turn_s, of.costs.step_s)
     costs = time.costs(of.scene.table_angles, of.scene.targets, position, target)
-    forecast = OrderForecast(of.posed(of.nothing, 1.0, rows))
+    forecast = SequenceForecast(of.posed(of.nothing, 1.0, rows))
     # whole sweeps only: what is added later has to find each position early and late alike
     ways = measuring_orders(position, target, costs, forecast, limit=HIDDEN, sparse=())
     best = least_hidden(ways, HIDDEN)
@@ -561,7 +561,7 @@ class Reach:
         self._doubted = True
 
     def best(
-        self, of: LengthExperiment, measured: Measured, allowed: Bools, allowance: Allowance
+        self, of: LengthExperiment, measured: MeasuredLengths, allowed: Bools, allowance: Allowance
     ) -> float:
         """Return what would be stated of the ``measured`` and all ``allowed`` steps.
 
@@ -588,12 +588,12 @@ class Suspects:
         self._gone_over: set[int] = set()
         """Suspect steps that were measured again, and table positions where all were."""
 
-    def single(self, measured: Measured) -> bool:
+    def single(self, measured: MeasuredLengths) -> bool:
         """Whether so few lengths were suspect that each may be an error of its own."""
         return len(self._steps) < max(FEW_SUSPECTS, round(SUSPECT_SHARE * len(measured.steps)))
 
     def again(
-        self, suspect: Observation, value: float, measured: Measured
+        self, suspect: Observation, value: float, measured: MeasuredLengths
     ) -> tuple[list[int], str]:
         """Return the steps to measure again, and why: the suspect one, then all of its station.
 

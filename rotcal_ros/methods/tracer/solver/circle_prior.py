@@ -27,7 +27,7 @@ FELT: Final = 1e-6
 """Share of a contrast that the lengths have to tell for it to be a test."""
 
 
-class Contrasts(NamedTuple):
+class CircleContrasts(NamedTuple):
     """``value`` (c,): what no circle takes up of the stations' radial and axial distances, m.
 
     ``slope`` (c, 3 m): its derivative by the stations. First half radial, second half axial;
@@ -43,14 +43,14 @@ def contrast_count(stations: int) -> int:
     return 2 * max(stations - ABSORBED, 0)
 
 
-def circle_contrasts(stations: Floats) -> Contrasts:
+def circle_contrasts(stations: Floats) -> CircleContrasts:
     """Return the contrasts of ``stations`` (m, 3), m, about the circle that fits them best.
 
     Raises GeometryError when they determine no circle.
     """
     m = len(stations)
     if contrast_count(m) == 0:
-        return Contrasts(np.zeros(0), np.zeros((0, 3 * m)))
+        return CircleContrasts(np.zeros(0), np.zeros((0, 3 * m)))
     plane = fit_plane(stations)
     basis = plane.basis()
     flat = (stations - plane.centroid) @ basis.T
@@ -70,7 +70,7 @@ def circle_contrasts(stations: Floats) -> Contrasts:
         free = np.linalg.qr(absorbed, mode="complete")[0][:, ABSORBED:]
         values.append(free.T @ off)
         slopes.append((free.T[:, :, None] * direction).reshape(m - ABSORBED, 3 * m))
-    return Contrasts(np.concatenate(values), np.vstack(slopes))
+    return CircleContrasts(np.concatenate(values), np.vstack(slopes))
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats
-from rotcal_ros.methods.tracer.solver.layout import Layout
+from rotcal_ros.methods.tracer.solver.layout import UnknownsLayout
 from rotcal_ros.methods.tracer.solver.network import Network
-from rotcal_ros.methods.tracer.solver.schur import Reduced
+from rotcal_ros.methods.tracer.solver.schur import SchurComplement
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,9 +17,9 @@ class NetworkGain:
     """The variant "joint": the kept covariance, and the way back to the eliminated side."""
 
     kept: Floats
-    reduced: Reduced
+    reduced: SchurComplement
     stations_kept: bool
-    layout: Layout
+    layout: UnknownsLayout
 
     @classmethod
     def of(cls, network: Network) -> NetworkGain:

@@ -16,7 +16,7 @@ import numpy as np
 
 from rotcal_ros.adjust import gathering as engine
 from rotcal_ros.adjust.felt import Felt
-from rotcal_ros.adjust.gathering import SUSPECTED, Gathering, Limits, Words
+from rotcal_ros.adjust.gathering import SUSPECTED, Gathering, GatheringLimits, Words
 from rotcal_ros.adjust.groups import Group, Undivided
 from rotcal_ros.adjust.judgement import blame
 from rotcal_ros.adjust.reliability import hidden
@@ -74,7 +74,7 @@ def left_out(
 
 def doubts(gathering: Gathering, limits: TracerLimits) -> list[str]:
     """Return a sentence about everything that gathers, and about groups that do not fit."""
-    usual = Limits(limits.max_rejected_share, limits.test_significance)
+    usual = GatheringLimits(limits.max_rejected_share, limits.test_significance)
     return engine.doubts(gathering, usual, WORDS)
 
 

@@ -21,7 +21,7 @@ from rotcal_ros.geometry.rotations import wrap_angle
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 from rotcal_ros.methods.tracer.solver.reported import (
     Reported,
-    Weighed,
+    WeighedSolution,
     noticed,
     scatter_along,
     weigh,
@@ -34,7 +34,7 @@ from rotcal_ros.methods.tracer.solver.trials import TracerTrials, trials_about
 
 
 @dataclass(frozen=True, eq=False)
-class Pairs:
+class RepeatedLengths:
     """Lengths of run number ``run`` that were measured before, one row per pair, shape (k,).
 
     ``row``: row of the problem that holds the earlier length; ``length``, ``length_std``: what
@@ -106,7 +106,7 @@ class Runs:
     problem: TracerProblem
     run: Ints
     shift: Floats
-    pairs: Sequence[Pairs]
+    pairs: Sequence[RepeatedLengths]
     position_std: float = 0.0
 
 
@@ -131,7 +131,9 @@ class JoinedSolution:
         return _concluded(result, self.joins, moves, significance)
 
 
-def adjust_at_equal_places(problem: TracerProblem, shift: Floats) -> Weighed[TracerSolution]:
+def adjust_at_equal_places(
+    problem: TracerProblem, shift: Floats
+) -> WeighedSolution[TracerSolution]:
     """Solve a problem with each length as it would be at the mean place of its target.
 
     ``shift`` (k, 3): how much further along x, y, z the machine said it was when it measured each
@@ -140,7 +142,7 @@ def adjust_at_equal_places(problem: TracerProblem, shift: Floats) -> Weighed[Tra
     notice change nothing, to the last bit.
     """
     weighed = _adjusted(Runs(problem, np.zeros(len(shift), dtype=np.int64), shift, []))
-    return Weighed(weighed.solution[0], weighed.reported)
+    return WeighedSolution(weighed.solution[0], weighed.reported)
 
 
 def adjust_joined(runs: Runs) -> JoinedSolution:
@@ -190,7 +192,7 @@ def _moves(trials: TracerTrials) -> Floats:
     return wrap_angle(found[1:] - found[0])
 
 
-def _adjusted(runs: Runs) -> Weighed[_Joined]:
+def _adjusted(runs: Runs) -> WeighedSolution[_Joined]:
     """Return the solution with all lengths on the zero of the first run, and the joins."""
     for later in runs.pairs:
         if not len(later.row):
@@ -208,7 +210,7 @@ def _adjusted(runs: Runs) -> Weighed[_Joined]:
     unmoved = moved(0.0, 0.0) if runs.pairs else (first, [])
     shifts = [runs.shift, *(later.shift for later in runs.pairs)]
     if not noticed(np.concatenate(shifts), runs.problem.length_std):
-        return Weighed(moved(1.0, 0.0) if runs.pairs else unmoved, None)
+        return WeighedSolution(moved(1.0, 0.0) if runs.pairs else unmoved, None)
     along = np.einsum("ka,ka->k", beams, runs.shift)
     scatter = scatter_along(along, runs.problem.target)
     return weigh(unmoved, moved, lambda solved: slope_along(solved[0], along), scatter)

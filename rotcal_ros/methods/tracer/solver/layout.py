@@ -15,7 +15,7 @@ from rotcal_ros.methods.tracer.solver.grid import Grid
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class UnknownsLayout:
     """The places of the unknowns of m stations and s zeros, as p strips see them.
 
     ``index`` (p, 4): places of (X, Y, Z, d) of a strip among ``size`` unknowns; ``places`` (3 m,):
@@ -34,7 +34,7 @@ class Layout:
     walk: Floats | None = None
 
     @classmethod
-    def of(cls, grid: Grid) -> Layout:
+    def of(cls, grid: Grid) -> UnknownsLayout:
         """Return the layout of a grid."""
         m = grid.n_stations
         if grid.zero is None and grid.circle_std is None:

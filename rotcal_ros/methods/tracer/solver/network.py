@@ -23,9 +23,9 @@ from rotcal_ros.geometry.rotations import cross_matrix
 from rotcal_ros.methods.tracer.solver.adjustment import ranges
 from rotcal_ros.methods.tracer.solver.circle_prior import circle_contrasts
 from rotcal_ros.methods.tracer.solver.grid import Grid
-from rotcal_ros.methods.tracer.solver.layout import Layout
+from rotcal_ros.methods.tracer.solver.layout import UnknownsLayout
 from rotcal_ros.methods.tracer.solver.observability import or_prior
-from rotcal_ros.methods.tracer.solver.schur import Reduced, eliminate, eliminate_from
+from rotcal_ros.methods.tracer.solver.schur import SchurComplement, eliminate, eliminate_from
 
 CONVERGED: Final = 1e-17
 """Squared length in standard deviations of the step that would follow the last."""
@@ -67,7 +67,7 @@ class Network:
     free: bool
     lengths: Floats
     weights: Floats
-    layout: Layout
+    layout: UnknownsLayout
     circle: Floats | None = None
 
     @cached_property
@@ -85,7 +85,7 @@ class Network:
         return stations, targets, cross
 
     @cached_property
-    def reduced(self) -> Reduced:
+    def reduced(self) -> SchurComplement:
         """The normal matrix with one side eliminated."""
         return self._reduce(self.blocks)
 
@@ -94,7 +94,7 @@ class Network:
         """The largest weight of a coordinate, 1/m^2."""
         return float(self.blocks[1].max())
 
-    def damped(self, damping: float) -> Reduced:
+    def damped(self, damping: float) -> SchurComplement:
         """Return the normal matrix with ``damping`` (1/m^2) of every coordinate (Levenberg)."""
         if damping == 0.0:
             return self.reduced
@@ -102,7 +102,7 @@ class Network:
         blocks = (stations + damping * np.eye(4), targets + damping * np.eye(3), cross)
         return self._reduce(blocks)
 
-    def _reduce(self, blocks: tuple[Floats, Floats, Floats]) -> Reduced:
+    def _reduce(self, blocks: tuple[Floats, Floats, Floats]) -> SchurComplement:
         """Eliminate one side of normal ``blocks``; a free network's datum is bound."""
         stations, targets, cross = blocks
         layout, constraints = self.layout, None
@@ -115,11 +115,11 @@ class Network:
             return eliminate(stations, targets, cross, constraints)
         return eliminate(targets, stations, np.ascontiguousarray(cross.T))
 
-    def step(self, reduced: Reduced) -> tuple[Floats, Floats]:
+    def step(self, reduced: SchurComplement) -> tuple[Floats, Floats]:
         """Return the step of strips (p, 4) and targets (n, 3) that ``reduced`` gives."""
         return self.respond(self.station_gradient, self.target_gradient, reduced)
 
-    def bend(self, reduced: Reduced, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    def bend(self, reduced: SchurComplement, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         """Return what a step (x, y) lacks to keep the errors linear to second order."""
         apart, unit = x[:, None, :3] - y, self.rows[:, :, :3]
         reach = self.f + self.lengths + self.state[:, 3:]
@@ -129,7 +129,7 @@ class Network:
         return self.respond(by_station, -(unit * pull[:, :, None]).sum(axis=0), reduced)
 
     def respond(
-        self, station: Floats, target: Floats, reduced: Reduced | None = None
+        self, station: Floats, target: Floats, reduced: SchurComplement | None = None
     ) -> tuple[Floats, Floats]:
         """Return the step that takes gradients (p, 4) and (n, 3) to zero."""
         reduced = self.reduced if reduced is None else reduced
@@ -191,7 +191,7 @@ def relax(grid: Grid, state: Floats, targets: Floats) -> Network:
 def linearise(grid: Grid, state: Floats, targets: Floats) -> Network:
     """Return the network at ``state`` (p, 4), ``targets`` (n, 3): its errors and gradient."""
     p, n = grid.used.shape
-    layout, weights = Layout.of(grid), grid.weights
+    layout, weights = UnknownsLayout.of(grid), grid.weights
     distance, unit = ranges(state[:, :3], targets)
     f = distance - state[:, 3:] - grid.length
     rows = np.concatenate([unit, np.full((p, n, 1), -1.0)], axis=2)
@@ -230,7 +230,7 @@ def rigid(points: Floats) -> Floats:
     return motions.reshape(-1, RIGID_MOTIONS)
 
 
-def _constraints(stations: Floats, layout: Layout) -> Floats:
+def _constraints(stations: Floats, layout: UnknownsLayout) -> Floats:
     """Return what the ``stations`` (m, 3) must not do in a free network: seven columns.
 
     Six rigid motions, and growing away from their centroid, which is the station part of the

@@ -78,7 +78,7 @@ class NoiseEvidence:
 
 
 @dataclass(frozen=True, eq=False)
-class Noise:
+class NoiseFactors:
     """The factors (5,) on the stated standard deviations of COMPONENTS.
 
     ``log_std`` (5,): standard deviations of their logarithms, ``stated`` (5,): the mean stated
@@ -158,14 +158,14 @@ def _prior() -> Floats:
     return np.asarray(np.linalg.inv(covariance), dtype=np.float64)
 
 
-def as_stated(grid: Grid) -> Noise:
+def as_stated(grid: Grid) -> NoiseFactors:
     """Return the noise of ``grid`` as it is stated."""
-    return Noise(np.ones(5), np.full(5, np.nan), _stated(grid), estimated=False)
+    return NoiseFactors(np.ones(5), np.full(5, np.nan), _stated(grid), estimated=False)
 
 
 def estimate_noise(
     adjust: Adjuster, grid: Grid, start: Adjustment, factors: Floats, bent: bool
-) -> tuple[Noise, Adjustment]:
+) -> tuple[NoiseFactors, Adjustment]:
     """Return the factors that fit the residuals best, and the adjustment with them.
 
     From ``factors`` (5,) and the adjustment ``start``. Residuals that are ``bent`` keep outliers
@@ -188,7 +188,7 @@ def estimate_noise(
     log_std = np.full(5, np.nan)
     log_std[evidence.present] = np.sqrt(np.linalg.inv(known).diagonal())[evidence.present]
     stated = np.where(evidence.present, _stated(grid), np.nan)
-    return Noise(np.exp(logs), log_std, stated, estimated=True), fit
+    return NoiseFactors(np.exp(logs), log_std, stated, estimated=True), fit
 
 
 def scaled(grid: Grid, factors: Floats) -> Grid:

@@ -5,7 +5,7 @@ the deviations, and at which size a test would turn the verdict (:mod:`.response
 
 What could go wrong while a tracer measures, as errors of its lengths per unit of size.
 
-Each pattern has shape (p, n), m per unit; see :class:`Timing` for when a length was taken.
+Each pattern has shape (p, n), m per unit; see :class:`LengthTiming` for when a length was taken.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def of_the_order(solution: TracerSolution) -> tuple[Protection, Protection]:
     return _of_the_order(solution, _worst(solution, _moving(solution, timing(solution))))
 
 
-def _moving(solution: TracerSolution, when: Timing) -> dict[str, Floats]:
+def _moving(solution: TracerSolution, when: LengthTiming) -> dict[str, Floats]:
     """Return the patterns (p, m, n) of what moves while it is measured."""
     reach = float(np.linalg.norm(solution.fit.targets - solution.motion.centre, axis=1).max())
     return {
@@ -318,7 +318,7 @@ KNOCKED_AT: Final = (0.25, 0.5, 0.75)
 
 
 @dataclass(frozen=True, eq=False)
-class Timing:
+class LengthTiming:
     """When the lengths were taken: ``share`` (m, n) of the run that had gone, 0 to 1.
 
     ``arrivals`` (m,): how often the table came to each position.
@@ -328,7 +328,7 @@ class Timing:
     arrivals: Ints
 
 
-def timing(solution: TracerSolution) -> Timing:
+def timing(solution: TracerSolution) -> LengthTiming:
     """Return when the lengths of ``solution`` were taken; see TracerProblem.order."""
     problem, row = solution.problem, solution.grid.row
     first = np.argsort(problem.measuring_order, kind="stable")
@@ -337,16 +337,16 @@ def timing(solution: TracerSolution) -> Timing:
     at = problem.position[first]
     come = np.append(True, np.diff(at) != 0)
     arrivals = np.bincount(at[come], minlength=len(problem.table_angles))
-    return Timing(np.where(row >= 0, rank[row], 0.0), arrivals[solution.positions])
+    return LengthTiming(np.where(row >= 0, rank[row], 0.0), arrivals[solution.positions])
 
 
-def drifts(solution: TracerSolution, when: Timing) -> Floats:
+def drifts(solution: TracerSolution, when: LengthTiming) -> Floats:
     """Return the frame of the machine drifting linearly by a metre along x, y, z: (3, m, n)."""
     _, unit = ranges(solution.fit.standing, solution.fit.targets)
     return np.asarray(-when.share * unit.transpose(2, 0, 1), dtype=np.float64)
 
 
-def turning(solution: TracerSolution, when: Timing) -> Floats:
+def turning(solution: TracerSolution, when: LengthTiming) -> Floats:
     """Return the frame of the machine turning about the table's axis by a radian: (1, m, n)."""
     motion, fit = solution.motion, solution.fit
     _, unit = ranges(fit.standing, fit.targets)
@@ -354,7 +354,7 @@ def turning(solution: TracerSolution, when: Timing) -> Floats:
     return np.asarray(-when.share * np.einsum("jia,ai->ji", unit, arms), dtype=np.float64)[None]
 
 
-def knocks(solution: TracerSolution, when: Timing) -> Floats:
+def knocks(solution: TracerSolution, when: LengthTiming) -> Floats:
     """Return the tracer shifted on the table by a metre: out, along, up; (9, m, n)."""
     motion = solution.motion
     _, unit = ranges(solution.fit.standing, solution.fit.targets)

@@ -27,7 +27,7 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import MICROMETRE
-from rotcal_ros.methods.tracer.solver.noise import Noise
+from rotcal_ros.methods.tracer.solver.noise import NoiseFactors
 
 CONSISTENT: Final = 3.0
 """Standard deviations within which a weight of 1, or of 0, is what the lengths say."""
@@ -135,7 +135,7 @@ class Reported:
 
 
 @dataclass(frozen=True)
-class Weighed(Generic[S]):
+class WeighedSolution(Generic[S]):
     """A solution and the weight that it gives the reported places; None: none had to be found."""
 
     solution: S
@@ -155,7 +155,7 @@ def scatter_along(along: Floats, target: Ints) -> float:
 
 def weigh(
     unmoved: S, moved: Callable[[float, float], S], slope: Callable[[S], Slope], along: float
-) -> Weighed[S]:
+) -> WeighedSolution[S]:
     """Return the solution with the weight that the lengths give the reported places.
 
     ``unmoved``: the solution with weight 0; ``moved``: makes the one with a weight and with what
@@ -168,16 +168,16 @@ def weigh(
     except RotcalError:
         if not at_none.known:
             raise
-        return Weighed(unmoved, Reported(0.0, at_none.std, along, 0.0))
+        return WeighedSolution(unmoved, Reported(0.0, at_none.std, along, 0.0))
     at_all = slope(believed)
     if not (at_none.known and at_all.known):
-        return Weighed(believed, Reported(1.0, 0.0, along, 0.0))
+        return WeighedSolution(believed, Reported(1.0, 0.0, along, 0.0))
     spoils = at_all.excess if at_all.spoiled(along) else 0.0
     calmer = at_none.distance < CONSISTENT and at_none.excess < spoils
     if at_all.distance < CONSISTENT and not calmer:
-        return Weighed(believed, Reported(1.0, at_all.std, along, 0.0, spoils=spoils))
+        return WeighedSolution(believed, Reported(1.0, at_all.std, along, 0.0, spoils=spoils))
     if at_none.distance < CONSISTENT:
-        return Weighed(unmoved, Reported(0.0, at_none.std, along, 0.0))
+        return WeighedSolution(unmoved, Reported(0.0, at_none.std, along, 0.0))
     nearer = (0.0, at_none) if at_none.distance < at_all.distance else (1.0, at_all)
     return _between(moved, slope, along, *nearer)
 
@@ -188,7 +188,7 @@ def _between(
     along: float,
     weight: float,
     here: Slope,
-) -> Weighed[S]:
+) -> WeighedSolution[S]:
     """Return the solution with the weight that fits best, from a ``weight`` and its slope."""
     for _ in range(MOST_STEPS):
         step = min(max(weight + here.step, 0.0), 1.0) - weight
@@ -198,10 +198,10 @@ def _between(
         if abs(step) < SETTLED * std:
             break
         here = slope(solution)
-    return Weighed(solution, Reported(weight, std, along, left, estimated=True))
+    return WeighedSolution(solution, Reported(weight, std, along, left, estimated=True))
 
 
-def excess_of(noise: Noise, significance: float) -> float:
+def excess_of(noise: NoiseFactors, significance: float) -> float:
     """Return what lengths scatter beyond their statement, m; 0 where they do not contradict it."""
     factor = float(noise.factors[0])
     if factor <= 1.0 or not noise.contradicted(significance)[0]:

@@ -26,7 +26,7 @@ _UNDETERMINED: Final = (
 
 
 @dataclass(frozen=True, eq=False)
-class Reduced:
+class SchurComplement:
     """The Schur complement of one normal matrix.
 
     ``matrix`` (p s, p s) = A - C B^-1 C'; ``inverse`` (q, t, t) = B^-1;
@@ -102,7 +102,7 @@ class Reduced:
 
 def eliminate(
     kept: Floats, other: Floats, cross: Floats, constraints: Floats | None = None
-) -> Reduced:
+) -> SchurComplement:
     """Eliminate the side ``other`` (q, t, t) from ``kept`` (p, s, s), ``cross`` (p s, q t).
 
     ``constraints`` (p s, c): x has to be orthogonal to these columns, which stand in for what the
@@ -116,7 +116,7 @@ def eliminate(
 
 def eliminate_from(
     kept: Floats, other: Floats, cross: Floats, constraints: Floats | None = None
-) -> Reduced:
+) -> SchurComplement:
     """Do as :func:`eliminate` for a kept side that is one matrix (y, y), ``cross`` (y, q t)."""
     inverse, transfer, matrix = _schur(other, cross)
     return _reduced(matrix + kept, inverse, transfer, constraints)
@@ -141,10 +141,10 @@ def _schur(other: Floats, cross: Floats) -> tuple[Floats, Floats, Floats]:
 
 def _reduced(
     matrix: Floats, inverse: Floats, transfer: Floats, constraints: Floats | None
-) -> Reduced:
+) -> SchurComplement:
     scale = 1.0 / np.sqrt(np.maximum(matrix.diagonal(), np.finfo(np.float64).tiny))
     if constraints is None:
         columns = np.empty((len(matrix), 0))
     else:
         columns = np.linalg.qr(constraints * scale[:, None])[0]
-    return Reduced(matrix, inverse, transfer, scale, np.asarray(columns))
+    return SchurComplement(matrix, inverse, transfer, scale, np.asarray(columns))

@@ -45,8 +45,8 @@ from rotcal_ros.methods.tracer.solver.gathering import left_out
 from rotcal_ros.methods.tracer.solver.grid import FREE_TARGET_MINIMUM, Grid
 from rotcal_ros.methods.tracer.solver.noise import (
     LEAST_FACTOR,
-    Noise,
     NoiseEvidence,
+    NoiseFactors,
     as_stated,
     estimate_noise,
     noise_evidence,
@@ -77,14 +77,14 @@ def rejection_limit(grid: Grid, significance: float) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Screened:
+class ScreenedLengths:
     """A grid without outliers, as stated; its noise, and the adjustment with that noise.
 
     ``why`` says by row of the problem why a length was rejected, ``gathering`` what gathers.
     """
 
     grid: Grid
-    noise: Noise
+    noise: NoiseFactors
     fit: Adjustment
     why: dict[int, str]
     gathering: Gathering = field(default_factory=Gathering)
@@ -105,7 +105,7 @@ def adjust_and_screen(
     start: Floats,
     limits: TracerLimits,
     grouping: Grouping | None = None,
-) -> Screened:
+) -> ScreenedLengths:
     """Adjust ``grid`` from ``start`` (m, 4) until noise and residuals fit, and none stands out."""
     limit = rejection_limit(grid, limits.rejection_significance)
     why: dict[int, str] = {}
@@ -127,17 +127,17 @@ def adjust_and_screen(
         elif bent:
             bent = False
         else:
-            return Screened(grid, noise, fit, why, gathering)
+            return ScreenedLengths(grid, noise, fit, why, gathering)
 
 
 def _settled(
     adjust: Adjuster,
     grid: Grid,
     stated: Adjustment,
-    before: Noise,
+    before: NoiseFactors,
     significance: float,
     bent: bool,
-) -> tuple[Noise, Adjustment]:
+) -> tuple[NoiseFactors, Adjustment]:
     """Return the noise as stated, or estimated where that is contradicted, and its fit."""
     chance = noise_evidence(grid, stated, bent).probabilities()
     if chance.min() >= significance / len(chance):

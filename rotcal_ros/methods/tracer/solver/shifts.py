@@ -28,7 +28,7 @@ PLACES: Final = 2_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class Moments:
+class TimedLengths:
     """Lengths in use in the order of time: strip and target (k,), and segment number (k,).
 
     ``side`` (k,): how many lengths of its segment each has before it, or from it on, if fewer.
@@ -42,7 +42,7 @@ class Moments:
     own: Ints
 
     @classmethod
-    def of(cls, grid: Grid, order: Ints, own: Ints | None = None) -> Moments:
+    def of(cls, grid: Grid, order: Ints, own: Ints | None = None) -> TimedLengths:
         """Return those of ``grid``; ``order`` (k,): when each row of the problem was taken.
 
         ``own``: segment of each place of the grid; None: as the grid has it.
@@ -80,7 +80,7 @@ class Shifts:
     shift of a metre does to what is adjusted without it, the stations (3 m,) or curves (6 m,).
     """
 
-    moments: Moments
+    moments: TimedLengths
     at: Ints
     score: Floats
     information: Floats
@@ -125,11 +125,11 @@ def find_shifts(grid: Grid, fit: Adjustment, order: Ints) -> Shifts:
 
     ``order`` (k,): when each row of the problem was taken.
     """
-    moments = Moments.of(grid, order)
+    moments = TimedLengths.of(grid, order)
     return shifts_at(grid, fit, moments, moments.few())
 
 
-def shifts_at(grid: Grid, fit: Adjustment, moments: Moments, at: Ints) -> Shifts:
+def shifts_at(grid: Grid, fit: Adjustment, moments: TimedLengths, at: Ints) -> Shifts:
     """Return the shifts that begin ``at`` (t,) some of the ``moments`` of ``grid``."""
     network = fit.network or linearise(grid, fit.state, fit.targets)
     gain, weights, rows = NetworkGain.of(network), grid.weights, network.rows

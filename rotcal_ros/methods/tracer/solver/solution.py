@@ -39,7 +39,7 @@ from rotcal_ros.methods.tracer.solver.gathering import groups_of
 from rotcal_ros.methods.tracer.solver.grid import STATION_MINIMUM, Grid, arrange
 from rotcal_ros.methods.tracer.solver.jumps import Jump, find_jump, split
 from rotcal_ros.methods.tracer.solver.network import relax
-from rotcal_ros.methods.tracer.solver.noise import Noise, NoiseEvidence, scaled
+from rotcal_ros.methods.tracer.solver.noise import NoiseEvidence, NoiseFactors, scaled
 from rotcal_ros.methods.tracer.solver.observability import (
     check_counts,
     check_station_spread,
@@ -51,7 +51,7 @@ from rotcal_ros.methods.tracer.solver.screening import (
     GROSS,
     NORMAL_QUARTILE,
     Grouping,
-    Screened,
+    ScreenedLengths,
     adjust_and_screen,
     reject_gross,
     without_targets,
@@ -94,7 +94,7 @@ class TracerSolution:
 
     problem: TracerProblem
     grid: Grid
-    noise: Noise
+    noise: NoiseFactors
     noise_evidence: NoiseEvidence
     fit: Adjustment
     covariance: StationCovariance
@@ -235,7 +235,7 @@ def _adjusted(problem: TracerProblem, wider: CircleStatement | None = None) -> T
     )  # fmt: skip
 
 
-def _scatter(screened: Screened, fit: Adjustment) -> float:
+def _scatter(screened: ScreenedLengths, fit: Adjustment) -> float:
     """Return the scatter of all residuals over what is stated, by the median.
 
     A few outliers do not count, but the rejected lengths do: many of them are no outliers.
@@ -253,7 +253,7 @@ def _missing_positions(problem: TracerProblem, grid: Grid) -> tuple[int, ...]:
 
 def _started(
     problem: TracerProblem, grid: Grid, commanded: Floats
-) -> tuple[Screened, tuple[Jump, ...], Shifts | None, bool]:
+) -> tuple[ScreenedLengths, tuple[Jump, ...], Shifts | None, bool]:
     """Return the grid without outliers, jumps and shifts of its zeros, and if mirror images fit.
 
     ``commanded`` (m,): angles of the stations, rad.
@@ -266,7 +266,7 @@ def _started(
     return *_screened_together(problem, grid, start), ambiguous
 
 
-def _screened(problem: TracerProblem, grid: Grid, start: Floats) -> Screened:
+def _screened(problem: TracerProblem, grid: Grid, start: Floats) -> ScreenedLengths:
     """Return the grid without outliers and its noise; see :mod:`.screening`."""
     limits = problem.settings
     as_network = problem.variant == "joint" or bool(grid.target_std.any())
@@ -296,7 +296,7 @@ def _grouping(problem: TracerProblem) -> Grouping:
 
 def _screened_together(
     problem: TracerProblem, grid: Grid, start: Floats
-) -> tuple[Screened, tuple[Jump, ...], Shifts | None]:
+) -> tuple[ScreenedLengths, tuple[Jump, ...], Shifts | None]:
     """Do as :func:`_screened` where stations are tied together, and split zeros where they jump.
 
     The shifts are those of the network that comes out. Large jumps are looked for before large
@@ -352,7 +352,7 @@ def _missing(grid: Grid) -> Grid:
     )
 
 
-def _placed(problem: TracerProblem, grid: Grid, screened: Screened) -> _Placed:
+def _placed(problem: TracerProblem, grid: Grid, screened: ScreenedLengths) -> _Placed:
     """Return stations and motion from the screened lengths; ``grid`` holds all of them.
 
     The variant "station" is solved without whole targets too where single lengths were
@@ -386,7 +386,7 @@ def _enough(grid: Grid) -> bool:
 
 
 def _stated_test(
-    problem: TracerProblem, screened: Screened, placed: _Placed, unexplained: GlobalTest
+    problem: TracerProblem, screened: ScreenedLengths, placed: _Placed, unexplained: GlobalTest
 ) -> GlobalTest:
     """Return the chi-squared test of the residuals against the noise as it was stated."""
     if not screened.noise.estimated:

@@ -15,7 +15,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.geometry.rotations import wrap_angle
-from rotcal_ros.methods.tracer.solver.circle_prior import Contrasts, circle_contrasts
+from rotcal_ros.methods.tracer.solver.circle_prior import CircleContrasts, circle_contrasts
 from rotcal_ros.methods.tracer.solver.gain import NetworkGain
 from rotcal_ros.methods.tracer.solver.grid import Grid
 from rotcal_ros.methods.tracer.solver.network import linearise, relax
@@ -54,7 +54,7 @@ class TracerTrials:
     wobble: Floats
     zeros: Floats
     gain: Floats | NetworkGain
-    circle: Contrasts | None = None
+    circle: CircleContrasts | None = None
     slips: Slips | None = None
 
     def __call__(self, rng: np.random.Generator, count: int) -> Floats:

@@ -32,7 +32,7 @@ from rotcal_ros.methods.tracer.solver.error_motion import ErrorMotion
 from rotcal_ros.methods.tracer.solver.gathering import doubts as doubt_gathering
 from rotcal_ros.methods.tracer.solver.grid import FREE_TARGET_MINIMUM
 from rotcal_ros.methods.tracer.solver.jumps import Jump
-from rotcal_ros.methods.tracer.solver.noise import Noise
+from rotcal_ros.methods.tracer.solver.noise import NoiseFactors
 from rotcal_ros.methods.tracer.solver.uncertainty import CircleStatement, GlobalTest
 from rotcal_ros.methods.tracer.solver_settings import TracerLimits
 
@@ -56,7 +56,7 @@ SAME_ANGLE: Final = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Closure:
+class CircleClosure:
     """Two positions at the same table angle, whole turns apart: what should agree, and how well.
 
     ``error`` is the deviation at position ``last`` minus that at ``first``, with its standard
@@ -75,7 +75,7 @@ def closures(
     covariance: LowRank,
     position_ids: Ints,
     upward: Bools | None = None,
-) -> tuple[Closure, ...]:
+) -> tuple[CircleClosure, ...]:
     """Return the closures of ``angles`` (m,): later positions against the first at their angle.
 
     ``covariance`` (m, m): of the angles, rad^2.
@@ -92,7 +92,7 @@ def closures(
             first = int(same[0])
             variance = float(covariance.between(np.array([first]), np.array([last]))[0])
             found.append(
-                Closure(
+                CircleClosure(
                     first=int(position_ids[first]),
                     last=int(position_ids[last]),
                     error=float(cumulative[last] - cumulative[first]),
@@ -113,12 +113,12 @@ class Evidence:
     """
 
     lengths: GlobalTest
-    noise: Noise
+    noise: NoiseFactors
     unexplained: float
     circle: GlobalTest
     error_motion: ErrorMotion
     radial_rms: float
-    closures: tuple[Closure, ...]
+    closures: tuple[CircleClosure, ...]
     n_lengths: int
     n_rejected: int
     missing: tuple[int, ...]
@@ -160,7 +160,7 @@ def _doubt_lengths(evidence: Evidence, settings: TracerLimits) -> list[str]:
     )
 
 
-def doubt_noise(noise: Noise, settings: TracerLimits) -> list[str]:
+def doubt_noise(noise: NoiseFactors, settings: TracerLimits) -> list[str]:
     """Return a sentence for every component of the noise that is larger than stated."""
     larger = noise.contradicted(settings.test_significance) & (noise.factors > 1.0)
     return [
@@ -169,7 +169,7 @@ def doubt_noise(noise: Noise, settings: TracerLimits) -> list[str]:
     ]
 
 
-def _advice(noise: Noise, k: int) -> str:
+def _advice(noise: NoiseFactors, k: int) -> str:
     """Return what to do about a component that is larger than stated."""
     if k:
         return "state it, or look for drift"
@@ -290,6 +290,6 @@ def _remarks(evidence: Evidence, settings: TracerLimits) -> list[str]:
     return remarks
 
 
-def times_stated(noise: Noise, k: int) -> str:
+def times_stated(noise: NoiseFactors, k: int) -> str:
     """Return how many times its statement component ``k`` is, in words."""
     return f"{WORDS[k]} is {noise.factors[k]:.2g} times its stated {noise.stated[k]:.2g} m"

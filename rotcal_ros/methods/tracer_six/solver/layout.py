@@ -29,7 +29,7 @@ _Arranged: TypeAlias = tuple[Grid, dict[int, str]]
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class StationLayout:
     """V stations by n targets: ``grid``, whose positions are the stations, and what they share.
 
     ``position``, ``place`` (V,): indices into ``angles`` (m,) rad and ``places`` (p, 3) m, which
@@ -112,7 +112,7 @@ def _sums(index: Ints, size: int) -> Any:
     return csr_array((ones, (index, np.arange(len(index)))), shape=(size, len(index)))
 
 
-def lay_out(problem: SixProblem) -> tuple[Layout, dict[int, str]]:
+def lay_out(problem: SixProblem) -> tuple[StationLayout, dict[int, str]]:
     """Return the layout of ``problem``, and why rows have no place in it.
 
     Raises ObservabilityError when places are too few or in a line, DataError for contradictory
@@ -131,7 +131,7 @@ def lay_out(problem: SixProblem) -> tuple[Layout, dict[int, str]]:
     place_ids, place = np.unique(stations[grid.position_ids, 0], return_inverse=True)
     position_ids, position = np.unique(stations[grid.position_ids, 1], return_inverse=True)
     zero, offset = _zeros(problem, grid, place, offset)
-    layout = Layout(
+    layout = StationLayout(
         grid=grid,
         position=position,
         place=place,

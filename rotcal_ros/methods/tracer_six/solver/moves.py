@@ -27,11 +27,16 @@ from rotcal_ros.adjust.distributions import chi2_isf, noncentrality
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
 from rotcal_ros.foundation.protection import POWER
-from rotcal_ros.methods.tracer_six.solver.layout import Layout
+from rotcal_ros.methods.tracer_six.solver.layout import StationLayout
 from rotcal_ros.methods.tracer_six.solver.patterns import felt
 from rotcal_ros.methods.tracer_six.solver.posterior import full_covariance, pulled
 from rotcal_ros.methods.tracer_six.solver.rig import Rig, relax
-from rotcal_ros.methods.tracer_six.solver.scatter import Contrasts, contrasts, estimate, stated
+from rotcal_ros.methods.tracer_six.solver.scatter import (
+    ScatterContrasts,
+    contrasts,
+    estimate,
+    stated,
+)
 
 Kind = Literal["between runs", "within runs", "slip"]
 RANGE: Final = 1e-3
@@ -61,7 +66,7 @@ class Likely:
 
 
 @dataclass(frozen=True, eq=False)
-class Move:
+class MoveTest:
     """The test of one kind of move: ``probability`` of its chi-squared by chance.
 
     ``places`` (p,), indices of the layout, stand ``moved`` (p, 3) beside where they were, m,
@@ -81,11 +86,11 @@ class Moves:
     """The tests of a network, ``rig`` without scatter, and the ``contrasts`` that they are of."""
 
     rig: Rig
-    contrasts: Contrasts
+    contrasts: ScatterContrasts
     scatter: Likely
-    tests: tuple[Move, ...]
+    tests: tuple[MoveTest, ...]
 
-    def test(self, kind: Kind) -> Move | None:
+    def test(self, kind: Kind) -> MoveTest | None:
         """Return the test of a kind of move, None where the measurement has none."""
         return next((test for test in self.tests if test.kind == kind), None)
 
@@ -181,7 +186,7 @@ def tangents(rig: Rig) -> Floats:
     return np.asarray(across / np.linalg.norm(across, axis=1, keepdims=True), dtype=np.float64)
 
 
-def _best(found: Contrasts, shifts: Floats) -> int:
+def _best(found: ScatterContrasts, shifts: Floats) -> int:
     """Return which of the displacements (c, d, V, 3) explains most of the contrasts."""
     shown = shifts.reshape(len(shifts), -1, len(found.root)) @ found.root
     explained = [float(((_basis(moment)[0] @ found.value) ** 2).sum()) for moment in shown]
@@ -196,7 +201,7 @@ def _basis(shifts: Floats) -> tuple[Floats, Floats]:
 
 
 def _other_scatter(
-    found: Contrasts,
+    found: ScatterContrasts,
     shifts: Floats,
     known: tuple[float | None, float | None],
     significance: float,
@@ -215,8 +220,8 @@ def _other_scatter(
 
 
 def _test(
-    found: Contrasts, scatter: Likely, kind: Kind, shifts: Floats, places: Ints, best: int
-) -> Move:
+    found: ScatterContrasts, scatter: Likely, kind: Kind, shifts: Floats, places: Ints, best: int
+) -> MoveTest:
     """Return the test of ``shifts`` (c, d, q), of which ``best`` explains most."""
     bases = [_basis(moment)[0] for moment in shifts]
     rank = min(len(basis) for basis in bases)
@@ -229,10 +234,10 @@ def _test(
     # the first three displacements of a place are along the machine's axes
     along = shifts[best, : 3 * len(places)]
     moved = -np.linalg.lstsq(along.T, found.value, rcond=RANGE)[0].reshape(-1, 3)
-    return Move(kind, min(1.0, float(tail) * len(shifts)), places, moved, directions)
+    return MoveTest(kind, min(1.0, float(tail) * len(shifts)), places, moved, directions)
 
 
-def _between(layout: Layout) -> tuple[Floats, Ints]:
+def _between(layout: StationLayout) -> tuple[Floats, Ints]:
     """Return displacements (1, 3 p, V, 3) of each run but the first along the machine's axes."""
     places = np.arange(1, len(layout.places))
     mine = (layout.place == places[:, None]).astype(np.float64)
@@ -240,7 +245,7 @@ def _between(layout: Layout) -> tuple[Floats, Ints]:
     return found.reshape(1, -1, len(layout.place), 3), places
 
 
-def _within(layout: Layout, rotation: Floats) -> tuple[Floats, Ints]:
+def _within(layout: StationLayout, rotation: Floats) -> tuple[Floats, Ints]:
     """Return displacements (1, 6 p, V, 3) of later arrivals against first ones, and places (p,).
 
     None where there are none. Along the machine's axes (3 p of them), then along the table's.
@@ -258,7 +263,7 @@ def _within(layout: Layout, rotation: Floats) -> tuple[Floats, Ints]:
     return found.reshape(1, -1, len(layout.position), 3)[: len(places)], places
 
 
-def _slips(layout: Layout, rotation: Floats, when: Floats) -> tuple[Floats, Ints]:
+def _slips(layout: StationLayout, rotation: Floats, when: Floats) -> tuple[Floats, Ints]:
     """Return displacements (c, 3, V, 3) of a place (c,) after a moment, along the table."""
     moved = rotation[layout.position].transpose(2, 0, 1)  # (3, V, 3)
     found, places = [], []
@@ -270,7 +275,7 @@ def _slips(layout: Layout, rotation: Floats, when: Floats) -> tuple[Floats, Ints
     return np.array(found).reshape(-1, 3, len(when), 3), np.array(places, dtype=np.int64)
 
 
-def _pairs(layout: Layout) -> tuple[Ints, Ints]:
+def _pairs(layout: StationLayout) -> tuple[Ints, Ints]:
     """Return first and later stations (r,) of a place at an angle; arrivals stand in order."""
     seen: dict[tuple[int, int], int] = {}
     keys = zip(layout.place.tolist(), layout.position.tolist(), strict=True)

@@ -11,7 +11,7 @@ from rotcal_ros.methods.tracer_six.solver.rig import Rig
 
 
 @dataclass(frozen=True, eq=False)
-class Felt:
+class WeightedPatterns:
     """Patterns (k, V, n), m, in a network: ``weighted`` (k, V, n) by the inverse covariance.
 
     ``force`` (k, V, 3): their pull at each station; ``slope`` (k, T): at all unknowns, half the
@@ -23,7 +23,7 @@ class Felt:
     slope: Floats
 
 
-def felt(rig: Rig, patterns: Floats) -> Felt:
+def felt(rig: Rig, patterns: Floats) -> WeightedPatterns:
     """Return ``patterns`` (k, V, n) of errors of the lengths, m, as ``rig`` feels them."""
     layout, here, (k, _, n) = rig.layout, rig.slopes, patterns.shape
     weighted = rig.grid.weights * patterns
@@ -39,4 +39,6 @@ def felt(rig: Rig, patterns: Floats) -> Felt:
     )
     kept = [by_target, (layout.by_place @ turned).reshape(k, -1), -zeros]
     lean = np.zeros((k, layout.size - 3 * n - 3 * len(layout.places) - layout.n_zeros))
-    return Felt(weighted, force, np.concatenate([*kept, lean, poses.reshape(k, -1)], axis=1))
+    return WeightedPatterns(
+        weighted, force, np.concatenate([*kept, lean, poses.reshape(k, -1)], axis=1)
+    )

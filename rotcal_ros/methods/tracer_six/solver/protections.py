@@ -12,8 +12,8 @@ from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
 from rotcal_ros.foundation.protection import POWER, Effect, Protection, ordered
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.methods.tracer.solver import gathering
+from rotcal_ros.methods.tracer.solver.response import Worst
 from rotcal_ros.methods.tracer_six.solver import response
-from rotcal_ros.methods.tracer_six.solver.response import Worst
 from rotcal_ros.methods.tracer_six.solver.solution import SixSolution
 from rotcal_ros.methods.tracer_six.solver.timing import timing
 

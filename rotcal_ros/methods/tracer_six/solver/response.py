@@ -6,7 +6,7 @@ take up of it is left in chi-squared.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -18,29 +18,21 @@ from rotcal_ros.foundation.raw_data import MOST_INFLUENCES, Influence
 from rotcal_ros.geometry.rotations import cross_matrix
 from rotcal_ros.methods.tracer.solver.reported import (
     Slope,
-    Weighed,
+    WeighedSolution,
     excess_of,
     noticed,
     scatter_along,
     weigh,
 )
-from rotcal_ros.methods.tracer.solver.response import MOST_PATTERNS
+from rotcal_ros.methods.tracer.solver.response import MOST_PATTERNS, Worst
 from rotcal_ros.methods.tracer_six.solver.patterns import felt
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
 from rotcal_ros.methods.tracer_six.solver.solution import PLACE, SixSolution, adjust
-from rotcal_ros.methods.tracer_six.solver.timing import Timing
+from rotcal_ros.methods.tracer_six.solver.timing import NetworkTiming
 
 KNOCKED_AT: Final = (0.25, 0.5, 0.75)
 """Shares of a run after which a knock is tried."""
 NOTHING: Final = 1e-150
-
-
-@dataclass(frozen=True, slots=True)
-class Worst:
-    """The largest error that may stay unseen, in standard uncertainties; ``seen``: no larger."""
-
-    error: float
-    seen: bool
 
 
 def worst(solution: SixSolution, patterns: Floats, largest: float) -> Worst:
@@ -74,7 +66,7 @@ def _respond(solution: SixSolution, patterns: Floats) -> tuple[Floats, Floats]:
     return ordered, np.maximum(left, 0.0)
 
 
-def adjust_at_equal_places(problem: SixProblem, along: Floats) -> Weighed[SixSolution]:
+def adjust_at_equal_places(problem: SixProblem, along: Floats) -> WeighedSolution[SixSolution]:
     """Solve a problem with each length as it would be at the mean place of its target.
 
     ``along`` (k,): how much longer the machine said that each length was, m; believed as far as
@@ -87,7 +79,7 @@ def adjust_at_equal_places(problem: SixProblem, along: Floats) -> Weighed[SixSol
         return adjust(replace(problem, length=length, length_std=length_std))
 
     if not noticed(along, problem.length_std):
-        return Weighed(moved(1.0, 0.0), None)
+        return WeighedSolution(moved(1.0, 0.0), None)
     scatter = scatter_along(along, problem.target)
     return weigh(adjust(problem), moved, lambda solution: _slope_along(solution, along), scatter)
 
@@ -117,7 +109,7 @@ def influence_of(solution: SixSolution) -> Influence | None:
     )
 
 
-def drifts(solution: SixSolution, when: Timing) -> Floats:
+def drifts(solution: SixSolution, when: NetworkTiming) -> Floats:
     """Return the machine drifting by a metre, or turning by a radian times the reach: (12, V, n).
 
     Over all runs, and anew in each run.
@@ -131,7 +123,7 @@ def drifts(solution: SixSolution, when: Timing) -> Floats:
     return np.concatenate([when.whole * felt, when.own * felt])
 
 
-def knocks(solution: SixSolution, when: Timing) -> Floats:
+def knocks(solution: SixSolution, when: NetworkTiming) -> Floats:
     """Return the tracer of each run slipping by a metre along three directions: (9 p, V, n)."""
     layout, unit = solution.layout, solution.rig.slopes.unit
     along = (unit @ solution.rig.state.rotation[layout.position]).transpose(2, 0, 1)

@@ -26,10 +26,10 @@ from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_from_vector
 from rotcal_ros.methods.tracer.solver.grid import Grid
 from rotcal_ros.methods.tracer.solver.network import rigid
-from rotcal_ros.methods.tracer.solver.schur import Reduced
+from rotcal_ros.methods.tracer.solver.schur import SchurComplement
 from rotcal_ros.methods.tracer_six.solver import tilts
 from rotcal_ros.methods.tracer_six.solver.curves import table_curves
-from rotcal_ros.methods.tracer_six.solver.layout import Layout
+from rotcal_ros.methods.tracer_six.solver.layout import StationLayout
 
 CONVERGED: Final = 1e-14
 """Squared length of the last step in standard deviations."""
@@ -41,7 +41,7 @@ MAX_ITERATIONS: Final = 60
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class RigState:
     """Poses ``rotation`` (m, 3, 3), ``translation`` (m, 3), ``places`` (p, 3), ``zeros`` (s,).
 
     ``targets`` (n, 3). ``lean`` (4,), rad: mean tilt of the table in the machine, and in the
@@ -55,20 +55,20 @@ class State:
     targets: Floats
     lean: Floats
 
-    def stations(self, layout: Layout) -> Floats:
+    def stations(self, layout: StationLayout) -> Floats:
         """Return where the stations (V, 3) of ``layout`` are without scatter, m."""
         return self.arms(layout) + self.translation[layout.position]
 
-    def arms(self, layout: Layout) -> Floats:
+    def arms(self, layout: StationLayout) -> Floats:
         """Return R q (V, 3) of all stations, m."""
         turned = self.rotation[layout.position] @ self.places[layout.place][:, :, None]
         return np.asarray(turned[:, :, 0], dtype=np.float64)
 
-    def moved(self, kept: Floats, poses: Floats) -> State:
+    def moved(self, kept: Floats, poses: Floats) -> RigState:
         """Return the state after a step: ``kept`` (K,) unknowns, ``poses`` (m, 6)."""
         a, b = self.targets.size, self.targets.size + self.places.size
         c = b + len(self.zeros)
-        return State(
+        return RigState(
             rotation=rotation_from_vector(poses[:, :3]) @ self.rotation,
             translation=self.translation + poses[:, 3:],
             places=self.places + kept[a:b].reshape(-1, 3),
@@ -79,7 +79,7 @@ class State:
 
 
 @dataclass(frozen=True, eq=False)
-class Slopes:
+class ChiSquaredSlope:
     """Errors of a state and half the slope of chi-squared.
 
     ``error`` (V, n): computed - observed, m; ``unit`` (V, n, 3): from target to station;
@@ -104,18 +104,20 @@ class Rig:
     """
 
     grid: Grid
-    layout: Layout
+    layout: StationLayout
     scatter: Floats | None
-    state: State
-    slopes: Slopes
+    state: RigState
+    slopes: ChiSquaredSlope
     motion: Floats
     pull: Floats
     normal: Floats
     across: Floats
-    reduced: Reduced
+    reduced: SchurComplement
 
 
-def slopes(grid: Grid, layout: Layout, scatter: Floats | None, state: State) -> Slopes:
+def slopes(
+    grid: Grid, layout: StationLayout, scatter: Floats | None, state: RigState
+) -> ChiSquaredSlope:
     """Return errors and slopes at ``state``.
 
     ``scatter`` (V, 3, 3): root L of the covariance S = L L' of each station, m.
@@ -148,7 +150,7 @@ def slopes(grid: Grid, layout: Layout, scatter: Floats | None, state: State) -> 
         known = tilts.slopes(state.rotation, state.lean, layout)
         chi2, poses = chi2 + known.chi2, poses + known.poses
         kept.append(known.lean)
-    return Slopes(error, unit, factor, chi2, poses, np.concatenate(kept))
+    return ChiSquaredSlope(error, unit, factor, chi2, poses, np.concatenate(kept))
 
 
 def _factor(weights: Floats, unit: Floats, scatter: Floats | None) -> Floats | None:
@@ -162,7 +164,11 @@ def _factor(weights: Floats, unit: Floats, scatter: Floats | None) -> Floats | N
 
 
 def linearise(
-    grid: Grid, layout: Layout, scatter: Floats | None, state: State, here: Slopes
+    grid: Grid,
+    layout: StationLayout,
+    scatter: Floats | None,
+    state: RigState,
+    here: ChiSquaredSlope,
 ) -> Rig:
     """Return the network at ``state``, with its slopes ``here`` and the reduced normal matrix."""
     unit, weights = here.unit, grid.weights
@@ -190,7 +196,7 @@ def _summed(sums: Floats, blocks: Floats) -> Floats:
     return np.asarray(total.reshape(-1, *blocks.shape[1:]), dtype=np.float64)
 
 
-def _across(layout: Layout, unit: Floats, pull: Floats, turned: Floats) -> Floats:
+def _across(layout: StationLayout, unit: Floats, pull: Floats, turned: Floats) -> Floats:
     """Return (V, 3, K): the normal matrix between a station and the kept unknowns."""
     v, n, _ = unit.shape
     across = np.zeros((v, 3, layout.size))
@@ -204,7 +210,9 @@ def _across(layout: Layout, unit: Floats, pull: Floats, turned: Floats) -> Float
     return across
 
 
-def _kept_matrix(grid: Grid, layout: Layout, state: State, here: Slopes, across: Floats) -> Floats:
+def _kept_matrix(
+    grid: Grid, layout: StationLayout, state: RigState, here: ChiSquaredSlope, across: Floats
+) -> Floats:
     """Return the normal matrix (K, K) of targets, places, zeros and lean."""
     v, n, _ = here.unit.shape
     a, b = 3 * n, 3 * (n + len(layout.places))
@@ -233,7 +241,7 @@ def _kept_matrix(grid: Grid, layout: Layout, state: State, here: Slopes, across:
     return matrix
 
 
-def _low_rank(layout: Layout, here: Slopes) -> Floats:
+def _low_rank(layout: StationLayout, here: ChiSquaredSlope) -> Floats:
     """Return what H does to targets and zeros, (3 n + s, 3 V); the signs of both cancel."""
     assert here.factor is not None
     v, n, _ = here.unit.shape
@@ -245,7 +253,7 @@ def _low_rank(layout: Layout, here: Slopes) -> Floats:
     return np.concatenate([columns, zeros.reshape(-1, 3 * v)])
 
 
-def _reduced(poses: Floats, cross: Floats, matrix: Floats, gauge: Floats) -> Reduced:
+def _reduced(poses: Floats, cross: Floats, matrix: Floats, gauge: Floats) -> SchurComplement:
     """Eliminate the poses (m, 6, 6); ``cross`` (m, 6, K), ``matrix`` (K, K)."""
     size = matrix.shape[0]
     inverse = np.linalg.inv(poses)
@@ -255,10 +263,10 @@ def _reduced(poses: Floats, cross: Floats, matrix: Floats, gauge: Floats) -> Red
     schur = 0.5 * (schur + schur.T)
     scale = 1.0 / np.sqrt(np.maximum(matrix.diagonal(), np.finfo(np.float64).tiny))
     columns = np.asarray(np.linalg.qr(gauge * scale[:, None])[0], dtype=np.float64)
-    return Reduced(schur, np.asarray(inverse), transfer, scale, columns)
+    return SchurComplement(schur, np.asarray(inverse), transfer, scale, columns)
 
 
-def relax(grid: Grid, layout: Layout, scatter: Floats | None, state: State) -> Rig:
+def relax(grid: Grid, layout: StationLayout, scatter: Floats | None, state: RigState) -> Rig:
     """Return the least-squares network near ``state``.
 
     Chord steps: Gauss-Newton with the normal matrix of the start, as long as its steps shrink
@@ -288,7 +296,7 @@ FLAT: Final = 1e-4
 tell then about the flex is below any noise."""
 
 
-def constraints(layout: Layout, state: State, *, free: bool) -> Floats:
+def constraints(layout: StationLayout, state: RigState, *, free: bool) -> Floats:
     """Return the kept part (K, c) of all motions that no length feels.
 
     Poses follow by the lengths; what moves no kept unknown cannot be open.
@@ -309,7 +317,7 @@ def constraints(layout: Layout, state: State, *, free: bool) -> Floats:
     return np.concatenate([right, left, *([] if flex is None else [flex[:, None]])], axis=1)
 
 
-def _flex(layout: Layout, state: State) -> Floats | None:
+def _flex(layout: StationLayout, state: RigState) -> Floats | None:
     """Return the kept part (K,) of the seventh motion, None where the places do not leave it."""
     curves = table_curves(state.rotation, state.translation, layout.angles)
     places = (state.places - curves.table_origin) @ curves.table_turn

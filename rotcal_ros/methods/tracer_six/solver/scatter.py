@@ -121,7 +121,7 @@ def stated(translation: float, rotation: float) -> Scatter:
 
 
 @dataclass(frozen=True, eq=False)
-class Contrasts:
+class ScatterContrasts:
     """``value`` (q,), which noise makes N(0, 1), ``spread`` (2, q, q): K_t, K_r; ``radius`` m.
 
     ``root`` (3 V, q), 1/m: its transpose times the shifts of the stations is what these add.
@@ -133,7 +133,7 @@ class Contrasts:
     root: Floats
 
 
-def contrasts(rig: Rig, arms: Floats) -> Contrasts:
+def contrasts(rig: Rig, arms: Floats) -> ScatterContrasts:
     """Return the contrasts of a ``rig`` that was solved without scatter; ``arms`` (V, 3) in m."""
     v = len(arms)
     each = np.arange(v)
@@ -150,11 +150,11 @@ def contrasts(rig: Rig, arms: Floats) -> Contrasts:
     spread = np.stack([root.T @ root, root.T @ moved.reshape(3 * v, -1)])
     apart = rig.state.places - rig.state.places.mean(axis=0)
     radius = float(np.sqrt((apart**2).sum() / len(apart)))
-    return Contrasts(value, spread, radius, root)
+    return ScatterContrasts(value, spread, radius, root)
 
 
 def estimate(
-    found: Contrasts, translation: float | None, rotation: float | None, significance: float
+    found: ScatterContrasts, translation: float | None, rotation: float | None, significance: float
 ) -> Scatter:
     """Return the scatter that ``found`` tells, rms of the posterior; what is stated stands.
 
@@ -182,7 +182,7 @@ def estimate(
 
 
 def _posterior(
-    found: Contrasts, translation: float | None, rotation: float | None
+    found: ScatterContrasts, translation: float | None, rotation: float | None
 ) -> tuple[Floats, Floats]:
     """Return squares of both scatters (k, 2), the first without any, and their weights (k,)."""
     base = np.array([(translation or 0.0) ** 2, (rotation or 0.0) ** 2])
@@ -206,7 +206,7 @@ def _posterior(
 
 
 def _directions(
-    found: Contrasts, spread: Floats, translation: float | None, rotation: float | None
+    found: ScatterContrasts, spread: Floats, translation: float | None, rotation: float | None
 ) -> tuple[Floats, Floats]:
     """Return what grows with the size in both squares (k, 2), and how likely each is (k,).
 

@@ -45,21 +45,26 @@ from rotcal_ros.methods.tracer.solver.gathering import group_at, places_of
 from rotcal_ros.methods.tracer.solver.grid import STATION_MINIMUM, Grid
 from rotcal_ros.methods.tracer.solver.joint import target_test
 from rotcal_ros.methods.tracer.solver.jumps import Jump, find_jump
-from rotcal_ros.methods.tracer.solver.noise import Noise, scaled
+from rotcal_ros.methods.tracer.solver.noise import NoiseFactors, scaled
 from rotcal_ros.methods.tracer.solver.observability import told_of_a_turned_sign
 from rotcal_ros.methods.tracer.solver.screening import (
     Grouping,
-    Screened,
+    ScreenedLengths,
     adjust_and_screen,
     reject_gross,
 )
-from rotcal_ros.methods.tracer.solver.shifts import PLACES, Moments, Shifts
+from rotcal_ros.methods.tracer.solver.shifts import PLACES, Shifts, TimedLengths
 from rotcal_ros.methods.tracer.solver.slips import Slips, slips_among
 from rotcal_ros.methods.tracer.solver.start import start_candidates
 from rotcal_ros.methods.tracer.solver.station import adjust_stations
 from rotcal_ros.methods.tracer.solver.uncertainty import GlobalTest
-from rotcal_ros.methods.tracer.solver.verdict import Closure, closures
-from rotcal_ros.methods.tracer_six.solver.layout import Layout, lay_out, lost_direction, renamed
+from rotcal_ros.methods.tracer.solver.verdict import CircleClosure, closures
+from rotcal_ros.methods.tracer_six.solver.layout import (
+    StationLayout,
+    lay_out,
+    lost_direction,
+    renamed,
+)
 from rotcal_ros.methods.tracer_six.solver.moves import Moves, moves
 from rotcal_ros.methods.tracer_six.solver.observability import check_curves, check_determined
 from rotcal_ros.methods.tracer_six.solver.patterns import felt
@@ -72,7 +77,7 @@ from rotcal_ros.methods.tracer_six.solver.posterior import (
     scattered,
 )
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
-from rotcal_ros.methods.tracer_six.solver.rig import Rig, State, relax
+from rotcal_ros.methods.tracer_six.solver.rig import Rig, RigState, relax
 from rotcal_ros.methods.tracer_six.solver.scatter import (
     Scatter,
     contrasts,
@@ -103,15 +108,15 @@ class SixSolution:
     """
 
     problem: SixProblem
-    layout: Layout
+    layout: StationLayout
     grid: Grid
-    noise: Noise
+    noise: NoiseFactors
     fit: RigidAdjustment
     table: CurvePosterior
     covariance: Floats
     lengths: GlobalTest
     scale: float
-    closures: dict[str, tuple[Closure, ...]]
+    closures: dict[str, tuple[CircleClosure, ...]]
     rejected: dict[int, str]
     n_lengths: int
     n_rejected: int
@@ -237,8 +242,12 @@ def _grouping(problem: SixProblem) -> Grouping:
 
 
 def _unbroken(
-    problem: SixProblem, adjuster: RigidAdjuster, screened: Screened, coarse: Grid, start: Floats
-) -> tuple[Screened, tuple[Jump, ...], Shifts | None]:
+    problem: SixProblem,
+    adjuster: RigidAdjuster,
+    screened: ScreenedLengths,
+    coarse: Grid,
+    start: Floats,
+) -> tuple[ScreenedLengths, tuple[Jump, ...], Shifts | None]:
     """Return ``screened`` with zeros split where they jump, the jumps, and what shifts would do.
 
     Zeros that belong to a single station are not looked at: their jumps are outliers.
@@ -261,7 +270,7 @@ def _unbroken(
 
 
 def _without_gross(
-    layout: Layout, state: State, significance: float
+    layout: StationLayout, state: RigState, significance: float
 ) -> tuple[Grid, Floats, dict[int, str]]:
     """Return the grid without gross errors, start values (V, 4), and why lengths were rejected.
 
@@ -316,8 +325,8 @@ def _by_curve(covariance: Floats) -> Floats:
 
 
 def _closures(
-    layout: Layout, table: CurvePosterior, covariance: Floats, upward: Bools | None
-) -> dict[str, tuple[Closure, ...]]:
+    layout: StationLayout, table: CurvePosterior, covariance: Floats, upward: Bools | None
+) -> dict[str, tuple[CircleClosure, ...]]:
     """Return for each component what whole turns apart should agree."""
     ids = layout.position_ids
     side = None if upward is None else upward[ids]
@@ -340,12 +349,12 @@ def find_shifts(fit: RigidAdjustment, order: Ints) -> Shifts:
     ``order`` (k,): when each row of the problem was taken.
     """
     rig = fit.posterior.rig
-    moments = Moments.of(rig.grid, order, rig.layout.zero)
+    moments = TimedLengths.of(rig.grid, order, rig.layout.zero)
     jacobian = curve_posterior(rig, fit.posterior.covariance).jacobian
     return shifts_at(fit, jacobian, moments, moments.few())
 
 
-def shifts_at(fit: RigidAdjustment, jacobian: Floats, moments: Moments, at: Ints) -> Shifts:
+def shifts_at(fit: RigidAdjustment, jacobian: Floats, moments: TimedLengths, at: Ints) -> Shifts:
     """Return the shifts that begin ``at`` (t,) some of the ``moments``."""
     after, grid = fit.posterior, fit.posterior.rig.grid
     score, information, alike = np.zeros(len(at)), np.zeros(len(at)), np.ones(len(at))
@@ -383,8 +392,8 @@ def find(fit: RigidAdjustment, shifts: Shifts, significance: float) -> Jump | No
 
 
 def split(
-    layout: Layout, state: State, grid: Grid, jump: Jump, order: Ints
-) -> tuple[Layout, State]:
+    layout: StationLayout, state: RigState, grid: Grid, jump: Jump, order: Ints
+) -> tuple[StationLayout, RigState]:
     """Return ``layout`` and ``state`` with a new zero from ``jump`` on."""
     filled = grid.row >= 0
     time = np.where(filled, order[grid.row], order.max())
@@ -432,7 +441,7 @@ ROUNDS: Final = 2
 """Poses from places, then places from poses: each round takes nearly all that nominals lack."""
 
 
-def find_start(layout: Layout) -> State:
+def find_start(layout: StationLayout) -> RigState:
     """Return start values for ``layout``; raises DataError when places and lengths contradict."""
     grid = layout.grid
     about = rotation_about_z(layout.angles)
@@ -452,7 +461,7 @@ def find_start(layout: Layout) -> State:
         weight = layout.by_place * np.where(near, 1.0, 1e-9)
         places = (weight / weight.sum(axis=1, keepdims=True)) @ back[:, 0]
     tilts = np.zeros(0 if layout.tilt_std is None else 4)
-    state = State(
+    state = RigState(
         rotation, translation, places, np.zeros(layout.n_zeros), grid.targets.copy(), tilts
     )
     distance = np.linalg.norm(state.stations(layout)[:, None] - grid.targets, axis=2)
@@ -464,7 +473,7 @@ def find_start(layout: Layout) -> State:
 
 
 def _poses(
-    layout: Layout, stations: Floats, near: Bools, places: Floats, about: Floats
+    layout: StationLayout, stations: Floats, near: Bools, places: Floats, about: Floats
 ) -> tuple[Floats, Floats]:
     """Return rotations (m, 3, 3) and translations (m, 3) that take ``places`` to ``stations``."""
     rotation, translation = about.copy(), np.zeros((len(about), 3))
@@ -476,7 +485,7 @@ def _poses(
     return rotation, translation
 
 
-def _check_near(layout: Layout, near: Bools, away: Floats) -> None:
+def _check_near(layout: StationLayout, near: Bools, away: Floats) -> None:
     if np.mean(near) > 0.5:
         return
     worst = int(np.argmax(away))
@@ -506,8 +515,8 @@ class RigidAdjuster:
     A scatter that is not known is estimated anew each time, so that it does not pass for noise.
     """
 
-    layout: Layout
-    state: State
+    layout: StationLayout
+    state: RigState
     stated: tuple[float | None, float | None]
     significance: float
 
@@ -521,8 +530,8 @@ class RigidAdjuster:
 
 def solve_network(
     grid: Grid,
-    layout: Layout,
-    state: State,
+    layout: StationLayout,
+    state: RigState,
     known: tuple[float | None, float | None],
     significance: float,
 ) -> tuple[Rig, Scatter]:
@@ -566,7 +575,9 @@ def _adjustment(rig: Rig, scatter: Scatter) -> RigidAdjustment:
     )
 
 
-def _felt_by_targets(grid: Grid, state: State, after: Posterior) -> tuple[Floats, Floats, Floats]:
+def _felt_by_targets(
+    grid: Grid, state: RigState, after: Posterior
+) -> tuple[Floats, Floats, Floats]:
     """Return corrections (n, 3), redundancy (n, 3, 3), coupling (3, 3) as Adjustment has them."""
     n = len(grid.targets)
     if grid.free:

@@ -14,7 +14,7 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.tracer_six.solver.curves import gauge_design, log_slope, rotation_vector
-from rotcal_ros.methods.tracer_six.solver.layout import Layout
+from rotcal_ros.methods.tracer_six.solver.layout import StationLayout
 
 
 class TiltSlopes(NamedTuple):
@@ -29,7 +29,7 @@ def _tilts(rotation: Floats, angles: Floats) -> Floats:
     return rotation_vector(rotation @ rotation_about_z(-angles))
 
 
-def slopes(rotation: Floats, lean: Floats, layout: Layout) -> TiltSlopes:
+def slopes(rotation: Floats, lean: Floats, layout: StationLayout) -> TiltSlopes:
     """Return what the prior adds at poses ``rotation`` (m, 3, 3) and ``lean`` (4,) rad."""
     std = layout.tilt_std
     assert std is not None
@@ -46,7 +46,7 @@ def slopes(rotation: Floats, lean: Floats, layout: Layout) -> TiltSlopes:
 
 
 def add(
-    poses: Floats, cross: Floats, matrix: Floats, rotation: Floats, layout: Layout
+    poses: Floats, cross: Floats, matrix: Floats, rotation: Floats, layout: StationLayout
 ) -> tuple[Floats, Floats]:
     """Return the normal matrices of poses (m, 6, 6) and (m, 6, K) with the prior.
 

@@ -12,7 +12,7 @@ from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
 
 
 @dataclass(frozen=True, eq=False)
-class Timing:
+class NetworkTiming:
     """Shares (V, n), 0 to 1, that had gone of all runs, and of the own run."""
 
     whole: Floats
@@ -27,7 +27,7 @@ def taken(problem: SixProblem) -> Ints:
     return np.lexsort((problem.target, problem.position, arrival, problem.place)).argsort()
 
 
-def timing(problem: SixProblem, grid: Grid) -> Timing:
+def timing(problem: SixProblem, grid: Grid) -> NetworkTiming:
     """Return when the lengths of ``grid`` were taken; see SixProblem.order."""
     row, order = grid.row, taken(problem)
     whole = _share(order, np.ones(len(order), dtype=np.bool_))
@@ -36,7 +36,7 @@ def timing(problem: SixProblem, grid: Grid) -> Timing:
         here = problem.place == place
         own[here] = _share(order, here)[here]
     there = row >= 0
-    return Timing(np.where(there, whole[row], 0.0), np.where(there, own[row], 0.0))
+    return NetworkTiming(np.where(there, whole[row], 0.0), np.where(there, own[row], 0.0))
 
 
 def _share(order: Ints, here: Bools) -> Floats:

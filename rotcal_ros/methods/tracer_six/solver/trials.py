@@ -14,9 +14,9 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.methods.tracer.solver.grid import Grid
 from rotcal_ros.methods.tracer_six.solver.curves import table_curves
-from rotcal_ros.methods.tracer_six.solver.layout import Layout
+from rotcal_ros.methods.tracer_six.solver.layout import StationLayout
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
-from rotcal_ros.methods.tracer_six.solver.rig import Rig, State, relax, slopes
+from rotcal_ros.methods.tracer_six.solver.rig import Rig, RigState, relax, slopes
 from rotcal_ros.methods.tracer_six.solver.scatter import roots_of
 from rotcal_ros.methods.tracer_six.solver.solution import SixSolution, adjust
 
@@ -46,7 +46,7 @@ class SixTrials:
         """Return EXC, EYC, EZC (m), EAC, EBC, ECC (rad) at all angles, (count, 6 m)."""
         return np.array([self._solved(*self._drawn(rng)) for _ in range(count)])
 
-    def _drawn(self, rng: np.random.Generator) -> tuple[Grid, Layout]:
+    def _drawn(self, rng: np.random.Generator) -> tuple[Grid, StationLayout]:
         grid, layout, scale = self.rig.grid, self.rig.layout, self.solution.scale
         known = self.solution.scatter
         arms = self.rig.state.arms(layout)
@@ -64,12 +64,12 @@ class SixTrials:
         missed = scale * grid.target_std * rng.standard_normal(grid.targets.shape)
         return replace(grid, length=length, targets=grid.targets + missed), layout
 
-    def _solved(self, grid: Grid, layout: Layout) -> Floats:
+    def _solved(self, grid: Grid, layout: StationLayout) -> Floats:
         state = self._settled(grid, layout)
         curves = table_curves(state.rotation, state.translation, self.rig.layout.angles)
         return np.concatenate([curves.translation.T.ravel(), curves.rotation.T.ravel()])
 
-    def _settled(self, grid: Grid, layout: Layout) -> State:
+    def _settled(self, grid: Grid, layout: StationLayout) -> RigState:
         state = self.rig.state
         for _ in range(MOST_STEPS):
             here = slopes(grid, layout, self.rig.scatter, state)

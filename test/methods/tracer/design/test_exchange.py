@@ -7,7 +7,7 @@ from tracer_scenes import every_pair, paper_scene
 from rotcal_ros.methods.tracer.design.checks import checks_of, detectable_in_std
 from rotcal_ros.methods.tracer.design.exchange import fewest_lengths
 from rotcal_ros.methods.tracer.design.information import Information
-from rotcal_ros.methods.tracer.design.penalty import Choice, Demands
+from rotcal_ros.methods.tracer.design.penalty import Demands, LengthSelection
 from rotcal_ros.methods.tracer.design.scene import Scene
 
 ARCSEC = np.pi / 180.0 / 3600.0
@@ -44,7 +44,7 @@ def judged_anew(scene, lengths, delta0):
 
 def test_every_further_length_and_every_removal_is_judged_exactly():
     scene, pairs, chosen = some_plan()
-    plan = Choice(scene, pairs, 11, STRICT, chosen)
+    plan = LengthSelection(scene, pairs, 11, STRICT, chosen)
     delta0 = detectable_in_std(len(chosen), STRICT.significance, STRICT.power)
     assert plan.penalty == pytest.approx(judged_anew(scene, pairs[chosen], delta0), rel=1e-9)
     without = plan.without_each()
@@ -60,7 +60,7 @@ def test_every_further_length_and_every_removal_is_judged_exactly():
 
 def test_changes_gather_no_error_worth_mentioning():
     scene, pairs, chosen = some_plan()
-    plan = Choice(scene, pairs, 11, STRICT, chosen)
+    plan = LengthSelection(scene, pairs, 11, STRICT, chosen)
     rng = np.random.default_rng(1)
     for _ in range(50):
         plan.add(int(rng.integers(len(pairs))))
@@ -79,7 +79,7 @@ def test_changes_gather_no_error_worth_mentioning():
 def test_a_station_keeps_its_least_lengths():
     scene, pairs, _ = some_plan()
     five = np.flatnonzero(np.isin(pairs.target, [0, 13, 27, 44, 60]))
-    assert np.isinf(Choice(scene, pairs, 11, STRICT, five).without_each()).all()
+    assert np.isinf(LengthSelection(scene, pairs, 11, STRICT, five).without_each()).all()
 
 
 def test_an_undetected_error_does_what_is_said_of_it():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from rotcal_ros.methods.tracer.policy.contrasts import Contrasts, likeliest
+from rotcal_ros.methods.tracer.policy.contrasts import LengthContrasts, likeliest
 from rotcal_ros.methods.tracer.policy.noise import (
     estimated_noise,
     judged_lengths,
@@ -46,7 +46,7 @@ def likeliest_factor(design, targets, y):
 
 def test_the_factor_maximises_the_restricted_likelihood(data):
     design, targets, y, time = data
-    found = estimated_noise(Contrasts(*data))
+    found = estimated_noise(LengthContrasts(*data))
     assert found.factor == pytest.approx(likeliest_factor(design, targets, y), rel=1e-6)
     w = weights(design, found.factor**2 * np.eye(len(y)) + targets @ targets.T)
     assert found.dof == pytest.approx(found.factor**4 * np.trace(w @ w), rel=1e-9)
@@ -55,7 +55,7 @@ def test_the_factor_maximises_the_restricted_likelihood(data):
     slope = time - time.mean()
     drift = slope @ w @ y / np.sqrt(slope @ w @ slope)
     assert found.drift_value == pytest.approx(drift, rel=1e-8)
-    again = judged_lengths(Contrasts(*data), found.factor)
+    again = judged_lengths(LengthContrasts(*data), found.factor)
     np.testing.assert_allclose(again.test_value, expected, rtol=1e-8)
     assert again.drift_value == pytest.approx(drift, rel=1e-8)
 
@@ -63,7 +63,7 @@ def test_the_factor_maximises_the_restricted_likelihood(data):
 @pytest.mark.parametrize("row", [0, 17])
 def test_the_noise_without_a_length_is_that_of_the_others(data, row):
     others = [np.delete(values, row, axis=0) for values in data]
-    left_out = Contrasts(*data).moments_without(row)
+    left_out = LengthContrasts(*data).moments_without(row)
     expected = likeliest_factor(*others[:3])
     assert np.sqrt(likeliest(left_out)) == pytest.approx(expected, rel=1e-6)
     design, targets, y, _ = others
@@ -75,7 +75,7 @@ def test_the_noise_without_a_length_is_that_of_the_others(data, row):
 def test_the_suspect_length_is_the_wrong_one_and_its_value_that_against_the_others(data):
     design, targets, y, time = data
     y[17] += 30.0
-    lengths = Contrasts(design, targets, y, time)
+    lengths = LengthContrasts(design, targets, y, time)
     row, value = suspect_length(lengths, estimated_noise(lengths), 0.01)
     assert row == 17
     others = [np.delete(values, row, axis=0) for values in (design, targets, y)]
@@ -86,7 +86,7 @@ def test_the_suspect_length_is_the_wrong_one_and_its_value_that_against_the_othe
 
 def test_without_errors_of_targets_it_is_the_usual_estimate(data):
     design, targets, y, time = data
-    found = estimated_noise(Contrasts(design, 0.0 * targets, y, time))
+    found = estimated_noise(LengthContrasts(design, 0.0 * targets, y, time))
     residual = y - design @ np.linalg.lstsq(design, y)[0]
     dof = SIZES[0] - SIZES[1]
     assert found.dof == pytest.approx(dof)
@@ -94,7 +94,9 @@ def test_without_errors_of_targets_it_is_the_usual_estimate(data):
 
 
 def test_lengths_that_check_nothing_leave_the_planned_noise():
-    found = estimated_noise(Contrasts(np.eye(4), np.zeros((4, 3)), np.ones(4), np.arange(4.0)))
+    found = estimated_noise(
+        LengthContrasts(np.eye(4), np.zeros((4, 3)), np.ones(4), np.arange(4.0))
+    )
     assert (found.factor, found.dof) == (1.0, 0.0)
     assert not found.test_value.any()
 

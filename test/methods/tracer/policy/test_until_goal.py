@@ -10,13 +10,13 @@ from simulated import figures
 from rotcal_ros.foundation.protection import TOLERABLE
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.tracer.policy.stated import Allowance
-from rotcal_ros.methods.tracer.policy.until_goal import Limits, UntilGoal, first_sweep
+from rotcal_ros.methods.tracer.policy.until_goal import GoalLimits, UntilGoal, first_sweep
 from rotcal_ros.methods.tracer.solver.prediction import predicted
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 from rotcal_ros.methods.tracer.solver.protections import protections
 from rotcal_ros.methods.tracer.solver.solution import adjust
 from rotcal_ros.planning.as_listed import AsListed
-from rotcal_ros.planning.choices import Outcome
+from rotcal_ros.planning.choices import StepOutcome
 
 GOAL = figures.GOAL
 LOW, HIGH = (0.90, 0.99) if LONG else (share(0.95, 33)[0], 1.0)
@@ -51,7 +51,7 @@ def measured(policy, cell, change=lambda outcome, number: outcome):
 
 def longer(outcome, by):
     observation = outcome.observation
-    return Outcome(outcome.step, replace(observation, mean=(observation.mean[0] + by,)))
+    return StepOutcome(outcome.step, replace(observation, mean=(observation.mean[0] + by,)))
 
 
 @pytest.mark.long  # statistics
@@ -77,7 +77,7 @@ def test_goal_reached_is_what_the_result_states(of, factor):
     """The U of the end is the result's own, to the last bit, and its doubt is told with it."""
     for seed in range(6 if LONG else 2):
         cell = cell_of(of, seed, factor)
-        last = measured(UntilGoal(of, Limits(GOAL)), cell)[-1]
+        last = measured(UntilGoal(of, GoalLimits(GOAL)), cell)[-1]
         result = of.solved(cell.measured.observations)
         assert last.reason.startswith(f"goal reached: U {result.uncertainty / ARCSEC:.3f} arcsec")
         # the largest U of the curve, which pages call U, is another figure
@@ -92,7 +92,7 @@ def test_an_error_motion_that_the_solver_estimates_is_paid_for():
     of = figures.experiment(0.24, error_motion=None)
     for seed in range(4):
         cell = cell_of(of, seed)
-        last = measured(UntilGoal(of, Limits(GOAL)), cell)[-1]
+        last = measured(UntilGoal(of, GoalLimits(GOAL)), cell)[-1]
         result = of.solved(cell.measured.observations)
         reached = last.reason.startswith("goal reached")
         assert reached == (result.uncertainty <= GOAL), last.reason
@@ -107,7 +107,7 @@ def test_an_error_motion_beyond_the_goal_ends_it_soon():
     angles = np.linalg.norm(cell.stations[:, :2], axis=1)
     assert angles == pytest.approx(angles[0])
     cell.stations[:, :2] += 3e-6 * np.random.default_rng(1).standard_normal((len(angles), 2))
-    made = measured(UntilGoal(of, Limits(GOAL)), cell)
+    made = measured(UntilGoal(of, GoalLimits(GOAL)), cell)
     assert "error motion alone, as its circle tells it, gives" in made[-1].reason
     assert len(made) < 90
 
@@ -135,9 +135,9 @@ def test_a_blocked_sector_is_planned_around(of):
 
 @pytest.mark.slow
 def test_the_same_outcomes_give_the_same_choices(of):
-    first = measured(UntilGoal(of, Limits(GOAL)), cell_of(of, 5, 2.0))
+    first = measured(UntilGoal(of, GoalLimits(GOAL)), cell_of(of, 5, 2.0))
     fresh = figures.experiment(0.24)
-    second = measured(UntilGoal(fresh, Limits(GOAL)), cell_of(fresh, 5, 2.0))
+    second = measured(UntilGoal(fresh, GoalLimits(GOAL)), cell_of(fresh, 5, 2.0))
     assert len(first) == len(second)
     assert all(a.same_as(b) for a, b in zip(first, second, strict=True))
     assert first[-1].reason.startswith("goal reached: U ")
@@ -150,7 +150,7 @@ def test_a_wrong_length_is_found_and_measured_again(of, when):
     def slip(outcome, number):
         return longer(outcome, 20e-6) if number == when else outcome
 
-    made = measured(UntilGoal(of, Limits(GOAL)), cell_of(of, 6 + when), slip)
+    made = measured(UntilGoal(of, GoalLimits(GOAL)), cell_of(of, 6 + when), slip)
     again = [choice.step for choice in made if "suspect" in choice.reason]
     assert made[when].step in again
     assert len(again) < 10  # those of one station at most, where they check each other little
@@ -163,18 +163,18 @@ def test_errors_of_many_lengths_are_noise_and_not_single_errors(of):
     def rough(outcome, _number):
         return longer(outcome, 4e-6 * rng.standard_t(1.5))
 
-    made = measured(UntilGoal(of, Limits(GOAL)), cell_of(of, 11), rough)
+    made = measured(UntilGoal(of, GoalLimits(GOAL)), cell_of(of, 11), rough)
     suspects = {choice.step for choice in made if "deviations): measured" in choice.reason}
     assert len(suspects) <= 0.1 * len(made) + 4
 
 
 def test_a_target_that_stays_suspect_gives_way_to_another(of):
-    wrong = UntilGoal(of, Limits(GOAL)).choose().step
+    wrong = UntilGoal(of, GoalLimits(GOAL)).choose().step
 
     def slip(outcome, _number):
         return longer(outcome, 20e-6) if outcome.step == wrong else outcome
 
-    made = measured(UntilGoal(of, Limits(GOAL)), cell_of(of, 7), slip)
+    made = measured(UntilGoal(of, GoalLimits(GOAL)), cell_of(of, 7), slip)
     suspects = [choice for choice in made if "suspect" in choice.reason]
     assert suspects[0].step == wrong
     *others, last = suspects[1:]
@@ -190,9 +190,9 @@ def test_a_drift_is_closed(joined):
         observation = outcome.observation
         mean = (observation.mean[0] + 0.1e-6 * number,)
         stamped = replace(observation, mean=mean, window_end_ns=number * 10**9)
-        return Outcome(outcome.step, stamped)
+        return StepOutcome(outcome.step, stamped)
 
-    made = measured(UntilGoal(joined, Limits(GOAL)), cell_of(joined, 8), drifting)
+    made = measured(UntilGoal(joined, GoalLimits(GOAL)), cell_of(joined, 8), drifting)
     closing = [choice for choice in made if "to close the sweep" in choice.reason]
     first, middle = closing
     sweep = [choice.step for choice in made if choice.reason == "first sweep"]
@@ -209,22 +209,22 @@ def test_a_resumed_policy_is_where_the_interrupted_one_was(request, zero, taken)
     of = request.getfixturevalue(zero)
     cell = cell_of(of, 9, 2.0)  # noise of a second stage
     cell.blocked = of.target == 3
-    policy, seen, gone = UntilGoal(of, Limits(GOAL)), [], []
+    policy, seen, gone = UntilGoal(of, GoalLimits(GOAL)), [], []
     for number in range(taken):
         outcome = cell.measure(policy.choose().step)
         if outcome.observation is not None:
             observation = replace(outcome.observation, window_end_ns=number)
-            outcome = Outcome(outcome.step, observation)
+            outcome = StepOutcome(outcome.step, observation)
             seen.append(observation)
         else:
             gone.append(outcome.step)
         policy.note(outcome)
     again = [seen[4].step, seen[9].step]
-    resumed = UntilGoal(of, Limits(GOAL), again=again, earlier=seen[::-1], given_up=gone)
+    resumed = UntilGoal(of, GoalLimits(GOAL), again=again, earlier=seen[::-1], given_up=gone)
     assert resumed.noise_factor == policy.noise_factor
     for step in again:
         assert resumed.choose().step == step
-        resumed.note(Outcome(step, next(o for o in seen if o.step == step)))
+        resumed.note(StepOutcome(step, next(o for o in seen if o.step == step)))
     assert resumed.choose().same_as(policy.choose())
     made = measured(resumed, cell)
     assert made[-1].reason.startswith("goal reached")
@@ -302,14 +302,14 @@ def test_the_first_sweep_shows_a_drift_and_a_knock_in_time(of):
 def test_a_station_without_a_free_beam_ends_the_plan_by_its_name(of):
     cell = cell_of(of, 10)
     cell.blocked = of.position == 5
-    made = measured(UntilGoal(of, Limits(GOAL)), cell)
+    made = measured(UntilGoal(of, GoalLimits(GOAL)), cell)
     assert "table position 5 has 0 lengths" in made[-1].reason
     assert np.isnan(made[-1].standing.uncertainty)
 
 
 def test_a_goal_out_of_reach_of_all_steps_ends_the_plan_at_once(of):
     factor = 20.0
-    made = measured(UntilGoal(of, Limits(GOAL)), cell_of(of, 13, factor))
+    made = measured(UntilGoal(of, GoalLimits(GOAL)), cell_of(of, 13, factor))
     assert "out of reach: all steps that are left would give U" in made[-1].reason
     assert len(made) < 90
 
@@ -318,7 +318,7 @@ def test_a_drift_that_looks_like_noise_does_not_measure_for_ever(of):
     def drifting(outcome, number):
         return longer(outcome, 0.1e-6 * number)
 
-    made = measured(UntilGoal(of, Limits(GOAL)), cell_of(of, 5), drifting)
+    made = measured(UntilGoal(of, GoalLimits(GOAL)), cell_of(of, 5), drifting)
     assert any("to close the sweep" in choice.reason for choice in made)
     assert "out of reach" in made[-1].reason
     assert len(made) < 100
@@ -326,11 +326,11 @@ def test_a_drift_that_looks_like_noise_does_not_measure_for_ever(of):
 
 def test_as_listed_is_the_order_of_the_list():
     policy = AsListed((4, 2, 7))
-    policy.note(Outcome(9, None))  # what a pause measured again
+    policy.note(StepOutcome(9, None))  # what a pause measured again
     steps = []
     while (choice := policy.choose()).step is not None:
         assert choice.standing.left == 3 - len(steps)
         steps.append(choice.step)
-        policy.note(Outcome(choice.step, None))
+        policy.note(StepOutcome(choice.step, None))
     assert steps == [4, 2, 7]
     assert choice.reason == "all steps of the list are done"
