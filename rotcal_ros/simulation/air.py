@@ -25,17 +25,12 @@ class SimulatedAir:
     ) -> None:
         self.settings, self._temperature, self._start_ns = settings, temperature, start_ns
         self._pressure_noise = IndexedNoise(seed, NoiseSource.PRESSURE)
-        self._humidity_noise = IndexedNoise(seed, NoiseSource.HUMIDITY)
 
     def pressure(self, stamps: Stamps) -> Floats:
         """Return the true pressure (n,), Pa."""
         settings, time = self.settings, (stamps - self._start_ns) * NANOSECOND
         swing = np.sin(2 * np.pi * time / settings.pressure_swing_period_s)
-        pressure: Floats = (
-            settings.pressure_pa
-            + settings.pressure_drift_pa_per_h * time / 3600.0
-            + settings.pressure_swing_pa * swing
-        )
+        pressure: Floats = settings.pressure_pa + settings.pressure_swing_pa * swing
         return pressure
 
     def index(self, stamps: Stamps) -> Floats:
@@ -51,14 +46,9 @@ class SimulatedAir:
             return ()
         settings, count = self.settings, len(stamps)
         noise_pa = settings.noise_pa * self._pressure_noise.normal(first, count)
-        noise = settings.noise_humidity * self._humidity_noise.normal(first, count)
         times = stamps.tolist()
         pressures = (self.pressure(stamps) + noise_pa).tolist()
-        humidities = np.clip(settings.humidity + noise, 0.0, 1.0).tolist()
         return (
             *(PressureSample(t, SENSOR, value) for t, value in zip(times, pressures, strict=True)),
-            *(
-                HumiditySample(t, SENSOR, value)
-                for t, value in zip(times, humidities, strict=True)
-            ),
+            *(HumiditySample(t, SENSOR, settings.humidity) for t in times),
         )

@@ -37,7 +37,6 @@ class NoiseSource(IntEnum):
     NEST = 32
     REFLECTOR = 33
     PRESSURE = 40
-    HUMIDITY = 41
     MACHINE = 40
     TOUCH = 41
     BALL = 42

@@ -132,14 +132,12 @@ class SimulatedAirSettings:
     pressure_pa: float = setting(
         101_325.0, doc="Pa, pressure at the start", minimum=20e3, maximum=130e3
     )
-    pressure_drift_pa_per_h: float = setting(0.0, doc="Pa/h, steady drift")
     pressure_swing_pa: float = setting(0.0, doc="Pa, amplitude of the periodic part", minimum=0.0)
     pressure_swing_period_s: float = setting(
         600.0, doc="s, period of the periodic part", minimum=1e-3
     )
     humidity: float = setting(0.5, doc="relative humidity, 0 to 1", minimum=0.0, maximum=1.0)
     noise_pa: float = setting(1.0, doc="Pa, noise of one reading", minimum=0.0)
-    noise_humidity: float = setting(0.0, doc="noise of one reading of the humidity", minimum=0.0)
     vacuum_lengths: bool = setting(
         False, doc="the tracer counts vacuum wavelengths: nobody has corrected its lengths"
     )

@@ -6,6 +6,7 @@ The zero changes whenever the beam was broken, and by a fringe when the counter 
 from __future__ import annotations
 
 from math import nan
+from typing import Final
 
 import numpy as np
 
@@ -17,6 +18,9 @@ from rotcal_ros.methods.tracer.simulation_settings import (
     SimulatedReadingsSettings,
 )
 from rotcal_ros.simulation.noise import IndexedNoise, NoiseSource
+
+_FRINGE_UM: Final = 0.3164
+"""Half a wavelength of a HeNe laser."""
 
 
 class SimulatedTracer:
@@ -105,7 +109,7 @@ class SimulatedTracer:
             hit = self._slip.uniform(first, count) < faults.slip_probability
             slips = self._slips + np.cumsum(hit)
             self._slips = int(slips[-1])
-            changes += faults.slip_um * slips
+            changes += _FRINGE_UM * slips
         return changes * MICROMETRE
 
     def _lost(self, first: int, count: int) -> Bools:

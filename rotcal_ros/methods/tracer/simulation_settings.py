@@ -92,9 +92,6 @@ class FaultSettings:
         minimum=0.0,
         maximum=1.0,
     )
-    slip_um: float = setting(
-        0.3164, doc="um, a fringe: half a wavelength; that of a HeNe laser", minimum=0.0
-    )
     spike_probability: float = setting(
         0.0, doc="probability that a reading is a spike", minimum=0.0, maximum=1.0
     )

@@ -66,7 +66,7 @@ class CarriedTracer(TracerAndReflector):
         self._done.clear()
         number, settings = place + _MOST * count, self.tracer_settings
         off: Floats = settings.placing_mm * self._placing.normal(3 * number, 3)
-        if place == settings.misplaced_place and count < settings.misplaced_mountings:
+        if place == settings.misplaced_place and count == 0:
             off = off + np.array([settings.misplaced_mm, 0.0, 0.0])
         self._mount = np.array(self._places[place]) + off * MILLIMETRE
         zero = float(self._mounted_zero.normal(number, 1)[0])

@@ -30,10 +30,9 @@ class CarriedTracerSettings(SimulatedReadingsSettings):
     misplaced_place: int = setting(
         -1, doc="number of a place that the person mistakes; -1: none", minimum=-1
     )
-    misplaced_mountings: int = setting(
-        1, doc="so many mountings at that place are wrong", minimum=1
+    misplaced_mm: float = setting(
+        50.0, doc="mm, by which the first mounting there is wrong, along x"
     )
-    misplaced_mm: float = setting(50.0, doc="mm, by which they are wrong, along x")
 
 
 @dataclass(frozen=True)
