@@ -34,7 +34,7 @@ from rotcal_ros.planning.health_settings import HealthSettings
 from rotcal_ros.planning.planner_settings import PlannerSettings
 from rotcal_ros.planning.policy_names import AS_LISTED
 from rotcal_ros.planning.safety_settings import SafetySettings
-from rotcal_ros.ros2_control.settings import TableAdapterSettings
+from rotcal_ros.planning.table_adapter_settings import TableAdapterSettings
 
 EXTENSION_GROUPS: Final[Mapping[str, type[Any]]] = {
     name: plugins.load(plugins.SETTINGS, name, "group") for name in plugins.names(plugins.SETTINGS)
