@@ -13,6 +13,7 @@ NODES_OF_EXTENSIONS = {
     "instrument_driver": "instrument_plugins.node",
     "operator_page": "page.node.operator_page",
     "scene": "scene.node",
+    "table_adapter": "ros2_control.node.table_adapter",
 }
 """Node -> its module, where an extension brings it."""
 VERBS_OF_EXTENSIONS = {"dme": "ipp_dme", "replay": "replay"}
@@ -168,6 +169,7 @@ setup(
         "rotcal_ros.driver_checks": [
             f"dme = {NAME}.extensions.ipp_dme.check:CHECK",
             f"instrument = {NAME}.extensions.instrument_plugins.check:CHECK",
+            f"table_adapter = {NAME}.extensions.ros2_control.node.ears:CHECK",
         ],
         "rotcal_ros.verbs": [
             f"{verb} = {NAME}.extensions.{extension}:VERB"

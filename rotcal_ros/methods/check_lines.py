@@ -37,10 +37,12 @@ class DriverCheck:
 
     ``brings``: the streams that it will tell, and the orders that it will obey. ``look``: the line
     of its device, told whether its node is here and whether the cell is simulated; None: no line.
+    ``ears``: what hears the table behind it, made of a node and a configuration; None: nothing is.
     """
 
     brings: Callable[[Any], Sequence[str]]
     look: Callable[[Any, bool, bool], CheckLine] | None = None
+    ears: Callable[[Any, Any], Any] | None = None
 
 
 @dataclass(frozen=True)

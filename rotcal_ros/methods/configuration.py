@@ -34,7 +34,7 @@ from rotcal_ros.planning.health_settings import HealthSettings
 from rotcal_ros.planning.planner_settings import PlannerSettings
 from rotcal_ros.planning.policy_names import AS_LISTED
 from rotcal_ros.planning.safety_settings import SafetySettings
-from rotcal_ros.ros2_control.settings import TableAdapterSettings
+from rotcal_ros.planning.table_adapter_settings import TableAdapterSettings
 
 EXTENSION_GROUPS: Final[Mapping[str, type[Any]]] = {
     name: plugins.load(plugins.SETTINGS, name, "group") for name in plugins.names(plugins.SETTINGS)
@@ -60,6 +60,7 @@ _ORDER: Final = (
     "recorder", "bridge", "dme", "instrument", "table_adapter", "topics", "page", "simulation",
 )  # fmt: skip
 """How a configuration is written, with the groups of extensions that may be installed."""
+_NOT_INSTALLED: Final = "; its extension is not installed: pip install rotcal_ros"
 _KNOWN: Final = {*SHARED_GROUPS, "plan", "solver", "simulation"}
 GROUPS: Final = (*(name for name in _ORDER if name in _KNOWN), *sorted(_KNOWN.difference(_ORDER)))
 """All groups, in the order in which a configuration is written; those of others come last."""
@@ -164,7 +165,7 @@ def parse_configuration(
         )
     for group in values:
         if group not in GROUPS:
-            hint = _without_its_group(method, str(group))
+            hint = _NOT_INSTALLED if group in _ORDER else _without_its_group(method, str(group))
             hint = hint or plugins.nearest(str(group), ("method", *GROUPS))
             raise ConfigurationError(f"{source}: unknown group {group!r:.80}{hint}")
     given = frozenset(values) & frozenset(groups)

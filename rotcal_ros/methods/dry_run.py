@@ -17,7 +17,7 @@ from rotcal_ros.methods.tracer.timing import plan_seconds
 from rotcal_ros.planning.plan import Step
 from rotcal_ros.planning.policy_names import AS_LISTED
 from rotcal_ros.planning.sequence_time import stated_time
-from rotcal_ros.ros2_control.travel import way_to
+from rotcal_ros.planning.table_ways import way_to
 
 PART = "plan"
 _SIDES = {Approach.POSITIVE: " from below", Approach.NEGATIVE: " from above"}

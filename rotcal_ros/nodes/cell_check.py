@@ -48,8 +48,7 @@ from rotcal_ros.methods.configuration import changed, parse_configuration, read_
 from rotcal_ros.methods.dry_run import DryRun
 from rotcal_ros.methods.method import DEFAULT
 from rotcal_ros.nodes.capture import CaptureNode
-from rotcal_ros.nodes.check.adapter import GROUP, AdapterEars, controller_lines
-from rotcal_ros.nodes.check.drivers import brought_line, driver_lines
+from rotcal_ros.nodes.check.drivers import TableEars, brought_line, driver_lines, table_ears
 from rotcal_ros.nodes.check.header_watch import HeaderWatch, watch_headers
 from rotcal_ros.nodes.check.heard import HeardCell
 from rotcal_ros.nodes.check.neighbours import cell_lines
@@ -112,14 +111,14 @@ class Listening:
         self._offsets = StampOffsets(OffsetLimits())
         self._conventions = Conventions(TopicSettings())
         self.frames = FramesHeard(self.node)
-        self._adapter: AdapterEars | None = None
+        self._adapter: TableEars | None = None
         steady_timer(self.node, _LOOK_S, self._look)
 
     def announce(self, calibration: Calibration) -> None:
         """Let the ears know what they listen for, as a planner does."""
         configuration = calibration.configuration
-        if GROUP in configuration.given:
-            self._adapter = AdapterEars(self.node, configuration)
+        self._adapter = table_ears(self.node, configuration)
+        if self._adapter is not None:
             heard = [f"topics.joint_states={self._adapter.topic}"]
             configuration = changed(configuration, heard)  # what the adapter will pass on
         self._conventions = Conventions(configuration.topics)
@@ -367,7 +366,7 @@ def _adapter_lines(heard: HeardCell) -> Iterator[CheckLine]:
     elif joints(heard.values):
         yield _joint_line(heard)
     if not heard.started_by_us:
-        yield from controller_lines(heard)
+        yield from heard.adapter.controller_lines()
 
 
 def main() -> None:

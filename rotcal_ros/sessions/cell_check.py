@@ -14,6 +14,7 @@ from typing import Final
 
 from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.plugins import node_module
 from rotcal_ros.foundation.records import record
 from rotcal_ros.foundation.settings import check_ros_name
 from rotcal_ros.methods.check_lines import CellReport, CheckLine
@@ -62,7 +63,7 @@ def move_cell(path: Path, report: CellReport) -> CellReport:
         parameters.write_text(node_parameters(configuration), encoding="utf-8")
         ros = ["--ros-args", "-r", f"__ns:={report.namespace}", "--params-file", str(parameters)]
         if "table_adapter" in configuration.given:  # a second one beside that of the cell ends
-            adapter = [sys.executable, "-m", "rotcal_ros.nodes.table_adapter", *ros]
+            adapter = [sys.executable, "-m", node_module("table_adapter"), *ros]
             processes.start("table_adapter", adapter)
         trial = [
             sys.executable, "-m", "rotcal_ros.nodes.trial_motion", *ros,

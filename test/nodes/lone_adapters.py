@@ -6,6 +6,7 @@ from pathlib import Path
 
 from live_cell import wait_until
 
+from rotcal_ros.foundation.plugins import node_module
 from rotcal_ros.sessions.domains import free_domain
 from rotcal_ros.sessions.environment import node_environment
 from rotcal_ros.sessions.processes import Processes
@@ -42,7 +43,7 @@ def expect(folder, machine, cases, variables):
             machines[wrong].start("machine", [*_python(machine), wrong, since, *ROS])
         for wrong, (angles, _) in cases.items():
             own = [*ROS, "--params-file", str(file)]
-            adapter = [sys.executable, "-m", "rotcal_ros.nodes.table_adapter", *own]
+            adapter = [sys.executable, "-m", node_module("table_adapter"), *own]
             machines[wrong].start("adapter", adapter)
             machines[wrong].start("orders", [*_python("order_publisher.py"), angles, *ROS])
         for wrong, (_, said) in cases.items():

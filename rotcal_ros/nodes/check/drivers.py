@@ -3,26 +3,47 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Protocol
 
-from rotcal_ros.bags import names
+from rclpy.node import Node
+
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.node_names import FURTHER_NODES
+from rotcal_ros.methods import Configuration
 from rotcal_ros.methods.check_lines import CheckLine, DriverCheck
 
 if TYPE_CHECKING:
     from rotcal_ros.nodes.check.heard import HeardCell
 
-_OWN: Final = {
-    "table_adapter": DriverCheck(lambda _settings: (names.JOINT_STATES, names.TABLE_ANGLE))
-}
-"""Group -> what its driver brings; those of extensions are found by their entry points."""
+
+class TableEars(Protocol):
+    """The table behind a driver that is still to come: heard and judged as the driver will."""
+
+    topic: str
+
+    def wrong(self) -> tuple[str, str]:
+        """Return why the driver could not go by this feedback, and what to do; empty: it can."""
+
+    def outside(self) -> str:
+        """Return in words that the joint stands outside of its stated travel; empty: no."""
+
+    def controller_lines(self) -> Iterator[CheckLine]:
+        """Yield whether who takes the driver's orders is there."""
+
+
+def table_ears(node: Node, configuration: Configuration) -> TableEars | None:
+    """Return what hears the table behind a driver of the configuration; None: there is none."""
+    for _, check in _checks(configuration):
+        if check.ears is not None:
+            ears: TableEars = check.ears(node, configuration)
+            return ears
+    return None
 
 
 def brought(heard: HeardCell) -> dict[str, list[str]]:
     """Return role -> nodes of all that drivers will bring which are not here yet."""
     found: dict[str, list[str]] = {}
-    for group, check in _checks(heard):
+    for group, check in _checks(heard.configuration):
         if (node := FURTHER_NODES[group]) not in heard.nodes:
             for role in check.brings(heard.configuration.group(group)):
                 found.setdefault(role, []).append(node)
@@ -43,16 +64,15 @@ def brought_line(heard: HeardCell, part: str, role: str, does: str) -> CheckLine
 def driver_lines(heard: HeardCell) -> Iterator[CheckLine]:
     """Yield whether the devices of the drivers are there, as far as that is seen from outside."""
     configuration = heard.configuration
-    for group, check in _checks(heard):
+    for group, check in _checks(heard.configuration):
         if check.look is not None:
             here = FURTHER_NODES[group] in heard.nodes
             yield check.look(configuration.group(group), here, configuration.simulated)
 
 
-def _checks(heard: HeardCell) -> Iterator[tuple[str, DriverCheck]]:
+def _checks(configuration: Configuration) -> Iterator[tuple[str, DriverCheck]]:
     """Yield the drivers that the configuration asks for, by their groups."""
-    of_extensions = plugins.names(plugins.DRIVER_CHECKS)
+    known = plugins.names(plugins.DRIVER_CHECKS)
     for group in FURTHER_NODES:
-        if group in heard.configuration.given and group in (*_OWN, *of_extensions):
-            load = plugins.load
-            yield group, _OWN.get(group) or load(plugins.DRIVER_CHECKS, group, "driver")
+        if group in configuration.given and group in known:
+            yield group, plugins.load(plugins.DRIVER_CHECKS, group, "driver")

@@ -12,8 +12,7 @@ from rotcal_ros.bags.topic_roles import TOPIC
 from rotcal_ros.foundation.node_names import FURTHER_NODES, further_nodes
 from rotcal_ros.instruments.conventions import single_shots
 from rotcal_ros.methods import Calibration, Configuration
-from rotcal_ros.nodes.check.adapter import AdapterEars
-from rotcal_ros.nodes.check.drivers import brought
+from rotcal_ros.nodes.check.drivers import TableEars, brought
 from rotcal_ros.nodes.check.header_watch import HeaderWatch
 from rotcal_ros.nodes.goal.preflight import Values
 from rotcal_ros.nodes.instruments.table_feedback import joint_faults
@@ -36,7 +35,7 @@ class HeardCell:
     configuration: Configuration
     calibration: Calibration | None
     compared: tuple[str, ...]
-    adapter: AdapterEars | None = None
+    adapter: TableEars | None = None
 
     def name(self, role: str) -> str:
         """Return the absolute name of the topic of a role, as the capture knows it."""

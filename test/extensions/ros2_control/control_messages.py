@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 TOLERANCE = "float64 position\nfloat64 velocity\nfloat64 acceleration\n"
 INTERFACES = {
     "msg/JointTolerance.msg": "string name\n" + TOLERANCE,

@@ -13,18 +13,18 @@ pytest.importorskip("rotcal_msgs")
 
 from rotcal_msgs.msg import TableAngle
 
-from rotcal_ros.foundation.machine_load import AwakeClock
-from rotcal_ros.foundation.observations import Approach, TableSample
-from rotcal_ros.nodes.instruments import joint_controllers
-from rotcal_ros.nodes.instruments.joint_controllers import (
+from rotcal_ros.extensions.ros2_control.node import joint_controllers
+from rotcal_ros.extensions.ros2_control.node.joint_controllers import (
     ControllerReport,
     PositionController,
     TrajectoryController,
 )
-from rotcal_ros.nodes.table_adapter import TableAdapter
-from rotcal_ros.ros2_control.obeyed import JointWatch
-from rotcal_ros.ros2_control.settings import TableAdapterSettings
-from rotcal_ros.ros2_control.travel import way_to, way_to_rest
+from rotcal_ros.extensions.ros2_control.node.table_adapter import TableAdapter
+from rotcal_ros.extensions.ros2_control.obeyed import JointWatch
+from rotcal_ros.foundation.machine_load import AwakeClock
+from rotcal_ros.foundation.observations import Approach, TableSample
+from rotcal_ros.planning.table_adapter_settings import TableAdapterSettings
+from rotcal_ros.planning.table_ways import way_to, way_to_rest
 
 DEG = np.pi / 180.0
 SETTINGS = TableAdapterSettings(
@@ -191,12 +191,14 @@ def goals(monkeypatch):
     messages = SimpleNamespace(FollowJointTrajectory=SimpleNamespace(Goal=SimpleNamespace))
     for name in ("control_msgs", "control_msgs.action"):
         monkeypatch.setitem(sys.modules, name, messages)
-    monkeypatch.delitem(sys.modules, "rotcal_ros.nodes.instruments.joint_goals", raising=False)
-    module = import_module("rotcal_ros.nodes.instruments.joint_goals")
+    monkeypatch.delitem(
+        sys.modules, "rotcal_ros.extensions.ros2_control.node.joint_goals", raising=False
+    )
+    module = import_module("rotcal_ros.extensions.ros2_control.node.joint_goals")
     monkeypatch.setattr(module, "ActionClient", Client)
     node = SimpleNamespace(health=SimpleNamespace(guarded=lambda work: work))
     yield module.GoalController(node, "/drive", "rotary"), futures
-    sys.modules.pop("rotcal_ros.nodes.instruments.joint_goals")
+    sys.modules.pop("rotcal_ros.extensions.ros2_control.node.joint_goals")
 
 
 class Goal:

@@ -14,15 +14,16 @@ from sensor_msgs.msg import JointState
 from rotcal_ros.bags import names
 from rotcal_ros.capture import messages
 from rotcal_ros.capture.rejections import kind_of
-from rotcal_ros.foundation.errors import ConfigurationError, DataError
-from rotcal_ros.foundation.observations import Approach
-from rotcal_ros.foundation.units import DEGREE
-from rotcal_ros.nodes.instruments.joint_controllers import (
+from rotcal_ros.extensions.ros2_control.node.joint_controllers import (
     JointController,
     PositionController,
     TrajectoryController,
     interface_of,
 )
+from rotcal_ros.extensions.ros2_control.obeyed import JointWatch
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.concerns import COMPLAINT, show
@@ -33,9 +34,8 @@ from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
 from rotcal_ros.nodes.runtime.running import run
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.safety_settings import SafetySettings
-from rotcal_ros.ros2_control.obeyed import JointWatch
-from rotcal_ros.ros2_control.settings import TableAdapterSettings
-from rotcal_ros.ros2_control.travel import way_to, way_to_rest
+from rotcal_ros.planning.table_adapter_settings import TableAdapterSettings
+from rotcal_ros.planning.table_ways import way_to, way_to_rest
 
 LOOK_PERIOD_S: Final = 0.2
 FRESH_S: Final = 1.0
@@ -201,7 +201,7 @@ def _joint_controller(
     """Return the controller that the settings name; ConfigurationError as :func:`interface_of`."""
     interface = interface_of(settings)
     if interface == "goals":
-        from rotcal_ros.nodes.instruments.joint_goals import GoalController
+        from rotcal_ros.extensions.ros2_control.node.joint_goals import GoalController
 
         return GoalController(node, settings.controller, joint)
     kind = PositionController if interface == "positions" else TrajectoryController

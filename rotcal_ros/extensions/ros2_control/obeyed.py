@@ -7,9 +7,9 @@ from math import isfinite, isnan, nan
 
 from rotcal_ros.foundation.observations import TableSample
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.planning.table_adapter_settings import TableAdapterSettings
 from rotcal_ros.planning.table_motion import TableSpeed, in_degrees
-from rotcal_ros.ros2_control.settings import TableAdapterSettings
-from rotcal_ros.ros2_control.travel import TURN, Way
+from rotcal_ros.planning.table_ways import TURN, Way
 
 _LATE = 1.5
 """Times its duration that a way may take before it is called late."""

@@ -22,7 +22,7 @@ pytest.importorskip("rotcal_msgs")
 
 pytestmark = pytest.mark.ros
 
-MACHINE = Path(__file__).parent / "joint_controller.py"
+MACHINE = Path(__file__).parents[2] / "nodes" / "joint_controller.py"
 CHANGES = (
     "cell.joint=rotary",
     "table_adapter.controller=/drive",

@@ -9,11 +9,14 @@ from action_msgs.msg import GoalStatus
 from control_msgs.action import FollowJointTrajectory
 from rclpy.action import ActionClient
 
+from rotcal_ros.extensions.ros2_control.node.joint_controllers import (
+    ControllerReport,
+    trajectory_message,
+)
 from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.units import DEGREE
-from rotcal_ros.nodes.instruments.joint_controllers import ControllerReport, trajectory_message
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.ros2_control.travel import Way
+from rotcal_ros.planning.table_ways import Way
 
 ERRORS: Final = {
     -1: "invalid goal",

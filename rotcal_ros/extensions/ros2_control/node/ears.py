@@ -5,29 +5,26 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
+from rotcal_ros.bags import names
 from rotcal_ros.capture import messages
 from rotcal_ros.capture.heard import publisher_of
+from rotcal_ros.extensions.ros2_control.node.joint_controllers import interface_of
+from rotcal_ros.extensions.ros2_control.obeyed import JointWatch
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods import Configuration
-from rotcal_ros.methods.check_lines import CheckLine
-from rotcal_ros.nodes.instruments.joint_controllers import interface_of
+from rotcal_ros.methods.check_lines import CheckLine, DriverCheck
 from rotcal_ros.nodes.runtime.cell_graph import deaf_listeners
 from rotcal_ros.nodes.runtime.draining import Batch, InstrumentSubscription
 from rotcal_ros.nodes.runtime.hearing import origin_of
-from rotcal_ros.ros2_control.obeyed import JointWatch
-from rotcal_ros.ros2_control.settings import TableAdapterSettings
+from rotcal_ros.planning.table_adapter_settings import TableAdapterSettings
 
-if TYPE_CHECKING:
-    from rotcal_ros.nodes.check.heard import HeardCell
-
-GROUP: Final = "table_adapter"
 _LISTENERS: Final = {"trajectory": "joint_trajectory", "positions": "commands"}
 _GOALS: Final = "follow_joint_trajectory"
 _MOST_NAMES: Final = 12
@@ -56,8 +53,8 @@ class AdapterEars:
             return f"nobody publishes {topic}", todo
         if not self._tellers:
             found = f"{topic} has no joint {joint!r} (cell.joint)"
-            names = ", ".join(self._names())
-            return f"{found}, it has {names or 'said nothing'}", f"cell.joint: one of {names}"
+            there = ", ".join(self._names())
+            return f"{found}, it has {there or 'said nothing'}", f"cell.joint: one of {there}"
         if len(self._tellers) > 1:
             found = f"{len(self._tellers)} publishers tell of the joint {joint!r} on {topic}"
             return f"{found} ({self._who()})", "stop all but one that publish this joint"
@@ -81,6 +78,29 @@ class AdapterEars:
             f"travel of {low:g}° to {high:g}°: are these degrees?"
         )
 
+    def controller_lines(self) -> Iterator[CheckLine]:
+        """Yield whether who takes the orders is there, and takes them as they are given."""
+        settings, node = self._settings, self._node
+        try:
+            interface = interface_of(settings)
+        except ConfigurationError as error:
+            yield CheckLine("table", "controller", "missing", str(error), "install control_msgs")
+            return
+        there = offered(node, settings)
+        name, who = asked_for(settings, interface), there.get(interface, "")
+        if not who:
+            found = f"nobody takes {interface} on {name}"
+            todo = "start and activate the controller, or correct table_adapter.controller"
+            if there:
+                found += f"; {settings.controller} takes {' and '.join(there)}"
+                todo = f"set table_adapter.interface: {next(iter(there))}"
+            yield CheckLine("table", "controller", "missing", found, todo)
+            return
+        topic = node.resolve_topic_name(name)
+        deaf = [] if interface == "goals" else list(deaf_listeners(node, topic, lambda _: True))
+        found = "; ".join(deaf) or f"node {who} takes {interface} on {name}"
+        yield CheckLine("table", "controller", "missing" if deaf else "good", found)
+
     def _names(self) -> list[str]:
         return [printable(name) for name in self._others][:_MOST_NAMES]
 
@@ -102,30 +122,6 @@ class AdapterEars:
             self._watch.hear(sample, time.monotonic())
 
 
-def controller_lines(heard: HeardCell) -> Iterator[CheckLine]:
-    """Yield whether who takes the adapter's orders is there, and takes them as it gives them."""
-    settings, node = heard.configuration.table_adapter, heard.graph.node
-    try:
-        interface = interface_of(settings)
-    except ConfigurationError as error:
-        yield CheckLine("table", "controller", "missing", str(error), "install control_msgs")
-        return
-    there = offered(node, settings)
-    name, who = asked_for(settings, interface), there.get(interface, "")
-    if not who:
-        found = f"nobody takes {interface} on {name}"
-        todo = "start and activate the controller, or correct table_adapter.controller"
-        if there:
-            found += f"; {settings.controller} takes {' and '.join(there)}"
-            todo = f"set table_adapter.interface: {next(iter(there))}"
-        yield CheckLine("table", "controller", "missing", found, todo)
-        return
-    topic = node.resolve_topic_name(name)
-    deaf = [] if interface == "goals" else list(deaf_listeners(node, topic, lambda _: True))
-    found = "; ".join(deaf) or f"node {who} takes {interface} on {name}"
-    yield CheckLine("table", "controller", "missing" if deaf else "good", found)
-
-
 def asked_for(settings: TableAdapterSettings, interface: str) -> str:
     """Return the topic or action of the controller that an interface needs."""
     return f"{settings.controller}/{_LISTENERS.get(interface, _GOALS)}"
@@ -144,3 +140,11 @@ def offered(node: Node, settings: TableAdapterSettings) -> dict[str, str]:
         if listeners := node.get_subscriptions_info_by_topic(topic):
             found[interface] = listeners[0].node_name
     return found
+
+
+def brings(_settings: TableAdapterSettings) -> tuple[str, ...]:
+    """Return the streams that the adapter will tell, and the orders that it will obey."""
+    return (names.JOINT_STATES, names.TABLE_ANGLE)
+
+
+CHECK: Final = DriverCheck(brings, ears=AdapterEars)

@@ -7,9 +7,9 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
-from rotcal_ros.nodes.check.adapter import controller_lines
-from rotcal_ros.nodes.instruments import joint_controllers
-from rotcal_ros.ros2_control.settings import TableAdapterSettings
+from rotcal_ros.extensions.ros2_control.node import joint_controllers
+from rotcal_ros.extensions.ros2_control.node.ears import AdapterEars
+from rotcal_ros.planning.table_adapter_settings import TableAdapterSettings
 
 STATUS = "/drive/follow_joint_trajectory/_action/status"
 
@@ -24,10 +24,9 @@ def line_of(monkeypatch, interface, *, installed, publishers=(), listeners=()):
     )
     monkeypatch.setattr(joint_controllers, "find_spec", lambda _: installed or None)
     settings = TableAdapterSettings(controller="/drive", interface=interface)
-    heard = SimpleNamespace(
-        configuration=SimpleNamespace(table_adapter=settings), graph=SimpleNamespace(node=node)
-    )
-    (line,) = controller_lines(heard)
+    ears = AdapterEars.__new__(AdapterEars)
+    ears._settings, ears._node = settings, node
+    (line,) = ears.controller_lines()
     return line
 
 

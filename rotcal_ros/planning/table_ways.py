@@ -15,8 +15,8 @@ from math import ceil, floor, inf, isfinite, pi, sqrt
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.planning.table_adapter_settings import TableAdapterSettings
 from rotcal_ros.planning.table_motion import TOWARDS, approached
-from rotcal_ros.ros2_control.settings import TableAdapterSettings
 
 TURN = 2 * pi
 SHORTEST_S = 0.1

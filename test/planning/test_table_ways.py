@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Approach
-from rotcal_ros.ros2_control.settings import TableAdapterSettings
-from rotcal_ros.ros2_control.travel import way_to, way_to_rest
+from rotcal_ros.planning.table_adapter_settings import TableAdapterSettings
+from rotcal_ros.planning.table_ways import way_to, way_to_rest
 
 DEG = pi / 180
 ENDLESS = TableAdapterSettings(speed_deg_s=12.0, acceleration_deg_s2=30.0, overshoot_deg=2.0)

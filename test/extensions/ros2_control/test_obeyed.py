@@ -5,10 +5,10 @@ from math import isnan, nan, pi
 import numpy as np
 import pytest
 
+from rotcal_ros.extensions.ros2_control.obeyed import JointWatch
 from rotcal_ros.foundation.observations import Approach, TableSample
-from rotcal_ros.ros2_control.obeyed import JointWatch
-from rotcal_ros.ros2_control.settings import TableAdapterSettings
-from rotcal_ros.ros2_control.travel import way_to
+from rotcal_ros.planning.table_adapter_settings import TableAdapterSettings
+from rotcal_ros.planning.table_ways import way_to
 
 DEG = pi / 180
 SETTINGS = TableAdapterSettings(
