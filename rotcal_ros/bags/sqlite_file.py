@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 from typing import Final
 from urllib.parse import quote_from_bytes
 
-from rotcal_ros.bags import whole_file
+from rotcal_ros.bags import file_compression
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, LARGEST_MESSAGE, ReadingLimits
 from rotcal_ros.bags.verdict import Damage
 from rotcal_ros.foundation.errors import BagError
@@ -70,7 +70,7 @@ def opened(path: Path, limits: ReadingLimits = DEFAULT_LIMITS) -> Iterator[Datab
     means to write: that happens in a temporary copy.
     """
     try:
-        with whole_file.unpacked(path, limits) as (plain, fault):
+        with file_compression.unpacked(path, limits) as (plain, fault):
             if not plain.is_file() or not plain.stat().st_size:
                 what = "is empty" if plain.is_file() else "is no file"
                 raise BagError(f"cannot read {path}: it {what}; there is nothing in it to be read")

@@ -29,9 +29,9 @@ from rotcal_ros.bags.message_compression import (
     unpacked,
 )
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, LARGEST_MESSAGE, ReadingLimits
-from rotcal_ros.bags.scan import Scan
 from rotcal_ros.bags.sqlite_file import FAILURES, Database, opened, text, words
 from rotcal_ros.bags.sqlite_salvage import salvaged
+from rotcal_ros.bags.storage_scan import Scan
 from rotcal_ros.bags.verdict import Damage, FileVerdict, TopicCount
 from rotcal_ros.foundation.errors import BagError
 

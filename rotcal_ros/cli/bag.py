@@ -20,7 +20,7 @@ from rotcal_ros.foundation.circumstances import NOTHING_MEASURED
 from rotcal_ros.report.terminal.console import progress, say, tell
 
 if TYPE_CHECKING:
-    from rotcal_ros.recordings.dropouts import PlacedDropout
+    from rotcal_ros.recordings.placed_dropouts import PlacedDropout
 
 
 def _limits(
@@ -78,7 +78,7 @@ def check(bag: Path, limits: ReadingLimits, as_json: bool) -> int:
     from rotcal_ros.bags.reader import bag_files, check_files
     from rotcal_ros.bags.session_identity import foreign_files
     from rotcal_ros.bags.session_verdict import judge_session
-    from rotcal_ros.recordings.dropouts import placed_in
+    from rotcal_ros.recordings.placed_dropouts import placed_in
 
     files = bag_files(bag)
     with progress("checking") as shown:
@@ -208,7 +208,7 @@ def repair(bag: Path, output: Path | None, limits: ReadingLimits, as_json: bool)
 
 def _tell(dropouts: Sequence[PlacedDropout]) -> None:
     """Say what the recorder missed, and when."""
-    from rotcal_ros.recordings.dropouts import sentences
+    from rotcal_ros.recordings.placed_dropouts import sentences
 
     for sentence in sentences(dropouts):
         say(sentence)

@@ -30,7 +30,7 @@ def write_certificate(
     from rotcal_ros.foundation.files import write_atomically
     from rotcal_ros.foundation.untrusted import read_bytes
     from rotcal_ros.methods import find_method, method_names
-    from rotcal_ros.recordings.sources import read_source
+    from rotcal_ros.recordings.result_sources import read_source
 
     try:
         from rotcal_ros.certificate.document import certificate

@@ -47,7 +47,7 @@ def polygon_faces(polygon: Path | None, sources: Iterable[Path]) -> MeasuredCurv
         return None
     from rotcal_ros.evaluation.reference import read_reference
     from rotcal_ros.foundation.tables import is_table
-    from rotcal_ros.recordings.sources import read_text
+    from rotcal_ros.recordings.result_sources import read_text
 
     if not any(map(is_table, sources)):
         raise click.UsageError("--polygon belongs to a reference table, none is given")

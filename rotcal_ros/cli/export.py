@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rotcal_ros.compensation.export import ExportFiles
     from rotcal_ros.compensation.table import CompensationTable
     from rotcal_ros.foundation.results import Result
-    from rotcal_ros.recordings.sources import Source
+    from rotcal_ros.recordings.result_sources import Source
 
 VOLUMETRIC: Final = "volumetric"
 """Not a controller: all deviations that were measured, as CSV and JSON."""
@@ -106,7 +106,7 @@ def command(
     written beside the table. The same as --set machine_ini=FILE.
     """
     from rotcal_ros.compensation.agreement import LARGEST_AGE_DAYS, Accepted, Machine, words_of
-    from rotcal_ros.compensation.earlier import to_be_in_force
+    from rotcal_ros.compensation.earlier_export import to_be_in_force
     from rotcal_ros.compensation.export import prepare_export
     from rotcal_ros.compensation.writing import write_files
     from rotcal_ros.foundation.components import check_axis
@@ -232,7 +232,7 @@ def _read(
 ) -> Source:
     """Read a result, a bag or a table."""
     from rotcal_ros.recordings.inputs import Input
-    from rotcal_ros.recordings.sources import read_source
+    from rotcal_ros.recordings.result_sources import read_source
 
     return read_source(path, Input(path, setup, targets, changes))
 

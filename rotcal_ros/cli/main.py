@@ -98,7 +98,7 @@ class LazyGroup(click.Group):
         Who reads standard output may have read enough (``| head``): that ends the verb without a
         word.
         """
-        from rotcal_ros.bags.unread import unread
+        from rotcal_ros.bags.unread_data import unread
 
         with unread() as missing:
             code = self._code_of(context)

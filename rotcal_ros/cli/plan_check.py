@@ -96,7 +96,7 @@ def _planned(
     from rotcal_ros.methods import changed, read_configuration
     from rotcal_ros.methods.tracer.check_plan import plan_check
     from rotcal_ros.methods.tracer.table import read_targets
-    from rotcal_ros.recordings.sources import read_curve
+    from rotcal_ros.recordings.result_sources import read_curve
 
     configuration = changed(read_configuration(setup), changes)
     room = goal_settings(configuration, volume, limits) if volume or limits else None

@@ -89,7 +89,7 @@ def command(
         raise click.UsageError("--sign and --certificate belong to --dcc")
     # Figures take a second to load; a wrong option should not wait for them.
     from rotcal_ros.recordings.inputs import Input
-    from rotcal_ros.recordings.sources import read_source
+    from rotcal_ros.recordings.result_sources import read_source
     from rotcal_ros.report.printing import require_writable
     from rotcal_ros.report.recorded import write_measured, write_result
 
@@ -115,7 +115,7 @@ def _acting(result: Result, in_force: Path | None) -> int:
     """Say whether the table acts on which ``result`` was measured; 1 where it does not."""
     if in_force is None:
         return 0
-    from rotcal_ros.compensation.earlier import effect_in_force
+    from rotcal_ros.compensation.earlier_export import effect_in_force
 
     effect = effect_in_force(result, in_force)
     if effect is not None:

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rotcal_ros.bags.unread import note_unread
+from rotcal_ros.bags.unread_data import note_unread
 from rotcal_ros.cli.completion import configurations
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.foundation.session_folder import OVERVIEW, RESULTS_TABLE
 from rotcal_ros.report.terminal.console import progress, say, tell
 
 if TYPE_CHECKING:
-    from rotcal_ros.recordings.kept import Outcome
+    from rotcal_ros.recordings.outcome_cache import Outcome
     from rotcal_ros.recordings.results_dataset import ResultsDataset
 
 
@@ -73,8 +73,8 @@ def command(
     then 1.
     """
     from rotcal_ros.methods.configuration import read_configuration
-    from rotcal_ros.recordings.finding import find_bags
-    from rotcal_ros.recordings.many import Job
+    from rotcal_ros.recordings.bag_search import find_bags
+    from rotcal_ros.recordings.batch_solving import Job
     from rotcal_ros.recordings.results_dataset import ResultsDataset
     from rotcal_ros.recordings.workers import on_all_cores, on_cluster, usable_cores
     from rotcal_ros.report.overview import write_overview

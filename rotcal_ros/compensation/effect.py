@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.compensation.held import HeldTable
+from rotcal_ros.compensation.held_table import HeldTable
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
 from rotcal_ros.curves.directional import directional_curve
 from rotcal_ros.foundation.arrays import Floats

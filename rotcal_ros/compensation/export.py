@@ -13,7 +13,7 @@ import numpy as np
 
 from rotcal_ros.compensation.controller import Controller, Lag
 from rotcal_ros.compensation.controllers import make_controller
-from rotcal_ros.compensation.held import in_force_of
+from rotcal_ros.compensation.held_table import in_force_of
 from rotcal_ros.compensation.quality import (
     ResidualBudget,
     chosen_rows,

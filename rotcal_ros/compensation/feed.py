@@ -18,15 +18,15 @@ from typing import Final, cast
 
 import numpy as np
 
-from rotcal_ros.compensation.adding import Combination, combined
 from rotcal_ros.compensation.agreement import NO_MACHINE, Machine, agreeing
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
+from rotcal_ros.compensation.cascaded_tables import Combination, combined
 from rotcal_ros.compensation.controller import Controller
 from rotcal_ros.compensation.controller_folder import STATE_FOLDER
 from rotcal_ros.compensation.controller_store import ControllerStore
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.export import FIRST_ANGLE_DEG, LAST_ANGLE_DEG, default_stem
-from rotcal_ros.compensation.held import HeldTable, held_table, in_force_of, machine_of
+from rotcal_ros.compensation.held_table import HeldTable, held_table, in_force_of, machine_of
 from rotcal_ros.compensation.journal import (
     Action,
     Contents,
@@ -36,8 +36,8 @@ from rotcal_ros.compensation.journal import (
     texts_of,
 )
 from rotcal_ros.compensation.network_store import make_store
-from rotcal_ros.compensation.offer import Offer, make_offer
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
+from rotcal_ros.compensation.table_offer import Offer, make_offer
 from rotcal_ros.compensation.writing import PROVENANCE, of_the_controller
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ControllerError, DataError, RotcalError

@@ -29,14 +29,14 @@ from rotcal_ros.compensation.controller import Controller, Facts, Lag, Rule
 from rotcal_ros.compensation.linuxcnc_ini import Ini
 from rotcal_ros.compensation.linuxcnc_machine import AGENT, SERVO_PERIOD_NS, Joint
 from rotcal_ros.compensation.parsing import only_file
-from rotcal_ros.compensation.rows import (
+from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
+from rotcal_ros.compensation.table_rows import (
     columns_deg,
     every_turn,
     fixed,
     require_at_most,
     with_line,
 )
-from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
 from rotcal_ros.curves.interpolation import TURN
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import BagError, ConfigurationError

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from rotcal_ros.compensation.controller import Controller, Facts
 from rotcal_ros.compensation.parsing import matches, number, only_file
-from rotcal_ros.compensation.rows import (
+from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.compensation.table_rows import (
     columns_deg,
     every_turn,
     fixed,
@@ -26,7 +27,6 @@ from rotcal_ros.compensation.rows import (
     require_circle,
     require_zero_at_start,
 )
-from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.curves.interpolation import TURN
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import BagError, ConfigurationError

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from rotcal_ros.compensation.between import Weights, variances, without_gaps
+from rotcal_ros.compensation.interpolation_uncertainty import Weights, variances, without_gaps
 from rotcal_ros.curves.directional import DirectionalCurve, directional_curve
 from rotcal_ros.curves.interpolation import (
     SAME_ANGLE,

@@ -16,15 +16,15 @@ import numpy as np
 
 from rotcal_ros.compensation.controller import Controller, Facts
 from rotcal_ros.compensation.parsing import integer, number, only_file
-from rotcal_ros.compensation.rows import (
+from rotcal_ros.compensation.periodic_rule import PeriodicTable
+from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.compensation.table_rows import (
     columns_deg,
     even_interval_deg,
     fixed,
     mean_deg,
     with_line,
 )
-from rotcal_ros.compensation.rules import PeriodicTable
-from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.settings import setting

@@ -22,7 +22,13 @@ from rotcal_ros.instruments.steps import Order, StepFinder
 from rotcal_ros.nodes.instruments.streams import InstrumentStreams
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.concerns import CLOCK_DOUBT, COMPLAINT, OFFSET, REJECTED, show
+from rotcal_ros.nodes.runtime.diagnostic_warnings import (
+    CLOCK_DOUBT,
+    COMPLAINT,
+    OFFSET,
+    REJECTED,
+    show,
+)
 from rotcal_ros.nodes.runtime.latest import HOPELESS, WAITING_FOR
 from rotcal_ros.nodes.runtime.planners_plans import PlannersPlans
 from rotcal_ros.nodes.runtime.plans import REFUSED, RUN, calibration_of, load_method, run_name

@@ -48,10 +48,10 @@ from rotcal_ros.methods.dry_run import DryRun
 from rotcal_ros.methods.method import DEFAULT
 from rotcal_ros.nodes.capture import CaptureNode
 from rotcal_ros.nodes.check.adapter import GROUP, AdapterEars, controller_lines
+from rotcal_ros.nodes.check.cell_snapshot import Heard
 from rotcal_ros.nodes.check.drivers import brought_line, driver_lines
 from rotcal_ros.nodes.check.header_watch import HeaderWatch, watch_headers
-from rotcal_ros.nodes.check.heard import Heard
-from rotcal_ros.nodes.check.neighbours import cell_lines
+from rotcal_ros.nodes.check.other_nodes import cell_lines
 from rotcal_ros.nodes.check.streams import clock_line, stream_lines
 from rotcal_ros.nodes.goal.preflight import frame_doubts
 from rotcal_ros.nodes.instruments.streams import TIMED
@@ -63,18 +63,18 @@ from rotcal_ros.nodes.instruments.table_feedback import (
 )
 from rotcal_ros.nodes.runtime.cell_graph import ORDERS, CellGraph
 from rotcal_ros.nodes.runtime.channels import message_type
-from rotcal_ros.nodes.runtime.concerns import OFFSET
+from rotcal_ros.nodes.runtime.diagnostic_warnings import OFFSET
 from rotcal_ros.nodes.runtime.frames import StaticFrames
 from rotcal_ros.nodes.runtime.heartbeat import HEARTBEAT
 from rotcal_ros.nodes.runtime.qos import LATCHED
 from rotcal_ros.nodes.runtime.running import EndRequest, leave_with
+from rotcal_ros.nodes.runtime.timers_and_events import steady_timer
 from rotcal_ros.nodes.runtime.topic_names import TOPIC
-from rotcal_ros.nodes.runtime.turns import steady_timer
 from rotcal_ros.planning.table_motion import PUBLISH_VELOCITY
 from rotcal_ros.sessions.domains import domains_in_use
 
 if TYPE_CHECKING:
-    from rotcal_ros.nodes.check.heard import Heard
+    from rotcal_ros.nodes.check.cell_snapshot import Heard
 
 
 NAME: Final = "cell_check"

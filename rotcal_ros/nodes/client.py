@@ -25,7 +25,7 @@ from rotcal_ros.foundation.machine_load import Patience, in_words
 from rotcal_ros.nodes.calibrator import Calibrator, CalibratorError, GoalRefusedError
 from rotcal_ros.nodes.goal.outcome import Feedback, Outcome
 from rotcal_ros.nodes.runtime.clock_news import jumps_in_words
-from rotcal_ros.nodes.runtime.concerns import concerns_told
+from rotcal_ros.nodes.runtime.diagnostic_warnings import concerns_told
 from rotcal_ros.nodes.runtime.identity import other_session
 from rotcal_ros.nodes.runtime.json_lines import say
 from rotcal_ros.nodes.runtime.running import EndRequest, leave_with

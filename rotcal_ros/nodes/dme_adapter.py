@@ -22,7 +22,7 @@ from rotcal_ros.dme.settings import DmeSettings
 from rotcal_ros.foundation.observations import Command, ProbeSample, TableSample
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.concerns import BLOCKED, show
+from rotcal_ros.nodes.runtime.diagnostic_warnings import BLOCKED, show
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.planners_plans import PlannersPlans
 from rotcal_ros.nodes.runtime.plans import RUN, calibration_of, load_method, run_name

@@ -23,8 +23,8 @@ from std_srvs.srv import Trigger
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.nodes.goal.outcome import Feedback, Outcome
 from rotcal_ros.nodes.page import sections as page_sections
-from rotcal_ros.nodes.page.offer import WaitingTable
 from rotcal_ros.nodes.page.topics import PageTopics, Streams
+from rotcal_ros.nodes.page.waiting_table import WaitingTable
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.health import CALIBRATING
 from rotcal_ros.nodes.runtime.qos import VIEW

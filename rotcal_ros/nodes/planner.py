@@ -18,13 +18,13 @@ from rotcal_msgs.action import Calibrate
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.plugins import in_words
 from rotcal_ros.methods import prepare_to_measure
-from rotcal_ros.nodes.goal.asking import obstacle
 from rotcal_ros.nodes.goal.cell_links import CellLinks
 from rotcal_ros.nodes.goal.crew import Codes, Crew
+from rotcal_ros.nodes.goal.goal_watch import GoalWatch
+from rotcal_ros.nodes.goal.operator_requests import obstacle
 from rotcal_ros.nodes.goal.pauses import Pauses
 from rotcal_ros.nodes.goal.progress import Progress
 from rotcal_ros.nodes.goal.run import GoalRun
-from rotcal_ros.nodes.goal.watch import GoalWatch
 from rotcal_ros.nodes.runtime.cell_node import IDLE_S, CellNode
 from rotcal_ros.nodes.runtime.conversions import feedback_message
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop

@@ -35,7 +35,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import read_blocks
 from rotcal_ros.bags.rosbag2_metadata import INFINITE_NS, qos_profiles
-from rotcal_ros.bags.unread import unread
+from rotcal_ros.bags.unread_data import unread
 from rotcal_ros.capture import messages
 from rotcal_ros.evaluation.marks import marks
 from rotcal_ros.foundation.errors import ConfigurationError, DataError

@@ -20,17 +20,17 @@ from rotcal_ros.nodes.runtime.health import RECORDING_FAILED
 from rotcal_ros.nodes.runtime.heartbeat import HEARTBEAT
 from rotcal_ros.nodes.runtime.roll_call import LOADING
 from rotcal_ros.nodes.runtime.running import done_aside, run
+from rotcal_ros.nodes.runtime.timers_and_events import handle_events
 from rotcal_ros.nodes.runtime.topic_names import CalledOtherwise
-from rotcal_ros.nodes.runtime.turns import handle_events
 from rotcal_ros.nodes.writing.bookkeeping import LogTimes, Silences
-from rotcal_ros.nodes.writing.dropouts import TOGETHER_S, DropoutNotes
+from rotcal_ros.nodes.writing.dropout_notes import TOGETHER_S, DropoutNotes
 from rotcal_ros.nodes.writing.heard_topic import HeardTopic
-from rotcal_ros.nodes.writing.listening import Listener
 from rotcal_ros.nodes.writing.receipts import Receipts
 from rotcal_ros.nodes.writing.recorded_session import RecordedSession
 from rotcal_ros.nodes.writing.recording import Messages, Recording
 from rotcal_ros.nodes.writing.session_bags import OpenBag, SessionBags
 from rotcal_ros.nodes.writing.surroundings import Parameters, keep_surroundings
+from rotcal_ros.nodes.writing.topic_listener import Listener
 
 CLOSE_TIMEOUT_S: Final = 15.0
 Request: TypeAlias = StartRecording.Request

@@ -15,8 +15,8 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks
-from rotcal_ros.bags.scan import Scan
 from rotcal_ros.bags.session_identity import require_one_session
+from rotcal_ros.bags.storage_scan import Scan
 from rotcal_ros.capture import messages
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.observations import Observation

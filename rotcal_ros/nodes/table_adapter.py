@@ -20,7 +20,7 @@ from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.nodes.instruments.joint_controllers import joint_controller
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.concerns import COMPLAINT, show
+from rotcal_ros.nodes.runtime.diagnostic_warnings import COMPLAINT, show
 from rotcal_ros.nodes.runtime.draining import Batch, InstrumentSubscription
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.health import CALIBRATING

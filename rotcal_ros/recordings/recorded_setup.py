@@ -13,7 +13,7 @@ from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import scan_file
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
-from rotcal_ros.bags.scan import Scan
+from rotcal_ros.bags.storage_scan import Scan
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.methods.configuration import (

@@ -28,11 +28,11 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks, sha256_of
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.run_number import run_number
-from rotcal_ros.bags.scan import Contents, Scan
 from rotcal_ros.bags.session_identity import require_one_session
 from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session
+from rotcal_ros.bags.storage_scan import Contents, Scan
 from rotcal_ros.bags.time_order import TimeOrder, TimeOrders, sorted_blocks
-from rotcal_ros.bags.unread import note_unread
+from rotcal_ros.bags.unread_data import note_unread
 from rotcal_ros.bags.verdict import FileVerdict, losses_in_words, session_losses, unread_losses
 from rotcal_ros.capture import messages as records
 from rotcal_ros.capture.attempt import nanoseconds
@@ -52,9 +52,9 @@ from rotcal_ros.methods.configuration import (
 from rotcal_ros.methods.goal import GoalStanding, goal_standing
 from rotcal_ros.methods.method import Trials
 from rotcal_ros.planning.policy_names import UNTIL_GOAL
-from rotcal_ros.recordings.choices import RecordedChoice, differences
-from rotcal_ros.recordings.dropouts import PlacedDropout, placed_in, sentences
-from rotcal_ros.recordings.nothing_captured import doubtful, why_nothing
+from rotcal_ros.recordings.missing_observations import doubtful, why_nothing
+from rotcal_ros.recordings.placed_dropouts import PlacedDropout, placed_in, sentences
+from rotcal_ros.recordings.recorded_choices import RecordedChoice, differences
 from rotcal_ros.recordings.recorded_setup import (
     Decoders,
     as_recorded,

@@ -16,7 +16,7 @@ import numpy as np
 from rotcal_ros.bags.parquet import arrow
 from rotcal_ros.foundation.escapes import encodable
 from rotcal_ros.foundation.files import FolderLock, replace_atomically
-from rotcal_ros.recordings.kept import Outcome
+from rotcal_ros.recordings.outcome_cache import Outcome
 
 ROWS: Final = 50_000
 """Rows after which a part is written."""

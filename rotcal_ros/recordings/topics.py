@@ -16,7 +16,7 @@ from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import read_blocks
 from rotcal_ros.bags.reading_limits import ReadingLimits
-from rotcal_ros.bags.scan import Contents
+from rotcal_ros.bags.storage_scan import Contents
 from rotcal_ros.foundation.arrays import Ints
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.methods import Configuration

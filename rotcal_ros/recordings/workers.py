@@ -24,8 +24,8 @@ from queue import Empty, SimpleQueue
 from typing import Any, Final
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
-from rotcal_ros.recordings.kept import Outcome
-from rotcal_ros.recordings.many import Job, solve_bag
+from rotcal_ros.recordings.batch_solving import Job, solve_bag
+from rotcal_ros.recordings.outcome_cache import Outcome
 
 TIME_LIMIT_S: Final = 3600.0
 """How long a bag may take by default."""

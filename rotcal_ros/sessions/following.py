@@ -25,7 +25,7 @@ from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.foundation.node_names import VIEWERS
 from rotcal_ros.methods.configuration import node_parameters
 from rotcal_ros.recordings.replay import read_recording
-from rotcal_ros.recordings.sources import read_source
+from rotcal_ros.recordings.result_sources import read_source
 from rotcal_ros.report.terminal.console import progress_bar, say
 from rotcal_ros.sessions.commands import CLIENT, client_command, node_command, node_names
 from rotcal_ros.sessions.display import NO_MACHINE, Display, Event

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.compensation.adding import combined
+from rotcal_ros.compensation.cascaded_tables import combined
 from rotcal_ros.compensation.export import ExportFiles, prepare_export
 from rotcal_ros.compensation.table import CompensationTable, table_from_result
 from rotcal_ros.compensation.writing import write_files
@@ -21,7 +21,7 @@ from rotcal_ros.foundation.untrusted import load_json, read_text
 from rotcal_ros.methods.configuration import read_policy
 from rotcal_ros.planning.policy_names import UNTIL_GOAL
 from rotcal_ros.recordings.replay import read_recording
-from rotcal_ros.recordings.sources import Source, read_source
+from rotcal_ros.recordings.result_sources import Source, read_source
 from rotcal_ros.report.terminal.console import say
 from rotcal_ros.sessions.session import Session
 from rotcal_ros.simulation import SimulatedCell

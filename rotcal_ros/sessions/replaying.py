@@ -12,7 +12,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final, NoReturn
 
-from rotcal_ros.bags.unread import note_unread
+from rotcal_ros.bags.unread_data import note_unread
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.report.terminal.console import progress, say
 from rotcal_ros.sessions.processes import Processes

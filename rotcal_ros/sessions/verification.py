@@ -17,10 +17,10 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.compensation import plain_csv
-from rotcal_ros.compensation.adding import combined
+from rotcal_ros.compensation.cascaded_tables import combined
 from rotcal_ros.compensation.effect import Effect, effect_of_result
 from rotcal_ros.compensation.export import CONTENTS, ExportFiles
-from rotcal_ros.compensation.held import held_table, in_force_of
+from rotcal_ros.compensation.held_table import held_table, in_force_of
 from rotcal_ros.compensation.table import CompensationTable, table_from_result
 from rotcal_ros.compensation.writing import PROVENANCE, of_the_controller
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230, iso230
@@ -35,7 +35,7 @@ from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.foundation.untrusted import load_json, read_text, why
 from rotcal_ros.methods import Calibration
 from rotcal_ros.methods.configuration import Configuration, read_configuration
-from rotcal_ros.recordings.sources import Source, read_source
+from rotcal_ros.recordings.result_sources import Source, read_source
 from rotcal_ros.report.terminal.console import say
 from rotcal_ros.sessions.environment import require_ros
 from rotcal_ros.sessions.following import calibrate

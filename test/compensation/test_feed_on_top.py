@@ -8,7 +8,7 @@ from test_feed import COMP, Cell, applied, made_before, table_of, trims, undone
 
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.feed import Feed
-from rotcal_ros.compensation.held import in_force_of
+from rotcal_ros.compensation.held_table import in_force_of
 from rotcal_ros.foundation.errors import DataError
 
 

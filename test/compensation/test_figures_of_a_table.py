@@ -14,10 +14,10 @@ from rotcal_ros.compensation.controller import Controller
 from rotcal_ros.compensation.lookup import Correction
 from rotcal_ros.compensation.quality import residual_budget, simulate
 from rotcal_ros.compensation.resample import averaged, resample
-from rotcal_ros.compensation.rows import (
+from rotcal_ros.compensation.table import CompensationTable, table_from_result
+from rotcal_ros.compensation.table_rows import (
     mean_deg,
 )
-from rotcal_ros.compensation.table import CompensationTable, table_from_result
 from rotcal_ros.foundation.components import check_axis
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.observations import Approach

@@ -12,7 +12,7 @@ from rotcal_ros.methods import changed, prepare, read_configuration
 from rotcal_ros.nodes.goal import run as goal_run
 from rotcal_ros.nodes.goal.cell_links import CellLinks
 from rotcal_ros.nodes.goal.crew import GoalError
-from rotcal_ros.nodes.goal.watch import GoalWatch
+from rotcal_ros.nodes.goal.goal_watch import GoalWatch
 
 STOP = "/safety/estop"
 

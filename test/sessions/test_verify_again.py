@@ -16,7 +16,7 @@ from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods import changed, prepare, read_configuration
-from rotcal_ros.recordings.sources import Source, read_source
+from rotcal_ros.recordings.result_sources import Source, read_source
 from rotcal_ros.report.verification import verification_section
 from rotcal_ros.sessions import verification
 from rotcal_ros.sessions.session import Session

@@ -25,7 +25,7 @@ from rotcal_ros.ros2_control.obeyed import JointWatch
 from rotcal_ros.ros2_control.settings import TableAdapterSettings
 
 if TYPE_CHECKING:
-    from rotcal_ros.nodes.check.heard import Heard
+    from rotcal_ros.nodes.check.cell_snapshot import Heard
 
 GROUP: Final = "table_adapter"
 _LISTENERS: Final = {"trajectory": "joint_trajectory", "positions": "commands"}

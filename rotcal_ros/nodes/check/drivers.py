@@ -14,7 +14,7 @@ from rotcal_ros.instrument_plugins.instrument import Tracer, Tracker
 from rotcal_ros.methods.check_lines import CheckLine
 
 if TYPE_CHECKING:
-    from rotcal_ros.nodes.check.heard import Heard
+    from rotcal_ros.nodes.check.cell_snapshot import Heard
 
 _DME, _PLUGIN, _TABLE = "dme", "instrument", "table_adapter"
 _BRINGS: Final = {

@@ -11,10 +11,10 @@ from rotcal_ros.capture.stamp_offsets import DOUBT_S
 from rotcal_ros.instruments.conventions import single_shots
 from rotcal_ros.instruments.interpreter import FAST
 from rotcal_ros.methods.check_lines import CheckLine, State
+from rotcal_ros.nodes.check.cell_snapshot import Heard
 from rotcal_ros.nodes.check.drivers import brought_line
 from rotcal_ros.nodes.check.header_watch import HeaderWatch
-from rotcal_ros.nodes.check.heard import Heard
-from rotcal_ros.nodes.check.neighbours import namesakes
+from rotcal_ros.nodes.check.other_nodes import namesakes
 from rotcal_ros.nodes.goal.preflight import (
     air_doubts,
     expected_air,
@@ -25,7 +25,7 @@ from rotcal_ros.nodes.goal.preflight import (
     slow_table,
     without_air,
 )
-from rotcal_ros.nodes.runtime.concerns import CLOCK_DOUBT, OFFSET
+from rotcal_ros.nodes.runtime.diagnostic_warnings import CLOCK_DOUBT, OFFSET
 from rotcal_ros.nodes.runtime.latest import NOW, REFUSED
 from rotcal_ros.nodes.runtime.topic_names import name_in
 

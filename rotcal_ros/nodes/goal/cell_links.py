@@ -29,7 +29,7 @@ from rotcal_ros.foundation.observations import Command, Observation
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_graph import ORDERS, CellGraph
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.concerns import show
+from rotcal_ros.nodes.runtime.diagnostic_warnings import show
 from rotcal_ros.nodes.runtime.hearing import APART, HEARS, digest
 from rotcal_ros.nodes.runtime.identity import IDENTITY
 from rotcal_ros.nodes.runtime.managed_node import not_active

@@ -9,10 +9,10 @@ from rotcal_ros.capture.failed_steps import FailedSteps
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.methods import Calibration
 from rotcal_ros.methods.continuation import ATTEMPTS_PER_RUN, Continuation
-from rotcal_ros.nodes.goal.asking import Asking
 from rotcal_ros.nodes.goal.cell_links import Attempt
 from rotcal_ros.nodes.goal.crew import Codes, GoalError
-from rotcal_ros.nodes.goal.watch import GoalWatch, HaltedError
+from rotcal_ros.nodes.goal.goal_watch import GoalWatch, HaltedError
+from rotcal_ros.nodes.goal.operator_requests import OperatorRequests
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.latest import WAITING_FOR
 from rotcal_ros.planning.choices import Choice, Outcome, Standing
@@ -26,7 +26,7 @@ SETTLING_S: Final = 1.2
 class Measuring:
     """Measures the steps of one goal; no attempt at a step has a number twice.
 
-    ``reasons`` says why attempts were rejected, or came to nothing; ``asking`` asks a person.
+    ``reasons`` says why attempts were rejected, or came to nothing; ``operator`` asks a person.
     """
 
     def __init__(
@@ -35,7 +35,9 @@ class Measuring:
         self._calibration = calibration
         self._continuation = continuation
         self._watch = watch
-        self.asking = Asking(watch, calibration.configuration.plan_id, continuation.run)
+        self.operator = OperatorRequests(
+            watch, calibration.configuration.plan_id, continuation.run
+        )
         self._policy = calibration.policy(continuation)
         self._chosen = 0
         self._next_attempt: dict[int, int] = {}
@@ -96,7 +98,7 @@ class Measuring:
             self._watch.owed = pause, work, begin
             if work:
                 self._place(pause.first)
-                await self.asking.have_done(work, pause.move)
+                await self.operator.have_done(work, pause.move)
             self._watch.owed = pause, "", begin
             for index in range(begin, pause.last + 1):
                 shows = Choice(index, f"shows {pause.instruction}", Standing(1))
@@ -126,7 +128,7 @@ class Measuring:
         except HaltedError as halted:
             self.reasons.append(str(halted))
         self._watch.progress.rejected += 1
-        await self.asking.have_done()
+        await self.operator.have_done()
         return await self._measure(index, choice)
 
     async def _attempt(self, index: int, choice: Choice) -> list[str]:

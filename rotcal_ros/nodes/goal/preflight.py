@@ -20,7 +20,7 @@ from rotcal_ros.instruments.plausibility import (
 )
 from rotcal_ros.methods import Calibration, Configuration
 from rotcal_ros.nodes.instruments.table_feedback import joint_doubts, joint_faults, number_in
-from rotcal_ros.nodes.runtime.concerns import OFFSET
+from rotcal_ros.nodes.runtime.diagnostic_warnings import OFFSET
 from rotcal_ros.nodes.runtime.latest import FRAME, NOW, RATE, REFUSED
 from rotcal_ros.nodes.runtime.topic_names import name_in
 from rotcal_ros.planning.plan import Plan

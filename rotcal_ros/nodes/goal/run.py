@@ -26,15 +26,15 @@ from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.instruments.conventions import single_shots
 from rotcal_ros.methods import Calibration, Configuration
 from rotcal_ros.methods.continuation import Continuation, Recorded
-from rotcal_ros.nodes.goal.asking import Asking
 from rotcal_ros.nodes.goal.cell_links import CellLinks
 from rotcal_ros.nodes.goal.crew import SOLVER, Codes, GoalError
+from rotcal_ros.nodes.goal.goal_watch import GoalWatch
 from rotcal_ros.nodes.goal.measuring import Measuring
+from rotcal_ros.nodes.goal.operator_requests import OperatorRequests
 from rotcal_ros.nodes.goal.preflight import doubts, expected_air, faults, without_air
-from rotcal_ros.nodes.goal.watch import GoalWatch
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_node import until
-from rotcal_ros.nodes.runtime.concerns import OF_MACHINES, PREFLIGHT, concerns_told
+from rotcal_ros.nodes.runtime.diagnostic_warnings import OF_MACHINES, PREFLIGHT, concerns_told
 from rotcal_ros.nodes.runtime.hearing import BELIEVED
 from rotcal_ros.nodes.runtime.plans import RUN, run_name
 from rotcal_ros.nodes.runtime.sim_clock import unlike_clocks
@@ -103,7 +103,7 @@ class GoalRun:
 
     async def _solved_in_one_run(self) -> FinishCalibration.Response:
         try:
-            await be_ready(self._calibration, self.watch, self.measuring.asking)
+            await be_ready(self._calibration, self.watch, self.measuring.operator)
         except GoalError as error:
             of_a_person = error.code in (Codes.CANCELED, Codes.EMERGENCY_STOP)
             if self._lost is None or of_a_person or error.in_another_run:
@@ -303,7 +303,7 @@ class GoalBag:
         return answer
 
 
-async def be_ready(calibration: Calibration, watch: GoalWatch, asking: Asking) -> None:
+async def be_ready(calibration: Calibration, watch: GoalWatch, operator: OperatorRequests) -> None:
     """Wait for all nodes and topics; GoalError names what is missing after the time for it."""
     links, configuration = watch.links, calibration.configuration
     links.forget()
@@ -315,7 +315,7 @@ async def be_ready(calibration: Calibration, watch: GoalWatch, asking: Asking) -
     watch.tell("preflight: clocks")
     await watch.have(lambda: unlike_clocks(links.health, configuration), Codes.TOPIC_MISSING)
     watch.tell("preflight: topics")
-    await _have_topics(calibration, watch, asking)
+    await _have_topics(calibration, watch, operator)
     _, wished = expected_air(calibration)
     unheard = [
         without_air(role, name, configuration) for role, name in links.missing_air(wished).items()
@@ -333,7 +333,9 @@ def _needed(links: CellLinks) -> set[str]:
     return (links.health.present() | set(PREFLIGHT_NODES)) - {*VIEWERS.values()}
 
 
-async def _have_topics(calibration: Calibration, watch: GoalWatch, asking: Asking) -> None:
+async def _have_topics(
+    calibration: Calibration, watch: GoalWatch, operator: OperatorRequests
+) -> None:
     """Wait for the topics; a stop that has broken the run off is released and resumed first.
 
     Instruments may be silent meanwhile, and a capture that was started anew has heard nothing.
@@ -345,7 +347,7 @@ async def _have_topics(calibration: Calibration, watch: GoalWatch, asking: Askin
         await watch.have(lambda: [] if _halted(watch) else missing(), Codes.TOPIC_MISSING)
         if not _halted(watch):
             return
-        await asking.have_done()
+        await operator.have_done()
 
 
 def _halted(watch: GoalWatch) -> bool:

@@ -24,8 +24,8 @@ from rotcal_ros.nodes.runtime.hearing import Hearing
 from rotcal_ros.nodes.runtime.managed_node import ManagedNode
 from rotcal_ros.nodes.runtime.parameters import declare_settings, given_parameters
 from rotcal_ros.nodes.runtime.qos import EVENT
+from rotcal_ros.nodes.runtime.timers_and_events import steady_timer
 from rotcal_ros.nodes.runtime.topic_names import other_names
-from rotcal_ros.nodes.runtime.turns import steady_timer
 from rotcal_ros.planning.health_settings import HealthSettings
 
 T = TypeVar("T")

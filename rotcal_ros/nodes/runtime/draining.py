@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from rotcal_ros.nodes.runtime.qos import adapted_qos
-from rotcal_ros.nodes.runtime.turns import Unwaited, steady_timer
+from rotcal_ros.nodes.runtime.timers_and_events import Unwaited, steady_timer
 
 LIMIT: Final = 1000
 """Messages taken in one callback at most, so that no topic starves the others."""

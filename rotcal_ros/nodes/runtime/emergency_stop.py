@@ -14,10 +14,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.concerns import EMERGENCY, show
+from rotcal_ros.nodes.runtime.diagnostic_warnings import EMERGENCY, show
 from rotcal_ros.nodes.runtime.draining import Batch, DrainedSubscription
 from rotcal_ros.nodes.runtime.qos import EVENT, VIEW
-from rotcal_ros.nodes.runtime.turns import steady_timer
+from rotcal_ros.nodes.runtime.timers_and_events import steady_timer
 from rotcal_ros.planning.emergency_stop import StopSources
 from rotcal_ros.planning.safety_settings import SafetySettings
 

@@ -28,7 +28,7 @@ from rotcal_ros.nodes.runtime.memory import end_without_memory
 from rotcal_ros.nodes.runtime.processes_here import PROCESS, is_of_here, why_gone
 from rotcal_ros.nodes.runtime.roll_call import RollCall
 from rotcal_ros.nodes.runtime.sim_clock import SimClock
-from rotcal_ros.nodes.runtime.turns import UNWAITED, steady_timer
+from rotcal_ros.nodes.runtime.timers_and_events import UNWAITED, steady_timer
 from rotcal_ros.planning.health_settings import HealthSettings
 
 HEAR_PERIOD_S: Final = 0.1

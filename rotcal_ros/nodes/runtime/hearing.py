@@ -11,7 +11,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture.heard import Believed, Intruder, Origin, WhoIsHeard, publisher_of
-from rotcal_ros.nodes.runtime.concerns import INTRUDER, show
+from rotcal_ros.nodes.runtime.diagnostic_warnings import INTRUDER, show
 from rotcal_ros.nodes.runtime.draining import Batch
 
 BELIEVED: Final = "believed"

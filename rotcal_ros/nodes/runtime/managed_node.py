@@ -12,7 +12,11 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from rotcal_ros.foundation.errors import RotcalError
-from rotcal_ros.nodes.runtime.turns import handle_events, steady_timer, with_unwaited_events
+from rotcal_ros.nodes.runtime.timers_and_events import (
+    handle_events,
+    steady_timer,
+    with_unwaited_events,
+)
 
 
 def entities(node: Node) -> Iterator[Any]:

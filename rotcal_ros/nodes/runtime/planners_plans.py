@@ -11,7 +11,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.capture.heard import PlansHeard, Whose
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.concerns import FOREIGN_PLAN, show
+from rotcal_ros.nodes.runtime.diagnostic_warnings import FOREIGN_PLAN, show
 from rotcal_ros.nodes.runtime.heartbeat import BEAT_PERIOD_S
 from rotcal_ros.nodes.runtime.plans import RUN, run_name
 from rotcal_ros.nodes.runtime.qos import LATCHED

@@ -27,7 +27,7 @@ from rotcal_ros.foundation.machine_load import Patience
 from rotcal_ros.foundation.middleware import ROS_DEFAULT_RANGE, middleware, without_security
 from rotcal_ros.nodes.runtime.cell_node import CellNode, until
 from rotcal_ros.nodes.runtime.memory import end_without_memory
-from rotcal_ros.nodes.runtime.turns import wake_after_jumps
+from rotcal_ros.nodes.runtime.timers_and_events import wake_after_jumps
 
 SUPERVISOR_VARIABLE: Final = "ROTCAL_SUPERVISOR"
 """Environment variable: process id of a supervisor that the node must not outlive."""

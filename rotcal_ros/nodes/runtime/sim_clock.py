@@ -9,7 +9,7 @@ from typing import Any, Final
 from rotcal_ros.foundation.node_names import PREFLIGHT_NODES
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.methods import Configuration
-from rotcal_ros.nodes.runtime.concerns import SIM_CLOCK
+from rotcal_ros.nodes.runtime.diagnostic_warnings import SIM_CLOCK
 
 SIM_TIME: Final = "sim_time_s"
 """Value in a beat: the time of ``/clock`` in s; only of nodes that follow it."""

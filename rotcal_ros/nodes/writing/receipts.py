@@ -17,9 +17,9 @@ from rotcal_ros.nodes.runtime.qos import EVENT
 from rotcal_ros.nodes.runtime.topic_names import CalledOtherwise
 from rotcal_ros.nodes.writing.bookkeeping import NEEDED, PendingReceipts
 from rotcal_ros.nodes.writing.heard_topic import HeardTopic
-from rotcal_ros.nodes.writing.listening import Listener
 from rotcal_ros.nodes.writing.recorded_session import RecordedSession
 from rotcal_ros.nodes.writing.recording import Receipt
+from rotcal_ros.nodes.writing.topic_listener import Listener
 
 
 class Receipts:

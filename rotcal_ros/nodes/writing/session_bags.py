@@ -10,7 +10,7 @@ from pathlib import Path
 from uuid import uuid4
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.closing import InterruptedSession
+from rotcal_ros.bags.interrupted_files import InterruptedSession
 from rotcal_ros.bags.reader import bag_files
 from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.bags.session_identity import file_head

@@ -11,7 +11,7 @@ from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.methods.tracer.solver.error_motion import ErrorMotion
 from rotcal_ros.methods.tracer.solver.grid import arrange
-from rotcal_ros.methods.tracer.solver.joins import Pairs, Runs, adjust_joined, join_of
+from rotcal_ros.methods.tracer.solver.joined_runs import Pairs, Runs, adjust_joined, join_of
 from rotcal_ros.methods.tracer.solver.noise import Noise
 from rotcal_ros.methods.tracer.solver.observability import (
     check_counts,

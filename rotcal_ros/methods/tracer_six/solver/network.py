@@ -95,7 +95,7 @@ class Slopes:
 
 
 @dataclass(frozen=True, eq=False)
-class Rig:
+class LengthNetwork:
     """A network at its minimum, or at one step of the way there.
 
     ``motion`` (V, 3, 6): what the six unknowns of a pose do to its station; ``pull`` (V, 3, n):
@@ -163,7 +163,7 @@ def _factor(weights: Floats, unit: Floats, scatter: Floats | None) -> Floats | N
 
 def linearise(
     grid: Grid, layout: Layout, scatter: Floats | None, state: State, here: Slopes
-) -> Rig:
+) -> LengthNetwork:
     """Return the network at ``state``, with its slopes ``here`` and the reduced normal matrix."""
     unit, weights = here.unit, grid.weights
     pull = (unit * weights[:, :, None]).swapaxes(1, 2)
@@ -181,7 +181,7 @@ def linearise(
     if layout.tilt_std is not None:
         poses, cross = tilts.add(poses, cross, matrix, state.rotation, layout)
     reduced = _reduced(poses, cross, matrix, constraints(layout, state, free=grid.free))
-    return Rig(grid, layout, scatter, state, here, motion, pull, normal, across, reduced)
+    return LengthNetwork(grid, layout, scatter, state, here, motion, pull, normal, across, reduced)
 
 
 def _summed(sums: Floats, blocks: Floats) -> Floats:
@@ -258,7 +258,7 @@ def _reduced(poses: Floats, cross: Floats, matrix: Floats, gauge: Floats) -> Red
     return Reduced(schur, np.asarray(inverse), transfer, scale, columns)
 
 
-def relax(grid: Grid, layout: Layout, scatter: Floats | None, state: State) -> Rig:
+def relax(grid: Grid, layout: Layout, scatter: Floats | None, state: State) -> LengthNetwork:
     """Return the least-squares network near ``state``.
 
     Chord steps: Gauss-Newton with the normal matrix of the start, as long as its steps shrink
@@ -266,15 +266,15 @@ def relax(grid: Grid, layout: Layout, scatter: Floats | None, state: State) -> R
     steps reach rounding. Raises DataError when it does not settle.
     """
     here, before = slopes(grid, layout, scatter, state), np.inf
-    rig = linearise(grid, layout, scatter, state, here)
+    network = linearise(grid, layout, scatter, state, here)
     for _ in range(MAX_ITERATIONS):
-        kept, poses = rig.reduced.solve(-here.kept, -here.poses.ravel())
+        kept, poses = network.reduced.solve(-here.kept, -here.poses.ravel())
         squared = -float(here.kept @ kept + here.poses.ravel() @ poses)
         if abs(squared) < CONVERGED or (abs(squared) < STAGNANT and squared > 0.25 * before):
             return linearise(grid, layout, scatter, state, here)
         if abs(squared) > SHRINKING * before:
-            rig = linearise(grid, layout, scatter, state, here)
-            kept, poses = rig.reduced.solve(-here.kept, -here.poses.ravel())
+            network = linearise(grid, layout, scatter, state, here)
+            kept, poses = network.reduced.solve(-here.kept, -here.poses.ravel())
         state = state.moved(kept, poses.reshape(-1, 6))
         here, before = slopes(grid, layout, scatter, state), squared
     raise DataError(

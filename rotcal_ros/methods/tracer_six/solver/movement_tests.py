@@ -28,9 +28,9 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
 from rotcal_ros.foundation.protection import POWER
 from rotcal_ros.methods.tracer_six.solver.layout import Layout
-from rotcal_ros.methods.tracer_six.solver.patterns import felt
+from rotcal_ros.methods.tracer_six.solver.network import LengthNetwork, relax
+from rotcal_ros.methods.tracer_six.solver.patterns import pattern_gradient
 from rotcal_ros.methods.tracer_six.solver.posterior import full_covariance, pulled
-from rotcal_ros.methods.tracer_six.solver.rig import Rig, relax
 from rotcal_ros.methods.tracer_six.solver.scatter import Contrasts, contrasts, estimate, stated
 
 Kind = Literal["between runs", "within runs", "slip"]
@@ -78,9 +78,9 @@ class Move:
 
 @dataclass(frozen=True, eq=False)
 class Moves:
-    """The tests of a network, ``rig`` without scatter, and the ``contrasts`` that they are of."""
+    """The tests of a ``network`` without scatter, and the ``contrasts`` that they are of."""
 
-    rig: Rig
+    network: LengthNetwork
     contrasts: Contrasts
     scatter: Likely
     tests: tuple[Move, ...]
@@ -94,10 +94,10 @@ class Moves:
 
         At angles measured again in the same run, whatever it is that all places have in common.
         """
-        first, later = _pairs(self.rig.layout)
+        first, later = _pairs(self.network.layout)
         if not len(later):
             return None
-        along = tangents(self.rig)
+        along = tangents(self.network)
         moved = np.zeros_like(along)
         for stations, sign in ((later, 0.5), (first, -0.5)):
             moved[stations] += sign * along[stations]
@@ -111,8 +111,8 @@ class Moves:
 
     def found_at(self, patterns: Floats, significance: float) -> Floats:
         """Return the sizes (k,) of ``patterns`` (k, V, n), m, that a test finds with POWER."""
-        here, root = felt(self.rig, patterns), self.contrasts.root
-        taken = here.slope @ full_covariance(self.rig) @ pulled(self.rig).T
+        here, root = pattern_gradient(self.network, patterns), self.contrasts.root
+        taken = here.slope @ full_covariance(self.network) @ pulled(self.network).T
         left = here.force.reshape(len(patterns), -1) - taken
         moved = left @ (root / (root**2).sum(axis=0))
         sizes = np.full(len(patterns), np.inf)
@@ -141,21 +141,24 @@ class Moves:
 
 
 def moves(
-    rig: Rig, when: Floats, known: tuple[float | None, float | None], significance: float
+    network: LengthNetwork,
+    when: Floats,
+    known: tuple[float | None, float | None],
+    significance: float,
 ) -> Moves:
-    """Return the tests of all moves that ``rig`` can show; ``known`` is the stated scatter.
+    """Return the tests of all moves that ``network`` can show; ``known`` is the stated scatter.
 
     ``when`` (V,): share of its run that had gone when each station was measured.
     """
-    layout = rig.layout
-    if rig.scatter is not None:
-        rig = relax(rig.grid, layout, None, rig.state)
-    found = contrasts(rig, rig.state.arms(layout))
-    slips, runs = _slips(layout, rig.state.rotation, when)
+    layout = network.layout
+    if network.scatter is not None:
+        network = relax(network.grid, layout, None, network.state)
+    found = contrasts(network, network.state.arms(layout))
+    slips, runs = _slips(layout, network.state.rotation, when)
     slip = _best(found, slips)
     asked: tuple[tuple[Kind, Floats, Ints, int], ...] = (
         ("between runs", *_between(layout), 0),
-        ("within runs", *_within(layout, rig.state.rotation), 0),
+        ("within runs", *_within(layout, network.state.rotation), 0),
         ("slip", slips, runs, slip),
     )
     candidates = [
@@ -170,13 +173,16 @@ def moves(
         significance,
     )
     return Moves(
-        rig, found, scatter, tuple(_test(found, scatter, *candidate) for candidate in candidates)
+        network,
+        found,
+        scatter,
+        tuple(_test(found, scatter, *candidate) for candidate in candidates),
     )
 
 
-def tangents(rig: Rig) -> Floats:
+def tangents(network: LengthNetwork) -> Floats:
     """Return the directions (V, 3) along which a turn of the table moves each station."""
-    arms = rig.state.arms(rig.layout)
+    arms = network.state.arms(network.layout)
     across = np.column_stack([-arms[:, 1], arms[:, 0], np.zeros(len(arms))])
     return np.asarray(across / np.linalg.norm(across, axis=1, keepdims=True), dtype=np.float64)
 

@@ -9,10 +9,10 @@ from compensation_examples import TAU, even, result_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotcal_ros.compensation.adding import added, combined
-from rotcal_ros.compensation.earlier import read_earlier
+from rotcal_ros.compensation.cascaded_tables import added, combined
+from rotcal_ros.compensation.earlier_export import read_earlier
 from rotcal_ros.compensation.export import prepare_export, standing
-from rotcal_ros.compensation.held import held_table, in_force_of
+from rotcal_ros.compensation.held_table import held_table, in_force_of
 from rotcal_ros.compensation.plain_csv import PlainCsv
 from rotcal_ros.compensation.table import CompensationTable, table_from_result
 from rotcal_ros.compensation.writing import write_files

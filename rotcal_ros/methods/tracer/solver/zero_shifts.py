@@ -15,9 +15,9 @@ from scipy.special import erfc
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.methods.roots import root_between
 from rotcal_ros.methods.tracer.solver.adjustment import Adjustment
-from rotcal_ros.methods.tracer.solver.gain import NetworkGain
 from rotcal_ros.methods.tracer.solver.grid import Grid
 from rotcal_ros.methods.tracer.solver.network import linearise
+from rotcal_ros.methods.tracer.solver.network_gain import NetworkGain
 
 LEAST_SIDE: Final = 4
 """Lengths on either side of a shift that is looked for: fewer are outliers."""

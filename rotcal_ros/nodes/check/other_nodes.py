@@ -12,7 +12,7 @@ from rotcal_ros.nodes.runtime.cell_graph import CellGraph
 from rotcal_ros.sessions.domains import DEFAULT_DOMAIN, domains_in_use
 
 if TYPE_CHECKING:
-    from rotcal_ros.nodes.check.heard import Heard
+    from rotcal_ros.nodes.check.cell_snapshot import Heard
 
 _OURS: Final = ("cell_check", "_cell_check_ears")
 

@@ -20,9 +20,9 @@ from rotcal_ros.foundation.raw_data import MOST_INFLUENCES, Influence
 from rotcal_ros.methods.tracer.solver.adjustment import ranges
 from rotcal_ros.methods.tracer.solver.angles import bearing_slopes
 from rotcal_ros.methods.tracer.solver.error_motion import circle_tested
-from rotcal_ros.methods.tracer.solver.gain import NetworkGain
 from rotcal_ros.methods.tracer.solver.length_view import view_of
 from rotcal_ros.methods.tracer.solver.network import Network, linearise
+from rotcal_ros.methods.tracer.solver.network_gain import NetworkGain
 from rotcal_ros.methods.tracer.solver.noise import LEAST_REDUNDANCY
 from rotcal_ros.methods.tracer.solver.reported import Slope, excess_of
 from rotcal_ros.methods.tracer.solver.solution import KNOWN, TracerSolution
@@ -57,8 +57,8 @@ class Response:
 
         ``std`` (m,): stated standard uncertainties, rad.
         """
-        felt = std > 0.0
-        share = np.abs(self.deviations[:, felt]) / std[felt]
+        uncertain = std > 0.0
+        share = np.abs(self.deviations[:, uncertain]) / std[uncertain]
         error = np.minimum(self.detectable, largest) * share.max(axis=1)
         k = int(np.argmax(error))
         return Worst(float(error[k]), bool(self.detectable[k] <= largest))
@@ -106,10 +106,10 @@ def influence_of(solution: TracerSolution) -> Influence | None:
         moved = _gain(solution)[strip, target] * grid.length_std[strip, target][:, None]
         lengths = (cumulative.dense().reshape(m, m, 3)[:, strip] * moved).sum(axis=2)
     else:
-        felt = view_of(_network(solution), cumulative).felt(strip, target)
-        lengths = felt.weighted(1.0 / grid.length_std[strip, target]).dense()
+        sensitivity = view_of(_network(solution), cumulative).sensitivity(strip, target)
+        lengths = sensitivity.weighted(1.0 / grid.length_std[strip, target]).dense()
     lengths = scale * lengths
-    targets = scale * cumulative.times(solution.covariance.felt.reshape(3 * m, -1))
+    targets = scale * cumulative.times(solution.covariance.sensitivity.reshape(3 * m, -1))
     # Named by the place that is stated for a target: its number is another one in other tables.
     places = (", ".join(f"{x:.4f}" for x in place) for place in grid.targets.tolist())
     causes = tuple(f"{axis} of the target at {place} m" for place in places for axis in "xyz")

@@ -15,7 +15,7 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 
 
 @dataclass(frozen=True, eq=False)
-class Felt:
+class Sensitivity:
     """The matrix (o, n) of what o outputs are off by per unit error of n rows.
 
     ``along`` (r, n), ``common`` (o, r): all outputs feel common @ along; None: ``along`` is the
@@ -28,7 +28,7 @@ class Felt:
     own: Floats
 
     @classmethod
-    def whole(cls, matrix: Floats) -> Felt:
+    def whole(cls, matrix: Floats) -> Sensitivity:
         """Return a whole ``matrix`` (o, n)."""
         return cls(matrix, None, np.zeros(0, dtype=np.int64), np.zeros((0, matrix.shape[1])))
 
@@ -54,7 +54,7 @@ class Felt:
         found[self.at] += self.own @ errors
         return np.asarray(found)
 
-    def weighted(self, factor: Floats | float) -> Felt:
+    def weighted(self, factor: Floats | float) -> Sensitivity:
         """Return the matrix with each row's error ``factor`` (n,) times as large."""
         return replace(self, along=self.along * factor, own=self.own * factor)
 
@@ -63,7 +63,7 @@ class Felt:
 class Moment:
     """Expected error (n,) of the rows of a group, and its square (n, n)."""
 
-    felt: Felt
+    sensitivity: Sensitivity
     first: Floats
     square: Floats
 
@@ -77,20 +77,22 @@ def total(moments: Iterable[Moment], outputs: int) -> tuple[Floats, Floats]:
     common: Floats | None = None
     first, square, mixed = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))
     for moment in moments:
-        felt = moment.felt
-        along = felt.along @ moment.square
-        if felt.common is None:
-            mean += felt.along @ moment.first
-            second += along @ felt.along.T
+        sensitivity = moment.sensitivity
+        along = sensitivity.along @ moment.square
+        if sensitivity.common is None:
+            mean += sensitivity.along @ moment.first
+            second += along @ sensitivity.along.T
             continue
         if common is None:
-            common, r = felt.common, len(felt.along)
+            common, r = sensitivity.common, len(sensitivity.along)
             first, square, mixed = np.zeros(r), np.zeros((r, r)), np.zeros((r, outputs))
-        first += felt.along @ moment.first
-        square += along @ felt.along.T
-        mean[felt.at] += felt.own @ moment.first
-        mixed[:, felt.at] += along @ felt.own.T
-        second[np.ix_(felt.at, felt.at)] += felt.own @ moment.square @ felt.own.T
+        first += sensitivity.along @ moment.first
+        square += along @ sensitivity.along.T
+        mean[sensitivity.at] += sensitivity.own @ moment.first
+        mixed[:, sensitivity.at] += along @ sensitivity.own.T
+        second[np.ix_(sensitivity.at, sensitivity.at)] += (
+            sensitivity.own @ moment.square @ sensitivity.own.T
+        )
     if common is not None:
         mean += common @ first
         half = common @ (0.5 * (common @ square).T + mixed)

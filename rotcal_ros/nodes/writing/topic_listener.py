@@ -22,7 +22,7 @@ from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.channels import described_channel, message_type
 from rotcal_ros.nodes.runtime.draining import GRAPH_PERIOD_S, Batch, DrainedSubscription, sent_ns
 from rotcal_ros.nodes.runtime.qos import adapted_qos
-from rotcal_ros.nodes.runtime.turns import UNWAITED, steady_timer
+from rotcal_ros.nodes.runtime.timers_and_events import UNWAITED, steady_timer
 from rotcal_ros.nodes.writing.bookkeeping import NEVER_PAUSE
 from rotcal_ros.nodes.writing.heard_topic import HeardTopic
 from rotcal_ros.nodes.writing.recording import Messages

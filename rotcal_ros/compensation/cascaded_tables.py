@@ -14,9 +14,9 @@ from typing import Final, Literal
 
 import numpy as np
 
-from rotcal_ros.compensation.between import between_std
 from rotcal_ros.compensation.effect import effect_on
-from rotcal_ros.compensation.held import HeldTable
+from rotcal_ros.compensation.held_table import HeldTable
+from rotcal_ros.compensation.interpolation_uncertainty import between_std
 from rotcal_ros.compensation.lookup import Correction
 from rotcal_ros.compensation.resample import resample
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable, check_verdict

@@ -12,7 +12,7 @@ from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.methods.tracer.design.information import Information
 from rotcal_ros.methods.tracer.design.scene import Lengths
 from rotcal_ros.methods.tracer.policy.lengths import LengthExperiment, rms
-from rotcal_ros.methods.tracer.policy.measured import Measured
+from rotcal_ros.methods.tracer.policy.measured_lengths import Measured
 
 ROUNDS: Final = 6
 """In about so many rounds further steps are put together."""

@@ -19,7 +19,7 @@ from rotcal_ros.nodes.goal.progress import Progress
 from rotcal_ros.nodes.runtime.cell_graph import ORDERS
 from rotcal_ros.nodes.runtime.cell_node import until
 from rotcal_ros.nodes.runtime.clock_news import jumps_told
-from rotcal_ros.nodes.runtime.concerns import SLOW, show
+from rotcal_ros.nodes.runtime.diagnostic_warnings import SLOW, show
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.health import RECORDING_FAILED
 from rotcal_ros.nodes.runtime.latest import HOPELESS, SILENT

@@ -9,11 +9,11 @@ from pathlib import Path
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.session_identity import session_of
-from rotcal_ros.bags.unread import unread
+from rotcal_ros.bags.unread_data import unread
 from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.plugins import culprit, in_words
 from rotcal_ros.methods.configuration import Configuration, parse_configuration
-from rotcal_ros.recordings.kept import (
+from rotcal_ros.recordings.outcome_cache import (
     BrokenEntry,
     Outcome,
     fingerprint,

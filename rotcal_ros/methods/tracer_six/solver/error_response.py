@@ -16,6 +16,7 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.protection import POWER
 from rotcal_ros.foundation.raw_data import MOST_INFLUENCES, Influence
 from rotcal_ros.geometry.rotations import cross_matrix
+from rotcal_ros.methods.tracer.solver.error_response import MOST_PATTERNS
 from rotcal_ros.methods.tracer.solver.reported import (
     Slope,
     Weighed,
@@ -24,8 +25,7 @@ from rotcal_ros.methods.tracer.solver.reported import (
     scatter_along,
     weigh,
 )
-from rotcal_ros.methods.tracer.solver.response import MOST_PATTERNS
-from rotcal_ros.methods.tracer_six.solver.patterns import felt
+from rotcal_ros.methods.tracer_six.solver.patterns import pattern_gradient
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
 from rotcal_ros.methods.tracer_six.solver.solution import PLACE, SixSolution, adjust
 from rotcal_ros.methods.tracer_six.solver.timing import Timing
@@ -65,7 +65,7 @@ def worst(solution: SixSolution, patterns: Floats, largest: float) -> Worst:
 
 def _respond(solution: SixSolution, patterns: Floats) -> tuple[Floats, Floats]:
     """Return moves of the curves (k, 6, m), and what is left in chi-squared (k,)."""
-    layout, here, k = solution.layout, felt(solution.rig, patterns), len(patterns)
+    layout, here, k = solution.layout, pattern_gradient(solution.network, patterns), len(patterns)
     step = here.slope @ solution.fit.posterior.covariance
     left = (here.weighted * patterns).sum(axis=(1, 2)) - (step * here.slope).sum(axis=1)
     moved = step[:, layout.size :] @ solution.table.jacobian.T
@@ -97,7 +97,7 @@ def _slope_along(solution: SixSolution, errors: Floats) -> Slope:
     row, fit = solution.grid.row, solution.fit
     column = np.where(row >= 0, errors[row], 0.0)[None]
     _, information = _respond(solution, column)
-    score = (felt(solution.rig, column).weighted[0] * fit.residual).sum()
+    score = (pattern_gradient(solution.network, column).weighted[0] * fit.residual).sum()
     excess = excess_of(solution.noise, solution.problem.settings.test_significance)
     return Slope(float(score), float(information[0]), fit.chi2, fit.dof, excess)
 
@@ -122,7 +122,7 @@ def drifts(solution: SixSolution, when: Timing) -> Floats:
 
     Over all runs, and anew in each run.
     """
-    state, unit = solution.rig.state, solution.rig.slopes.unit
+    state, unit = solution.network.state, solution.network.slopes.unit
     reach = float(np.linalg.norm(state.targets, axis=1).max())
     turns = -cross_matrix(state.targets / reach)  # (n, 3, 3)
     shifts = np.broadcast_to(np.eye(3), turns.shape)
@@ -133,8 +133,8 @@ def drifts(solution: SixSolution, when: Timing) -> Floats:
 
 def knocks(solution: SixSolution, when: Timing) -> Floats:
     """Return the tracer of each run slipping by a metre along three directions: (9 p, V, n)."""
-    layout, unit = solution.layout, solution.rig.slopes.unit
-    along = (unit @ solution.rig.state.rotation[layout.position]).transpose(2, 0, 1)
+    layout, unit = solution.layout, solution.network.slopes.unit
+    along = (unit @ solution.network.state.rotation[layout.position]).transpose(2, 0, 1)
     late = [when.own >= share for share in KNOCKED_AT]
     runs = [(layout.place == k)[:, None] for k in range(len(layout.places))]
     return np.concatenate([along * after * mine for after in late for mine in runs])
@@ -147,13 +147,13 @@ def scale(solution: SixSolution) -> Floats:
 
 def refraction(solution: SixSolution) -> Floats:
     """Return an index of the air that grows by one per metre of height: (1, V, n)."""
-    rig = solution.rig
-    stations = rig.state.stations(rig.layout)
-    height = 0.5 * (stations[:, None, 2] + rig.state.targets[:, 2])
+    network = solution.network
+    stations = network.state.stations(network.layout)
+    height = 0.5 * (stations[:, None, 2] + network.state.targets[:, 2])
     return np.asarray(_distance(solution) * (height - height.mean()))[None]
 
 
 def _distance(solution: SixSolution) -> Floats:
-    state = solution.rig.state
+    state = solution.network.state
     stations = state.stations(solution.layout)
     return np.asarray(np.linalg.norm(stations[:, None] - state.targets, axis=2))

@@ -8,7 +8,13 @@ from chances import LONG
 from tracer_scene import arc, low_ring, simulate
 
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.methods.tracer.solver.joins import Pairs, Runs, _joins, adjust_joined, join_of
+from rotcal_ros.methods.tracer.solver.joined_runs import (
+    Pairs,
+    Runs,
+    _joins,
+    adjust_joined,
+    join_of,
+)
 from rotcal_ros.methods.tracer.solver.solve import solve
 
 STD = 2e-7

@@ -21,8 +21,8 @@ from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
 from rotcal_ros.recordings import workers
-from rotcal_ros.recordings.finding import find_bags
-from rotcal_ros.recordings.many import Job, solve_bag
+from rotcal_ros.recordings.bag_search import find_bags
+from rotcal_ros.recordings.batch_solving import Job, solve_bag
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.recordings.workers import on_all_cores, on_cluster
 

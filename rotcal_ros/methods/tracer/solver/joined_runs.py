@@ -18,6 +18,7 @@ from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import Result, Verdict
 from rotcal_ros.geometry.rotations import wrap_angle
+from rotcal_ros.methods.tracer.solver.error_response import slope_along
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 from rotcal_ros.methods.tracer.solver.reported import (
     Reported,
@@ -27,7 +28,6 @@ from rotcal_ros.methods.tracer.solver.reported import (
     weigh,
     with_reported,
 )
-from rotcal_ros.methods.tracer.solver.response import slope_along
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
 from rotcal_ros.methods.tracer.solver.solve import result_of
 from rotcal_ros.methods.tracer.solver.trials import TracerTrials, trials_about

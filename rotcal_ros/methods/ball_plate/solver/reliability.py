@@ -25,6 +25,7 @@ from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.ball_plate.solver import gathering, repeatability
 from rotcal_ros.methods.ball_plate.solver.closure import Closure, closures
+from rotcal_ros.methods.ball_plate.solver.disturbance_response import unit_std, weights
 from rotcal_ros.methods.ball_plate.solver.drift import VISIBLE, drift_columns
 from rotcal_ros.methods.ball_plate.solver.estimate import solved
 from rotcal_ros.methods.ball_plate.solver.model import (
@@ -47,7 +48,6 @@ from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.solver.protections import Facts, protections
 from rotcal_ros.methods.ball_plate.solver.rejection import Fitted
 from rotcal_ros.methods.ball_plate.solver.repeatability import Repeatability
-from rotcal_ros.methods.ball_plate.solver.response import unit_std, weights
 from rotcal_ros.methods.ball_plate.solver.screening import RADIUS_TOLERANCE
 from rotcal_ros.methods.ball_plate.solver.solution import PlateSolution
 from rotcal_ros.methods.ball_plate.solver.zeros import allowed

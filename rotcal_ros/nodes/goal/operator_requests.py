@@ -1,19 +1,19 @@
-"""Asking a person, or a robot, and waiting for the answer: for work of the plan, and in a stop."""
+"""Requests to a person or a robot, and waiting for the answer: work of the plan, or a stop."""
 
 from __future__ import annotations
 
 from functools import partial
 from typing import Final
 
-from rotcal_ros.nodes.goal.watch import GoalWatch
-from rotcal_ros.nodes.runtime.concerns import BLOCKED
+from rotcal_ros.nodes.goal.goal_watch import GoalWatch
+from rotcal_ros.nodes.runtime.diagnostic_warnings import BLOCKED
 from rotcal_ros.planning.plan import PAUSED, RELEASED, STOPPED, Move
 
 REPEAT_PERIOD_S: Final = 2.0
 """An instruction is repeated after this time, for clients that come late."""
 
 
-class Asking:
+class OperatorRequests:
     """Pauses the goal of a ``watch``, which is a run of a plan."""
 
     def __init__(self, watch: GoalWatch, plan_id: str, run: int) -> None:
