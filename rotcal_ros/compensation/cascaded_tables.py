@@ -28,10 +28,11 @@ from rotcal_ros.foundation.in_force import NONE, UNKNOWN, in_words, known_hash
 from rotcal_ros.foundation.units import ARCSEC
 
 Combination = Literal["as_measured", "replace", "add"]
-"""What a person says: nothing, that a table is the whole, that it is what the present one left."""
+"""What a person says of a table: nothing, that it is the whole correction, or that it is what the
+one in force left."""
 NEAR: Final = 0.25
-"""Rows of the table in force, nearer than this part of its widest gap to a measured angle, are
-left out: so close together noise would bend the curve."""
+"""Rows of the table in force that are nearer to a measured angle than this part of its widest gap
+are left out: the noise of rows so close together would bend the curve."""
 
 
 def combined(
@@ -41,11 +42,11 @@ def combined(
 ) -> CompensationTable:
     """Return the table that ``table``, a measurement, becomes for a controller.
 
-    ``in_force`` returns the table that it may be added to, None where there is none. What was
-    measured with no table in force replaces, what was measured on top of one adds to this very
-    one, unless what it leaves shows that it does not act as it should (:mod:`.effect`); where that
-    is not known, the ``word`` of a person decides. Raises DataError, with the reason, for every
-    other combination.
+    ``in_force`` returns the table that it may be added to, None where there is none. A table that
+    was measured with none in force replaces; one that was measured on top of another is added to
+    that very one, unless the measurement shows that the one in force does not act as it should
+    (:mod:`.effect`). Where it is not known what was in force, the ``word`` of a person decides.
+    Raises DataError, with the reason, for every other combination.
     """
     if table.open_zeros:
         check_verdict(table)
@@ -69,7 +70,7 @@ def combined(
     acts = effect_on(table, held)
     if acts is not None and acts.wrong:
         raise DataError(
-            f"not added: {acts.wrong}. Mend that and measure again, or take the table away "
+            f"not added: {acts.wrong}. Correct that and measure again, or remove the table "
             "(restore), measure without one and replace it"
         )
     return added(table, held)
@@ -81,8 +82,8 @@ def _refuse_word(table: CompensationTable, word: Combination) -> None:
         raise DataError(f"the table contains the table {table.adds_to[:12]} already")
     if table.measured_on == UNKNOWN and word == "as_measured":
         raise DataError(
-            f"{in_words(UNKNOWN)}. Say it: 'replace' if there was none, 'add' if it was the one "
-            "that the controller holds now (rotcal export --replace, --add-to; "
+            f"{in_words(UNKNOWN)}. Say which: 'replace' if there was none, 'add' if it was the "
+            "one that the controller holds now (rotcal export --replace, --add-to; "
             "rc.write_controller_files replaces, add_to; bridge.combine); before measuring: "
             "cell.table_in_force"
         )
@@ -90,8 +91,8 @@ def _refuse_word(table: CompensationTable, word: Combination) -> None:
         raise DataError(f"not added: {in_words(NONE)}; let it replace the table in force")
     if known_hash(table.measured_on) and word == "replace":
         raise DataError(
-            f"not replaced: {in_words(table.measured_on)}, and to replace that table would take "
-            "away what it corrects; add to it"
+            f"not replaced: {in_words(table.measured_on)}, and replacing that table would lose "
+            "what it corrects; add to it"
         )
 
 
@@ -100,13 +101,13 @@ def added(table: CompensationTable, held: HeldTable) -> CompensationTable:
 
     It is zero where that of ``held`` is. The numbers in a controller are known exactly, so the
     uncertainty is that of ``table``, times the slope 1 + t'. It has a row at every angle that was
-    measured and at the rows of ``held`` between them. Raises DataError when one of both covers the
+    measured and at the rows of ``held`` between them. Raises DataError when one of them covers the
     full circle and the other an arc, or an arc does not cover the rows.
     """
     if table.closed != (held.period > 0.0):
         whole, part = ("table", "one in force") if table.closed else ("one in force", "table")
         raise DataError(
-            f"not added: the {whole} covers the full circle and the {part} an arc only: measure "
+            f"not added: the {whole} covers the full circle and the {part} only an arc: measure "
             "what the table in force covers"
         )
     new = _with_zero(table, held.reference_angle)

@@ -30,16 +30,16 @@ def to_be_in_force(
     replaces: bool = False,
     add_to: Path | None = None,
 ) -> CompensationTable:
-    """Return what is written for the ``machine`` (named in words) that ``table`` belongs to.
+    """Return the table to be written for ``machine`` (its keys are names for people).
 
-    ``table`` itself, or with it the table in the folder ``add_to``, which has to be of the same
-    machine. ``replaces``: a person says that none was in force. Raises DataError for what
-    contradicts and is not ``accepted``, and where nothing says what was in force;
-    ConfigurationError for both words at once.
+    That is ``table`` itself, or ``table`` added to the one in the folder ``add_to``; all have to
+    belong to the same machine. ``replaces``: a person says that none was in force. Raises
+    DataError for what contradicts and is not ``accepted``, and where nothing says what was in
+    force; ConfigurationError where both are asked for.
     """
     if replaces and add_to is not None:
         raise ConfigurationError(
-            "to replace the table in force (--replace) and to add to it (--add-to) exclude each "
+            "replacing the table in force (--replace) and adding to it (--add-to) exclude each "
             "other"
         )
     if add_to is None:

@@ -65,7 +65,7 @@ class PitchTable:
     unit_deg: float
 
     def correction(self, angle: Floats, approach: Approach) -> Floats:
-        """Return the running sum (rad) at ``angle`` (rad): each step comes amid its interval.
+        """Return the running sum (rad) at ``angle`` (rad): steps come in mid-interval.
 
         Where exactly inside the interval a control puts out its step is not documented; the stated
         residual holds for any place.

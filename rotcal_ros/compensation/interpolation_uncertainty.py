@@ -1,4 +1,4 @@
-"""What a table does not know between the measured angles, and which gaps are too wide for one."""
+"""The uncertainty of a table between the measured angles, and which gaps are too wide for one."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 POINTS: Final = 8
-"""Parts of every gap at whose ends a curve is looked at."""
+"""Parts into which every gap is divided; the curve is evaluated at their ends."""
 CERTAIN: Final = 4.0
-"""Standard uncertainties by which something is bounded that nobody measured."""
+"""Standard uncertainties that bound what was not measured."""
 GAP: Final = 1.5
-"""Times the usual distance of the angles beyond which a distance is a gap."""
+"""Times the median distance of the angles beyond which a distance is a gap."""
 
 Weights = Callable[[DirectionalCurve, Floats], Floats]
-"""Of a curve and m angles (rad): the matrix (m, n) that a table applies to its n values."""
+"""For a curve and m angles (rad): the matrix (m, n) that a table applies to its n values."""
 
 
 def without_gaps(
@@ -31,8 +31,8 @@ def without_gaps(
 ) -> tuple[DirectionalCurve, float]:
     """Return ``curve``, as an arc where it does not go round, and its :func:`between_std`, rad.
 
-    A gap is too wide when what is not known inside of it exceeds half the range of the curve. At
-    the ends of the measured angles it makes them an arc; DataError for one amid them.
+    A gap is too wide when the uncertainty inside it exceeds half the range of the curve. At the
+    ends of the measured angles it makes them an arc; DataError for one between them.
     """
     gaps, std = gaps_of(curve.angles, curve.period), between_std(curve, weights, reference)
     wide = (gaps > GAP * np.median(gaps)) & (std * CERTAIN > np.ptp(curve.stacked) / 2.0)
@@ -44,7 +44,7 @@ def without_gaps(
 
 
 def between_std(curve: DirectionalCurve, weights: Weights, reference: float) -> Floats:
-    """Return what is not known inside of each gap (n or n - 1,), beyond the measured angles.
+    """Return the additional uncertainty inside each gap (n or n - 1,).
 
     The largest standard uncertainty, rad, that comes on top of the largest at the measured angles:
     what the covariance gains by interpolation, and the harmonics that the sampling cannot see.
@@ -64,6 +64,7 @@ def between_std(curve: DirectionalCurve, weights: Weights, reference: float) -> 
         content = content_of(curve.angles, values, covariance)
         missed = np.sqrt(content.missed(inside, curve.angles, at.ravel()))
         missed += np.sqrt(content.missed(zero, curve.angles, here))
+        # an error common to all values shifts the curve, and bends it nowhere between them
         own = centring @ covariance @ centring
         gained = variances(inside, own) - np.max(variances(rows, own))
         total = (missed**2 + np.maximum(gained, 0.0)).reshape(at.shape)

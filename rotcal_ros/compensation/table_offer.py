@@ -19,9 +19,9 @@ from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
 from rotcal_ros.foundation.untrusted import load_json, read_bytes
 
 MAX_STD_RATIO: Final = 3.0
-"""Standard uncertainty over the largest correction, from which on a table is not believed."""
+"""Ratio of standard uncertainty and largest correction above which a table is refused."""
 MAX_AHEAD_NS: Final = 1_000_000_000
-"""So far may the clock of the solver be ahead of ours."""
+"""The clock of the solver may be ahead of ours by so much."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Offer:
 def make_offer(
     table: CompensationTable, stamp_ns: int, settings: BridgeSettings, axis: str, now_ns: int
 ) -> Offer:
-    """Hold ``table`` against the configuration, and write its files for people.
+    """Check ``table`` against the configuration, and write its files for people.
 
     They go into a folder of their own, named after their hash; one that holds exactly these
     files already is used again. Raises RotcalError when the table cannot be fed to this
@@ -108,7 +108,7 @@ def _looked_at(folder: Path, files: Mapping[str, str]) -> dict[str, str]:
     wrong = [n for n in found.keys() | files.keys() if not _same(n, texts.get(n), files.get(n))]
     if wrong:
         raise DataError(
-            f"{folder} holds something else than the files of this table "
+            f"{folder} does not hold exactly the files of this table "
             f"({', '.join(sorted(wrong))}): take the folder away and publish the table again"
         )
     return {name: texts[name] for name in files}

@@ -166,7 +166,7 @@ def held_small():
     [
         ("unknown", "as_measured", True, "not known which table was in force.*Say it"),
         ("none", "add", True, "not added: measured with no table in force"),
-        ("held", "replace", True, "not replaced.*take away what it corrects"),
+        ("held", "replace", True, "not replaced.*lose what it corrects"),
         ("held", "as_measured", False, "there is no table to add to"),
         ("unknown", "add", False, "there is no table to add to"),
         ("a" * 64, "as_measured", True, "not added.*aaaaaaaaaaaa.*the one to add to is"),

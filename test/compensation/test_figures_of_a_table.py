@@ -217,7 +217,7 @@ def test_the_mean_of_both_directions_is_zero_at_the_reference():
     np.testing.assert_allclose(found.correction_reverse, mean, atol=1e-18)
     left = max(np.max(np.abs(table.correction_forward - mean)),
                np.max(np.abs(table.correction_reverse - mean)))  # fmt: skip
-    words = f"mean of both directions: up to {left / ARCSEC:.3g} arcsec of reversal stay"
+    words = f"mean of both directions: up to {left / ARCSEC:.3g} arcsec of reversal remain"
     assert found.warnings == ("known", words)
     np.testing.assert_allclose(mean_deg(table)[:-1], np.rad2deg(mean), atol=1e-16)
     same = replace(table, correction_reverse=table.correction_forward)
