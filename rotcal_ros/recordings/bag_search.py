@@ -40,14 +40,14 @@ def find_bags(sources: Sequence[str]) -> tuple[str, ...]:
 
 
 class _Found:
-    """Bags in the order in which they were named, without those that are known already."""
+    """Bags in the order in which they were named, each of them once."""
 
     def __init__(self) -> None:
         self._inodes: dict[str, Inodes] = {}
         self._owner: dict[tuple[int, int], str] = {}
 
     def add(self, bag: str) -> None:
-        """Take a bag unless its files are known; it takes the place of single files of it."""
+        """Add a bag unless its files are there already; it replaces single files of it."""
         if bag in self._inodes:
             return
         inodes = _inodes(bag)
@@ -180,7 +180,7 @@ def _plain(path: Path) -> str:
 
 
 def _inside(folder: Path) -> list[os.DirEntry[str]]:
-    """Return what is in a folder, by name; to tell folders from files asks nothing of each."""
+    """Return the entries of a folder by name; with their kinds, which costs no further calls."""
     with os.scandir(folder) as entries:
         return sorted(entries, key=lambda entry: entry.name)
 

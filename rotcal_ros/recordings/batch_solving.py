@@ -68,7 +68,7 @@ def _kept(job: Job, outcome: Outcome) -> Outcome:
 
 
 def _in_words(error: Exception) -> str:
-    """Return what went wrong; our own texts explain themselves."""
+    """Return what went wrong; our own errors explain themselves."""
     if isinstance(error, RotcalError):
         return str(error)
     if isinstance(error, MemoryError):

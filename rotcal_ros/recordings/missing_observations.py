@@ -1,4 +1,4 @@
-"""Why a bag yields no observation: what its reader can do something about, in one sentence."""
+"""Why a bag yields no observation, in one sentence that says what can be done about it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _TOPICS: Final = {
 """What delivers each stream of the capture."""
 _MAX_NAMED: Final = 8
 _FEW: Final = 0.1
-"""Share of steps without an accepted observation that needs no word."""
+"""Share of steps without an accepted observation that is not worth a warning."""
 
 
 def why_nothing(
@@ -51,7 +51,7 @@ def why_nothing(
     elif counts.get("command", {}).get("unanswered"):
         reasons.append(unanswered(counts["command"]))
     else:
-        reasons.append("its streams hold no step of the plan that came to its end")
+        reasons.append("its streams hold no complete step of the plan")
     return "; ".join(reasons)
 
 
@@ -67,7 +67,7 @@ def doubtful(
 ) -> tuple[str, ...]:
     """Return what a reader should know of attempts that failed, though not all did.
 
-    And how many messages contradict others: nobody can say which of them are true.
+    And how many messages contradict others: it is not known which of them are true.
     """
     texts = []
     rejected = [o.reason for o in observations if not o.accepted]
@@ -79,8 +79,8 @@ def doubtful(
     elif without := _without(observations):
         texts.append(without)
     texts += [
-        f"{n} messages on {_TOPICS[stream]} say something else than another one of the same time "
-        "or order: two publishers, or stamps that are too coarse; the first one counts"
+        f"{n} messages on {_TOPICS[stream]} contradict others of the same time or order: two "
+        "publishers, or stamps that are too coarse; the first one counts"
         for stream in ("tracer", "table", "probe")
         if (n := counts.get(stream, {}).get("contradicting", 0))
     ]
@@ -91,7 +91,7 @@ def doubtful(
 
 
 def _without(observations: Sequence[Observation]) -> str:
-    """Return how many steps were tried in vain, and why; empty: few, a beam that is blocked."""
+    """Return how many steps were tried in vain, and why; empty: few, such as a blocked beam."""
     done = {o.step for o in observations if o.accepted}
     vain = [o for o in observations if o.step not in done]
     found, steps = Commonest.of(o.reason for o in vain), len({o.step for o in vain})

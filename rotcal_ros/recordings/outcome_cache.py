@@ -1,4 +1,4 @@
-"""Outcomes that are kept, so that nothing has to be computed twice: by what, and how safely."""
+"""A cache of outcomes, so that no bag is solved twice: its keys, and its entries on disk."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.recordings.remote import METADATA, is_remote, remote_state
 
 TAIL_BYTES: Final = 1 << 16
-"""What is hashed of a file's end: the summary of an MCAP file, the last pages of a database."""
+"""Hashed bytes of a file's end: the summary of an MCAP file, the last pages of a database."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Outcome:
     ``table`` tells rotary tables apart: cell and axis of the configuration that the bag was
     recorded with, else the folder it lies in. ``start_ns`` is the log time of the first message,
     ``session`` is the same for a recording, its copies and its repaired twins. ``cached`` tells
-    that nothing had to be computed, ``healed`` that what was kept was broken and was computed
+    that nothing had to be computed, ``healed`` that the cached entry was damaged and was computed
     again. ``unread`` says what of the bag could not be read.
     """
 

@@ -20,7 +20,7 @@ from rotcal_ros.capture import messages as records
 from rotcal_ros.foundation.errors import BagError
 
 _SENTENCES: Final = 20
-"""Sentences in all; more say no more."""
+"""Largest number of sentences; more of them would not say more."""
 _NAMED: Final = 5
 _TYPE: Final = "rotcal_msgs/msg/Observation"
 
@@ -29,8 +29,8 @@ _TYPE: Final = "rotcal_msgs/msg/Observation"
 class Window:
     """The window of an accepted observation in log time (ns), as dropouts are.
 
-    Stamps are those of the publisher's clock, which may be another or run at another pace: the
-    window ends when the observation arrived.
+    Stamps are those of the publisher's clock, which may differ from the recorder's or run at
+    another rate: the window ends when the observation arrived.
     """
 
     step: int
@@ -78,7 +78,7 @@ def placed(
 def placed_in(
     verdicts: Sequence[FileVerdict], limits: ReadingLimits = DEFAULT_LIMITS
 ) -> tuple[PlacedDropout, ...]:
-    """Return :func:`placed` with the observations in the files; reads them where it must."""
+    """Return :func:`placed` with the observations in the files; reads them only if it must."""
     if not any(verdict.dropouts for verdict in verdicts):
         return ()
     return placed(verdicts, _windows(tuple(verdict.path for verdict in verdicts), limits))
@@ -88,7 +88,7 @@ def sentences(dropouts: Sequence[PlacedDropout]) -> tuple[str, ...]:
     """Return dropouts in words; where there are many, the first ones."""
     shown = tuple(dropout.sentence() for dropout in dropouts[:_SENTENCES])
     left = len(dropouts) - len(shown)
-    return (*shown, f"and {left} dropouts more") if left else shown
+    return (*shown, f"and {left} more dropouts") if left else shown
 
 
 def _windows(files: tuple[Path, ...], limits: ReadingLimits) -> Iterator[Window]:

@@ -42,7 +42,7 @@ def differences(
 ) -> tuple[str, ...]:
     """Return where the policy, given the recorded observations, chooses otherwise than it did.
 
-    ``calibration`` has the settings of the planner. The policy as_listed has nothing to choose.
+    ``calibration`` has the settings of the planner. The policy as_listed makes no choices.
     """
     if calibration.configuration.planner.policy == AS_LISTED:
         return ()
@@ -81,7 +81,7 @@ def _first_difference(
         if recorded.number != place or not again.same_as(recorded.choice):
             return (
                 f"run {recorded.run}, choice {place}: the planner chose "
-                f"{_in_words(recorded.choice)}, with what was recorded the policy chooses "
+                f"{_in_words(recorded.choice)}, and from what was recorded the policy chooses "
                 f"{_in_words(again)}"
             )
         if recorded.choice.step is not None:
@@ -94,7 +94,7 @@ def _outcome(
     later: Sequence[RecordedChoice],
     observations: Sequence[Observation],
 ) -> Outcome:
-    """Return how the step of a choice went: the last accepted attempt of those it has."""
+    """Return how the step of a choice went: the last accepted one of its attempts."""
     step = recorded.choice.step
     assert step is not None
     behind = min((c.attempt for c in later if c.choice.step == step), default=ENDLESS)

@@ -41,7 +41,7 @@ class Source:
 def read_source(path: Path, given: Input | None = None) -> Source:
     """Return the result in a JSON file, the solution of a bag or table, or a session's result.
 
-    ``given`` is the path with a set-up, targets, changes: what they belong to is solved with them.
+    ``given`` is the path with a set-up, targets, changes, with which a bag or a table is solved.
     The folder of a session that is not finished yet has no result: its bag is solved. Raises
     BagError when it cannot be read, DataError when the file holds no result.
     """
@@ -150,7 +150,7 @@ def read_curve(
     """Return one deviation curve of a result, a bag, or a reference table.
 
     ``polygon`` holds the face errors that are taken off reference tables, ``reference_std`` (rad)
-    is their standard uncertainty where they state none. Raises DataError where nobody does.
+    is their standard uncertainty where they state none. Raises DataError where neither does.
     """
     if not is_table(path):
         return measured_curve(read_source(path).result, component)

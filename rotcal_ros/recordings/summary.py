@@ -20,10 +20,11 @@ from rotcal_ros.recordings.recorded_setup import require_one_configuration
 
 @dataclass(frozen=True)
 class Summary:
-    """The files of a bag, the names of what is attached, its configuration if there is.
+    """The files of a bag, the names of what is attached, its configuration if there is one.
 
-    ``session`` is the verdict on all files together, ``dropouts`` say what is missing from when.
-    ``contradiction`` says where two configurations differ; then there is none that counts.
+    ``session`` is the verdict on all files together, ``dropouts`` say what is missing, and from
+    when to when. ``contradiction`` says where two configurations differ; then there is none that
+    counts.
     """
 
     files: tuple[FileVerdict, ...]
