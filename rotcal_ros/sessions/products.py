@@ -37,10 +37,10 @@ def write_products(
     export: bool = True,
     tell: Callable[[str], None] = say,
 ) -> dict[str, str]:
-    """Write what follows from the result; return name -> absolute path of all there is.
+    """Write what follows from the result; return name -> absolute path of everything there is.
 
     A report or controller files that cannot be written never spoil a calibration: the reason is
-    told, and they are left out.
+    printed, and they are left out.
     """
     folder = session.folder
     paths = {"bag": folder.bag, "result": folder.result}
@@ -63,7 +63,7 @@ def write_products(
 
 
 def goal_line(folder: SessionFolder) -> str:
-    """Return in one line how a session stands to its goal; empty where it had none."""
+    """Return in one line whether a session met its goal; empty where it had none."""
     if read_policy(read_text(folder.configuration)) != UNTIL_GOAL:
         return ""
     recording = read_recording(folder.bag, "observations")
@@ -101,7 +101,7 @@ def write_report(folder: SessionFolder, extra: Sequence[tuple[str, str]] = ()) -
     result = write_recorded(recording, folder.report, truth, extra)
     live = recording.with_warnings(read_source(folder.result).result)
     if result.to_json() != live.to_json():
-        say(f"warning: {folder.bag} solved again gives another result than live: rotcal solve")
+        say(f"warning: {folder.bag}, solved again, gives another result than live: rotcal solve")
 
 
 def export_files(
@@ -115,7 +115,7 @@ def export_files(
 ) -> dict[str, ExportFiles]:
     """Return the files of the controllers ``names``, with rows every ``spacing`` rad.
 
-    ``settings`` are those of the controllers, by name; what is not there is at its defaults.
+    ``settings`` are those of the controllers, by name; a missing one has its defaults.
     """
     now = datetime.now(timezone.utc)
     return {

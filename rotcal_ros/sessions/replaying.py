@@ -1,4 +1,4 @@
-"""Running the process that replays a bag, and showing how far it is."""
+"""Running the process that replays a bag, and showing its progress."""
 
 from __future__ import annotations
 
@@ -71,6 +71,6 @@ def _followed(processes: Processes) -> dict[str, Any]:
     if code := child.wait():
         text = processes.log_tail(PLAYER, 1)
         if not text:
-            raise DataError(f"the player ended (exit code {code}) without a word")
+            raise DataError(f"the player ended (exit code {code}) without a message")
         raise _ERRORS.get(code, BagError)(text)
     return outcome
