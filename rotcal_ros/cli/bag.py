@@ -1,6 +1,6 @@
 """``rotcal bag``: describe, check and repair recorded bags.
 
-``--set reading.NAME=VALUE``: what a bag may ask for while it is read.
+``--set reading.NAME=VALUE``: limits of what reading a bag may take.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def info(bag: Path, limits: ReadingLimits, as_json: bool) -> int:
 def check(bag: Path, limits: ReadingLimits, as_json: bool) -> int:
     """Read BAG to its end and say for each file: complete, truncated or damaged.
 
-    And for all of them: whether a file of the session is missing, whether they belong together,
+    Then for all of them: whether a file of the session is missing, whether they belong together,
     and where metadata.yaml is wrong. The exit code is 0 when all is in order, 1 otherwise.
     """
     from rotcal_ros.bags.reader import bag_files, check_files
@@ -109,7 +109,7 @@ def check(bag: Path, limits: ReadingLimits, as_json: bool) -> int:
 @click.argument("bag", type=path_type)
 @json_option
 def reindex(bag: Path, as_json: bool) -> int:
-    """Write metadata.yaml of the folder BAG again from its files; a copy of the old one stays."""
+    """Write metadata.yaml of the folder BAG again from its files; the old one is kept too."""
     from rotcal_ros.bags.reindex import reindex as reindex_bag
 
     with progress("reading") as shown:
@@ -132,7 +132,7 @@ def reindex(bag: Path, as_json: bool) -> int:
 @click.argument("bag", type=path_type)
 @json_option
 def choices(bag: Path, as_json: bool) -> int:
-    """Say why each step of BAG was measured and why the planner stopped.
+    """Show why each step of BAG was measured and why the planner stopped.
 
     The policy is asked again with the recorded observations. The exit code is 0 when it makes the
     same choices, 1 otherwise.

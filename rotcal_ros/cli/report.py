@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     "--certificate",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     metavar="X509",
-    help="X.509 certificate (PEM) of who signs.",
+    help="X.509 certificate (PEM) of the signer.",
 )
 def command(
     source: Path,
@@ -72,7 +72,7 @@ def command(
 
     It has figures, tables, warnings, verdict and fingerprints.
 
-    RESULT (.json): about a result as it is, be it a combination or one whose bag is elsewhere.
+    RESULT (.json): about a result as it is, such as a combination or one whose bag is elsewhere.
     """
     ending = "" if output is None else output.suffix.lower()
     if ending and dcc != (ending == ".xml"):
@@ -112,7 +112,7 @@ def command(
 
 
 def _acting(result: Result, in_force: Path | None) -> int:
-    """Say whether the table acts on which ``result`` was measured; 1 where it does not."""
+    """Print whether the table acts on which ``result`` was measured; return 1 where not."""
     if in_force is None:
         return 0
     from rotcal_ros.compensation.earlier_export import effect_in_force
@@ -132,12 +132,14 @@ def _truth(path: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise BagError(f"cannot read {path}: {why(error)}") from error
     if not isinstance(truth, dict):
-        raise BagError(f"{path} is no truth.json of a simulation: expected a group of entries")
+        raise BagError(
+            f"{path} is not the truth.json of a simulation: expected a group of entries"
+        )
     return truth
 
 
 def page_beside(source: Path) -> Path:
-    """Return where the page about ``source`` goes: beside it, or beside the bag it is of."""
+    """Return where the page about ``source`` goes: beside it, or beside its bag."""
     source = source.absolute()
     source = bag_around(source) or source
     session = SessionFolder(source.parent)
