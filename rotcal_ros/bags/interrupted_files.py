@@ -362,6 +362,7 @@ class Contents:
             offset.write(summary)
         text = _taken(summary)
         Footer(start, offsets_start, 0).write(summary)
+        # its last field, the CRC, covers the summary and the footer up to there (MCAP, Footer)
         footer = _taken(summary)[:-4]
         crc = zlib.crc32(footer, zlib.crc32(text))
         return text + footer + crc.to_bytes(4, "little") + MAGIC

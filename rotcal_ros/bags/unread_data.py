@@ -1,4 +1,4 @@
-"""What of the bags that were read is missing, for whoever asks behind a verb, whichever it was."""
+"""What was missing in the bags that were read, noted for the end of any verb."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _found: Final[ContextVar[dict[str, bool] | None]] = ContextVar("unread", default
 
 @contextmanager
 def unread() -> Iterator[dict[str, bool]]:
-    """Yield what is noted until the end: sentences, and whether people were told already."""
+    """Yield what is noted until the end: sentences, and whether they were printed already."""
     found: dict[str, bool] = {}
     token = _found.set(found)
     try:
@@ -25,7 +25,7 @@ def unread() -> Iterator[dict[str, bool]]:
 
 
 def note_unread(sentences: Iterable[str]) -> None:
-    """Note that something of a bag was not read; nobody may listen."""
+    """Note that something of a bag was not read; ignored outside of :func:`unread`."""
     known = _found.get()
     if known is not None:
         for sentence in sentences:

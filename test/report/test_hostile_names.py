@@ -191,7 +191,7 @@ def test_it_is_no_name_in_ros_unless_it_is_one(name):
 
 @pytest.mark.parametrize("text", ["a\ud800", "a\0b"])
 def test_what_no_message_can_hold_is_no_setting(text):
-    with pytest.raises(ConfigurationError, match="item: no text"):
+    with pytest.raises(ConfigurationError, match="is not valid text"):
         Identity.from_dict({"item": text})
 
 
