@@ -1,7 +1,7 @@
-"""An instrument of an installed plug-in: publishes its lengths, or the places it was sent to.
+"""An instrument of an installed plug-in: publishes its lengths, or its positions.
 
-What it speaks is the plug-in's matter, see :mod:`rotcal_ros.instrument_plugins.instrument`; its
-thread is :mod:`rotcal_ros.instrument_plugins.driver`. This node only passes on.
+Its protocol is up to the plug-in, see :mod:`rotcal_ros.instrument_plugins.instrument`; its thread
+is :mod:`rotcal_ros.instrument_plugins.driver`. This node only passes on.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ LOOK_PERIOD_S = 0.2
 
 
 class InstrumentDriverNode(CellNode):
-    """Gives the driver of one instrument its orders and feedback, and publishes what it tells."""
+    """Gives the driver of one instrument its orders and feedback, and publishes its readings."""
 
     def __init__(self) -> None:
         super().__init__("instrument_driver")
@@ -91,7 +91,7 @@ class InstrumentDriverNode(CellNode):
         self._driver.begin()
 
     def deactivated(self) -> None:
-        """Let go of the instrument."""
+        """Release the instrument."""
         self._driver.stop()
 
     def stopped(self) -> bool:

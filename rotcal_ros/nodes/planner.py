@@ -37,7 +37,7 @@ RESULT_TIMEOUT_S: Final = 3600
 FEEDBACK_PERIOD_S: Final = 0.1
 NO_ORDERS: Final = "the planner orders nothing; a recording goes on"
 RESTART_WAIT_S: Final = 20.0
-"""So long a goal waits for a node of the suite that was lost to be started again."""
+"""A goal waits so long for a lost node of the suite to be restarted."""
 
 
 class Planner(CellNode):
@@ -92,7 +92,7 @@ class Planner(CellNode):
         return not self.configured or (self._run is None and not self._preparing)
 
     def gather_s(self) -> float:
-        """Let what comes gather until there is a goal."""
+        """Let messages gather until there is a goal."""
         return IDLE_S if self.stopped() else 0.0
 
     def _give_up(self, why: str) -> None:

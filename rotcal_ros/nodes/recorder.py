@@ -138,7 +138,7 @@ class RecorderNode(CellNode):
         topic = self._called.topic(names.OBSERVATION)
         try:
             if not await until(self.stopped, CLOSE_TIMEOUT_S):
-                raise BagError("the recorder is still closing the bag of the run before")
+                raise BagError("the recorder is still closing the bag of the previous run")
             self._reading, self._unwanted = True, False
             self.health.beat()  # before the reading can hold it up
             bag = await done_aside(self._bags.go_on, request.plan_id, topic)
@@ -187,7 +187,7 @@ class RecorderNode(CellNode):
         return response
 
     def _close(self) -> None:
-        """Take what has arrived and close the bag behind it."""
+        """Take what has arrived and then close the bag."""
         if (recording := self._writing()) is not None:
             self._listener.drain()
             self._asked.attach()
@@ -196,7 +196,7 @@ class RecorderNode(CellNode):
             recording.close(self._listener.losses + self._silences.counts)
 
     def _node_lost(self, name: str) -> None:
-        """Without its planner a calibration is over: close the bag."""
+        """Close the bag when its planner is lost: the calibration is over."""
         if name == "planner" and self._writing() is not None:
             self.get_logger().error("the planner is lost: closing the bag")
             self._close()

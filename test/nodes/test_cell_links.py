@@ -98,7 +98,7 @@ def test_an_instrument_that_was_started_anew_is_named_and_measured_with_in_anoth
     watch = watched(offer("tracer", NEW), machines=machines)
     with pytest.raises(GoalError) as lost:
         watch._check_publishers("at step 3 of 9")
-    assert "node tracer, which publishes /cell/tracer_length, was started anew" in str(lost.value)
+    assert "node tracer, which publishes /cell/tracer_length, was restarted" in str(lost.value)
     assert lost.value.in_another_run == another_run
 
 

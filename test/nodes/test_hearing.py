@@ -107,7 +107,7 @@ def test_a_node_that_was_started_anew_is_named_as_that(there, anew):
     node.there = there
     assert not hearing.hears(POINTS, info(STRAY))
     assert f"node {there[-1][0]} " in node.said[0]
-    assert ("started anew" in node.said[0]) == anew
+    assert ("restarted" in node.said[0]) == anew
     assert ("end that node" in node.said[0]) != anew
 
 

@@ -1,4 +1,4 @@
-"""What a check of a cell has heard, and under which names."""
+"""A snapshot of a cell: what its check has heard, and under which names."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SIMULATION: Final = FURTHER_NODES["simulation"]
 
 
 @dataclass(frozen=True)
-class Heard:
+class CellSnapshot:
     """What a check has to judge by; ``calibration``: None where no configuration was given.
 
     ``compared`` are the streams whose clocks could be held against that of the table. ``adapter``

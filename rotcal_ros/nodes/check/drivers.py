@@ -14,7 +14,7 @@ from rotcal_ros.instrument_plugins.instrument import Tracer, Tracker
 from rotcal_ros.methods.check_lines import CheckLine
 
 if TYPE_CHECKING:
-    from rotcal_ros.nodes.check.cell_snapshot import Heard
+    from rotcal_ros.nodes.check.cell_snapshot import CellSnapshot
 
 _DME, _PLUGIN, _TABLE = "dme", "instrument", "table_adapter"
 _BRINGS: Final = {
@@ -24,20 +24,20 @@ _BRINGS: Final = {
 """Streams that the driver of a group will tell, and orders that it will obey."""
 
 
-def brought(heard: Heard) -> dict[str, list[str]]:
+def brought(snapshot: CellSnapshot) -> dict[str, list[str]]:
     """Return role -> nodes of all that drivers will bring which are not here yet."""
     found: dict[str, list[str]] = {}
     for group in (_TABLE, _DME, _PLUGIN):
         node = FURTHER_NODES[group]
-        if group in heard.configuration.given and node not in heard.nodes:
-            for role in _of_the_plugin(heard) if group == _PLUGIN else _BRINGS[group]:
+        if group in snapshot.configuration.given and node not in snapshot.nodes:
+            for role in _of_the_plugin(snapshot) if group == _PLUGIN else _BRINGS[group]:
                 found.setdefault(role, []).append(node)
     return found
 
 
-def brought_line(heard: Heard, part: str, role: str, does: str) -> CheckLine | None:
+def brought_line(snapshot: CellSnapshot, part: str, role: str, does: str) -> CheckLine | None:
     """Return the line of a role that a driver will bring; None where none will."""
-    nodes = heard.brought.get(role, [])
+    nodes = snapshot.brought.get(role, [])
     if not nodes:
         return None
     if len(nodes) > 1:
@@ -46,40 +46,40 @@ def brought_line(heard: Heard, part: str, role: str, does: str) -> CheckLine | N
     return CheckLine(part, role, "note", f"{nodes[0]} {does}, which rotcal run starts")
 
 
-def driver_lines(heard: Heard) -> Iterator[CheckLine]:
+def driver_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
     """Yield whether the devices of the drivers are there, as far as that is seen from outside."""
-    given = heard.configuration.given
+    given = snapshot.configuration.given
     if _DME in given:
-        yield _dme_line(heard)
+        yield _dme_line(snapshot)
     if _PLUGIN in given:
-        yield _plugin_line(heard)
+        yield _plugin_line(snapshot)
 
 
-def _dme_line(heard: Heard) -> CheckLine:
-    """Say whether the address takes connections; beside an adapter of this cell none is tried."""
-    settings, node = heard.configuration.dme, FURTHER_NODES[_DME]
+def _dme_line(snapshot: CellSnapshot) -> CheckLine:
+    """Say whether the address takes connections; not tried while an adapter of this cell runs."""
+    settings, node = snapshot.configuration.dme, FURTHER_NODES[_DME]
     place = f"{settings.host}:{settings.port}"
-    if node in heard.nodes:
+    if node in snapshot.nodes:
         return CheckLine(
             "machine", "I++ DME", "note", f"node {node} is here and speaks to {place}"
         )
     try:
         with socket.create_connection((settings.host, settings.port), settings.reply_timeout_s):
-            found = f"{place} takes connections; nothing was said there, rotcal run begins"
+            found = f"{place} takes connections; no session was begun, rotcal run will do so"
     except (OSError, UnicodeError) as error:  # the latter for a name that no host can have
         todo = "start the machine's server, or correct dme.host and dme.port"
-        if heard.configuration.simulated:
+        if snapshot.configuration.simulated:
             todo = "start the simulated one: rotcal dme serve CONFIG"
         found = f"nobody answers at {place}: {getattr(error, 'strerror', '') or error}"
         return CheckLine("machine", "I++ DME", "missing", found, todo)
     return CheckLine("machine", "I++ DME", "good", found)
 
 
-def _plugin_line(heard: Heard) -> CheckLine:
+def _plugin_line(snapshot: CellSnapshot) -> CheckLine:
     """Say what the plug-in makes; only its driver may connect, since that may move something."""
-    settings, node = heard.configuration.instrument, FURTHER_NODES[_PLUGIN]
+    settings, node = snapshot.configuration.instrument, FURTHER_NODES[_PLUGIN]
     title = f"plug-in {settings.plugin}, {settings.address or 'no address'}"
-    if node in heard.nodes:
+    if node in snapshot.nodes:
         return CheckLine("instrument", "plug-in", "note", f"{title}: node {node} is here")
     try:
         instrument = instrument_of(settings)
@@ -92,10 +92,10 @@ def _plugin_line(heard: Heard) -> CheckLine:
     return CheckLine("instrument", "plug-in", "open", f"{title}: {found}", todo)
 
 
-def _of_the_plugin(heard: Heard) -> tuple[str, ...]:
+def _of_the_plugin(snapshot: CellSnapshot) -> tuple[str, ...]:
     """Return what the plug-in brings; nothing where it cannot be made, which its line tells."""
     try:
-        instrument = instrument_of(heard.configuration.instrument)
+        instrument = instrument_of(snapshot.configuration.instrument)
     except RotcalError:
         return ()
     lengths = (names.TRACER_LENGTH,) if isinstance(instrument, Tracer) else ()

@@ -1,4 +1,4 @@
-"""Who else is in the graph: our own nodes at work, nobody at all, topics of nearly that name."""
+"""Who else is in the graph: nodes of a calibration, no nodes at all, topics with similar names."""
 
 from __future__ import annotations
 
@@ -12,34 +12,34 @@ from rotcal_ros.nodes.runtime.cell_graph import CellGraph
 from rotcal_ros.sessions.domains import DEFAULT_DOMAIN, domains_in_use
 
 if TYPE_CHECKING:
-    from rotcal_ros.nodes.check.cell_snapshot import Heard
+    from rotcal_ros.nodes.check.cell_snapshot import CellSnapshot
 
 _OURS: Final = ("cell_check", "_cell_check_ears")
 
 
-def cell_lines(heard: Heard) -> Iterator[CheckLine]:
+def cell_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
     """Yield who is there."""
-    others = [pair for pair in heard.graph.nodes() if pair[0] not in _OURS]
-    place = heard.graph.node.get_namespace()
-    here = sorted(heard.nodes - {*_OURS})
+    others = [pair for pair in snapshot.graph.nodes() if pair[0] not in _OURS]
+    place = snapshot.graph.node.get_namespace()
+    here = sorted(snapshot.nodes - {*_OURS})
     if not others:
-        yield _nobody(heard)
+        yield _nobody(snapshot)
     else:
         elsewhere = len(others) - len(here)
         more = f"; {elsewhere} elsewhere in this domain" if elsewhere else ""
         yield CheckLine("cell", "nodes", "note", f"{', '.join(here) or 'none'} in {place}{more}")
-    if busy := sorted({*here} & {*NODES, *further_nodes(heard.configuration.given)}):
+    if busy := sorted({*here} & {*NODES, *further_nodes(snapshot.configuration.given)}):
         found = f"nodes of a calibration are here already: {', '.join(busy)}"
         todo = "rotcal run would be refused here: let it end (rotcal attach), or use its nodes"
         yield CheckLine("cell", "calibration", "doubt", found, todo)
 
 
-def _nobody(heard: Heard) -> CheckLine:
+def _nobody(snapshot: CellSnapshot) -> CheckLine:
     """Return the line of a graph with nobody in it, and how to look elsewhere."""
     domain = int(os.environ.get("ROS_DOMAIN_ID") or DEFAULT_DOMAIN)
-    if heard.started_by_us:
+    if snapshot.started_by_us:
         return CheckLine("cell", "nodes", "note", "none; rotcal run starts the simulated ones")
-    if heard.brought.keys() >= {*heard.topics}:
+    if snapshot.brought.keys() >= {*snapshot.topics}:
         return CheckLine("cell", "nodes", "note", "none; rotcal run starts the drivers")
     used = [d for d in domains_in_use() if d != domain]
     todo = "start your nodes with the same ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE as here"

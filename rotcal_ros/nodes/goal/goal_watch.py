@@ -29,15 +29,15 @@ from rotcal_ros.planning.planner_settings import PlannerSettings
 from rotcal_ros.planning.policy_names import AS_LISTED
 
 ASTRAY_TIMEOUT_S: Final = 5.0
-"""So long capture and solver may be without the plan of the goal."""
+"""Capture and solver may be without the plan of the goal for so long."""
 FOUND_S: Final = 5.0
-"""So long two ends may take to find each other: lost packets of discovery are repaired in 3 s."""
+"""Two ends may take so long to find each other: lost packets of discovery are repaired in 3 s."""
 HOPELESS_S: Final = 0.5
-"""So long the capture has to call it hopeless: late readings may look so for a moment."""
+"""The capture has to call it hopeless for so long: late readings may look so for a moment."""
 
 
 class HaltedError(Exception):
-    """An emergency stop has broken off the step under way; the goal waits."""
+    """An emergency stop has broken off the present step; the goal waits."""
 
 
 @dataclass
@@ -85,7 +85,7 @@ class GoalWatch:
         self.show(self.progress)
 
     def how_to_go_on(self, code: int) -> str:
-        """Return how to go on after an error of the goal, for those that end it half-way."""
+        """Return how to continue after an error that ends the goal half-way."""
         if code not in (
             Codes.NODE_LOST, Codes.RECORDER_FAILED, Codes.CANCELED, Codes.TOPIC_MISSING,
         ):  # fmt: skip
@@ -102,16 +102,16 @@ class GoalWatch:
         self.crew.begin_run()
 
     def end_run(self, patience_s: float) -> None:
-        """Watch over no run any more, but let a preflight look for the nodes of the next."""
+        """Stop watching the run, and let a preflight look for the nodes of the next one."""
         self.run, self.recording, self._bag_open, self._astray = "", False, False, None
         self._silent, self.heard = {}, {}
         self.patience_s = patience_s
         self.crew.end_run()
 
     async def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Wait until ``condition``; False after the time-out, GoalError when all is in vain.
+        """Wait until ``condition``; False after the time-out, GoalError when the goal must end.
 
-        While somebody is slow the time does not run.
+        The time does not run while a node is slow.
         """
         return await until(condition, timeout_s, self._check, self._is_slow)
 
@@ -122,7 +122,7 @@ class GoalWatch:
         return arrived
 
     async def have_all_answer(self) -> None:
-        """Wait at a safe place until nobody is slow."""
+        """Wait at a safe place until no node is slow."""
         self._check()
         await self.wait(lambda: not self.slow, math.inf)
 
@@ -130,7 +130,7 @@ class GoalWatch:
         return bool(self.slow)
 
     def heed_stop(self) -> None:
-        """Raise HaltedError while an emergency stop lasts, or nobody has resumed after it."""
+        """Raise HaltedError during an emergency stop, and after it until a person has resumed."""
         if why := self.stop.heed():
             raise HaltedError(f"emergency stop: {why}")
 
@@ -146,9 +146,9 @@ class GoalWatch:
             raise GoalError(code, "; ".join(missing()) or "preflight timed out")
 
     async def is_found(self, missing: Callable[[], list[str]]) -> bool:
-        """Return whether nothing is missing soon; where something is, publish as somebody new.
+        """Return whether nothing is missing soon; otherwise publish with new publishers.
 
-        The middleware may leave two ends apart for good, and takes up who is new.
+        The middleware may never connect two ends, but connects new ones.
         """
         if await self.wait(lambda: not missing(), min(FOUND_S, self.patience_s)):
             return True
@@ -208,7 +208,7 @@ class GoalWatch:
         self._heed_slow()
 
     def _heed_slow(self) -> None:
-        """See who is slow, and tell people: once for an overload, and what is waited for now."""
+        """Find out who is slow, and report it: an overload once, and what is waited for now."""
         overload, before = self._overload, self._overload.text
         self.slow = self.crew.slow() | self._silent
         if text := overload.look(self.slow, time.monotonic(), machine_load.in_words):
@@ -223,7 +223,7 @@ class GoalWatch:
             self.tell(self._interrupted)
 
     def _check_plan(self, place: str) -> None:
-        """Raise when capture or solver have been at work for another plan for long."""
+        """Raise when capture or solver have worked for another plan for too long."""
         astray = self.links.missing_plan(self.run) if self.run else []
         if not astray:
             self._astray = None
@@ -236,15 +236,15 @@ class GoalWatch:
             publishers = ", ".join(self.links.publishers(topic)) or "nobody"
             raise GoalError(
                 Codes.NODE_LOST,
-                f"{'; '.join(astray)} any more {place}: does somebody else publish on {topic} "
-                f"(its publishers: {publishers}), or was it started anew?",
+                f"{'; '.join(astray)} any more {place}: does another node publish on {topic} (its "
+                f"publishers: {publishers}), or was it restarted?",
                 in_another_run=True,
             )
 
     def _check_streams(self, place: str) -> None:
-        """Raise when the capture tells of an instrument that is lost after it had spoken.
+        """Raise when the capture reports that an instrument it had heard is lost.
 
-        One that is silent and still there is slow, as a node is, for as long.
+        One that is silent and still there counts as slow, like a node, for as long.
         """
         beat = self.links.health.others.get("capture")
         settled = self.links.health.sim.is_settled()
@@ -267,10 +267,10 @@ class GoalWatch:
                 raise GoalError(Codes.NODE_LOST, text)
 
     def _check_publishers(self, place: str) -> None:
-        """Raise where an instrument was started anew: the run does not hear it, another one does.
+        """Raise where an instrument was restarted: this run ignores it, another run hears it.
 
-        The nodes of the crew are known by their beats; a machine that was started anew may not
-        know any more where it is, so that a person has to begin again.
+        The nodes of the crew are known by their beats; a restarted machine may not know any more
+        where it is, so that a person has to begin again.
         """
         found = started_anew(self.heard, self.links.offered(self.instruments))
         for path, topics in found.items():
@@ -279,7 +279,7 @@ class GoalWatch:
                 moves = any(name in self.links.graph.machines(order) for order in ORDERS)
                 raise GoalError(
                     Codes.NODE_LOST,
-                    f"node {name}, which publishes {', '.join(topics)}, was started anew {place}",
+                    f"node {name}, which publishes {', '.join(topics)}, was restarted {place}",
                     in_another_run=not moves,
                 )
 

@@ -1,4 +1,4 @@
-"""Measuring what is left of a plan, step by step, with a person where it needs one."""
+"""Measuring the rest of a plan, step by step, with a person where one is needed."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rotcal_ros.planning.plan import Pause
 from rotcal_ros.planning.policy_names import AS_LISTED
 
 SETTLING_S: Final = 1.2
-"""So long after a clock was set the capture takes nothing (1 s), once it has noticed."""
+"""For so long after a clock was set the capture takes nothing (1 s), once it has noticed."""
 
 
 class Measuring:
@@ -74,7 +74,7 @@ class Measuring:
         return [step for step in self._watch.progress.accepted if step in self._next_attempt]
 
     def _give_up(self, *, at_the_end: bool) -> None:
-        """Raise GoalError where too many steps failed; at the end what there is is solved."""
+        """Raise GoalError where too many steps failed; at the end the others are solved."""
         text = self._failed.why_give_up()
         solvable = self._watch.progress.accepted or self._continuation.observations
         if text and not (at_the_end and solvable):
@@ -108,10 +108,10 @@ class Measuring:
             if not found or (asked >= self._watch.settings.max_attempts and not hopeless):
                 self._watch.owed = None
                 return
-            work = f"not as it should be: {found}; put it right ({pause.instruction})"
+            work = f"not as it should be: {found}; correct it ({pause.instruction})"
 
     def _complaints(self) -> tuple[str, bool]:
-        """Return what the observations so far say against the work; hopeless or not."""
+        """Return what the observations so far show against the work, and if it is hopeless."""
         earlier, now = self._continuation.observations, self._watch.links.observations
         try:
             return "; ".join(self._calibration.check([*earlier, *now.values()])), False
@@ -119,7 +119,7 @@ class Measuring:
             return str(error), True
 
     async def _measure(self, index: int, choice: Choice) -> list[str]:
-        """Attempt a step; when an emergency stop breaks it off, again after somebody resumed.
+        """Attempt a step; when an emergency stop breaks it off, again after a person has resumed.
 
         Return why it failed, once for every attempt; nothing when it was captured.
         """
@@ -168,7 +168,7 @@ class Measuring:
         return f"no observation within {limit_s:g} s of the order: {heard}"
 
     def _place(self, index: int) -> None:
-        """Show how far the goal is: the step of a list, or how many steps of those expected."""
+        """Show the progress of the goal: the step of a list, or how many of the expected steps."""
         progress = self._watch.progress
         if self._watch.settings.policy == AS_LISTED:
             progress.step = index

@@ -10,7 +10,7 @@ from rotcal_ros.nodes.runtime.diagnostic_warnings import BLOCKED
 from rotcal_ros.planning.plan import PAUSED, RELEASED, STOPPED, Move
 
 REPEAT_PERIOD_S: Final = 2.0
-"""An instruction is repeated after this time, for clients that come late."""
+"""An instruction is repeated after this time, for clients that join late."""
 
 
 class OperatorRequests:
@@ -64,13 +64,13 @@ def stop_text(why: str, latched: str, work: str) -> str:
     """Return what a person reads during a stop ``why``, or once it is over; else the ``work``."""
     if why:
         return (
-            f"{STOPPED}{why}; nothing is ordered, and the step under way does not count; the "
+            f"{STOPPED}{why}; nothing is ordered, and the present step does not count; the "
             "recording goes on and the bag is safe; release the stop, then resume"
         )
     if latched:
         after = f" ({work})" if work else ""
         return (
-            f"{RELEASED}, it was: {latched}; nothing moves before somebody resumes: see that the "
-            f"cell may move{after}"
+            f"{RELEASED}, it was: {latched}; nothing moves before a person resumes: make sure "
+            f"that the cell may move{after}"
         )
     return work

@@ -1,6 +1,6 @@
 """Carrying out one calibration goal, from preflight to result, as one coroutine.
 
-The bag of a goal: begun, gone on with in another run, and closed, by the recorder.
+The bag of a goal: begun, continued in another run, and closed, by the recorder.
 
 Before a goal moves anything: all nodes and instruments are there, and fit its configuration.
 """
@@ -41,7 +41,7 @@ from rotcal_ros.nodes.runtime.sim_clock import unlike_clocks
 from rotcal_ros.nodes.runtime.topic_names import TOPICS, names_at_odds, topics_value
 
 MOST_IN_VAIN: Final = 2
-"""So many runs without a newly accepted step follow each other at most, when nodes are lost."""
+"""Largest number of successive runs without a newly accepted step, when nodes are lost."""
 
 
 class GoalRun:
@@ -88,7 +88,7 @@ class GoalRun:
         return outcome
 
     async def _solved(self) -> FinishCalibration.Response:
-        """Return the solver's answer, in as many runs as the loss of nodes makes it take."""
+        """Return the solver's answer, after as many runs as the loss of nodes requires."""
         in_vain = 0
         while True:
             before = len(self.watch.progress.accepted)
@@ -128,14 +128,14 @@ class GoalRun:
         self.watch.links.node.get_logger().warning(f"{lost}: the goal waits for it and goes on")
 
     def values(self) -> dict[str, object]:
-        """Return what the planner tells of the goal in its beat."""
+        """Return what the planner's beat says of the goal."""
         heard: dict[str, object] = {BELIEVED: line} if (line := self._believed.in_a_beat()) else {}
         own: dict[str, object] = {**self.watch.progress.counts(), **heard}
         own[TOPICS] = topics_value(self._calibration.configuration)
         return {RUN: self._run, **own} if self._run else own
 
     async def _believe(self) -> None:
-        """Take those who publish now for those of the run, and wait until everybody knows them."""
+        """Fix the present publishers as those of the run, and wait until all nodes know them."""
         await self._decide()
         if not await self.watch.is_found(self._missing_ears):
             await self._decide()
@@ -174,7 +174,7 @@ class GoalRun:
         self.watch.links.node.get_logger().info(text)
 
     async def _announce(self) -> None:
-        """Publish the plan and wait until everybody has taken it."""
+        """Publish the plan and wait until all nodes have taken it."""
         links, configuration = self.watch.links, self._calibration.configuration
         message = CalibrationPlan(
             header=conversions.header(links.node.now_ns()),
@@ -222,7 +222,7 @@ BAG_TIMEOUT_S: Final = 10.0
 OPEN_TIMEOUT_S: Final = 120.0
 """To go on, a recorder reads what the runs before have recorded."""
 LAST_TIMEOUT_S: Final = 2.0
-"""So long the bag stays open for observations that have come here and not yet to the recorder."""
+"""The bag stays open so long for observations that came here and not yet to the recorder."""
 
 
 class GoalBag:
@@ -329,7 +329,7 @@ async def be_ready(calibration: Calibration, watch: GoalWatch, operator: Operato
 
 
 def _needed(links: CellLinks) -> set[str]:
-    """Return the nodes of the suite and those that are here; nobody needs what shows something."""
+    """Return the nodes of the suite and those that are here, except those that only show."""
     return (links.health.present() | set(PREFLIGHT_NODES)) - {*VIEWERS.values()}
 
 
@@ -338,7 +338,7 @@ async def _have_topics(
 ) -> None:
     """Wait for the topics; a stop that has broken the run off is released and resumed first.
 
-    Instruments may be silent meanwhile, and a capture that was started anew has heard nothing.
+    Instruments may be silent meanwhile, and a restarted capture has heard nothing.
     """
     missing = partial(_missing, calibration, watch.links)
     # What is missing may be there and not have been found; what is not there is waited for below.
@@ -351,7 +351,7 @@ async def _have_topics(
 
 
 def _halted(watch: GoalWatch) -> bool:
-    """Return whether somebody has to resume after an emergency stop: never in the first one."""
+    """Return whether a person has to resume after an emergency stop: never in the first one."""
     return not watch.preflight and bool(watch.stop.heed())
 
 

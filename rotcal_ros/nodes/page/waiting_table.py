@@ -23,7 +23,7 @@ BRIDGE: Final = "bridge"
 OFFERED: Final = "offered"
 MOST_ANGLES: Final = 120
 SILENCE_S: Final = 10.0
-"""After that long without an answer of the bridge it is asked for the drawing anew."""
+"""After that long without an answer the bridge is asked for the drawing again."""
 UNDRAWN: Final = "it is not drawn yet"
 
 
@@ -97,7 +97,7 @@ class WaitingTable:
             self._node.begin(self._draw, confirmation, self._table, self._attempt)
 
     def _can_draw(self, table_hash: str) -> bool:
-        """Return whether the table of the bridge has come here too, and the bridge answers."""
+        """Return whether the table of the bridge has arrived here too, and the bridge answers."""
         known = self._table is not None and self._table.table_hash == table_hash
         return known and bool(self._look_up.service_is_ready())
 
@@ -123,7 +123,7 @@ class WaitingTable:
     async def _ask(self, angles: Floats, side: Approach, attempt: object) -> list[Any] | None:
         """Return the bridge's answers; None when one fails, or another attempt has begun.
 
-        One after the other: a service holds ten requests and forgets what is more.
+        One after the other: a service holds ten requests and drops the rest.
         """
         answers = []
         for angle in angles:

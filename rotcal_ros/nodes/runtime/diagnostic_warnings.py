@@ -1,4 +1,4 @@
-"""What a node tells people to look at: in its beat and in /diagnostics, as long as it lasts."""
+"""Warnings of a node for people: in its beat and in /diagnostics, as long as they last."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ OFFSET: Final = "clock_offset"
 CLOCK_DOUBT: Final = "clock_doubt"
 """Streams whose clocks seem to differ by less than what is rejected."""
 FOREIGN_PLAN: Final = "foreign_plan"
-"""A plan that is not of the planner."""
+"""A plan that is not the planner's."""
 INTRUDER: Final = "intruder"
 """Who publishes on a topic of the run and was not there when it began."""
 SIM_CLOCK: Final = "sim_clock"
@@ -24,14 +24,14 @@ SIM_CLOCK: Final = "sim_clock"
 EMERGENCY: Final = "emergency_stop"
 """Who stops the cell, and what this node does meanwhile."""
 BLOCKED: Final = "blocked"
-"""Why a machine does nothing before a person has cleared it."""
+"""Why a machine does nothing until a person has cleared it."""
 SLOW: Final = "slow"
 """Who is slow and waited for, with the load of the machine."""
 FOR_PEOPLE: Final = (
     REJECTED, COMPLAINT, PREFLIGHT, OFFSET, CLOCK_DOUBT, FOREIGN_PLAN, INTRUDER, SIM_CLOCK,
     BLOCKED, SLOW,
 )  # fmt: skip
-"""Values in a beat that the person who runs a calibration is told."""
+"""Values in a beat that are shown to the person who runs a calibration."""
 OF_MACHINES: Final = (BLOCKED, COMPLAINT)
 """Values in a beat that may be why a calibration cannot go on."""
 
@@ -45,7 +45,7 @@ def show(health: Any, key: str, text: str, *, alarm: bool = False) -> None:
 
 
 def concerns_told(health: Any, keys: Collection[str] = FOR_PEOPLE) -> Iterator[str]:
-    """Yield what the other nodes tell people just now, under these ``keys``."""
+    """Yield the present warnings of the other nodes under these ``keys``."""
     for name in health.others:
         values = health.values(name)
         yield from (f"{name}: {values[key]}" for key in keys if key in values)

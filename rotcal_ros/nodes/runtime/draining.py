@@ -20,7 +20,7 @@ LIMIT: Final = 1000
 """Messages taken in one callback at most, so that no topic starves the others."""
 
 GRAPH_PERIOD_S: Final = 0.1
-"""How often the graph is looked at for new publishers."""
+"""How often the graph is searched for new publishers."""
 
 Batch = Sequence[tuple[Any, Any]]
 """Pairs of a message (or its serialised bytes) and rclpy's message info."""

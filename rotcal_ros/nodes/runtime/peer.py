@@ -1,4 +1,4 @@
-"""A node that is worked by hand, for programs that are more than a node."""
+"""A node that is spun by hand, for programs that are more than a node."""
 
 from __future__ import annotations
 

@@ -1,12 +1,12 @@
-"""What a node does by the clock, whatever becomes of the system's: timers and waking up.
+"""Timers and wake-ups of a node that do not depend on the system clock, and events it polls.
 
-rclpy's timers run by the clock of the node, which is the system's: set back by an hour, they are
-still for an hour.
+rclpy's timers run on the clock of the node, which is the system's: when that is set back by an
+hour, they stand still for an hour.
 
-What an executor waits for in every turn: a turn costs as much as it waits for things.
+A turn of an executor costs in proportion to the number of things that it waits for.
 
-rclpy gives every publisher and subscription two handlers of events or more, as of a lost message,
-and builds them into the set of every wait: most of what a node with many topics costs.
+rclpy gives every publisher and subscription two or more event handlers, such as for lost messages,
+and adds them to every wait set: that is most of the cost of a node with many topics.
 """
 
 from __future__ import annotations
@@ -52,18 +52,18 @@ def wake_after_jumps(executor: Executor) -> None:
 
 
 class Unwaited(CallbackGroup):
-    """What no executor waits for: somebody looks after it regularly."""
+    """Entities that no executor waits for: they are polled regularly."""
 
     def can_execute(self, entity: Any) -> bool:
-        """Return that none of it is work of a turn."""
+        """Return that no entity is executed in a turn."""
         return False
 
     def beginning_execution(self, entity: Any) -> bool:
-        """Return that none of it begins."""
+        """Return that no execution begins."""
         return False
 
     def ending_execution(self, entity: Any) -> None:
-        """Leave it: none of it has begun."""
+        """Do nothing: no execution has begun."""
 
 
 UNWAITED: Final = Unwaited()
@@ -77,7 +77,7 @@ def with_unwaited_events(entity: Any) -> Any:
 
 
 def handle_events(node: Node) -> None:
-    """Call those who want to know of the events since the last time; the middleware keeps them."""
+    """Call the handlers of the events since the last call; the middleware keeps them."""
     for handler in [each for each in node.waitables if isinstance(each, EventHandler)]:
         handler._ready_to_take_data = True
         event = handler.take_data()

@@ -1,6 +1,6 @@
-"""What the topics of the cell are called, as the nodes tell each other in their beats; no ROS.
+"""The names of the cell's topics, as the nodes exchange them in their beats; no ROS.
 
-A topic is called after its role, below the namespace of the cell, unless it is remapped or the
+A topic has the name of its role, below the namespace of the cell, unless it is remapped or the
 configuration names another one in its group ``topics``.
 """
 
@@ -15,7 +15,7 @@ from rotcal_ros.methods import Configuration
 from rotcal_ros.nodes.writing.recording import Recording
 
 TOPIC: Final = "topic."
-"""How the values of a beat begin that tell the absolute name of a role with another name."""
+"""Beginning of the values of a beat with the absolute name of a role that has another name."""
 TOPICS: Final = "topics"
 """Value of the planner while it has a goal: what its group ``topics`` gives, as JSON; of the
 capture: what it follows."""
@@ -26,12 +26,12 @@ _TELLERS: Final[Mapping[str, str]] = {
     names.STEP_CHOICE: "planner",
     names.TABLE_IN_FORCE: "solver",
 }
-"""Whose word counts for a role; that of the capture for all others."""
+"""Which node decides the name of a role; the capture for all others."""
 _HEARD_OF_THE_PLANNER: Final = {
     "capture": (names.PLAN, names.OBSERVATION, names.TABLE_ANGLE, names.PROBE_TARGET),
     "solver": (names.PLAN, names.OBSERVATION),
 }
-"""Roles that a node must call as the planner does."""
+"""Roles whose names a node must share with the planner."""
 
 Values = Callable[[str], Mapping[str, str]]
 """The values of the last beat of a node."""
@@ -40,25 +40,25 @@ Resolve = Callable[[str], str]
 
 
 def plain_name(namespace: str, role: str) -> str:
-    """Return what the topic of a role is called where nobody says otherwise."""
+    """Return the default name of the topic of a role."""
     return f"{namespace.rstrip('/')}/{role}"
 
 
 def other_names(namespace: str, resolve: Resolve) -> dict[str, str]:
-    """Return what a beat tells of the roles that a node calls otherwise."""
+    """Return the values of a beat for roles that have another name in a node."""
     called = {role: resolve(role) for role in sorted(names.ROLES)}
     return {f"{TOPIC}{r}": n for r, n in called.items() if n != plain_name(namespace, r)}
 
 
 class CalledOtherwise:
-    """Which topics play which role, by the latest word of the nodes that know."""
+    """Which topics play which role, by the latest beats of the nodes that decide it."""
 
     def __init__(self, namespace: str) -> None:
         self._namespace = namespace
         self.topics: dict[str, str] = {}
 
     def look(self, values: Values) -> None:
-        """Hear the nodes that are there; what one has told that is gone stays."""
+        """Take the beats of the nodes that are there; what a node said before it left stays."""
         for role in names.ROLES:
             if beat := values(_TELLERS.get(role, "capture")):
                 self.topics.pop(role, None)
@@ -83,18 +83,18 @@ class CalledOtherwise:
         return sum(count for topic, count in topics if self.role(topic) in names.ROLES)
 
     def keep_in(self, recording: Recording) -> None:
-        """Note in a bag what is called otherwise."""
+        """Note in a bag which topics have other names."""
         if self.topics:
             recording.note(names.TOPICS, self.topics)
 
 
 def name_in(values: Mapping[str, str], role: str) -> str:
-    """Return what people are told that a topic is called; its role where that is its name."""
+    """Return the name of a topic for people; its role where that is its name."""
     return values.get(TOPIC + role, role)
 
 
 def at_odds(values: Values, namespace: str, resolve: Resolve) -> Iterator[str]:
-    """Yield which topics the planner calls by ``resolve`` and another node otherwise, in words."""
+    """Yield in words which topics have other names in a node than in the planner."""
     for node, roles in _HEARD_OF_THE_PLANNER.items():
         for role in roles:
             theirs = values(node).get(TOPIC + role, plain_name(namespace, role))
@@ -121,5 +121,5 @@ def given_topics(configuration: Configuration) -> dict[str, Any]:
 
 
 def topics_value(configuration: Configuration) -> str:
-    """Return what the beat of a planner tells of its goal's group ``topics``."""
+    """Return the values of a planner's beat for its goal's group ``topics``."""
     return json.dumps(given_topics(configuration), sort_keys=True)

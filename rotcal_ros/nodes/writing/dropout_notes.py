@@ -1,4 +1,4 @@
-"""Writing dropouts into the bag: at their place, and never many."""
+"""Writing dropouts into the bag: at their place, and never too many."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TOGETHER_S: Final = 1.0
 
 
 class DropoutNotes:
-    """What the bag that is written misses: at most a message per topic, reason and second.
+    """What is missing from the bag being written: at most a message per topic, reason and second.
 
     They stand in the bag at the log time of their end, on ``topic``.
     """
@@ -30,7 +30,7 @@ class DropoutNotes:
         self._waiting: dict[tuple[str, str], tuple[float, Dropout]] = {}
 
     def begin(self, recording: Recording) -> None:
-        """Write into ``recording`` from now on; what was missing before is not told there."""
+        """Write into ``recording`` from now on; what was missing earlier is not noted there."""
         self._recording = recording
         self._waiting.clear()
 
@@ -55,7 +55,7 @@ class DropoutNotes:
             self.note(Dropout(silence.topic, begin, end, 0, SILENCE))
 
     def write(self, older_than_s: float = 0.0) -> None:
-        """Write those that have waited so long."""
+        """Write those that have waited long enough."""
         if self._recording is None or self._recording.error:
             return
         now_s = time.monotonic()

@@ -63,7 +63,7 @@ class Receipts:
             if not self._pending.is_answered(receipt):
                 self._logger.warning(
                     f"step {receipt.step}, attempt {receipt.attempt}: the point that answered the "
-                    "order has not come here; it counts as lost"
+                    "order has not arrived; it counts as lost"
                 )
             yield receipt
 

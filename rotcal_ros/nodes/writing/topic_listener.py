@@ -1,4 +1,4 @@
-"""Listening to every topic of a cell as serialised bytes, whoever publishes it whenever."""
+"""Listening to every topic of a cell as serialised bytes, whoever publishes it and when."""
 
 from __future__ import annotations
 
@@ -31,17 +31,16 @@ from rotcal_ros.planning.safety_settings import SafetySettings
 ALWAYS: Final = ("/diagnostics", "/rosout", names.TF_STATIC)
 """Topics outside the namespace of the cell that are recorded too."""
 TOGETHER_S: Final = 0.02
-"""So often is taken what is fast: a turn costs as much for one message as for many."""
+"""Interval at which fast topics are taken: a turn costs as much for one message as for many."""
 
 
 class Listener:
     """Subscribes to topics as they appear and hands their messages to ``take``.
 
-    What is missing goes to ``missed``, before the messages behind it go to ``take``.
-    Those are the topics of the namespace of the cell and the ``further`` ones, by absolute name.
-    Nobody wakes for messages of a topic that is ``fast``: they are taken together.
-    ``topics`` maps absolute names to what was heard, ``refused`` names topics whose type is not
-    installed.
+    What is missing goes to ``missed``, before the messages behind it go to ``take``. Those are the
+    topics of the namespace of the cell and the ``further`` ones, by absolute name. Messages of a
+    ``fast`` topic wake nothing: they are taken together. ``topics`` maps absolute names to what
+    was heard, ``refused`` names topics whose type is not installed.
     """
 
     def __init__(
@@ -84,7 +83,7 @@ class Listener:
     def reached_ns(
         self, rows: Iterable[Iterable[str]], called: Callable[[str], str]
     ) -> int | None:
-        """Return how far all ``rows`` have come, of each the first role that came at all.
+        """Return how far all ``rows`` have come: of each row its first role that came at all.
 
         ``called`` returns the topic of a role. None: nothing came.
         """
@@ -105,7 +104,7 @@ class Listener:
         return {name: t.heard_s for name, t in self.topics.items() if role(name) in steady}
 
     def tell_again(self, take: Callable[[Messages], object]) -> None:
-        """Hand over what was told once for all, as if it came now: every bag begins with it."""
+        """Hand over latched messages as if they came now: every bag begins with them."""
         now_ns = time.time_ns()
         for topic in self.topics.values():
             for latched in topic.latched:
