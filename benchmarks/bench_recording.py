@@ -31,7 +31,7 @@ from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.foundation.observations import LengthStatus, TracerSample
 from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
-from rotcal_ros.recordings.many import Job
+from rotcal_ros.recordings.batch_solving import Job
 from rotcal_ros.recordings.workers import on_all_cores
 
 SECONDS = float(os.environ.get("ROTCAL_BENCH_SECONDS", "10"))

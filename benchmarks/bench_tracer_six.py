@@ -17,7 +17,7 @@ from six_scene import LENGTH_STD, TARGET_STD, scene
 from rotcal_ros.methods.tracer_six.solver import SixProblem
 from rotcal_ros.methods.tracer_six.solver.curves import rotation_vector
 from rotcal_ros.methods.tracer_six.solver.layout import lay_out
-from rotcal_ros.methods.tracer_six.solver.rig import relax
+from rotcal_ros.methods.tracer_six.solver.network import relax
 from rotcal_ros.methods.tracer_six.solver.solution import find_start
 
 FORCING = {"tr_options": {"atol": 1e-14, "btol": 1e-14, "maxiter": 2000}}

@@ -35,7 +35,7 @@ sys.path.insert(0, str(ROOT / "test" / "recordings"))
 from fleet_bags import configuration_text, write_bag  # noqa: E402
 
 from rotcal_ros.methods.configuration import parse_configuration  # noqa: E402
-from rotcal_ros.recordings.many import Job  # noqa: E402
+from rotcal_ros.recordings.batch_solving import Job  # noqa: E402
 from rotcal_ros.recordings.results_dataset import parts  # noqa: E402
 from rotcal_ros.recordings.workers import on_all_cores  # noqa: E402
 from rotcal_ros.report.fleet_queries import asked  # noqa: E402

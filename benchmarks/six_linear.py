@@ -25,10 +25,10 @@ class Linear:
         rng = np.random.default_rng(1)
         rows = scene(rng, targets, arrivals=arrivals, **quiet, **layout).rows
         solution = adjust(SixProblem(**rows, slip=0.0, **NONE))
-        rig, whole = solution.rig, solution.fit.posterior.covariance
-        self.arms = rig.state.arms(rig.layout)
-        self.contrasts = contrasts(rig, self.arms)
-        self.gain = solution.table.jacobian @ whole[rig.layout.size :] @ pulled(rig).T
+        network, whole = solution.network, solution.fit.posterior.covariance
+        self.arms = network.state.arms(network.layout)
+        self.contrasts = contrasts(network, self.arms)
+        self.gain = solution.table.jacobian @ whole[network.layout.size :] @ pulled(network).T
         values, vectors = np.linalg.eigh(solution.table.covariance)
         self.noise = vectors * np.sqrt(np.maximum(values, 0.0))
         self.level, turn = np.linalg.eigh(self.contrasts.spread[0])

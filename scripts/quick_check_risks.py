@@ -25,7 +25,7 @@ from rotcal_ros.methods.tracer.check_plan import CheckPlan, plan_check
 from rotcal_ros.methods.tracer.design.scene import on_table
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
 from rotcal_ros.planning.check_rule import CheckRule
-from rotcal_ros.recordings.sources import read_curve
+from rotcal_ros.recordings.result_sources import read_curve
 
 ROOT = Path(__file__).parents[1]
 EARLIER = ROOT / "examples" / "data" / "result_ball_plate.json"

@@ -29,8 +29,8 @@ from typing import Final
 import numpy as np
 from scipy.special import gammaln
 
-from rotcal_ros.adjust.felt import Felt, Moment, total
 from rotcal_ros.adjust.groups import Group
+from rotcal_ros.adjust.sensitivity import Moment, Sensitivity, total
 from rotcal_ros.adjust.subsets import LEAST, distinct, most_of
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 
@@ -51,27 +51,31 @@ class Hypotheses:
     """q explanations of the same form, each with d sizes along its own axes.
 
     ``values`` (q, d): s, ``along`` (q, d): u. ``mixing``: what a unit of each is on the n rows of
-    its group, (n, q, d), worked out when it is asked for; ``felt`` (o, n): what these do to the
-    outputs. ``axes`` (q, d, d): V, where d sizes are not their own axes already.
+    its group, (n, q, d), worked out when it is asked for; ``sensitivity`` (o, n): what these do
+    to the outputs. ``axes`` (q, d, d): V, where d sizes are not their own axes already.
     """
 
     values: Floats
     along: Floats
     mixing: Callable[[], Floats]
-    felt: Felt
+    sensitivity: Sensitivity
     axes: Floats | None = None
 
     @property
     def moved(self) -> Floats:
         """What a unit of each does to the outputs, (o, q, d)."""
         mix = self.mixing()
-        return self.felt.of(mix.reshape(len(mix), -1)).reshape(-1, *mix.shape[1:])
+        return self.sensitivity.of(mix.reshape(len(mix), -1)).reshape(-1, *mix.shape[1:])
 
     def take(self, which: slice) -> Hypotheses:
         """Return some of them."""
         axes = None if self.axes is None else self.axes[which]
         return Hypotheses(
-            self.values[which], self.along[which], lambda: self.mixing()[:, which], self.felt, axes
+            self.values[which],
+            self.along[which],
+            lambda: self.mixing()[:, which],
+            self.sensitivity,
+            axes,
         )
 
     def log_bayes(self, sizes: Floats = SIZES) -> Floats:
@@ -93,14 +97,14 @@ class Hypotheses:
         mix = self.mixing()
         flat = mix.reshape(len(mix), -1)
         spread = (mix.swapaxes(0, 1) @ second).swapaxes(0, 1).reshape(flat.shape)
-        return Moment(self.felt, flat @ first.ravel(), spread @ flat.T)
+        return Moment(self.sensitivity, flat @ first.ravel(), spread @ flat.T)
 
     def moments(self, weights: Floats, sizes: Floats = SIZES) -> tuple[Floats, Floats]:
         """Return sums (o,) of what the outputs are off by, and (o, o) of its square.
 
         ``weights`` (q, t): posterior probabilities.
         """
-        return total([self.moment(weights, sizes)], self.felt.outputs)
+        return total([self.moment(weights, sizes)], self.sensitivity.outputs)
 
     def sizes_of(self, k: int, sizes: Floats = SIZES) -> Floats:
         """Return the expected sizes (d,) of explanation ``k`` along its axes."""
@@ -131,7 +135,7 @@ def shifts(group: Group, subsets: Bools) -> Hypotheses:
             np.maximum(square, 0.0),
             np.where(square < UNSEEN, 0.0, along),
             lambda: (subsets.T * group.relative)[:, :, None],
-            group.felt,
+            group.sensitivity,
         )
     both = (part @ group.weight.reshape(e, -1)).reshape(-1, c, e, c)
     square = (both.swapaxes(2, 3) @ part[:, None, :, None])[..., 0]
@@ -142,7 +146,7 @@ def shifts(group: Group, subsets: Bools) -> Hypotheses:
         lambda: np.einsum("qe,ea,qab->eaqb", part, group.relative, vectors).reshape(
             e * c, len(part), c
         ),
-        group.felt,
+        group.sensitivity,
         vectors,
     )
 
@@ -151,7 +155,7 @@ def scatter(group: Group) -> Hypotheses:
     """Return that all rows of the ``group`` are noisier, each by itself."""
     values, vectors = group.axes
     along = group.residual.ravel() @ vectors
-    return Hypotheses(values[None], along[None], lambda: vectors[:, None], group.felt)
+    return Hypotheses(values[None], along[None], lambda: vectors[:, None], group.sensitivity)
 
 
 def free(group: Group, subset: Bools) -> Hypotheses:
@@ -169,7 +173,7 @@ def free(group: Group, subset: Bools) -> Hypotheses:
         mix[subset] = group.relative[subset][:, :, None] * axes.reshape(k, c, -1)
         return mix.reshape(-1, 1, k * c)
 
-    return Hypotheses(np.maximum(values, 0.0)[None], along[None], on_rows, group.felt)
+    return Hypotheses(np.maximum(values, 0.0)[None], along[None], on_rows, group.sensitivity)
 
 
 @lru_cache(maxsize=256)
@@ -189,7 +193,7 @@ def without(group: Group, subset: Bools) -> Floats:
     errors = np.linalg.lstsq(part, group.residual.ravel()[rows], rcond=1e-9)[0]
     spoiled = np.zeros((n, 1))
     spoiled[rows, 0] = errors
-    return -group.felt.of(spoiled)[:, 0]
+    return -group.sensitivity.of(spoiled)[:, 0]
 
 
 def log_sum(logs: Floats) -> Floats:
@@ -274,6 +278,6 @@ def studentised(group: Group, variance: float) -> Group:
     return replace(
         group,
         residual=group.residual / root,
-        felt=group.felt.weighted(root),
+        sensitivity=group.sensitivity.weighted(root),
         unit=group.unit / root,
     )

@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.adjust.distributions import chi2_sf, f_sf
-from rotcal_ros.adjust.felt import Felt
 from rotcal_ros.adjust.low_rank import LowRank
+from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 
 CHECKED: Final = 1e-6
@@ -29,8 +29,8 @@ class Group:
 
     ``kind``, ``name``: for people, as "station" and "station 3". ``members`` (e,): the caller's
     numbers of the elements. ``residual`` (e, c): r, observed - computed, whitened. ``cofactor``
-    (e, c, e, c): R. ``felt`` (o, e c): B, by how much an output is off per whitened unit error.
-    ``unit`` (e, c): whitened units per unit of a common shift, the inverse standard
+    (e, c, e, c): R. ``sensitivity`` (o, e c): B, by how much an output is off per whitened unit
+    error. ``unit`` (e, c): whitened units per unit of a common shift, the inverse standard
     deviation; zero where an element lacks the axis, whose other entries are zero too.
     ``gathered`` (q, e): subsets that lie together, see :mod:`.subsets`. ``lost``: how many
     elements of the group were rejected before, which are no members. ``eigen``: eigenvalues and
@@ -42,7 +42,7 @@ class Group:
     members: Ints
     residual: Floats
     cofactor: Floats
-    felt: Felt
+    sensitivity: Sensitivity
     unit: Floats
     gathered: Bools
     lost: int = 0
@@ -57,7 +57,7 @@ class Group:
         residual: Floats,
         unit: Floats,
         leverage: Floats,
-        felt: Felt,
+        sensitivity: Sensitivity,
         gathered: Bools | None = None,
         lost: int = 0,
     ) -> Group:
@@ -72,8 +72,8 @@ class Group:
         if gathered is None:
             gathered = np.zeros((0, len(members)), dtype=np.bool_)
         return cls(
-            kind, name, members, residual, cofactor.reshape(*shape, *shape), felt, unit, gathered,
-            lost,
+            kind, name, members, residual, cofactor.reshape(*shape, *shape), sensitivity, unit,
+            gathered, lost,
         )  # fmt: skip
 
     @property
@@ -84,7 +84,7 @@ class Group:
     @property
     def response(self) -> Floats:
         """B as a whole, (o, e, c)."""
-        return self.felt.dense().reshape(-1, *self.residual.shape)
+        return self.sensitivity.dense().reshape(-1, *self.residual.shape)
 
     @cached_property
     def relative(self) -> Floats:
@@ -242,8 +242,10 @@ class SolutionView:
         """
         rows = design.reshape(residual.size, -1)
         spread = rows @ self.covariance
-        felt = Felt.whole(np.asarray(self.outputs @ spread.T))
-        return Group.of(kind, name, members, residual, unit, spread @ rows.T, felt, gathered, lost)
+        sensitivity = Sensitivity.whole(np.asarray(self.outputs @ spread.T))
+        return Group.of(
+            kind, name, members, residual, unit, spread @ rows.T, sensitivity, gathered, lost
+        )
 
 
 @dataclass(frozen=True, eq=False)

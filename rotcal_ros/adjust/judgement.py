@@ -37,8 +37,8 @@ from rotcal_ros.adjust.explanations import (
     studentised,
     without,
 )
-from rotcal_ros.adjust.felt import total
 from rotcal_ros.adjust.groups import Group
+from rotcal_ros.adjust.sensitivity import total
 from rotcal_ros.adjust.subsets import LEAST, distinct, most_of
 from rotcal_ros.foundation.arrays import Bools, Floats
 
@@ -111,7 +111,7 @@ class Judgement:
     @cached_property
     def moments(self) -> tuple[Floats, Floats]:
         """Expected error (o,) of the outputs, and its square (o, o)."""
-        outputs = self.groups[0].felt.outputs if self.groups else 0
+        outputs = self.groups[0].sensitivity.outputs if self.groups else 0
         return total((each.found.moment(weights) for each, weights in self._weights()), outputs)
 
     def _weights(self) -> Iterator[tuple[WeighedHypotheses, Floats]]:

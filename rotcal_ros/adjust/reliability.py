@@ -14,8 +14,8 @@ import numpy as np
 
 from rotcal_ros.adjust.distributions import normal_isf
 from rotcal_ros.adjust.explanations import Hypotheses, shifts
-from rotcal_ros.adjust.felt import Felt
 from rotcal_ros.adjust.groups import Group
+from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats
 
 UNSEEN: Final = 1e-9
@@ -66,7 +66,7 @@ def hidden(
         for group, found in zip(groups, gathered, strict=True)
         if len(group.gathered)
     ]
-    reach = _Reach.of(unseen[0].found.felt, std)
+    reach = _Reach.of(unseen[0].found.sensitivity, std)
     most = np.array([reach.most(each) for each in unseen])
     worst: Hidden | None = None
     for k in np.argsort(-most, kind="stable").tolist():
@@ -100,8 +100,10 @@ class _Unseen:
 
     def worst(self, std: Floats) -> Hidden:
         """Return the worst of the subsets; ``std`` (o,) of the outputs."""
-        felt, group = std > 0.0, self.group
-        share = (np.abs(self.found.moved[felt]) / std[felt, None, None]).max(axis=0, initial=0.0)
+        uncertain, group = std > 0.0, self.group
+        share = (np.abs(self.found.moved[uncertain]) / std[uncertain, None, None]).max(
+            axis=0, initial=0.0
+        )
         error = share * self.size
         q, axis = np.unravel_index(int(np.argmax(error)), error.shape)
         return Hidden(
@@ -126,25 +128,25 @@ class _Reach:
     longest: float
 
     @classmethod
-    def of(cls, felt: Felt, std: Floats) -> _Reach:
-        if felt.common is None:
+    def of(cls, sensitivity: Sensitivity, std: Floats) -> _Reach:
+        if sensitivity.common is None:
             return cls(std, None, np.inf)
         there = std > 0.0
-        rows, root = np.linalg.qr(felt.common[there] / std[there, None])
+        rows, root = np.linalg.qr(sensitivity.common[there] / std[there, None])
         longest = np.sqrt((rows**2).sum(axis=1)).max(initial=0.0)
         return cls(std, np.asarray(root), SAFELY * float(longest))
 
     def most(self, unseen: _Unseen) -> float:
         """Return what the error of no subset exceeds."""
-        felt, mix = unseen.found.felt, unseen.found.mixing()
-        if self.root is None or felt.common is None:
+        sensitivity, mix = unseen.found.sensitivity, unseen.found.mixing()
+        if self.root is None or sensitivity.common is None:
             return np.inf
         flat = mix.reshape(len(mix), -1)
-        along = felt.along @ flat
+        along = sensitivity.along @ flat
         share = self.longest * np.sqrt(((self.root @ along) ** 2).sum(axis=0))
-        at = felt.at[self.std[felt.at] > 0.0]
+        at = sensitivity.at[self.std[sensitivity.at] > 0.0]
         if len(at):
-            own = felt.common[felt.at] @ along + felt.own @ flat
-            own = np.abs(own[self.std[felt.at] > 0.0]) / self.std[at, None]
+            own = sensitivity.common[sensitivity.at] @ along + sensitivity.own @ flat
+            own = np.abs(own[self.std[sensitivity.at] > 0.0]) / self.std[at, None]
             share = np.maximum(share, SAFELY * own.max(axis=0))
         return float((share * unseen.size.ravel()).max())

@@ -28,7 +28,7 @@ from rotcal_ros.methods.measurements import PlannedMeasurements
 from rotcal_ros.methods.method import Measurements
 from rotcal_ros.planning.check_rule import RISK, CheckRule
 from rotcal_ros.recordings.replay import Recording
-from rotcal_ros.recordings.sources import read_curve, read_measured, read_repeated_runs
+from rotcal_ros.recordings.result_sources import read_curve, read_measured, read_repeated_runs
 
 Curve = Result | MeasuredCurve | Name
 

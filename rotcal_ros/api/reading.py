@@ -10,7 +10,7 @@ from rotcal_ros.methods.configuration import Configuration, changed
 from rotcal_ros.methods.measurements import read_measurements
 from rotcal_ros.methods.method import Measurements
 from rotcal_ros.methods.setup_file import read_setup
-from rotcal_ros.recordings import sources
+from rotcal_ros.recordings import result_sources
 from rotcal_ros.recordings.replay import Recording, Source, read_recording
 from rotcal_ros.recordings.topics import Topics
 
@@ -97,4 +97,4 @@ def read_result(path: Name) -> Result:
     >>> result.deviations["ECC"].shape
     (12,)
     """
-    return sources.read_source(Path(path)).result
+    return result_sources.read_source(Path(path)).result

@@ -37,6 +37,7 @@ from rotcal_ros.bags import mcap_records as mcap
 from rotcal_ros.bags import names
 from rotcal_ros.bags.blocks import Block, Others, block_of_contents, joined, split_chunk
 from rotcal_ros.bags.definitions import ChannelDefinition, parse_definitions, schema_text
+from rotcal_ros.bags.file_compression import opened
 from rotcal_ros.bags.framing import Framing, Record
 from rotcal_ros.bags.index_check import IndexCheck
 from rotcal_ros.bags.mcap_records import DamagedRecord
@@ -47,10 +48,9 @@ from rotcal_ros.bags.message_compression import (
     unpacked,
 )
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits, refusal
-from rotcal_ros.bags.scan import Item, Scan
+from rotcal_ros.bags.storage_scan import Item, Scan
 from rotcal_ros.bags.unpacking import Unpacker
 from rotcal_ros.bags.verdict import Damage, FileVerdict, State
-from rotcal_ros.bags.whole_file import opened
 from rotcal_ros.foundation.errors import BagError
 
 _RUN_BYTES: Final = 1 << 20

@@ -9,13 +9,13 @@ from pathlib import Path, PurePath
 from typing import Final
 
 from rotcal_ros.bags.blocks import Block
+from rotcal_ros.bags.file_compression import plain_name
 from rotcal_ros.bags.mcap_scan import McapScan
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.rosbag2_metadata import INFINITE_NS, FileInfo
-from rotcal_ros.bags.scan import Item, Scan
-from rotcal_ros.bags.unread import note_verdict
+from rotcal_ros.bags.storage_scan import Item, Scan
+from rotcal_ros.bags.unread_data import note_verdict
 from rotcal_ros.bags.verdict import FileVerdict
-from rotcal_ros.bags.whole_file import plain_name
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.untrusted import why
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 
-from rotcal_ros.bags.closing import InterruptedSession
+from rotcal_ros.bags.file_compression import plain_name
+from rotcal_ros.bags.interrupted_files import InterruptedSession
 from rotcal_ros.bags.mcap_file import LIBRARY
 from rotcal_ros.bags.reader import Progress, bag_files, file_info, read_blocks
 from rotcal_ros.bags.rosbag2_metadata import FileInfo, bag_information, yaml_text
@@ -23,7 +24,6 @@ from rotcal_ros.bags.rosbag2_reading import (
 from rotcal_ros.bags.session_identity import require_one_session
 from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session
 from rotcal_ros.bags.verdict import FileVerdict
-from rotcal_ros.bags.whole_file import plain_name
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.files import FolderLock, sync_folder, write_atomically
 

@@ -17,8 +17,8 @@ from rotcal_ros.bags.mcap_file import Attached
 from rotcal_ros.bags.reader import Progress, bag_files, check_files, read_items
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.repair_record import repair_record
-from rotcal_ros.bags.scan import Scan
 from rotcal_ros.bags.session_verdict import judge_session
+from rotcal_ros.bags.storage_scan import Scan
 from rotcal_ros.bags.verdict import FileVerdict, session_losses
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from rotcal_ros.bags import names
+from rotcal_ros.bags.file_compression import PACKED
 from rotcal_ros.bags.repair_record import missing_before_repair, repairs_in_words
 from rotcal_ros.bags.rosbag2_reading import (
     METADATA_FILE,
@@ -19,9 +20,8 @@ from rotcal_ros.bags.rosbag2_reading import (
     read_description,
     recorded_files,
 )
-from rotcal_ros.bags.unread import note_unread
+from rotcal_ros.bags.unread_data import note_unread
 from rotcal_ros.bags.verdict import FileVerdict
-from rotcal_ros.bags.whole_file import PACKED
 from rotcal_ros.foundation.errors import BagError
 
 _TOLERANCE_NS: Final = 1_000_000

@@ -22,7 +22,7 @@ from urllib.parse import quote_from_bytes
 
 import numpy as np
 
-from rotcal_ros.bags import whole_file
+from rotcal_ros.bags import file_compression as whole_file
 from rotcal_ros.bags.blocks import HEADER_TYPE, Block
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.message_compression import (
@@ -34,7 +34,7 @@ from rotcal_ros.bags.message_compression import (
     unpacked,
 )
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, LARGEST_MESSAGE, ReadingLimits
-from rotcal_ros.bags.scan import Scan
+from rotcal_ros.bags.storage_scan import Scan
 from rotcal_ros.bags.verdict import Damage, FileVerdict, TopicCount
 from rotcal_ros.foundation.errors import BagError
 

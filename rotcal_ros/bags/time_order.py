@@ -33,7 +33,7 @@ from rotcal_ros.bags.blocks import HEADER_TYPE, Block, gather
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.run_number import run_number
-from rotcal_ros.bags.scan import Scan, StorageContents
+from rotcal_ros.bags.storage_scan import Scan, StorageContents
 from rotcal_ros.foundation.arrays import Bools, Ints
 
 LEAST_NS: Final = 1_000_000_000

@@ -98,8 +98,8 @@ class Intruder:
         who = f"node {node}" if node else "a node that is gone"
         if anew:
             return (
-                f"{self.topic}: {who} was started anew, or stands in for the one with which the "
-                "run began; its messages are left alone until another run begins"
+                f"{self.topic}: {who} was restarted, or replaces the one with which the run "
+                "began; its messages are left alone until another run begins"
             )
         return (
             f"{self.topic}: {who} publishes there too, and was not there when the run began; its "

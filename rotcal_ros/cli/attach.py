@@ -1,4 +1,4 @@
-"""``rotcal attach``: a calibration that runs elsewhere, seen from here."""
+"""``rotcal attach``: watch a calibration that runs in another process."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ OUT = Path("out")
 def command(folder: Path | None, stop: bool, as_json: bool) -> int:
     """Show the calibration that runs in FOLDER, as 'rotcal run' does; default: the one in out/.
 
-    Enter says that what is asked of a person is done. The exit code is that of 'rotcal run', or 0
-    once --stop has stopped it. Ctrl-C only leaves: the calibration goes on.
+    Enter confirms that the work asked of a person is done. The exit code is that of 'rotcal run',
+    or 0 once --stop has stopped it. Ctrl-C only leaves: the calibration goes on.
     """
     from rotcal_ros.foundation.errors import RotcalError
     from rotcal_ros.report.terminal.console import say
@@ -46,7 +46,7 @@ def command(folder: Path | None, stop: bool, as_json: bool) -> int:
 
 
 def _session(folder: Path | None) -> SessionFolder:
-    """Return the session in a folder; without one that which alone runs below out/."""
+    """Return the session in a folder; without a folder, the only one that runs below out/."""
     from rotcal_ros.foundation.errors import ConfigurationError
     from rotcal_ros.foundation.session_folder import SessionFolder
     from rotcal_ros.sessions.attaching import running_sessions

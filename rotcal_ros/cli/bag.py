@@ -1,6 +1,6 @@
 """``rotcal bag``: describe, check and repair recorded bags.
 
-``--set reading.NAME=VALUE``: what a bag may ask for while it is read.
+``--set reading.NAME=VALUE``: limits of what reading a bag may take.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rotcal_ros.foundation.circumstances import NOTHING_MEASURED
 from rotcal_ros.report.terminal.console import progress, say, tell
 
 if TYPE_CHECKING:
-    from rotcal_ros.recordings.dropouts import PlacedDropout
+    from rotcal_ros.recordings.placed_dropouts import PlacedDropout
 
 
 def _limits(
@@ -72,13 +72,13 @@ def info(bag: Path, limits: ReadingLimits, as_json: bool) -> int:
 def check(bag: Path, limits: ReadingLimits, as_json: bool) -> int:
     """Read BAG to its end and say for each file: complete, truncated or damaged.
 
-    And for all of them: whether a file of the session is missing, whether they belong together,
+    Then for all of them: whether a file of the session is missing, whether they belong together,
     and where metadata.yaml is wrong. The exit code is 0 when all is in order, 1 otherwise.
     """
     from rotcal_ros.bags.reader import bag_files, check_files
     from rotcal_ros.bags.session_identity import foreign_files
     from rotcal_ros.bags.session_verdict import judge_session
-    from rotcal_ros.recordings.dropouts import placed_in
+    from rotcal_ros.recordings.placed_dropouts import placed_in
 
     files = bag_files(bag)
     with progress("checking") as shown:
@@ -109,7 +109,7 @@ def check(bag: Path, limits: ReadingLimits, as_json: bool) -> int:
 @click.argument("bag", type=path_type)
 @json_option
 def reindex(bag: Path, as_json: bool) -> int:
-    """Write metadata.yaml of the folder BAG again from its files; a copy of the old one stays."""
+    """Write metadata.yaml of the folder BAG again from its files; the old one is kept too."""
     from rotcal_ros.bags.reindex import reindex as reindex_bag
 
     with progress("reading") as shown:
@@ -132,7 +132,7 @@ def reindex(bag: Path, as_json: bool) -> int:
 @click.argument("bag", type=path_type)
 @json_option
 def choices(bag: Path, as_json: bool) -> int:
-    """Say why each step of BAG was measured and why the planner stopped.
+    """Show why each step of BAG was measured and why the planner stopped.
 
     The policy is asked again with the recorded observations. The exit code is 0 when it makes the
     same choices, 1 otherwise.
@@ -208,7 +208,7 @@ def repair(bag: Path, output: Path | None, limits: ReadingLimits, as_json: bool)
 
 def _tell(dropouts: Sequence[PlacedDropout]) -> None:
     """Say what the recorder missed, and when."""
-    from rotcal_ros.recordings.dropouts import sentences
+    from rotcal_ros.recordings.placed_dropouts import sentences
 
     for sentence in sentences(dropouts):
         say(sentence)

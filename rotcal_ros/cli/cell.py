@@ -1,4 +1,4 @@
-"""``rotcal cell``: somebody's own cell, looked at before it is calibrated."""
+"""``rotcal cell``: a live cell, checked before it is calibrated."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ def command() -> None:
 def check(
     configuration: Path | None, namespace: str, seconds: float, move: bool, as_json: bool
 ) -> int:
-    """Listen to the cell of CONFIG and say line by line what is there and what is missing.
+    """Listen to the cell of CONFIG and report line by line what is there and what is missing.
 
-    Nothing is moved, but with --move, and nothing needs to run but the cell. With CONFIG its plan
-    is gone through, too: the first order, whether everything is in reach, and the time. The exit
+    Nothing is moved except with --move, and nothing needs to run but the cell. With CONFIG its
+    plan is checked too: the first order, whether everything is in reach, and the time. The exit
     code is 0 where nothing is missing, otherwise 1, with what to do next.
     """
     from rotcal_ros.sessions.cell_check import check_cell
@@ -71,12 +71,12 @@ def check(
 
 
 def _moved(configuration: Path, report: CellReport) -> CellReport:
-    """Turn the table, if nothing speaks against it and the person agrees."""
+    """Turn the table, if nothing is against it and the person agrees."""
     from rotcal_ros.sessions.cell_check import move_cell
 
     against = [line for line in report.lines if line.part == "table" and line.state == "doubt"]
     if not report.complete or against:
-        say("the table is not turned: first set right what is missing or doubtful of it")
+        say("the table is not turned: first correct what is missing or doubtful about it")
         return report
     here = (line.found for line in report.lines if (line.part, line.name) == ("table", "joint"))
     say(
@@ -90,7 +90,7 @@ def _moved(configuration: Path, report: CellReport) -> CellReport:
 
 
 def _answered(report: CellReport) -> CellReport:
-    """Ask the person which way round the table turned, where no instrument could tell."""
+    """Ask the person which way the table turned, where no instrument could tell."""
     from rotcal_ros.methods.trial_motion import handedness_seen
 
     if not any(line.name == "handedness" and line.state == "open" for line in report.lines):

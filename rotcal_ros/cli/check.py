@@ -44,7 +44,7 @@ def command(
     and 3. What a tracer has to measure for it: 'rotcal plan check'.
     """
     from rotcal_ros.evaluation.quick_check import quick_check
-    from rotcal_ros.recordings.sources import read_curve
+    from rotcal_ros.recordings.result_sources import read_curve
 
     unit, label = unit_of(component)
     curves = [read_curve(path, component, None, reference_std) for path in (earlier, new)]

@@ -67,5 +67,5 @@ def rule_of(
     from rotcal_ros.planning.check_rule import CheckRule
 
     if ageing > 0.0 and months == 0.0:
-        raise click.UsageError("--ageing is per month: say how many, --months")
+        raise click.UsageError("--ageing is per month: give the number of months with --months")
     return CheckRule(within * unit, miss, false_alarm, ageing * months * unit)

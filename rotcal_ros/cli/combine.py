@@ -57,7 +57,7 @@ def command(
     """
     from rotcal_ros.evaluation.combination import combine
     from rotcal_ros.foundation.files import write_atomically
-    from rotcal_ros.recordings.sources import read_measured
+    from rotcal_ros.recordings.result_sources import read_measured
 
     faces = polygon_faces(polygon, sources)
     combined = combine(

@@ -82,7 +82,7 @@ def command(
 def _read(
     sources: tuple[Path, ...], polygon: Path | None, component: str, reference_std: float | None
 ) -> dict[str, MeasuredCurve]:
-    from rotcal_ros.recordings.sources import read_curves
+    from rotcal_ros.recordings.result_sources import read_curves
 
     faces = polygon_faces(polygon, sources)
     return {

@@ -21,7 +21,7 @@ SUFFIX: Final = ".yaml"
 def configurations(
     _context: click.Context, _parameter: click.Parameter, typed: str
 ) -> list[CompletionItem]:
-    """Offer the configurations that begin with ``typed``; without any, what the shell finds."""
+    """Offer the configurations that begin with ``typed``; without any, the shell's own files."""
     folder = Path(typed) if typed.endswith("/") else Path(typed).parent
     begin = "" if typed.endswith("/") else Path(typed).name
     here = [path for path in _seen(folder) if path.name.startswith(begin)]

@@ -23,9 +23,9 @@ path_type = click.Path(path_type=Path)
 
 
 class NamedFile(click.Path):
-    """A file to write whose ending says what is in it: one of ``endings``, or none at all.
+    """A file to write whose ending says what is in it; ``bare``: it may have none.
 
-    Any other name is refused before anything is done: nobody gets HTML in a file called PDF.
+    Any other name is refused before anything is done, so that no file called PDF holds HTML.
     """
 
     def __init__(self, *endings: str, bare: bool = True) -> None:
@@ -33,13 +33,13 @@ class NamedFile(click.Path):
         self.endings, self.bare = endings, bare
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the path; a usage error for an ending that lies."""
+        """Return the path; a usage error for a wrong ending."""
         path = Path(str(super().convert(value, param, ctx)))
         known = path.suffix.lower() in self.endings or (self.bare and not path.suffix)
         if not known:
             self.fail(
-                f"{path.name!r} does not say what is written: expected a name that ends in "
-                f"{' or '.join(self.endings)}",
+                f"{path.name!r} does not name a kind of file to write: expected a name that ends "
+                f"in {' or '.join(self.endings)}",
                 param,
                 ctx,
             )
@@ -95,7 +95,7 @@ def print_outcome(outcome: Mapping[str, Any], *, as_json: bool = False) -> int:
 
 
 def print_verdict(verdict_line: str, text: str) -> None:
-    """Print the verdict on something that is no result, and what it rests on."""
+    """Print the verdict on something other than a result, and what it rests on."""
     colour = "green" if verdict_line == "ok" else "yellow"
     if not verdict_line.startswith("ok"):
         colour = "red"

@@ -1,4 +1,4 @@
-"""Options of the verbs that hold curves against each other."""
+"""Options of the verbs that compare curves."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ component_option: Final = click.option(
     type=click.Choice(COMPONENTS),
     default="ECC",
     show_default=True,
-    help="The deviation that counts.",
+    help="The deviation to compare.",
 )
 align_option: Final = click.option(
     "--align-order",
     type=click.IntRange(0, 12),
     default=0,
     show_default=True,
-    help="Harmonics taken off beside the offset; 1 for radial deviations of other origins.",
+    help="Harmonics removed besides the offset; 1 for radial deviations of different origins.",
 )
 reference_option: Final = click.option(
     "--reference-u",
@@ -47,8 +47,8 @@ def polygon_faces(polygon: Path | None, sources: Iterable[Path]) -> MeasuredCurv
         return None
     from rotcal_ros.evaluation.reference import read_reference
     from rotcal_ros.foundation.tables import is_table
-    from rotcal_ros.recordings.sources import read_text
+    from rotcal_ros.recordings.result_sources import read_text
 
     if not any(map(is_table, sources)):
-        raise click.UsageError("--polygon belongs to a reference table, none is given")
+        raise click.UsageError("--polygon belongs to a reference table, and none is given")
     return read_reference(read_text(polygon), str(polygon))

@@ -87,7 +87,7 @@ def checks(output: Path) -> Iterator[Check]:
 
 
 def tables(machine_ini: Path) -> Iterator[Check]:
-    """Look whether the ini file of a LinuxCNC puts its tables into force as they are meant."""
+    """Check whether the ini file of a LinuxCNC puts its tables into force as they are meant."""
     from rotcal_ros.compensation.linuxcnc_hookup import hook_up
 
     advice = "the copy that 'rotcal export --machine-ini' writes has the lines where they belong"
@@ -166,14 +166,14 @@ def nodes() -> Check:
 
 
 def rate(output: Path) -> Check:
-    """Let recorder and capture do their work for 5 s, beside whatever this machine does now."""
+    """Let recorder and capture do their work for 5 s, alongside whatever this machine does now."""
     ok, found = _try("rate_trial", str(_existing(output)))
     advice = "give the calibration a machine, or cores, of its own (docs/busy_computer.md)"
     return Check("Rate", ok, found, advice)
 
 
 def _try(module: str, *arguments: str) -> tuple[bool, str]:
-    """Run a trial of the nodes' room as a process; return whether it went well and its word."""
+    """Run a trial of the nodes as a process; return whether it succeeded, and its last message."""
     private = {"ROS_DOMAIN_ID": str(free_domain()), **middleware(os.environ)}
     try:
         run = subprocess.run(
@@ -191,7 +191,7 @@ def _try(module: str, *arguments: str) -> tuple[bool, str]:
 
 
 def writable(output: Path) -> Check:
-    """Look whether files can be made in the output folder."""
+    """Check whether files can be created in the output folder."""
     folder = _existing(output)
     try:
         with tempfile.TemporaryFile(dir=folder):
@@ -207,14 +207,14 @@ def writable(output: Path) -> Check:
 
 
 def space(output: Path) -> Check:
-    """Look whether there is room for a bag."""
+    """Check whether there is room for a bag."""
     folder = _existing(output)
     free = shutil.disk_usage(folder).free
     return Check(
         "Disk space",
         free >= NEEDED_BYTES,
         f"{free / 1e9:.1f} GB free at {folder}",
-        f"make room: {NEEDED_BYTES / 1e9:.0f} GB are wanted",
+        f"make room: {NEEDED_BYTES / 1e9:.0f} GB are recommended",
     )
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rotcal_ros.compensation.export import ExportFiles
     from rotcal_ros.compensation.table import CompensationTable
     from rotcal_ros.foundation.results import Result
-    from rotcal_ros.recordings.sources import ResultSource
+    from rotcal_ros.recordings.result_sources import ResultSource
 
 VOLUMETRIC: Final = "volumetric"
 """Not a controller: all deviations that were measured, as CSV and JSON."""
@@ -41,7 +41,9 @@ DEFAULT_AXIS: Final = "C"
     help="Controller, or 'volumetric'.",
 )
 @click.option("-o", "--out", "--output", "out", type=path_type, required=True, help="Folder.")
-@click.option("--spacing", type=float, metavar="DEG", help="Distance of the rows; else chosen.")
+@click.option(
+    "--spacing", type=float, metavar="DEG", help="Distance between rows; default: chosen."
+)
 @click.option("--axis", help=f"Letter of the axis; default: the bag's, {DEFAULT_AXIS} else.")
 @click.option("--serial", metavar="NUMBER", help="Serial number of the item it is for.")
 @click.option("--reference", type=float, metavar="DEG", help="Angle with correction zero.")
@@ -59,16 +61,22 @@ DEFAULT_AXIS: Final = "C"
     help="Setting of the controller; with its GROUP one of the configuration.",
 )
 @click.option("--name", help="File name without extension; default: axis_controller.")
-@click.option("--replace", is_flag=True, help="No table was in force during the measurement.")
+@click.option(
+    "--replace", is_flag=True, help="Replace: no table was in force during the measurement."
+)
 @click.option("--add-to", type=path_type, metavar="FOLDER", help="Files of the table in force.")
 @click.option(
     "--accept",
     multiple=True,
     metavar="axis|serial|age",
-    help="Contradiction that is meant: another axis, item, or an old measurement.",
+    help="Contradiction to accept: another axis, another item, or an old measurement.",
 )
 @click.option("--max-age", type=float, metavar="DAYS", help="Largest age of the measurement.")
-@click.option("--accept-unverified", is_flag=True, help="Write what nobody has verified yet.")
+@click.option(
+    "--accept-unverified",
+    is_flag=True,
+    help="Write files although something about the controller is not verified.",
+)
 @json_option
 def command(
     source: Path,
@@ -95,12 +103,12 @@ def command(
 ) -> int:
     """Write the table of BAG (a folder, .mcap, .db3), TABLE or RESULT (.json) for a controller.
 
-    The files are read back and applied by the controller's own rule before they are written,
-    all or none, and nothing is ever overwritten. Only the verdict ok may be fed. What was measured
-    with a table in force is what that one leaves: it is added to it, --add-to. Where it is not
-    known which was in force, --replace or --add-to must say it. Axis and serial number have to be
-    those of the machine, the measurement younger than --max-age (30 days unless it says so): what
-    contradicts is refused, unless --accept says that it is meant.
+    The files are read back and applied by the controller's own rule before they are written, all
+    or none, and nothing is ever overwritten. Only the verdict ok may be fed. What was measured
+    with a table in force is what that table leaves: it is added to that table with --add-to. Where
+    it is not known which table was in force, --replace or --add-to must say it. Axis and serial
+    number have to be those of the machine, and the measurement younger than --max-age (default: 30
+    days): a contradiction is refused, unless --accept allows it.
 
     --machine-ini is read for what it says about the joint, and a copy of it that uses the table is
     written beside the table. The same as --set machine_ini=FILE.
@@ -111,7 +119,7 @@ def command(
         MachineIdentity,
         words_of,
     )
-    from rotcal_ros.compensation.earlier import to_be_in_force
+    from rotcal_ros.compensation.earlier_export import to_be_in_force
     from rotcal_ros.compensation.export import prepare_export
     from rotcal_ros.compensation.writing import write_files
     from rotcal_ros.foundation.components import check_axis
@@ -161,7 +169,7 @@ def command(
 
 @dataclass(frozen=True)
 class _Asked:
-    """What ``machine`` the person exports for, what is ``accepted``, and what was measured."""
+    """The ``machine`` of the export, what is ``accepted``, and what was measured."""
 
     machine: MachineIdentity
     accepted: Accepted
@@ -178,7 +186,7 @@ class _Asked:
 
 
 def _refuse_unused(options: dict[str, Any]) -> None:
-    """Raise ConfigurationError for what a volumetric table would leave unheeded."""
+    """Raise ConfigurationError for options that a volumetric table would ignore."""
     unsaid = (None, (), False)
     if given := [n for n, value in options.items() if not any(value is no for no in unsaid)]:
         raise ConfigurationError(
@@ -190,7 +198,7 @@ def _refuse_unused(options: dict[str, Any]) -> None:
 def _write_volumetric(
     result: Result, asked: _Asked, name: str | None, out: Path
 ) -> tuple[Path, ...]:
-    """Write all deviations of ``result``; what contradicts is refused or said."""
+    """Write all deviations of ``result``; contradictions are refused, or printed if accepted."""
     from rotcal_ros.compensation.agreement import MachineIdentity, require
     from rotcal_ros.compensation.volumetric import volumetric_files
     from rotcal_ros.compensation.writing import write_files
@@ -237,7 +245,7 @@ def _read(
 ) -> ResultSource:
     """Read a result, a bag or a table."""
     from rotcal_ros.recordings.inputs import Input
-    from rotcal_ros.recordings.sources import read_source
+    from rotcal_ros.recordings.result_sources import read_source
 
     return read_source(path, Input(path, setup, targets, changes))
 

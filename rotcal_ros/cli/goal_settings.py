@@ -1,4 +1,4 @@
-"""What plans of a laser tracer start from: volume, what is in the way, noise; from all sources."""
+"""The goal of plans of a laser tracer: volume, obstacles, noise; from all sources."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def goal_settings(
 ) -> TracerDesignSettings:
     """Return the settings: of the pattern, then of the file, then ``changes`` as NAME=VALUE.
 
-    Raises ConfigurationError, with the place, for those that there are not.
+    Raises ConfigurationError, with the place, for unknown ones.
     """
     from rotcal_ros.foundation.settings import load
     from rotcal_ros.methods.tracer.design.settings import TracerDesignSettings
@@ -45,14 +45,14 @@ def _of_file(goal: Path) -> dict[str, Any]:
         raise ConfigurationError(f"{goal}: expected lines of NAME: VALUE, found {values!r:.60}")
     if values and "/**" in values:
         raise ConfigurationError(
-            f"{goal} is the configuration of a calibration, expected are settings of a goal by "
-            "name; 'rotcal plan tracer --like' plans one like it"
+            f"{goal} is the configuration of a calibration; expected: settings of a goal by name; "
+            "'rotcal plan tracer --like' plans one like it"
         )
     return values or {}
 
 
 def _of_pattern(pattern: Configuration) -> dict[str, Any]:
-    """Return what a configuration of the method tells of a goal's settings."""
+    """Return what a configuration of the method says about a goal's settings."""
     from rotcal_ros.methods.tracer.design.settings import PER_STATION, SHARED
 
     plan, solver, simulation = pattern.plan, pattern.solver, pattern.simulation

@@ -1,4 +1,4 @@
-"""Options that say what belongs to a bag or a table: its set-up, its targets, changes."""
+"""Options for what belongs to a bag or a table: its set-up, its targets, changes."""
 
 from __future__ import annotations
 

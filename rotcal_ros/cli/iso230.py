@@ -35,7 +35,7 @@ def command(source: Path, output: Path | None, device: float | None, as_json: bo
     """
     from rotcal_ros.evaluation.bidirectional import with_device
     from rotcal_ros.evaluation.iso230 import iso230
-    from rotcal_ros.recordings.sources import read_repeated_runs
+    from rotcal_ros.recordings.result_sources import read_repeated_runs
 
     runs = read_repeated_runs(source)
     if device is not None:

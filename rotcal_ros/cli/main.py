@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
 UNREADABLE: Final = 2
 BROKEN_PIPE: Final = 141
-"""As the shell reports a program that SIGPIPE ended."""
+"""The exit code that a shell reports for a program ended by SIGPIPE."""
 
 OF_PIP_ALONE: Final = ("mcap", "rosbags", "threadpoolctl")
-"""What no package of a distribution can ask for: package.xml leaves it to people."""
+"""What no package of a distribution can depend on: package.xml leaves it to the user."""
 
 OWN_VERBS: Final[Mapping[str, str]] = {
     "run": "Run the nodes of one cell and calibrate.",
@@ -119,12 +119,12 @@ class LazyGroup(click.Group):
     def invoke(self, context: click.Context) -> None:
         """Run a verb; an error becomes one red line and an exit code, not a traceback.
 
-        A verb may return its exit code. What it could not read of a bag, and has not told, is told
-        behind it, in a line each, and makes a good exit code 1. Wrong usage is click's own matter.
-        Who reads standard output may have read enough (``| head``): that ends the verb without a
-        word.
+        A verb may return its exit code. What it could not read of a bag and did not print is
+        reported after it, in a line each, and turns a good exit code into 1. Wrong usage is left
+        to click. The reader of standard output may have read enough (``| head``): that ends the
+        verb silently.
         """
-        from rotcal_ros.bags.unread import unread
+        from rotcal_ros.bags.unread_data import unread
 
         with unread() as missing:
             code = self._code_of(context)
@@ -167,7 +167,7 @@ def rotcal(debug: bool) -> None:
 
 
 def main() -> None:
-    """Run ``rotcal`` and leave with its exit code."""
+    """Run ``rotcal`` and exit with its exit code."""
     rotcal(prog_name="rotcal")
 
 
@@ -179,8 +179,8 @@ def _is_known(name: str) -> bool:
 def _compute_in_one_thread() -> None:
     """Let numpy, which reads this once when it is loaded, use one thread; the user may want more.
 
-    The last bit of a matrix product depends on the threads that share it, and the live nodes use
-    one: only so does 'rotcal solve' repeat their result to the last bit.
+    The last bit of a matrix product depends on the number of threads that share it, and the live
+    nodes use one: only with one does 'rotcal solve' repeat their result to the last bit.
     """
     for library in ("OMP", "OPENBLAS", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")

@@ -93,10 +93,10 @@ def plate(
 ) -> int:
     """Find the ball steps with the smallest predicted uncertainty.
 
-    Looks at all layouts where they can be counted out (up to rotation and reflection), else
+    Tries all layouts where they can be enumerated (up to rotation and reflection), otherwise
     exchanges one ball at a time from many starts. The gap is the distance to a bound that no
-    layout can beat. For every order of measurement it predicts what a drift of the CMM and a
-    knock of the plate would do, and from which size on they are found.
+    layout can beat. For every order of measurement it predicts what a drift of the CMM and a knock
+    of the plate would do, and from which size on they are found.
     """
     from rotcal_ros.methods.ball_plate.design.ball_layout import best_layout
     from rotcal_ros.methods.ball_plate.design.ball_plan import Kinematics
@@ -137,7 +137,7 @@ def plate(
     help="Wanted expanded uncertainty (k = 2), um or arcsec, e.g. ECC=0.05.",
 )
 @gap_option
-@click.option("--most-balls", type=click.IntRange(min=5), help="No more balls than this.")
+@click.option("--most-balls", type=click.IntRange(min=5), help="Largest number of balls.")
 @seed_option
 @sigma_option
 @radius_option
@@ -154,7 +154,7 @@ def effort(
     touches: int,
     as_json: bool,
 ) -> int:
-    """Say how many balls and CMM positions an uncertainty needs, the least work first."""
+    """Print how many balls and CMM positions an uncertainty needs, the least work first."""
     from rotcal_ros.methods.ball_plate.design.ball_plan import Kinematics, plan_measurement
     from rotcal_ros.methods.ball_plate.design.effort import required_effort
 
@@ -239,7 +239,7 @@ def order(
 
 
 def _orders(layout: BallLayout, radius: float, kinematics: Kinematics) -> dict[str, BallPlan]:
-    """Return the measurement of a layout in every order there is."""
+    """Return the measurement of a layout in every known order."""
     from rotcal_ros.methods.ball_plate.design.ball_plan import Order, plan_measurement
 
     steps = list(layout.steps)
@@ -329,7 +329,7 @@ _WORDS = {"drift": "CMM drifts in", "shift": "plate shifted along", "turn": "pla
 
 
 def forecast_lines(forecast: OrderForecast) -> list[str]:
-    """Return the table of an order: errors by one unit, and the size from which on it is found."""
+    """Return the table of an order: errors by one unit, and the size from which it is found."""
     names = "".join(f"{name:>9s}" for name in COMPONENTS)
     labels = "".join(f"{unit_of(name)[1]:>9s}" for name in COMPONENTS)
     lines = [

@@ -32,9 +32,10 @@ LEAST_REDUNDANCY: Final = 0.25
 @click.option(
     "--every",
     type=click.IntRange(min=1),
+    metavar="N",
     default=1,
     show_default=True,
-    help="Check only each so many-th angle; nothing is known of the others.",
+    help="Check only every N-th angle; nothing is known of the others.",
 )
 @click.option(
     "--candidates",
@@ -45,7 +46,7 @@ LEAST_REDUNDANCY: Final = 0.25
     "--volume",
     type=path_type,
     metavar="GOAL.yaml",
-    help="Where the reflector may go and what is in the way, as 'rotcal plan tracer' takes it.",
+    help="Where the reflector may go and what is in the way, as for 'rotcal plan tracer'.",
 )
 @click.option(
     "--volume-set", "limits", multiple=True, metavar="NAME=VALUE", help="The same, by name."
@@ -96,7 +97,7 @@ def _planned(
     from rotcal_ros.methods import changed, read_configuration
     from rotcal_ros.methods.tracer.check_plan import plan_check
     from rotcal_ros.methods.tracer.table import read_targets
-    from rotcal_ros.recordings.sources import read_curve
+    from rotcal_ros.recordings.result_sources import read_curve
 
     configuration = changed(read_configuration(setup), changes)
     room = goal_settings(configuration, volume, limits) if volume or limits else None
@@ -140,7 +141,10 @@ def _print_checks(plan: CheckPlan, every: int, least_redundancy: float) -> None:
         unknown = f"{every - 1} of {every} angles"
         print_words(f"nothing will be known of {unknown} of the earlier result")
     if least_redundancy < LEAST_REDUNDANCY:
-        print_words("warning: little checks some lengths: an error of one may turn the verdict")
+        print_words(
+            "warning: some lengths are hardly checked: an error in one of them may turn "
+            "the verdict"
+        )
     print_words(
         f"a table that has only aged as stated is found within {plan.rule.limit / ARCSEC:.4g} "
         f"arcsec with a probability of at least {100 * plan.assurance:.3g} %"

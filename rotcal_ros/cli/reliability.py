@@ -38,7 +38,7 @@ SEED = 1
     type=click.FloatRange(0.5, 0.999999),
     default=0.8,
     show_default=True,
-    help="Probability with which an error of the size shown is found.",
+    help="Probability that an error of the size shown is found.",
 )
 @click.option(
     "--worst",
@@ -56,7 +56,7 @@ def command(
     worst: int,
     as_json: bool,
 ) -> int:
-    """Tell the smallest error in one observation of a plan that would be found (Baarda).
+    """Print the smallest error in one observation of a plan that would be found (Baarda).
 
     The observations are listed by what a slightly smaller error, which may stay unseen, would do
     to the deviations, in their standard uncertainties.
@@ -68,7 +68,7 @@ def command(
     observations = _predicted(calibration)
     result = calibration.solve(observations)
     if result.residuals is None:
-        raise DataError(f"the method {result.method} tells no residuals: no reliability either")
+        raise DataError(f"the method {result.method} gives no residuals, and so no reliability")
     found = reliability(result.residuals, alpha, power)
     which = found.worst(worst)
     effects = effects_on_deviations(calibration, observations, result, found, which)
@@ -108,5 +108,5 @@ def _print(data: dict[str, Any]) -> None:
 
 
 def _size(heading: str, values: list[float | None], unit: float = 1.0) -> Column:
-    """Return a column of sizes; of an observation that nothing checks there is none."""
+    """Return a column of sizes; an observation that nothing checks has none."""
     return Column(heading, ["any" if v is None else v / unit for v in values], ".3f")

@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     "--certificate",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     metavar="X509",
-    help="X.509 certificate (PEM) of who signs.",
+    help="X.509 certificate (PEM) of the signer.",
 )
 def command(
     source: Path,
@@ -73,7 +73,7 @@ def command(
 
     It has figures, tables, warnings, verdict and fingerprints.
 
-    RESULT (.json): about a result as it is, be it a combination or one whose bag is elsewhere.
+    RESULT (.json): about a result as it is, such as a combination or one whose bag is elsewhere.
     """
     ending = "" if output is None else output.suffix.lower()
     if ending and dcc != (ending == ".xml"):
@@ -90,7 +90,7 @@ def command(
         raise click.UsageError("--sign and --certificate belong to --dcc")
     # Figures take a second to load; a wrong option should not wait for them.
     from rotcal_ros.recordings.inputs import Input
-    from rotcal_ros.recordings.sources import read_source
+    from rotcal_ros.recordings.result_sources import read_source
     from rotcal_ros.report.printing import require_writable
     from rotcal_ros.report.recorded import write_measured, write_result
 
@@ -113,10 +113,10 @@ def command(
 
 
 def _acting(result: Result, in_force: Path | None) -> int:
-    """Say whether the table acts on which ``result`` was measured; 1 where it does not."""
+    """Print whether the table acts on which ``result`` was measured; return 1 where not."""
     if in_force is None:
         return 0
-    from rotcal_ros.compensation.earlier import effect_in_force
+    from rotcal_ros.compensation.earlier_export import effect_in_force
 
     effect = effect_in_force(result, in_force)
     if effect is not None:
@@ -133,12 +133,14 @@ def _truth(path: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise BagError(f"cannot read {path}: {why(error)}") from error
     if not isinstance(truth, dict):
-        raise BagError(f"{path} is no truth.json of a simulation: expected a group of entries")
+        raise BagError(
+            f"{path} is not the truth.json of a simulation: expected a group of entries"
+        )
     return truth
 
 
 def page_beside(source: Path) -> Path:
-    """Return where the page about ``source`` goes: beside it, or beside the bag it is of."""
+    """Return where the page about ``source`` goes: beside it, or beside its bag."""
     source = source.absolute()
     source = bag_around(source) or source
     session = SessionFolder(source.parent)

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rotcal_ros.bags.unread import note_unread
+from rotcal_ros.bags.unread_data import note_unread
 from rotcal_ros.cli.completion import configurations
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.foundation.session_folder import OVERVIEW, RESULTS_TABLE
 from rotcal_ros.report.terminal.console import progress, say, tell
 
 if TYPE_CHECKING:
-    from rotcal_ros.recordings.kept import BagOutcome
+    from rotcal_ros.recordings.outcome_cache import BagOutcome
     from rotcal_ros.recordings.results_dataset import ResultsDataset
 
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     type=path_type,
     default=Path("out/reprocessed"),
     show_default=True,
-    help="Folder for table, overview page and what need not be repeated.",
+    help="Folder for table, overview page and cached results.",
 )
 @click.option("--workers", type=click.IntRange(min=1), help="Processes; default: all cores.")
 @click.option("--scheduler", metavar="tcp://...", help="Use the workers of a Dask cluster.")
@@ -52,7 +52,8 @@ if TYPE_CHECKING:
 @click.option(
     "--verify-bytes",
     is_flag=True,
-    help="Know a bag by all its bytes, not by size, time and end: reads every bag whole.",
+    help="Identify a bag by all its bytes, not by size, time and last bytes: reads every bag "
+    "completely.",
 )
 @json_option
 def command(
@@ -67,14 +68,14 @@ def command(
 ) -> int:
     """Solve every bag that the arguments name, and show the trend of each table over time.
 
-    Bags may be local or remote (s3://..., through fsspec). What was solved before with the same
-    content and configuration is not solved again, and results are kept as they come: what ends
-    this verb costs only the bags in hand. One bad bag does not stop the rest; the exit code is
-    then 1.
+    Bags may be local or remote (s3://..., through fsspec). A bag that was solved before with the
+    same content and configuration is not solved again, and results are kept as they come: an
+    interruption costs only the bags being solved. One bad bag does not stop the rest; the exit
+    code is then 1.
     """
     from rotcal_ros.methods.configuration import read_configuration
-    from rotcal_ros.recordings.finding import find_bags
-    from rotcal_ros.recordings.many import Job
+    from rotcal_ros.recordings.bag_search import find_bags
+    from rotcal_ros.recordings.batch_solving import Job
     from rotcal_ros.recordings.results_dataset import ResultsDataset
     from rotcal_ros.recordings.workers import on_all_cores, on_cluster, usable_cores
     from rotcal_ros.report.overview import write_overview
@@ -87,7 +88,7 @@ def command(
     table, overview = output.absolute() / RESULTS_TABLE, output.absolute() / OVERVIEW
     with ResultsDataset(table) as dataset:
         if dataset.broken:
-            say(f"{dataset.broken} parts of {table} were broken: they are written again")
+            say(f"{dataset.broken} parts of {table} were damaged: they are written again")
         if scheduler:
             running = on_cluster(jobs, scheduler, time_limit_s)
         else:
@@ -105,7 +106,7 @@ def command(
 
 @dataclass
 class _Tally:
-    """How many bags came out how; ``aside`` are those that no worker survived or finished."""
+    """Counts of bags by outcome; ``aside`` are those that no worker survived or finished."""
 
     bags: int = 0
     repeated: int = 0
@@ -142,7 +143,7 @@ def _print(tally: _Tally, table: Path, overview: Path) -> None:
         f"{tally.bad} without a result"
     )
     if tally.healed:
-        tell(f"{tally.healed} kept results were broken: computed again")
+        tell(f"{tally.healed} kept results were damaged: computed again")
     for text in tally.aside:
         tell(text)
     tell(f"table:        {table}")

@@ -30,9 +30,7 @@ from rotcal_ros.report.terminal.console import tell
 @click.option("--keep-previous", is_flag=True, help="Move an existing output folder aside.")
 @click.option("--no-report", is_flag=True, help="Write no report.")
 @click.option("--no-export", is_flag=True, help="Write no controller files.")
-@click.option(
-    "-y", "--yes", is_flag=True, help="Take every work asked of a person as done at once."
-)
+@click.option("-y", "--yes", is_flag=True, help="Take all work asked of a person as done at once.")
 @click.option(
     "--page/--no-page", default=True, help="Serve the operator's page, or not. Default: yes."
 )
@@ -71,7 +69,7 @@ def command(
     from rotcal_ros.sessions.viewers import Viewers
 
     if detach and as_json:
-        raise click.UsageError("--json prints what --detach does not wait for")
+        raise click.UsageError("--json prints the outcome, for which --detach does not wait")
     require_ros()
     started = time.monotonic()
     if resume is None:

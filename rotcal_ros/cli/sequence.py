@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 @click.argument("configuration", type=path_type, metavar="CONFIG", shell_complete=configurations)
 @click.option("--set", "changes", multiple=True, metavar="GROUP.NAME=VALUE", help="Change it.")
 @click.option(
-    "--cell", is_flag=True, help="Times of the simulated cell of CONFIG; else the two below."
+    "--cell", is_flag=True, help="Times of the simulated cell of CONFIG; otherwise the two below."
 )
 @click.option("--turn-s", type=float, default=10.0, show_default=True, help="s, one rotation.")
 @click.option("--length-s", type=float, default=5.0, show_default=True, help="s, one length.")
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     show_default=True,
     help="Standard uncertainties that an unseen drift or knock may cause.",
 )
-@click.option("--clock", is_flag=True, help="Also let the simulated cell measure CONFIG as it is.")
+@click.option("--clock", is_flag=True, help="Also time CONFIG as it is in the simulated cell.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the search.")
 @click.option(
     "-o", "--output", type=NamedFile(".csv"), help="Write the pairs in the best order there."

@@ -1,4 +1,4 @@
-"""``rotcal settings``: what can be set, in which unit and range, and what holds without it."""
+"""``rotcal settings``: what can be set, with units, ranges and defaults."""
 
 from __future__ import annotations
 

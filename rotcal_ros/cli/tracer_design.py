@@ -71,7 +71,7 @@ def command(
     if output is not None and len(set(settings.target_std_m)) > 1:
         raise ConfigurationError(
             f"target_std_m {list(settings.target_std_m)}: a configuration has one number for all "
-            "axes, and what it solves would not be what is planned: give three equal ones, or "
+            "axes, so that it would solve something else than planned: give three equal ones, or "
             "leave out -o"
         )
     if plain:
@@ -102,7 +102,7 @@ def _pattern(like: Path | None) -> Configuration | None:
 
 
 def _needed(need: str | None) -> list[str]:
-    """Return the change of settings that the wanted uncertainty is."""
+    """Return the wanted uncertainty as a change of settings."""
     if need is None:
         return []
     name, _, limit = need.partition("=")
@@ -144,7 +144,7 @@ def _write(folder: Path, found: OrderedDesign, pattern: Configuration | None) ->
 
 
 def _counted_on(settings: TracerDesignSettings, pattern: Configuration | None) -> dict[str, Any]:
-    """Return the settings of a solver that knows what the plan has counted on."""
+    """Return the settings of a solver with the assumptions of the plan."""
     from rotcal_ros.methods.tracer.design.settings import SHARED
 
     known: dict[str, Any] = {
@@ -206,8 +206,8 @@ def _print(data: dict[str, Any], settings: TracerDesignSettings) -> None:
     )
     click.echo(
         f"of {data['runs']} simulated runs {100 * data['met']:.1f} % end ok and meet the goal; "
-        f"{100 * data['suspected']:.1f} %, sound as they are, are not called ok, which no length "
-        "changes: they count as missed, and are to be measured again"
+        f"{100 * data['suspected']:.1f} % are sound but not called ok, which more lengths do not "
+        "change: they count as missed, and are to be measured again"
     )
     click.echo(_assumed(settings))
     click.echo(
@@ -215,7 +215,7 @@ def _print(data: dict[str, Any], settings: TracerDesignSettings) -> None:
         f"volume, checked or not, has fewer than {data['bound']} (gap {100.0 * data['gap']:.1f} %)"
     )
     if data["checked_bound"]:
-        click.echo(f"the wanted redundancy alone asks for {data['checked_bound']}")
+        click.echo(f"the wanted redundancy alone takes {data['checked_bound']}")
     _print_order(data, settings)
     detectable, share = data["largest_detectable_m"], data["largest_undetected_in_u"]
     click.echo(
@@ -262,5 +262,5 @@ def _print_order(data: dict[str, Any], settings: TracerDesignSettings) -> None:
 
 
 def _number(value: float | None, unit: float, digits: str = ".3g") -> str:
-    """Return a number; of what nothing checks there is none."""
+    """Return a number; what nothing checks has none."""
     return "any" if value is None else format(value / unit, digits)

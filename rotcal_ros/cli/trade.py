@@ -27,7 +27,7 @@ positive = click.FloatRange(min=0.0, min_open=True)
 @json_option
 @click.pass_context
 def command(context: click.Context, as_json: bool) -> int:
-    """How large, how quiet, how many for U(ECC) <= x; alone: the usual case of every method."""
+    """How large, how quiet, how many for U(ECC) <= x; without a method: the usual case of each."""
     if context.invoked_subcommand is None:
         tables = {"tracer": tracer_table(), "plate": plate_table(), "mirror": mirror_table()}
         if as_json:
@@ -101,7 +101,7 @@ def plate(
     centre_s: float,
     as_json: bool,
 ) -> int:
-    """Show what a plate of so many balls gives, and how little a better plan could save."""
+    """Show what a plate of so many balls gives, and how much a better plan could save."""
     counts = _whole(balls, "--balls")
     return _print(plate_table(need_arcsec, grid, counts, radius_m, sigma_um, centre_s), as_json)
 
@@ -235,7 +235,9 @@ def tracer_table(
         column_of("U/arcsec", [row.expanded for row in rows], ARCSEC, ".3f"),
     ]
     beyond = any(row.lengths is None for row in rows)
-    notes = ("without a number of lengths it is out of reach: U is that of all lengths",) * beyond
+    notes = (
+        "where no number of lengths is given it is out of reach: U is that of all lengths",
+    ) * beyond
     return TradeTable({"need_rad": need_arcsec * ARCSEC, **_rows(rows)}, columns, title, notes)
 
 

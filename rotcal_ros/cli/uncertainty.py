@@ -1,4 +1,4 @@
-"""``rotcal uncertainty``: the noise propagated by Monte Carlo, beside the solver's covariance."""
+"""``rotcal uncertainty``: noise propagated by Monte Carlo, beside the solver's covariance."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     type=click.IntRange(1, 4),
     default=2,
     show_default=True,
-    help="Significant digits of the standard uncertainty that shall be stable.",
+    help="Significant digits of the standard uncertainty that have to be stable.",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
 @click.option("--workers", type=click.IntRange(min=1), help="Processes; default: one per core.")

@@ -48,13 +48,19 @@ if TYPE_CHECKING:
     shell_complete=controller_names,
     help="Controller to write files for, too.",
 )
-@click.option("--accept-unverified", is_flag=True, help="Write what nobody has verified yet, too.")
+@click.option(
+    "--accept-unverified",
+    is_flag=True,
+    help="Write files although something about the controller is not verified.",
+)
 @click.option("--again", is_flag=True, help="Add what is left to the table, and measure again.")
 @click.option("--keep-previous", is_flag=True, help="Move an existing output folder aside.")
 @click.option(
     "--resume", type=path_type, metavar="FOLDER", help="Go on with an interrupted verification."
 )
-@click.option("--loaded", is_flag=True, help="The real control has loaded the table: go on.")
+@click.option(
+    "--loaded", is_flag=True, help="Confirm that the real control has loaded the table, and go on."
+)
 @json_option
 def command(
     configuration: Path | None,
@@ -85,7 +91,10 @@ def command(
     if (configuration is None) == (resume is None):
         raise click.UsageError("give a CONFIG, or --resume FOLDER")
     if loaded and resume is None:
-        raise click.UsageError("--loaded goes with --resume FOLDER: first there is none to load")
+        raise click.UsageError(
+            "--loaded goes with --resume FOLDER: before the first measurement "
+            "there is no table to load"
+        )
     if configuration is not None:
         folder = (output or Path("out") / configuration.stem).absolute()
         request = Request(check, spacing, controllers, accept_unverified, again)
@@ -114,7 +123,7 @@ def _loaded(folder: Path, files: Sequence[Path]) -> bool:
 
 
 def _verify(folder: Path, as_json: bool) -> int:
-    """Do what is left to do in ``folder`` and print the outcome; return the exit code."""
+    """Carry out what is left to do in ``folder``, print the outcome, return the exit code."""
     from rotcal_ros.foundation.session_folder import VERIFICATION, SessionFolder
     from rotcal_ros.report.verification import verification_section
     from rotcal_ros.sessions.lasting import lasting_output

@@ -20,9 +20,10 @@ AXIS: Final = "axis"
 SERIAL: Final = "serial"
 AGE: Final = "age"
 CONFLICTS: Final = (AXIS, SERIAL, AGE)
-"""The words that accept a contradiction, each its own."""
+"""The words that accept a contradiction, one for each kind."""
 LARGEST_AGE_DAYS: Final = 30.0
-"""Of a measurement, unless the settings say otherwise: tables are mounted anew, and they wear."""
+"""Largest age of a measurement unless the settings say otherwise: tables are remounted, and they
+wear."""
 DAY_S: Final = 86_400.0
 
 
@@ -65,8 +66,8 @@ def agreeing(
     """Return ``table`` for the ``machines`` if it belongs to all of them, see :func:`require`.
 
     ``made_ns`` is when the table was made, which counts where the measurement's time is not known.
-    What contradicts and is accepted becomes a warning, and so does an age that is not known; the
-    axis becomes that of the machines.
+    A contradiction that is accepted becomes a warning, and so does an unknown age; the axis
+    becomes that of the machines.
     """
     measured = MachineIdentity(table.axis, table.serial)
     notes = require(measured, table.measured_from_ns or made_ns, machines, accepted, now_ns)
@@ -84,14 +85,15 @@ def require(
     accepted: Accepted,
     now_ns: int,
 ) -> tuple[str, ...]:
-    """Return in words what contradicts, and is accepted, when ``measured`` is for ``machines``.
+    """Return in words the accepted contradictions between ``measured`` and ``machines``.
 
-    Those are named in words. The measurement was made at ``made_ns`` (since 1970, 0: not known,
-    which is said too: nothing may pass for young) and may not be older at ``now_ns`` than
-    accepted. Raises DataError with every contradiction that is not accepted, and its word.
+    The keys of ``machines`` are names for people. The measurement was made at ``made_ns`` (since
+    1970; 0: not known, which is reported too, since an unknown age must not pass for a young one)
+    and must not be older at ``now_ns`` than accepted. Raises DataError with every contradiction
+    that is not accepted, and its word.
     """
     found = _contradictions(measured, machines)
-    limit = f"at most {accepted.largest_age_days:g} are taken (--max-age, bridge.max_age_days)"
+    limit = f"at most {accepted.largest_age_days:g} are accepted (--max-age, bridge.max_age_days)"
     age_days = (now_ns - made_ns) * NANOSECOND / DAY_S
     if made_ns and age_days > accepted.largest_age_days:
         found[AGE] = [f"the measurement is {age_days:.0f} days old, {limit}"]
@@ -99,11 +101,11 @@ def require(
     if refused:
         words = " ".join(f"--accept {word}" for word in refused)
         raise DataError(
-            f"{'; '.join(text for word in refused for text in found[word])}: the table is not for "
-            f"this. Where that is meant all the same, say so: {words} (bridge.accept: "
-            f"[{', '.join(refused)}]); nothing was written"
+            f"{'; '.join(text for word in refused for text in found[word])}: the table does not "
+            f"belong here. If it is meant to be used all the same, say so: {words} "
+            f"(bridge.accept: [{', '.join(refused)}]); nothing was written"
         )
-    undated = () if made_ns else (f"nothing says how many days ago this was measured, {limit}",)
+    undated = () if made_ns else (f"it is not known how many days ago this was measured, {limit}",)
     return undated + tuple(
         f"{text}: accepted by a person ({word})" for word, texts in found.items() for text in texts
     )

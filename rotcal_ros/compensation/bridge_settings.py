@@ -28,7 +28,8 @@ class BridgeSettings:
     options: tuple[str, ...] = setting((), doc="controller settings, each as NAME=VALUE")
     spacing_deg: float = setting(
         0.0,
-        doc="deg, distance of the rows; 0: as wide as leaves less than a third of U between them",
+        doc="deg, distance between the rows; 0: the widest that leaves less than a third of U "
+        "between them",
         minimum=0.0,
         maximum=180.0,
     )
@@ -39,7 +40,7 @@ class BridgeSettings:
         "", doc="folder that takes the files of every table; empty: no files are written"
     )
     transport: Literal["folder", "opcua", "ads"] = setting(
-        "folder", doc="way to the controller's table"
+        "folder", doc="how the controller's table is reached"
     )
     controller_folder: str = setting(
         "",
@@ -51,8 +52,8 @@ class BridgeSettings:
     )
     busy_command: tuple[str, ...] = setting(
         (),
-        doc="command that tells whether the table may change: exit code 0 yes, 1 no and why; "
-        "empty: as the controller's own settings say",
+        doc="command that tells whether the table may be changed: exit code 0: yes, 1: no, with "
+        "the reason as output; empty: as the controller's own settings say",
     )
     max_change_arcsec: float = setting(
         60.0,
@@ -65,13 +66,13 @@ class BridgeSettings:
     )
     accept_simulated: bool = setting(
         False,
-        doc="apply tables that no instrument measured; a configuration with a group simulation "
-        "needs no such word",
+        doc="apply tables that no instrument measured; not needed in a configuration with a group "
+        "simulation",
     )
     combine: str = setting(
         "as_measured",
-        doc="whether a table replaces the one in force or adds to it, where the measurement does "
-        "not know which was in force",
+        doc="whether a table replaces the one in force or adds to it, where it is not known which "
+        "one was in force during the measurement",
         choices=("as_measured", "replace", "add"),
     )
     accept: tuple[str, ...] = setting(

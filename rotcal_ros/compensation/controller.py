@@ -1,8 +1,8 @@
 """What a kind of controller brings: settings, a writer, a reader, and the control's own rule.
 
-A controller is a frozen dataclass whose fields are the settings of one machine. What its writer
-wrote its reader reads back, and the rule shows what the real control would do with it: that is
-what proves a file before it is called done. How to add one: ``docs/compensation.md``.
+A controller is a frozen dataclass whose fields are the settings of one machine. Its reader reads
+back what its writer wrote, and the rule shows what the real control would do with it: this proves
+a file before it counts as written. How to add one: ``docs/compensation.md``.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class Facts:
 class Lag:
     """What a control leaves because its correction does not follow the table at once, rad.
 
-    ``bound`` is on what stays when the axis has come to rest, ``simulated`` what its rule leaves
-    of it, ``notes`` say in words what to know.
+    ``bound`` limits what remains when the axis has come to rest, ``simulated`` is what the
+    control's rule leaves of it, ``notes`` say in words what to know.
     """
 
     bound: float = 0.0
@@ -115,7 +115,7 @@ class Controller(ABC):
         return self
 
     def lag(self, rule: Rule, table: CompensationTable) -> Lag:
-        """Return what stays because the correction does not follow the rows of ``table`` at once.
+        """Return what remains because the correction lags behind the rows of ``table``.
 
         ``rule`` is what was read from the files of ``table``.
         """

@@ -34,9 +34,9 @@ OWNER: Final = "controller"
 class ControllerFolder:
     """The folder of one controller; ``timeout_s`` limits every access.
 
-    ``owner`` is the address of a controller elsewhere, which this folder only keeps the books of:
-    lock, journal, old tables, provenance. Every method raises ControllerError when the folder
-    does not answer.
+    ``owner`` is the address of a controller elsewhere, for which this folder only keeps the
+    records: lock, journal, old tables, provenance. Every method raises ControllerError when the
+    folder does not answer.
     """
 
     def __init__(self, folder: Path, timeout_s: float, owner: str = "") -> None:
@@ -46,9 +46,9 @@ class ControllerFolder:
         self._lock: int | None = None
 
     def lock(self) -> None:
-        """Become the only one who feeds this controller, until :meth:`close` or the end.
+        """Take the sole right to feed this controller, until :meth:`close` or the process ends.
 
-        A lock whose folder was put away in the meantime locks nothing: it is taken anew.
+        A lock whose folder was moved away in the meantime locks nothing: it is taken again.
         """
         if self._lock is not None and self._answered(self._lost_lock, "lock"):
             self.close()
@@ -66,7 +66,7 @@ class ControllerFolder:
             self._lock = None
 
     def read(self, names: Iterable[str]) -> dict[str, str]:
-        """Return those of the files that there are."""
+        """Return those of the files that exist."""
         wanted = [check_file_name(name) for name in names]
         return self._answered(lambda: self._read(wanted), "read")
 
@@ -155,7 +155,7 @@ class ControllerFolder:
 def _is_file(path: Path) -> bool:
     """Return whether there is a file; ControllerError for what would not be replaced but lost.
 
-    A link stays one: to put a file in its place would part the controller from where it points.
+    A link must remain one: a file in its place would cut the controller off from its target.
     """
     try:
         status = path.lstat()
@@ -164,7 +164,7 @@ def _is_file(path: Path) -> bool:
     if not stat.S_ISREG(status.st_mode):
         kind = "a link" if stat.S_ISLNK(status.st_mode) else "no plain file"
         raise ControllerError(
-            f"{path} is {kind}: name the folder where the table itself is as controller_folder; "
+            f"{path} is {kind}: set controller_folder to the folder that holds the table itself; "
             "nothing was changed"
         )
     if status.st_nlink > 1:

@@ -13,23 +13,23 @@ from rotcal_ros.foundation.errors import ControllerError
 T = TypeVar("T")
 
 ENCODING: Final = "latin-1"
-"""Takes every byte, so that a foreign file is kept and put back as it was."""
+"""Decodes every byte, so that a foreign file is kept and put back as it was."""
 
 
 class ControllerStore(Protocol):
     """The files of one controller. Every method raises ControllerError when it cannot be done."""
 
     def lock(self) -> None:
-        """Become the only one who feeds this controller, until :meth:`close` or the end."""
+        """Take the sole right to feed this controller, until :meth:`close` or the process ends."""
 
     def close(self) -> None:
         """Let others feed the controller."""
 
     def busy(self) -> str:
-        """Return what the machine is doing, empty when it rests or nothing can tell."""
+        """Return what the machine is doing; empty when it rests or cannot be asked."""
 
     def read(self, names: Iterable[str]) -> dict[str, str]:
-        """Return those of the files that there are."""
+        """Return those of the files that exist."""
 
     def write(self, files: Mapping[str, str | None]) -> None:
         """Replace the files, each of them whole; None takes a file away."""

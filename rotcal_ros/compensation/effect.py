@@ -1,10 +1,10 @@
-"""Does the table in force act? What is left, held against what it corrects.
+"""Does the table in force act? What is left, compared with what it corrects.
 
 With t the correction in force, c = -t is the deviation that it was made for. A table that acts
-leaves nothing of it; one that does not act, or acts on another axis, leaves c; one whose sign is
-turned round adds c once more and leaves 2 c; one that acts twice takes it off twice and leaves -c.
-So the regression factor of what is left on c tells, and to add what is left to such a table would
-be wrong in each of these cases.
+leaves nothing of it; one that does not act, or acts on another axis, leaves c; one with the wrong
+sign adds c once more and leaves 2 c; one that acts twice takes it off twice and leaves -c. So the
+regression factor of what is left on c tells which it is; adding what is left to a table that does
+not act as it should would be wrong in each of these cases.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.compensation.held import HeldTable
+from rotcal_ros.compensation.held_table import HeldTable
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
 from rotcal_ros.curves.directional import directional_curve
 from rotcal_ros.foundation.arrays import Floats
@@ -27,14 +27,15 @@ WRONG: Final = ((-1.5, -0.75), (0.75, 1.5), (1.5, 2.5))
 left of a table that corrects a small part only; to add to it is right."""
 WHY: Final = (
     "it acts twice (at two places of the control, or in the control and in software)",
-    "it is inactive, or on the wrong axis: see whether the control has loaded it (restart, "
+    "it is inactive, or on the wrong axis: check whether the control has loaded it (restart, "
     "reference run, its switch), and for this axis",
-    "its sign is turned round: the control adds what it should take off",
+    "its sign is wrong: the control adds what it should subtract",
 )
 SURE: Final = 0.5
-"""By so much the factor must differ from 0 with two standard uncertainties taken off."""
+"""The factor less two standard uncertainties must differ from 0 by at least this."""
 SHARE: Final = 0.8
-"""Of the variance of what is left, noise aside, that the factor must explain: else chance."""
+"""Share of the variance of what is left, beyond noise, that the factor must explain; less is
+chance."""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 
 from rotcal_ros.compensation.controller import Controller, Lag
 from rotcal_ros.compensation.controllers import make_controller
-from rotcal_ros.compensation.held import in_force_of
+from rotcal_ros.compensation.held_table import in_force_of
 from rotcal_ros.compensation.quality import (
     ResidualBudget,
     chosen_rows,
@@ -44,7 +44,7 @@ LAST_ANGLE_DEG: Final = "last_angle_deg"
 
 @dataclass(frozen=True)
 class ExportFiles:
-    """Names and texts of all files of one export, the provenance included, and what they leave.
+    """Names and texts of all files of one export with the provenance, and the error they leave.
 
     ``confirmation`` is the SHA-256 over all that was decided: every file, the table that it
     comes from, the controller with its settings, and what is left. It is the same whenever the
@@ -62,8 +62,8 @@ class ExportFiles:
     def with_machine_files(self) -> dict[str, str]:
         """Return the files, and copies of the machine's own files that use them.
 
-        Nobody but a person puts such a copy into force. Raises ConfigurationError when one cannot
-        be made, or has the name of another file.
+        Only a person puts such a copy into force. Raises ConfigurationError when one cannot be
+        made, or has the name of another file.
         """
         controller_files = of_the_controller(self.files)
         copies = self.controller.machine_files(self.table.axis, controller_files)
@@ -179,14 +179,15 @@ def _refuse_rest(table: CompensationTable) -> None:
 def _require_axis(table: CompensationTable, axis: str | None) -> None:
     if axis is not None and check_axis(axis) != table.axis:
         raise ConfigurationError(
-            f"the table is for axis {table.axis} and the export for axis {axis}: nothing written"
+            f"the table is for axis {table.axis} and the export for axis {axis}: "
+            "nothing was written"
         )
 
 
 def _refuse_unverified(controller: Controller) -> None:
     if controller.unverified:
         raise ConfigurationError(
-            f"{controller.facts.title}: not verified is {'; '.join(controller.unverified)}. Give "
+            f"{controller.facts.title}: not verified: {'; '.join(controller.unverified)}. Give "
             "--accept-unverified to write the file all the same, and test it with one small value "
             "first"
         )
@@ -225,13 +226,15 @@ def _too_wide(
     residual: ResidualBudget,
     spacing: float | None,
 ) -> tuple[str, ...]:
-    """Return in words that the rows are too wide, and what can be done about the ``spacing``."""
+    """Return in words that the rows are too far apart, and what to do about the ``spacing``."""
     if residual.interpolation <= demanded(table):
         return ()
     widest = float(np.max(gaps_of(rows.angles, rows.period))) / DEGREE
     cure = "the controller takes no rows that leave less"
     if spacing is not None:
-        cure = "state no spacing, and the widest rows that the controller takes are chosen"
+        cure = (
+            "leave the spacing out, and the widest good rows that the controller takes are chosen"
+        )
     return (
         f"between rows {widest:.6g} deg apart the control leaves up to "
         f"{residual.interpolation / ARCSEC:.2g} arcsec, more than a third of U "

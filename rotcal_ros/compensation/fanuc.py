@@ -20,7 +20,8 @@ import numpy as np
 
 from rotcal_ros.compensation.controller import Controller, Facts
 from rotcal_ros.compensation.parsing import integer, matches, number, only_file
-from rotcal_ros.compensation.rows import (
+from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.compensation.table_rows import (
     columns_deg,
     even_interval_deg,
     fixed,
@@ -28,7 +29,6 @@ from rotcal_ros.compensation.rows import (
     require_at_most,
     require_zero_at_start,
 )
-from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.observations import Approach
@@ -65,7 +65,7 @@ class PitchTable:
     unit_deg: float
 
     def correction(self, angle: Floats, approach: Approach) -> Floats:
-        """Return the running sum (rad) at ``angle`` (rad): each step comes amid its interval.
+        """Return the running sum (rad) at ``angle`` (rad): steps come in mid-interval.
 
         Where exactly inside the interval a control puts out its step is not documented; the stated
         residual holds for any place.

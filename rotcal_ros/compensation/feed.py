@@ -18,15 +18,15 @@ from typing import Final, cast
 
 import numpy as np
 
-from rotcal_ros.compensation.adding import Combination, combined
 from rotcal_ros.compensation.agreement import NO_MACHINE, MachineIdentity, agreeing
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
+from rotcal_ros.compensation.cascaded_tables import Combination, combined
 from rotcal_ros.compensation.controller import Controller
 from rotcal_ros.compensation.controller_folder import STATE_FOLDER
 from rotcal_ros.compensation.controller_store import ControllerStore
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.export import FIRST_ANGLE_DEG, LAST_ANGLE_DEG, default_stem
-from rotcal_ros.compensation.held import HeldTable, held_table, in_force_of, machine_of
+from rotcal_ros.compensation.held_table import HeldTable, held_table, in_force_of, machine_of
 from rotcal_ros.compensation.journal import (
     Action,
     Contents,
@@ -36,8 +36,8 @@ from rotcal_ros.compensation.journal import (
     texts_of,
 )
 from rotcal_ros.compensation.network_store import make_store
-from rotcal_ros.compensation.offer import TableOffer, make_offer
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
+from rotcal_ros.compensation.table_offer import TableOffer, make_offer
 from rotcal_ros.compensation.writing import PROVENANCE, of_the_controller
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ControllerError, DataError, RotcalError
@@ -51,7 +51,7 @@ from rotcal_ros.foundation.untrusted import load_json
 class Applied:
     """What was done: where the controller's files are, the old ones' folder, change in rad.
 
-    ``unfinished`` names a change that had been begun before and never ended, empty if none.
+    ``unfinished`` names an earlier change that was begun and never finished, empty if none.
     """
 
     files: tuple[str, ...]
@@ -64,8 +64,9 @@ class Feed:
     """The feed of one controller for one axis.
 
     ``now_ns`` returns the time (ns since 1970). ``store`` replaces that of the settings.
-    ``simulated``: the cell is, so that its tables may be too. ``serial`` is the number of the item
-    in the cell, empty where it is not known, ``stated`` what its settings say is in force.
+    ``simulated``: the cell is simulated, so that its tables may be too. ``serial`` is the number
+    of the item in the cell, empty where it is not known, ``stated`` what its settings say is in
+    force.
     """
 
     def __init__(
@@ -90,12 +91,12 @@ class Feed:
         self.offer: TableOffer | None = None
 
     def take(self, table: CompensationTable, stamp_ns: int) -> tuple[Path, ...]:
-        """Hold ``table`` against the configuration, keep it, and write its files.
+        """Check ``table`` against the configuration, keep it, and write its files.
 
-        Returns the files: a new folder below the output folder, or the one that holds these
-        very files already. Raises RotcalError, and forgets the table before, when it cannot
-        be fed to this controller. A table that was measured on top of the one in force is
-        added to it, see :func:`combined`; it has to belong to this cell, see :func:`agreeing`.
+        Returns the files: a new folder below the output folder, or the one that holds these very
+        files already. Raises RotcalError, and forgets the earlier table, when it cannot be fed to
+        this controller. A table that was measured on top of the one in force is added to it, see
+        :func:`combined`; it has to belong to this cell, see :func:`agreeing`.
         """
         self.forget()
         word = cast(Combination, self.settings.combine)
@@ -109,22 +110,22 @@ class Feed:
         return self.offer.paths
 
     def forget(self) -> None:
-        """Have no table to apply any more."""
+        """Forget the table that was offered."""
         self.offer = None
 
     def never(self) -> str:
-        """Return why the table that is offered can be applied under no circumstances, or ""."""
+        """Return why the offered table cannot be applied at all; empty: it can."""
         if self.offer is None or not self.offer.table.simulated or self._takes_simulated:
             return ""
         return (
             "the table is SIMULATED, no instrument measured it, and this is the bridge of a real "
-            "cell; bridge.accept_simulated takes it all the same"
+            "cell; bridge.accept_simulated accepts it all the same"
         )
 
     def in_force(self) -> str:
         """Return which table the controller holds: its hash, "none", or "unknown".
 
-        Files that are not there prove nothing: "none" is what the journal says too, or, before
+        Missing files prove nothing: "none" is returned where the journal says so too or, before
         the first change, the settings. See :meth:`contradiction`.
         """
         if not self.settings.controller_folder or self._journal.unfinished():
@@ -136,8 +137,9 @@ class Feed:
         """Return in words what contradicts that ``held`` is in force; empty when nothing does."""
         if held == UNKNOWN and known_hash(noted := self._last_noted()):
             return (
-                f"the controller shows no table, and by the journal it was given {noted[:12]}: "
-                "look at it; restore takes a table away, or brings it back, so that this is known"
+                "the controller shows no table, but according to the journal it was given "
+                f"{noted[:12]}: inspect the controller; then restore, which removes the table or "
+                "brings it back"
             )
         if self._stated not in (UNKNOWN, held) and held != UNKNOWN:
             return (
@@ -242,7 +244,7 @@ class Feed:
         """Return the offer with this hash, and hold the lock."""
         offer = self.offer
         if offer is None:
-            raise DataError("no table has arrived that this controller could be fed with")
+            raise DataError("no table has arrived that could be fed to this controller")
         if confirmation != offer.confirmation:
             raise DataError(
                 f"the files here have the hash {offer.confirmation}, the confirmation is for "
@@ -258,7 +260,7 @@ class Feed:
             return entry
         undo = self.next_restore()
         if not undo:
-            raise DataError("no table was applied here that could be taken back")
+            raise DataError("no table was applied here, so that none can be taken back")
         raise DataError(
             f"nothing with the hash {kept_hash or 'none'} was kept; the last change is undone by "
             f"{undo}. {self.unfinished()}".rstrip()
@@ -285,9 +287,9 @@ class Feed:
             )
 
     def _refuse_journal(self, table: CompensationTable, stamp_ns: int, word: Combination) -> None:
-        """Refuse a table whose word about what was in force the journal contradicts.
+        """Refuse a table when the journal contradicts what it says was in force.
 
-        A table that the journal does not know at all may have been copied there by hand.
+        A table in force that the journal does not know may have been copied there by hand.
         """
         claim, stated = f"measured with {table.measured_on[:12]!r} in force", table.measured_on
         if stated == UNKNOWN and word == "replace":
@@ -305,11 +307,11 @@ class Feed:
             return
         since_ns, held = wrong[0]
         raise DataError(
-            f"{claim}, but by the journal of this bridge the controller held "
+            f"{claim}, but according to the journal of this bridge the controller held "
             f"{f'the table {held[:12]}' if known_hash(held) else 'no table'} then (since "
-            f"{_utc(since_ns)}): what was measured is not what that word says, and taken for that "
-            "it would spoil the correction. Measure again, with what is in force announced by "
-            "this bridge (leave it out of cell.table_in_force)"
+            f"{_utc(since_ns)}): the measurement is not what it is said to be, and used as such "
+            "it would spoil the correction. Measure again, and let this bridge announce what is "
+            "in force (leave cell.table_in_force out)"
         )
 
     def _agreeing(
@@ -447,7 +449,7 @@ def work_of(command: Sequence[str], timeout_s: float) -> str:
 
     ``command`` ends with exit code 0 when the machine rests, and with 1 and a line that says why
     when it does not; an empty command: nobody can tell. Raises ControllerError when there is no
-    answer within ``timeout_s`` or any other one: what is not known is no rest.
+    answer within ``timeout_s``, or another exit code: an unknown state does not count as rest.
     """
     if not command:
         return ""
@@ -490,8 +492,9 @@ class Exchange:
         now_ns = self.now_ns()
         if now_ns < self.journal.last_ns():
             raise ControllerError(
-                "the clock is behind the last change in the journal, so that nobody could tell "
-                "which table was measured before it: set the clock; nothing was changed"
+                "the clock is behind the last change in the journal, so that tables measured "
+                "before and after this change could not be told apart: set the clock; nothing was "
+                "changed"
             )
         kept = self.journal.keep(before, now_ns)
         hashes = contents_hash(before), contents_hash(wanted)
@@ -527,7 +530,7 @@ class Exchange:
         self.journal.note(replace(entry, action=action, time_ns=self.now_ns(), in_force=in_force))
 
     def _write(self, held: Mapping[str, str], wanted: Contents) -> None:
-        """Write step by step and compare; ControllerError when anything else is there then."""
+        """Write step by step and compare; ControllerError when the result differs."""
         for step in write_steps(held, wanted):
             self.store.write(step)
         found = self.store.read(wanted)
@@ -542,8 +545,9 @@ def write_steps(held: Mapping[str, str], wanted: Contents) -> list[dict[str, str
     """Return what has to be written, one after the other, to get from ``held`` to ``wanted``.
 
     The first of the ``wanted`` files is the table, those after it say how it is read. A table
-    alone is replaced in one step. When one of the others changes, the table is away meanwhile: a
-    crash between two steps leaves no table, never rows that are read by another's rule.
+    alone is replaced in one step. When one of the others changes, the table is removed meanwhile:
+    a crash between two steps leaves no table, and never rows that are read by the rule of another
+    table.
     """
     changed = {name: text for name, text in wanted.items() if held.get(name) != text}
     table = next(iter(wanted))

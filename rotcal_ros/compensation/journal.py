@@ -48,7 +48,7 @@ def contents_hash(files: Contents) -> str:
 
 
 def texts_of(files: Contents) -> dict[str, str]:
-    """Return the files that there are."""
+    """Return the files that exist."""
     return {name: text for name, text in files.items() if text is not None}
 
 
@@ -72,7 +72,7 @@ class Journal:
         self.folder = folder
 
     def entries(self) -> list[Entry]:
-        """Return all events; a last line that was cut off by a crash never happened."""
+        """Return all events; a last line that was cut off by a crash does not count."""
         path = self.folder / FILE
         if not path.exists():
             return []
@@ -136,7 +136,7 @@ class Journal:
         return stack[-1] if stack else None
 
     def _undo(self, stack: list[Entry], restored: Entry) -> None:
-        """Take away the changes that are undone; a restore of anything else is a change itself."""
+        """Remove the changes that are undone; a restore of anything else is itself a change."""
         for place in range(len(stack) - 2, -1, -1):
             if stack[place].before_hash == restored.after_hash:
                 del stack[place:]
@@ -148,7 +148,7 @@ class Journal:
         return next((e for e in begun if e.before_hash == kept_hash), None)
 
     def unfinished(self) -> Entry | None:
-        """Return the change that was begun and of which nobody noted the end."""
+        """Return the change that was begun and whose end was never noted."""
         entries = self.entries()
         return entries[-1] if entries and entries[-1].action in BEGUN else None
 

@@ -1,10 +1,10 @@
 """LinuxCNC: ``[JOINT_n] COMP_FILE``, read by usrmotLoadComp, applied by the motion controller.
 
 Lines ``nominal forward reverse`` in degrees. Type 0 holds the measured actual angle, type 1 the
-trim that is added to the motor command. The real program stops in silence at the first line
-that is not three numbers, takes 256 rows, and does not know that an axis is round: the rows
-are repeated for every turn of the travel. Source: LinuxCNC 2.9, src/emc/motion (usrmotintf.cc,
-command.c, control.c) and docs/src/config/ini-config.adoc.
+trim that is added to the motor command. The real program stops silently at the first line that is
+not three numbers, takes 256 rows, and does not know that an axis is round: the rows are repeated
+for every turn of the travel. Source: LinuxCNC 2.9, src/emc/motion (usrmotintf.cc, command.c,
+control.c) and docs/src/config/ini-config.adoc.
 
 How LinuxCNC's trim follows its table: once in a servo period, with limits of its own.
 
@@ -29,14 +29,14 @@ from rotcal_ros.compensation.controller import Controller, Facts, Lag, Rule
 from rotcal_ros.compensation.linuxcnc_ini import Ini
 from rotcal_ros.compensation.linuxcnc_machine import AGENT, SERVO_PERIOD_NS, Joint
 from rotcal_ros.compensation.parsing import only_file
-from rotcal_ros.compensation.rows import (
+from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
+from rotcal_ros.compensation.table_rows import (
     columns_deg,
     every_turn,
     fixed,
     require_at_most,
     with_line,
 )
-from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
 from rotcal_ros.curves.interpolation import TURN
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
@@ -99,7 +99,9 @@ class LinuxCnc(Controller):
     first_turn: int = setting(0, doc="turn that the table begins with; 1 is 360 .. 720 deg")
     turns: int = setting(1, doc="number of turns that the table covers", minimum=1)
     machine_ini: str = setting(
-        "", doc="ini file of the machine; it tells the joint, the below, and whether it is at work"
+        "",
+        doc="ini file of the machine; gives the joint, the limits below, and whether it is at "
+        "work",
     )
     max_acceleration_deg_s2: float = setting(
         0.0, doc="deg/s^2, MAX_ACCELERATION of the joint; 0: not known", minimum=0.0
@@ -148,7 +150,7 @@ class LinuxCnc(Controller):
         }
 
     def read(self, files: Mapping[str, str]) -> LoadedComp:
-        """Read table and ini lines; BagError for all that LinuxCNC would swallow in silence."""
+        """Read table and ini lines; BagError for all that LinuxCNC would silently ignore."""
         _, ini = only_file(files, ".ini")
         name, text = only_file(files, ".comp")
         kind = re.search(r"^\s*COMP_FILE_TYPE\s*=\s*([01])\s*$", ini, re.MULTILINE)
@@ -175,7 +177,7 @@ class LinuxCnc(Controller):
         return float(2.0 * 10.0**-DECIMALS * DEGREE + 8.0 * np.finfo(np.float32).eps * largest)
 
     def for_axis(self, axis: str) -> LinuxCnc:
-        """Return it with what the machine's ini file says, where no setting does."""
+        """Return the controller, completed from the machine's ini file where settings are open."""
         if not self.machine_ini:
             return self
         joint = self._joint(axis)
@@ -189,7 +191,7 @@ class LinuxCnc(Controller):
         )
 
     def lag(self, rule: Rule, table: CompensationTable) -> Lag:
-        """Return what the trim leaves that does not follow."""
+        """Return what the lag of the trim leaves."""
         if not self.max_acceleration_deg_s2:
             return Lag(notes=(UNKNOWN_LIMITS,))
         following = Following(
@@ -292,7 +294,7 @@ CONTROLLER: Final = LinuxCnc
 
 
 EDGE: Final = 0.01
-"""Share by which the dead band is taken wider than it is: changes between two rows looked at."""
+"""Share by which the dead band is widened: for changes between the rows that are evaluated."""
 
 
 @dataclass(frozen=True)
@@ -338,7 +340,7 @@ class Following:
         return self.in_motion + 2.0 * speed * self.period + 4.0 * speed**2 / self.acceleration
 
     def left_standing(self, forward: Floats, reverse: Floats, closed: bool) -> float:
-        """Return the most (rad) that stays after a slow reversal at any row and a slow move.
+        """Return the most (rad) that remains after a slow reversal at any row and a slow move.
 
         ``forward`` and ``reverse`` (n,) rad are the trims at close angles that ascend; with
         ``closed`` the last is beside the first.
@@ -350,7 +352,7 @@ class Following:
     def left_after_homing(
         self, forward: Floats, reverse: Floats, home: int, closed: bool
     ) -> float:
-        """Return the most (rad) that stays in slow moves from row ``home``, where the trim is 0.
+        """Return the most (rad) that remains in slow moves from row ``home``, where the trim is 0.
 
         The other arguments are those of :meth:`left_standing`.
         """
@@ -359,7 +361,7 @@ class Following:
         return max(away, self._left(reverse[::-1], none, np.array([back]), closed))
 
     def _left(self, wanted: Floats, held: Floats, rows: Ints, closed: bool) -> float:
-        """Return it for moves over ascending rows from ``rows``, with the trim ``held``."""
+        """Return it for moves over ascending rows from ``rows``, from the trim ``held`` on."""
         count, worst = len(wanted), 0.0
         start = rows[self.stands(wanted[rows] - held[rows])]
         for ahead in range(count):

@@ -1,7 +1,7 @@
 """The ini file of a LinuxCNC: read as LinuxCNC reads it, and completed in a copy.
 
-LinuxCNC takes the first section of a name and the first line of a key in it, and ignores all later
-ones without a word. A value goes to the end of its line. Source: IniFile::Find of LinuxCNC 2.9
+LinuxCNC takes the first section of a name and the first line of a key in it, and silently ignores
+all later ones. A value goes to the end of its line. Source: IniFile::Find of LinuxCNC 2.9
 (src/libnml/inifile/inifile.cc); ``#INCLUDE`` is expanded by its start script.
 """
 

@@ -18,7 +18,7 @@ AGENT: Final = ("/usr/bin/python3", str(files("rotcal_ros") / "nodes" / "linuxcn
 LETTERS: Final = "XYZABCUVW"
 """The axes of trivkins without ``coordinates=``, joint by joint."""
 SERVO_PERIOD_NS: Final = 1_000_000
-"""Where the ini file does not say it; the examples of LinuxCNC all have it."""
+"""Assumed where the ini file does not say; all examples of LinuxCNC have it."""
 DEGREE_WORDS: Final = ("deg", "degree")
 UNLIMITED_DEG: Final = 1e99
 SAME_DEG: Final = 1e-6

@@ -43,7 +43,9 @@ class OpcUaSettings:
         by_certificate = ("user_key",) if self.user_certificate else ()
         _require(self, "opcua", needed + by_password + by_certificate)
         if self.user and self.user_certificate:
-            raise ConfigurationError("opcua.user and opcua.user_certificate: a user comes by one")
+            raise ConfigurationError(
+                "opcua.user and opcua.user_certificate: give only one of them"
+            )
         if not re.fullmatch(r"opc\.tcp://[^@/\s]+(/[^@\s]*)?", self.endpoint):
             raise ConfigurationError(
                 "opcua.endpoint: expected opc.tcp://HOST:PORT, without user or password"
@@ -94,8 +96,8 @@ def _check_source(source: str, where: str) -> tuple[str, str]:
     if kind not in ("file", "env") or not name:
         # The text is not repeated: it may be the secret itself, and this goes into logs.
         raise ConfigurationError(
-            f"{where}: expected file:PATH or env:NAME; the secret itself does not belong into a "
-            "configuration, which goes into every bag"
+            f"{where}: expected file:PATH or env:NAME; the secret itself does not belong in a "
+            "configuration, which is copied into every bag"
         )
     return kind, name
 

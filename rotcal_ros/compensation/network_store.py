@@ -1,4 +1,4 @@
-"""A controller behind a network: its tables go over a link, the books are kept on this machine."""
+"""A controller behind a network: tables go over a link, records are kept on this machine."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ class TableLink(Protocol):
     address: str
 
     def read(self, names: list[str]) -> dict[str, str]:
-        """Return those of the tables that there are; ControllerError when that is not known."""
+        """Return those of the tables that exist; ControllerError when that is not known."""
 
     def write(self, tables: Mapping[str, str | None]) -> None:
         """Replace the tables, None takes one away; ControllerError when not all is done."""
 
 
 class NetworkStore:
-    """The store of a controller behind ``link``; ``books`` keeps the lock and the provenance."""
+    """The store of a controller behind ``link``; ``books`` holds the lock and the provenance."""
 
     def __init__(self, books: ControllerFolder, link: TableLink, timeout_s: float) -> None:
         self._books, self._link = books, link
         self._timeout_s = timeout_s + GRACE_S
 
     def lock(self) -> None:
-        """Become the only one on this machine who feeds this controller."""
+        """Take the sole right on this machine to feed this controller."""
         self._books.lock()
 
     def close(self) -> None:
@@ -54,7 +54,7 @@ class NetworkStore:
         return self._books.address(name) if _is_side(name) else f"{self._link.address}/{name}"
 
     def read(self, names: Iterable[str]) -> dict[str, str]:
-        """Return those of the files that there are."""
+        """Return those of the files that exist."""
         wanted = list(names)
         tables = [name for name in wanted if not _is_side(name)]
         found = answered(
@@ -63,7 +63,7 @@ class NetworkStore:
         return found | self._books.read(filter(_is_side, wanted))
 
     def write(self, files: Mapping[str, str | None]) -> None:
-        """Replace the files, the tables first: the provenance never tells of what is not there."""
+        """Replace the files, tables first: the provenance never describes what is not there."""
         tables = {name: text for name, text in files.items() if not _is_side(name)}
         answered(lambda: self._link.write(tables), self._timeout_s, self._link.address, "write")
         self._books.write({name: text for name, text in files.items() if _is_side(name)})

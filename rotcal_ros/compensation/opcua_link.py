@@ -50,7 +50,7 @@ class OpcUaLink:
         self.address = f"{settings.endpoint} {settings.directory}"
 
     def read(self, names: list[str]) -> dict[str, str]:
-        """Return those of the files that there are; an empty file holds no table."""
+        """Return those of the files that exist; an empty file holds no table."""
 
         async def transfer(folder: ServerFolder) -> dict[str, str]:
             found = {name: await folder.read(name) for name in names}
@@ -179,7 +179,7 @@ class ServerFolder:
         await self._directory.create_file(name, request_file_open=False)
         node_id = await self._file(name)
         if node_id is None:
-            raise ControllerError(f"the server has not made the file {name}")
+            raise ControllerError(f"the server did not create the file {name}")
         await self._write(node_id, data)
         if await self._read(node_id) != data:
             raise ControllerError(f"read back, {name} differs from what was sent: not in force")
@@ -209,13 +209,15 @@ class ServerFolder:
         if node_id is None:
             if data is None:
                 return
-            raise ControllerError(f"there is no file {name}, and the server lets nobody make one")
+            raise ControllerError(
+                f"there is no file {name}, and the server does not allow creating one"
+            )
         await self._write(node_id, data or b"")
 
     async def _read(self, node_id: ua.NodeId) -> bytes:
         """Return what is read until nothing comes any more.
 
-        What a server says of the size of a file is no proof of what it holds, 0 least of all.
+        The size that a server reports does not prove what the file holds, least of all 0.
         """
         file, data = self._client.get_node(node_id), b""
         handle = await file.call_method("0:Open", READING)

@@ -50,7 +50,7 @@ def matches(name: str, text: str, pattern: str, example: str) -> Iterator[tuple[
     for row, line in enumerate(text.splitlines(), start=1):
         match = re.fullmatch(pattern, line.strip())
         if match is None:
-            raise BagError(f"{name}, line {row}: {line!r} is no line such as {example}")
+            raise BagError(f"{name}, line {row}: {line!r} is not a line such as {example}")
         yield f"{name}, line {row}", match
 
 

@@ -2,9 +2,9 @@
 
 Entry k holds the correction at k x spacing, k = 1 .. N; zero is zero by definition and the last
 entry is the one at zero again. The table rolls over by itself, it is added to the desired
-position. The backlash is taken off while the motor moves in the negative direction: its size at
-home is Ixx86, which is never negative, BLCOMP holds what it differs elsewhere, and with Ixx85 = 0
-nothing of it is taken off at all. Sources: ``Pmac.facts``.
+position. The backlash is subtracted while the motor moves in the negative direction: its size at
+home is Ixx86, which is never negative, BLCOMP holds by how much it differs elsewhere, and with
+Ixx85 = 0 none of it is applied. Sources: ``Pmac.facts``.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ import numpy as np
 
 from rotcal_ros.compensation.controller import Controller, Facts
 from rotcal_ros.compensation.parsing import integer, only_file
-from rotcal_ros.compensation.rows import (
+from rotcal_ros.compensation.periodic_rule import PeriodicTable
+from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.compensation.table_rows import (
     columns_deg,
     even_interval_deg,
     mean_deg,
     require_zero_at_start,
     with_line,
 )
-from rotcal_ros.compensation.rules import PeriodicTable
-from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Ints
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.settings import setting

@@ -7,8 +7,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.compensation.between import CERTAIN
 from rotcal_ros.compensation.controller import Controller, Lag, Rule
+from rotcal_ros.compensation.interpolation_uncertainty import CERTAIN
 from rotcal_ros.compensation.lookup import Correction
 from rotcal_ros.compensation.resample import averaged, resample
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable

@@ -67,7 +67,7 @@ def averaged(table: CompensationTable) -> CompensationTable:
     mean = mean - interpolation_matrix(table.angles, at, table.period) @ mean
     columns = (table.correction_forward, table.correction_reverse)
     left = max(float(np.max(np.abs(column - mean))) for column in columns)
-    warning = f"mean of both directions: up to {left / ARCSEC:.3g} arcsec of reversal stay"
+    warning = f"mean of both directions: up to {left / ARCSEC:.3g} arcsec of reversal remain"
     return replace(
         table,
         correction_forward=mean,

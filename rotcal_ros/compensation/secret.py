@@ -46,6 +46,6 @@ def _check(path: Path, status: os.stat_result) -> None:
         raise ConfigurationError(f"the secret in {path} is no plain file")
     if mode & 0o077 or status.st_uid not in (os.geteuid(), 0):
         raise ConfigurationError(
-            f"the secret in {path} is not the operator's alone (mode {mode:03o}, owner "
+            f"the secret in {path} is open to others than the operator (mode {mode:03o}, owner "
             f"{status.st_uid}): chmod 600 {path}, and choose a new secret"
         )

@@ -19,7 +19,9 @@ import numpy as np
 
 from rotcal_ros.compensation.controller import Controller, Facts
 from rotcal_ros.compensation.parsing import integer, number, only_file
-from rotcal_ros.compensation.rows import (
+from rotcal_ros.compensation.periodic_rule import PeriodicTable
+from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.compensation.table_rows import (
     columns_deg,
     even_interval_deg,
     fixed,
@@ -27,8 +29,6 @@ from rotcal_ros.compensation.rows import (
     require_at_most,
     with_line,
 )
-from rotcal_ros.compensation.rules import PeriodicTable
-from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import check_axis
 from rotcal_ros.foundation.errors import BagError

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from rotcal_ros.compensation.controller import Controller, Facts
 from rotcal_ros.compensation.parsing import matches, number, only_file
-from rotcal_ros.compensation.rows import (
+from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.compensation.table_rows import (
     columns_deg,
     every_turn,
     fixed,
@@ -26,7 +27,6 @@ from rotcal_ros.compensation.rows import (
     require_circle,
     require_zero_at_start,
 )
-from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.curves.interpolation import TURN
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
@@ -87,7 +87,7 @@ class Smoothieware(Controller):
     one_direction = True
     unverified = (
         "that the firmware of the machine has the module: proposal 221 of January 2026, which "
-        "brings it, was closed without being merged, and the released firmware has it not",
+        "brings it, was closed without being merged, and the released firmware does not have it",
     )
 
     letter: str = setting(
@@ -104,7 +104,7 @@ class Smoothieware(Controller):
             raise ConfigurationError(
                 f"smoothieware: the turns {self.first_turn} .. {self.first_turn + self.turns} "
                 "leave out 0 deg, from where the control counts: choose first_turn and turns so "
-                "that it is in"
+                "that it is included"
             )
         angles, added = every_turn(
             self.first_turn, self.turns, columns_deg(table)[0], mean_deg(table)
@@ -154,7 +154,7 @@ class Smoothieware(Controller):
 def _points(angles: Floats, added: Floats) -> list[tuple[float, float]]:
     """Return positions and multipliers that take the motor to ``angles`` + ``added``, degrees.
 
-    Each multiplier makes good for what the ones before have left, in the control's own arithmetic.
+    Each multiplier compensates for what the earlier ones left, in the control's own arithmetic.
     """
     points: list[tuple[float, float]] = []
     total = 0.0

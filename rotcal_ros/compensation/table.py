@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from rotcal_ros.compensation.between import Weights, variances, without_gaps
+from rotcal_ros.compensation.interpolation_uncertainty import Weights, variances, without_gaps
 from rotcal_ros.curves.directional import DirectionalCurve, directional_curve
 from rotcal_ros.curves.interpolation import (
     SAME_ANGLE,
@@ -46,23 +46,23 @@ SIGN_CONVENTION: Final = "correction = -(actual - commanded); add it to the comm
 class CompensationTable:
     """Correction of the angular positioning over one turn, or over an arc.
 
-    Arrays have shape (n,) and are radians. ``angles`` ascend; with ``period`` 2 pi they lie
-    within one turn, and the row at angles[0] + 2 pi is the first row again. ``period`` 0 means
-    an arc: it neither closes nor wraps. ``correction_forward`` is for approaches with increasing
-    angle and zero at ``reference_angle``, ``correction_reverse`` for decreasing angle. ``std`` and
+    Arrays have shape (n,) and are radians. ``angles`` ascend; with ``period`` 2 pi they lie within
+    one turn, and the row at angles[0] + 2 pi is the first row again. ``period`` 0 means an arc: it
+    neither closes nor wraps. ``correction_forward`` is for approaches with increasing angle and
+    zero at ``reference_angle``, ``correction_reverse`` for decreasing angle. ``std`` and
     ``std_reverse`` are their standard uncertainties (k = 1); the latter is None where it is the
     same. ``between_std`` (rad) comes on top of them between the measured angles, which are up to
     ``widest_gap`` (rad) apart; zero where that is not known, as for a table made by hand.
-    ``warnings`` say in words what to know before use.
-    ``verdict_line`` is the verdict with what it does not cover; empty where that is not known, as
-    in a message. ``measured_on`` is the table in force during the measurement (hash of the
-    controller's files, "none" or "unknown"), ``adds_to`` the one that the corrections contain.
-    ``item`` says what was measured and ``serial`` is its number, empty where that is not known;
-    ``simulated``: nothing was. ``measured_from_ns`` and ``measured_until_ns`` are when (ns since
-    1970) the first and the last measurement that counts was made; 0: not known.
-    ``open_zeros`` says which offsets within the table nobody has measured, so that no uncertainty
-    holds between its parts; empty: none. Such a table is fed to nobody, see :func:`check_verdict`.
-    Raises DataError when the arrays do not fit together.
+    ``warnings`` say in words what to know before use. ``verdict_line`` is the verdict with what it
+    does not cover; empty where that is not known, as in a message. ``measured_on`` is the table in
+    force during the measurement (hash of the controller's files, "none" or "unknown"), ``adds_to``
+    the one that the corrections contain. ``item`` says what was measured and ``serial`` is its
+    number, empty where that is not known; ``simulated``: no instrument measured it.
+    ``measured_from_ns`` and ``measured_until_ns`` are when (ns since 1970) the first and the last
+    measurement that counts was made; 0: not known. ``open_zeros`` says which offsets within the
+    table nobody has measured, so that no uncertainty holds between its parts; empty: none. Such a
+    table is fed to no controller, see :func:`check_verdict`. Raises DataError when the arrays do
+    not fit together.
 
     >>> import rotcal_ros as rc
     >>> table = rc.make_table(rc.read_result("examples/data/result_ball_plate.json"))
@@ -204,8 +204,8 @@ def measured_axis(
     known = forward or backward
     if known and axis and check_axis(axis) != known:
         raise ConfigurationError(
-            f"axis {known} was measured, and the table would be called that of axis {axis}: leave "
-            "the axis out; a table that is meant for another one is accepted where files are made"
+            f"axis {known} was measured, and the table would be named for axis {axis}: leave the "
+            "axis out; that a table is meant for another axis is accepted where files are made"
         )
     return known or axis or default
 
@@ -226,8 +226,8 @@ def table_from_result(
     the same zero, and without it both directions are equal. The full circle is recognised by its
     angles; positions that coincide after a turn must agree within their uncertainties (else
     DataError: they do not close) and are averaged. An arc becomes a table of ``period`` 0 and says
-    so; DataError for a gap amid the angles that is wider than the curve allows. The zero is moved
-    to ``reference_angle`` (default: the first angle of the result).
+    so; DataError for a gap between the angles that is wider than the curve allows. The zero is
+    moved to ``reference_angle`` (default: the first angle of the result).
 
     Without ``spacing`` the table has one row per measured angle, else rows every ``spacing``
     radians from zero, on a curve through the measured points. ``harmonics`` =
@@ -327,13 +327,13 @@ def _standard_uncertainties(
 
 
 def _item(result: Result, reverse: Result | None) -> str:
-    """Return what both directions were measured of; DataError for two serial numbers."""
+    """Return what both directions were measured on; DataError for two serial numbers."""
     ours = result.circumstances.identity
     theirs = ours if reverse is None else reverse.circumstances.identity
     if ours.serial and theirs.serial and ours.serial != theirs.serial:
         raise DataError(
-            f"the directions are those of two items, no. {ours.serial} and no. {theirs.serial}: "
-            "measure both of one table"
+            f"the two directions were measured on different items, no. {ours.serial} and no. "
+            f"{theirs.serial}: measure both on one table"
         )
     titles = dict.fromkeys(title for title in (ours.title, theirs.title) if title)
     return "; other direction: ".join(titles)

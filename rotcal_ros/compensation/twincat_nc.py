@@ -16,15 +16,15 @@ import numpy as np
 
 from rotcal_ros.compensation.controller import Controller, Facts
 from rotcal_ros.compensation.parsing import integer, number, only_file
-from rotcal_ros.compensation.rows import (
+from rotcal_ros.compensation.periodic_rule import PeriodicTable
+from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.compensation.table_rows import (
     columns_deg,
     even_interval_deg,
     fixed,
     mean_deg,
     with_line,
 )
-from rotcal_ros.compensation.rules import PeriodicTable
-from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.settings import setting
@@ -161,9 +161,9 @@ def _rows(where: str, match: re.Match[str]) -> tuple[Floats, Floats]:
     n = len(rows)
     if (low, high, count, last, match[6]) != (0.0, 360.0, n, n - 1, "TRUE") or n < 3:
         raise BagError(
-            f"{where}: {n} rows, and the parameters tell {count} from {low:g} to {high:g} deg, an "
-            f"array [0..{last}] and Modulo {match[6]}; expected {n} from 0 to 360, [0..{n - 1}], "
-            "TRUE"
+            f"{where}: {n} rows, and the parameters state {count} from {low:g} to {high:g} deg, "
+            f"an array [0..{last}] and Modulo {match[6]}; expected {n} from 0 to 360, "
+            f"[0..{n - 1}], TRUE"
         )
     if np.max(np.abs(rows - np.linspace(0.0, 360.0, n))) > 10.0**-PLACES:
         raise BagError(f"{where}: the positions are not evenly spaced from 0 to 360 deg")

@@ -15,7 +15,7 @@ from rotcal_ros.foundation.files import make_folder, scratch_folder, sync_folder
 PROVENANCE: Final = ".provenance.json"
 """How the name of the file ends that is for people and not for the controller."""
 SCHEMA: Final = 1
-"""Of these side files, by which a reader knows the meaning of their entries."""
+"""Schema of these side files, which tells a reader what their entries mean."""
 
 
 def write_files(files: Mapping[str, str], folder: Path) -> tuple[Path, ...]:

@@ -17,10 +17,10 @@ from rotcal_ros.foundation.untrusted import require_plain
 class DurableFile:
     """A new binary file for an appending writer; never replaces an existing one.
 
-    ``write`` puts all bytes into the file or none: after a failure (full disk) the file ends
-    where the failed record would have begun. Nothing is buffered here, so what was written
-    survives the death of this process, and what was synced that of the machine. Where somebody
-    else cuts the file or writes into it, its size never again is :meth:`tell`.
+    ``write`` puts all bytes into the file or none: after a failure (full disk) the file ends where
+    the failed record would have begun. Nothing is buffered here, so what was written survives the
+    death of this process, and what was synced that of the machine. Where another process cuts the
+    file or writes into it, its size differs from :meth:`tell` from then on.
     """
 
     def __init__(self, path: Path) -> None:
@@ -202,7 +202,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def sync_file(path: Path) -> None:
-    """Return when what stands in a file is on the medium, whoever wrote it."""
+    """Return when the content of a file is on the medium, whoever wrote it."""
     descriptor = disk.open_file(path, os.O_RDONLY)
     try:
         disk.sync(descriptor)

@@ -182,7 +182,9 @@ def _scalar(value: Any, declared: Declaration, place: str) -> Any:
             f"{place}: expected {kind.__name__} ({info.description}), found {value!r:.80}"
         )
     if kind is str and _NO_TEXT.search(value):
-        raise ConfigurationError(f"{place}: no text: {value!r:.60} holds NUL or half a character")
+        raise ConfigurationError(
+            f"{place}: {value!r:.60} is not valid text: it holds a NUL or an unpaired surrogate"
+        )
     if kind is float and not math.isfinite(value):
         raise ConfigurationError(f"{place}: expected a finite number, found {value!r}")
     low, high = info.minimum, info.maximum

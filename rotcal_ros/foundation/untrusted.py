@@ -90,7 +90,7 @@ def read_bytes(path: Path, largest: int = LARGEST_FILE) -> bytes:
 
 
 def read_text(path: Path, encoding: str = "utf-8", largest: int = LARGEST_FILE) -> str:
-    """Return the text of a plain file, line ends made alike; OSError or UnicodeDecodeError."""
+    """Return the text of a plain file with uniform line endings; OSError or UnicodeDecodeError."""
     with io.TextIOWrapper(io.BytesIO(read_bytes(path, largest)), encoding=encoding) as text:
         return text.read()
 

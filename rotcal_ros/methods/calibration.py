@@ -235,7 +235,7 @@ class Calibration:
         )
 
     def check(self, observations: Iterable[Observation]) -> tuple[str, ...]:
-        """Return in words what a person has to put right, as far as the method can tell."""
+        """Return in words what a person has to correct, as far as the method can tell."""
         if self.method.check is None:
             return ()
         used = self.refraction.corrected(final_observations(observations))

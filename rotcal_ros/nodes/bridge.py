@@ -1,6 +1,6 @@
 """The bridge to a controller: writes tables as files, and feeds them to it on confirmation.
 
-The services that change a controller: who may call them, when, and a true answer always.
+The services that change a controller: who may call them, when, and always a true answer.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ from rotcal_ros.nodes.runtime.cell_node import CellNode, until
 from rotcal_ros.nodes.runtime.health import CALIBRATING
 from rotcal_ros.nodes.runtime.qos import LATCHED
 from rotcal_ros.nodes.runtime.running import run
-from rotcal_ros.nodes.runtime.turns import steady_timer
+from rotcal_ros.nodes.runtime.timers_and_events import steady_timer
 from rotcal_ros.planning.cell_settings import CellSettings
 
 
 class BridgeNode(CellNode):
-    """Takes tables and looks corrections up; the access to the controller is a part of its own."""
+    """Takes tables and looks up corrections; the access to the controller is a part of its own."""
 
     def __init__(self) -> None:
         super().__init__("bridge")
@@ -68,11 +68,11 @@ class BridgeNode(CellNode):
         self._access = ControllerAccess(self, self._feed, self._note)
 
     def begin_stop(self) -> None:
-        """Leave the controller to others; what is being written is finished first."""
+        """Release the controller; what is being written is finished first."""
         self._access.close()
 
     def _take(self, message: CompensationTableMsg) -> None:
-        """Hold a table against the configuration and write its files; a bad one is refused."""
+        """Check a table against the configuration and write its files; a bad one is refused."""
         self._correction = None
         self._feed.forget()
         self._facts = {"table_hash": message.table_hash, "verdict": message.verdict}
@@ -100,7 +100,7 @@ class BridgeNode(CellNode):
     ) -> GetCorrection.Response:
         try:
             if self._correction is None:
-                raise DataError(f"there is no table to look the correction up in: {self._state}")
+                raise DataError(f"there is no table to look up the correction in: {self._state}")
             approach = Approach(request.approach)
             response.correction = float(self._correction(request.angle, approach))
             response.std = float(self._correction.std(request.angle, approach))
@@ -122,7 +122,7 @@ PERIOD_S: Final = 1.0
 
 
 class Announcer:
-    """Looks at the controller in the thread of its other accesses, and publishes what it found.
+    """Inspects the controller in the thread of its other accesses, and publishes what it found.
 
     ``tell`` is given in words what contradicts that, after every look; empty when nothing does.
     """
@@ -162,13 +162,13 @@ class Announcer:
 
 
 ANSWERS_PER_ACTION: Final = 20
-"""Accesses to the controller in one action at most; each has its own time limit."""
+"""Largest number of accesses to the controller in one action; each has its own time limit."""
 OPENING_PERIOD_S: Final = 0.5
 """How often a bridge without the controller's lock tries to get it."""
 DISCOVERY_S: Final = 2.0
-"""How long a new node may not know yet what the others offer."""
+"""How long a new node may take to know what the others offer."""
 AWARE_TIMEOUT_S: Final = 10.0
-"""How long a call waits at most until this node knows what it missed while it stood still."""
+"""How long a call waits at most for this node to catch up after a standstill."""
 SERVICES: Final = ("apply", "restore")
 UNFINISHED: Final = "unfinished"
 CONTRADICTION: Final = "contradiction"
@@ -195,12 +195,12 @@ class ControllerAccess:
             Announcer(node, feed, self._worker, partial(self._warn_of, about=CONTRADICTION))
 
     def close(self) -> None:
-        """Leave the controller to others; what is being written is finished first."""
+        """Release the controller; what is being written is finished first."""
         self._worker.shutdown(wait=True, cancel_futures=True)
         self._feed.close()
 
     def _open(self) -> None:
-        """Offer to change the controller as soon as nobody else may."""
+        """Offer to change the controller as soon as no other node may."""
         settings = self._feed.settings
         if not settings.controller_folder or self._secret is None:
             missing = "secret_file" if settings.controller_folder else "controller_folder"
@@ -264,7 +264,7 @@ class ControllerAccess:
             try:
                 response.kept_hash = await self._answer(self._feed.next_restore)
             except (RotcalError, OSError) as error:
-                response.message += f"; what can be restored is not known: {error}"
+                response.message += f"; it is not known what can be restored: {error}"
         return response
 
     async def _may(self, secret: str, response: Any) -> bool:
@@ -325,13 +325,13 @@ class ControllerAccess:
             return await self._node.answer_of(self._worker.submit(work), limit_s)
         except FutureTimeout as error:
             raise ControllerError(
-                f"no end within {limit_s:g} s: it is not known whether the table will be changed; "
-                "/diagnostics tells when it is"
+                f"no end within {limit_s:g} s: it is not known yet whether the table will be "
+                "changed; /diagnostics shows when it is"
             ) from error
 
 
 def main() -> None:
-    """Run the bridge, reachable from this machine alone unless the user has settled the range."""
+    """Run the bridge, reachable from this machine alone unless the user has set the range."""
     run(BridgeNode, LOCALHOST)
 
 

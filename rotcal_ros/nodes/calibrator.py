@@ -44,7 +44,7 @@ class CalibratorError(RotcalError):
 
 
 class GoalRefusedError(CalibratorError):
-    """The planner does not take the goal; the text says what it is doing."""
+    """The planner does not accept the goal; the text says what it is doing."""
 
 
 class Calibrator:
@@ -82,7 +82,7 @@ class Calibrator:
         )
 
     def listen(self, seconds: float) -> None:
-        """Take for so long what comes in."""
+        """Handle what comes in for so long."""
         self._peer.work_until(lambda: False, seconds)
 
     def wait_until_ready(self, timeout_s: float = 30.0) -> None:
@@ -132,7 +132,7 @@ class Calibrator:
     def resume(self) -> None:
         """Go on after a person's work is done; CalibratorError when nothing waits for it.
 
-        What was fed back before is forgotten, so that no instruction is met twice.
+        Earlier feedback is forgotten, so that no instruction is carried out twice.
         """
         answer = self._wait(self._resume.call_async(Trigger.Request()))
         if not answer.success:
@@ -175,7 +175,7 @@ class Calibrator:
         return self._outcome is not None
 
     def _found(self) -> Outcome | None:
-        """Return how the goal ended, be it that its planner is lost."""
+        """Return how the goal ended, also where its planner was lost."""
         silent = bool(self.health.missing(["planner"]))
         if silent:
             self._peer.work_until(self._answer.done, _GRACE_S)

@@ -1,6 +1,6 @@
 """The capture node: streams in, observations out.
 
-Asking an instrument for a length, where it wants to be asked (std_srvs/Trigger).
+Asking an instrument for a length, where it measures on request (std_srvs/Trigger).
 """
 
 from __future__ import annotations
@@ -22,7 +22,13 @@ from rotcal_ros.instruments.steps import Order, StepFinder
 from rotcal_ros.nodes.instruments.streams import InstrumentStreams
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.concerns import CLOCK_DOUBT, COMPLAINT, OFFSET, REJECTED, show
+from rotcal_ros.nodes.runtime.diagnostic_warnings import (
+    CLOCK_DOUBT,
+    COMPLAINT,
+    OFFSET,
+    REJECTED,
+    show,
+)
 from rotcal_ros.nodes.runtime.latest import HOPELESS, WAITING_FOR
 from rotcal_ros.nodes.runtime.planners_plans import PlannersPlans
 from rotcal_ros.nodes.runtime.plans import REFUSED, RUN, calibration_of, load_method, run_name
@@ -31,11 +37,11 @@ from rotcal_ros.nodes.runtime.roll_call import LOADING
 from rotcal_ros.nodes.runtime.running import run
 
 READINGS_S: Final = 0.01
-"""So long readings gather while somebody measures."""
+"""Readings gather for so long while a calibration measures."""
 
 
 class CaptureNews:
-    """Tells of rejections and of what keeps an order from being measured, each kind once."""
+    """Reports rejections, and what keeps an order from being measured, once for each kind."""
 
     def __init__(self, health: Any, logger: Any) -> None:
         self._health, self._logger = health, logger
@@ -48,7 +54,7 @@ class CaptureNews:
             show(self._health, key, "")
 
     def observed(self, observation: Observation) -> None:
-        """Take an observation: three rejected running are an error, fewer a warning."""
+        """Take an observation: three rejected in a row are an error, fewer a warning."""
         if line := self._rejections.note(observation, time.monotonic()):
             self._logger.warning(line)
         alarm, text = self._rejections.alarming, self._rejections.in_words()
@@ -59,7 +65,7 @@ class CaptureNews:
         self._tell(COMPLAINT, text)
 
     def offset(self, offsets: StampOffsets) -> None:
-        """Take which clocks differ, beyond what is rejected or less."""
+        """Take which clocks differ, by more than is tolerated or by less."""
         self._tell(OFFSET, offsets.in_words())
         self._tell(CLOCK_DOUBT, offsets.doubt_in_words())
 
@@ -99,7 +105,7 @@ class CaptureNode(CellNode):
         return self.idle_s() or READINGS_S
 
     def deactivated(self) -> None:
-        """Feed nothing more: what an instrument says in between is missing from every window."""
+        """Feed nothing more: what an instrument says meanwhile is missing from every window."""
         self._capture, self._finder, self._run = None, None, ""
         self._state = "waiting for a plan"
         self._orders.clear()
@@ -114,7 +120,7 @@ class CaptureNode(CellNode):
                 self._feed(understood)
 
     def _ask(self) -> None:
-        """Ask for a length where the instrument wants to be asked."""
+        """Ask for a length where the instrument measures on request."""
         if self._capture is not None:
             self._trigger.look(self._capture.readings, wanted=self._capture.asks_for_length)
 
@@ -173,9 +179,9 @@ class CaptureNode(CellNode):
 
 
 PERIOD_S: Final = 0.02
-"""How often it is looked whether a length is wanted."""
+"""How often it is checked whether a length is wanted."""
 PATIENCE_S: Final = 2.0
-"""So long after an answer the reading may take to come before it is asked for again."""
+"""After an answer the reading may take this long to come before it is asked for again."""
 ANSWER_S: Final = 30.0
 """So long an instrument may take to answer."""
 
@@ -209,7 +215,7 @@ class LengthTrigger:
         if received == self._asked and not late:
             return
         if not self._client.service_is_ready():
-            self.complaint = f"nobody offers the service {self._client.srv_name} (length_trigger)"
+            self.complaint = f"no node offers the service {self._client.srv_name} (length_trigger)"
             return
         self._asked, self._since_s = received, time.monotonic()
         self._call = self._client.call_async(Trigger.Request())

@@ -1,12 +1,12 @@
 """Listening to a cell without taking part in it: python -m rotcal_ros.nodes.cell_check.
 
-Prints what was found as JSON, see :class:`~rotcal_ros.methods.check_lines.CellReport`. The
-suite's own capture listens, under a hidden name and with what it says kept to itself, and the
-planner's preflight judges: what is good here is good there.
+Prints what was found as JSON, see :class:`~rotcal_ros.methods.check_lines.CellReport`. The suite's
+own capture listens, under a hidden name and without publishing, and the planner's preflight
+judges: what passes here passes there.
 
 The frames of a cell: what headers name, and what /tf_static says.
 
-Who stops the cell, as far as the graph shows it; whether a stop is on is the preflight's.
+Who stops the cell, as far as the graph shows it; the preflight says whether a stop is on.
 
 The machine of a cell: the joint of its table, and who obeys the two orders.
 """
@@ -48,10 +48,10 @@ from rotcal_ros.methods.configuration import changed, parse_configuration, read_
 from rotcal_ros.methods.dry_run import DryRun
 from rotcal_ros.methods.method import DEFAULT
 from rotcal_ros.nodes.capture import CaptureNode
+from rotcal_ros.nodes.check.cell_snapshot import CellSnapshot
 from rotcal_ros.nodes.check.drivers import TableEars, brought_line, driver_lines, table_ears
 from rotcal_ros.nodes.check.header_watch import HeaderWatch, watch_headers
-from rotcal_ros.nodes.check.heard import HeardCell
-from rotcal_ros.nodes.check.neighbours import cell_lines
+from rotcal_ros.nodes.check.other_nodes import cell_lines
 from rotcal_ros.nodes.check.streams import clock_line, stream_lines
 from rotcal_ros.nodes.goal.preflight import frame_doubts
 from rotcal_ros.nodes.instruments.streams import TIMED
@@ -63,16 +63,16 @@ from rotcal_ros.nodes.instruments.table_feedback import (
 )
 from rotcal_ros.nodes.runtime.cell_graph import ORDERS, CellGraph
 from rotcal_ros.nodes.runtime.channels import message_type
-from rotcal_ros.nodes.runtime.concerns import OFFSET
+from rotcal_ros.nodes.runtime.diagnostic_warnings import OFFSET
 from rotcal_ros.nodes.runtime.frames import StaticFrames
 from rotcal_ros.nodes.runtime.qos import LATCHED
 from rotcal_ros.nodes.runtime.running import EndRequest, leave_with
-from rotcal_ros.nodes.runtime.turns import steady_timer
+from rotcal_ros.nodes.runtime.timers_and_events import steady_timer
 from rotcal_ros.planning.table_motion import PUBLISH_VELOCITY
 from rotcal_ros.sessions.domains import domains_in_use
 
 if TYPE_CHECKING:
-    from rotcal_ros.nodes.check.heard import HeardCell
+    from rotcal_ros.nodes.check.cell_snapshot import CellSnapshot
 
 
 NAME: Final = "cell_check"
@@ -85,7 +85,7 @@ _OWN_TOPICS: Final = (
     names.HEARTBEAT, "/diagnostics", names.PLAN, names.OBSERVATION, names.TABLE_ANGLE,
     names.PROBE_TARGET,
 )  # fmt: skip
-"""What a capture says or obeys: here it neither says nor obeys anything."""
+"""What a capture publishes or obeys: here it does neither."""
 _LOOK_S: Final = 0.1
 _NO_CONFIGURATION: Final = f"/**: {{ros__parameters: {{method: {DEFAULT}}}}}"
 
@@ -115,12 +115,12 @@ class Listening:
         steady_timer(self.node, _LOOK_S, self._look)
 
     def announce(self, calibration: Calibration) -> None:
-        """Let the ears know what they listen for, as a planner does."""
+        """Tell the listening nodes what to listen for, as a planner does."""
         configuration = calibration.configuration
         self._adapter = table_ears(self.node, configuration)
         if self._adapter is not None:
-            heard = [f"topics.joint_states={self._adapter.topic}"]
-            configuration = changed(configuration, heard)  # what the adapter will pass on
+            passed_on = [f"topics.joint_states={self._adapter.topic}"]
+            configuration = changed(configuration, passed_on)
         self._conventions = Conventions(configuration.topics)
         self._plans = self._ears.create_publisher(CalibrationPlan, names.PLAN, LATCHED)
         self._plans.publish(
@@ -132,8 +132,10 @@ class Listening:
             )
         )
 
-    def heard(self, configuration: Configuration, calibration: Calibration | None) -> HeardCell:
-        """Return what came so far."""
+    def snapshot(
+        self, configuration: Configuration, calibration: Calibration | None
+    ) -> CellSnapshot:
+        """Return what has come so far."""
         _, values = self._ears._report()
         concerns = {**values, **self._ears.health.concerns, **self._ears.health.alarms}
         words = {key: str(value) for key, value in concerns.items()}
@@ -142,7 +144,7 @@ class Listening:
             words.setdefault(OFFSET, clocks)
         compared = self._offsets.compared()
         graph = CellGraph(self.node)
-        return HeardCell(
+        return CellSnapshot(
             graph, words, self.headers, configuration, calibration, compared, self._adapter
         )
 
@@ -172,19 +174,19 @@ def _configuration(path: str) -> Configuration:
 
 
 def _lines(
-    heard: HeardCell, frames: FramesHeard, calibration: Calibration | None
+    snapshot: CellSnapshot, frames: FramesHeard, calibration: Calibration | None
 ) -> Iterator[CheckLine]:
-    yield from cell_lines(heard)
-    yield from stream_lines(heard)
-    yield from machine_lines(heard)
-    yield from driver_lines(heard)
-    yield from safety_lines(heard)
-    yield clock_line(heard)
-    yield from frames.lines(heard)
+    yield from cell_lines(snapshot)
+    yield from stream_lines(snapshot)
+    yield from machine_lines(snapshot)
+    yield from driver_lines(snapshot)
+    yield from safety_lines(snapshot)
+    yield clock_line(snapshot)
+    yield from frames.lines(snapshot)
     if calibration is not None:
-        tracer = heard.headers.get(names.TRACER_LENGTH)
+        tracer = snapshot.headers.get(names.TRACER_LENGTH)
         rate = tracer.rate_hz if tracer is not None else None
-        yield from DryRun(calibration, table_start(heard), rate).lines()
+        yield from DryRun(calibration, table_start(snapshot), rate).lines()
 
 
 def _work() -> None:
@@ -202,12 +204,12 @@ def _work() -> None:
         listening.executor.spin_once(timeout_sec=_LOOK_S)
     if end:
         return
-    heard = listening.heard(configuration, calibration)
+    snapshot = listening.snapshot(configuration, calibration)
     report = CellReport(
         namespace=listening.node.get_namespace(),
         place=discovery_in_words(os.environ),
         seconds=seconds,
-        lines=tuple(_lines(heard, listening.frames, calibration)),
+        lines=tuple(_lines(snapshot, listening.frames, calibration)),
         domains=before,
     )
     sys.stdout.write(json.dumps(asdict(report)) + "\n")
@@ -218,18 +220,18 @@ _TODO: Final = "publish the points in the machine frame, or set cell.machine_fra
 
 
 class FramesHeard:
-    """What is heard of frames from now on."""
+    """The frames that are heard from now on."""
 
     def __init__(self, node: Node) -> None:
         self._static = StaticFrames(node)
 
-    def lines(self, heard: HeardCell) -> Iterator[CheckLine]:
+    def lines(self, snapshot: CellSnapshot) -> Iterator[CheckLine]:
         """Yield which frames the headers name, and what is static among them."""
-        cell, named = heard.configuration.cell, _by_frame(heard)
+        cell, named = snapshot.configuration.cell, _by_frame(snapshot)
         if named:
             words = (f"{frame or 'no frame_id'} in {', '.join(t)}" for frame, t in named.items())
             yield CheckLine("frames", "headers", "note", "; ".join(words))
-        for doubt in frame_doubts(heard.values, heard.configuration):
+        for doubt in frame_doubts(snapshot.values, snapshot.configuration):
             yield CheckLine("frames", "probe_point", "doubt", doubt, _TODO)
         if not self._static.heard:
             found = "not heard: tf2_msgs is not installed here (a ROS installation has it)"
@@ -242,10 +244,10 @@ class FramesHeard:
             yield CheckLine("frames", f"tf {frame}", "note", f"in {cell.machine_frame}: {where}")
 
 
-def _by_frame(heard: HeardCell) -> dict[str, list[str]]:
+def _by_frame(snapshot: CellSnapshot) -> dict[str, list[str]]:
     """Return frame -> topics that are stamped with it."""
     named: dict[str, list[str]] = {}
-    for topic, watch in sorted(heard.headers.items()):
+    for topic, watch in sorted(snapshot.headers.items()):
         for frame in watch.frames:
             named.setdefault(frame, []).append(topic)
     return named
@@ -259,24 +261,24 @@ def _words(pose: Pose) -> str:
 _TYPE: Final = "std_msgs/msg/Bool"
 
 
-def safety_lines(heard: HeardCell) -> Iterator[CheckLine]:
+def safety_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
     """Yield what stops the cell: a topic, names on /diagnostics, or nothing."""
-    settings = heard.configuration.safety
+    settings = snapshot.configuration.safety
     if settings.emergency_stop:
-        yield _topic_line(heard)
+        yield _topic_line(snapshot)
     if settings.stop_on_diagnostics:
         found = f"an ERROR of {', '.join(settings.stop_on_diagnostics)} stops the cell"
         yield CheckLine("safety", "/diagnostics", "note", found)
 
 
-def _topic_line(heard: HeardCell) -> CheckLine:
+def _topic_line(snapshot: CellSnapshot) -> CheckLine:
     """Say whether somebody publishes the emergency stop, in the type that is understood."""
-    settings = heard.configuration.safety
-    name = heard.graph.resolve(settings.emergency_stop)
-    offers = heard.graph.offers(settings.emergency_stop)
+    settings = snapshot.configuration.safety
+    name = snapshot.graph.resolve(settings.emergency_stop)
+    offers = snapshot.graph.offers(settings.emergency_stop)
     others = sorted({info.topic_type for info in offers} - {_TYPE})
     if others:
-        found = f"{name} is of type {', '.join(others)}, which no node understands as a stop"
+        found = f"{name} is of type {', '.join(others)}, which is not understood as a stop"
         todo = f"publish the stop as {_TYPE}, or correct safety.emergency_stop"
         return CheckLine("safety", "emergency_stop", "missing", found, todo)
     if offers:
@@ -286,7 +288,7 @@ def _topic_line(heard: HeardCell) -> CheckLine:
     if settings.silent_s:
         found = f"nobody publishes {name}, and its silence stops the cell (safety.silent_s)"
         return CheckLine("safety", "emergency_stop", "missing", found, todo)
-    if "safety.emergency_stop" in heard.configuration.given:
+    if "safety.emergency_stop" in snapshot.configuration.given:
         return CheckLine("safety", "emergency_stop", "doubt", f"nobody publishes {name}", todo)
     return CheckLine("safety", "emergency_stop", "note", f"nobody publishes {name}")
 
@@ -298,49 +300,49 @@ _TYPES: Final = {
 }
 
 
-def machine_lines(heard: HeardCell) -> Iterator[CheckLine]:
+def machine_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
     """Yield a line for the joint and for every order."""
-    if heard.adapter is not None:
-        yield from _adapter_lines(heard)
-    elif joints(heard.values):
-        yield _joint_line(heard)
+    if snapshot.adapter is not None:
+        yield from _adapter_lines(snapshot)
+    elif joints(snapshot.values):
+        yield _joint_line(snapshot)
     for order in ORDERS:
-        yield from _order_lines(heard, order)
+        yield from _order_lines(snapshot, order)
 
 
-def table_start(heard: HeardCell) -> float:
+def table_start(snapshot: CellSnapshot) -> float:
     """Return where the table stands (rad), as far as it was heard."""
-    angle = table_angle(heard.values, heard.configuration)
-    return angle if isfinite(angle) and not next(_doubts(heard), "") else 0.0
+    angle = table_angle(snapshot.values, snapshot.configuration)
+    return angle if isfinite(angle) and not next(_doubts(snapshot), "") else 0.0
 
 
-def _doubts(heard: HeardCell) -> Iterator[str]:
-    return joint_doubts(heard.values, heard.configuration)
+def _doubts(snapshot: CellSnapshot) -> Iterator[str]:
+    return joint_doubts(snapshot.values, snapshot.configuration)
 
 
-def _joint_line(heard: HeardCell) -> CheckLine:
-    joint = heard.configuration.cell.joint
-    chosen = chosen_joint(heard.values, joint)
-    if fault := next(heard.joint_faults(), ""):
-        there = ", ".join(map(printable, joints(heard.values)))
+def _joint_line(snapshot: CellSnapshot) -> CheckLine:
+    joint = snapshot.configuration.cell.joint
+    chosen = chosen_joint(snapshot.values, joint)
+    if fault := next(snapshot.joint_faults(), ""):
+        there = ", ".join(map(printable, joints(snapshot.values)))
         todo = f"cell.joint: one of {there}"
-        if chosen in joints(heard.values):
+        if chosen in joints(snapshot.values):
             todo = f"velocity of the joint: {PUBLISH_VELOCITY}"
         return CheckLine("table", "joint", "missing", fault, todo)
-    angle, speed = joints(heard.values)[chosen]
+    angle, speed = joints(snapshot.values)[chosen]
     found = f"{chosen} at {angle:.6g} rad = {angle / DEGREE:.4f}°, {speed / DEGREE:.3g}°/s"
-    if doubt := next(_doubts(heard), ""):
+    if doubt := next(_doubts(snapshot), ""):
         return CheckLine("table", "joint", "doubt", doubt, "publish the feedback in radians")
     return CheckLine("table", "joint", "good", found)
 
 
-def _order_lines(heard: HeardCell, order: str) -> Iterator[CheckLine]:
-    """Yield who obeys an order, and who else than the planner gives it."""
-    part, graph = _PARTS[order], heard.graph
+def _order_lines(snapshot: CellSnapshot, order: str) -> Iterator[CheckLine]:
+    """Yield who obeys an order, and who gives it besides the planner."""
+    part, graph = _PARTS[order], snapshot.graph
     name, machines = graph.resolve(order), graph.machines(order)
-    if line := brought_line(heard, part, order, "obeys it"):
+    if line := brought_line(snapshot, part, order, "obeys it"):
         yield line
-    elif heard.started_by_us and not machines:
+    elif snapshot.started_by_us and not machines:
         yield CheckLine(part, order, "note", "simulated: rotcal run starts who obeys it")
     elif why := list(graph.without_machine(order)):
         todo = f"let your machine's node subscribe to {name} ({_TYPES[order]}), volatile"
@@ -350,23 +352,23 @@ def _order_lines(heard: HeardCell, order: str) -> Iterator[CheckLine]:
     strangers = sorted(set(graph.publishers(order)) - {"planner"})
     if strangers:
         found = f"node {', '.join(strangers)} gives orders on {name}, too"
-        todo = f"the planner alone may order motion: stop what else publishes on {name}"
+        todo = f"only the planner may order motion: stop the other publishers on {name}"
         yield CheckLine(part, order, "doubt", found, todo)
 
 
-def _adapter_lines(heard: HeardCell) -> Iterator[CheckLine]:
-    """Yield what the adapter would say of its joint, and whether its controller is there."""
-    assert heard.adapter is not None
-    wrong, todo = heard.adapter.wrong()
+def _adapter_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
+    """Yield what the adapter would report of its joint, and whether its controller is there."""
+    assert snapshot.adapter is not None
+    wrong, todo = snapshot.adapter.wrong()
     if wrong:
         yield CheckLine("table", "joint", "missing", wrong, todo)
-    elif outside := heard.adapter.outside():
+    elif outside := snapshot.adapter.outside():
         todo = "publish the joint in rad, or correct table_adapter.lower_deg and upper_deg"
         yield CheckLine("table", "joint", "doubt", outside, todo)
-    elif joints(heard.values):
-        yield _joint_line(heard)
-    if not heard.started_by_us:
-        yield from heard.adapter.controller_lines()
+    elif joints(snapshot.values):
+        yield _joint_line(snapshot)
+    if not snapshot.started_by_us:
+        yield from snapshot.adapter.controller_lines()
 
 
 def main() -> None:

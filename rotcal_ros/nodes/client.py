@@ -4,8 +4,8 @@ It reads the configuration from a file, sends one goal and prints one JSON objec
 ``waiting``, ``alive``, ``refused``, ``started``, ``feedback``, ``paused``, ``resumed``,
 ``warning``, ``result``. SIGINT or SIGTERM cancels the goal; the result is waited for.
 
-``paused`` comes once for every work that a person has to do; a line ``resume`` on standard input,
-or the planner's service of that name, goes on.
+``paused`` comes once for every piece of work that a person has to do; a line ``resume`` on
+standard input, or the planner's service of that name, continues.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rotcal_ros.foundation.machine_load import Patience, in_words
 from rotcal_ros.nodes.calibrator import Calibrator, CalibratorError, GoalRefusedError
 from rotcal_ros.nodes.goal.outcome import Feedback, Outcome
 from rotcal_ros.nodes.runtime.clock_news import jumps_in_words
-from rotcal_ros.nodes.runtime.concerns import concerns_told
+from rotcal_ros.nodes.runtime.diagnostic_warnings import concerns_told
 from rotcal_ros.nodes.runtime.identity import other_session
 from rotcal_ros.nodes.runtime.json_lines import say
 from rotcal_ros.nodes.runtime.running import EndRequest, leave_with
@@ -33,7 +33,7 @@ from rotcal_ros.nodes.runtime.running import EndRequest, leave_with
 PERIOD_S: Final = 0.1
 ALIVE_PERIOD_S: Final = 1.0
 LISTEN_S: Final = 0.6
-"""So long a client listens at least for nodes of another session: three beats."""
+"""A client listens at least this long for nodes of another session: three beats."""
 RESUME: Final = b"resume"
 STDIN: Final = 0
 
@@ -69,7 +69,7 @@ class Client:
         say("result", **asdict(outcome))
 
     def _planner_came(self, timeout_s: float) -> bool:
-        """Wait for the planner; False when the client has to end, CalibratorError if in vain."""
+        """Wait for the planner; False when the client has to end, CalibratorError without one."""
         patience = Patience(timeout_s)
         listen_until = time.monotonic() + LISTEN_S
         while True:
@@ -105,7 +105,7 @@ class Client:
             say("alive", planner=self._calibrator.planner_state)
 
     def _warn(self) -> None:
-        """Tell of a jump of the clock once, though all nodes do, and of each kind of concern."""
+        """Report a jump of the clock once, though all nodes do, and each kind of warning."""
         health = self._calibrator.health
         jumps = ((text.partition(" at ")[0], text) for text in jumps_in_words(health))
         concerns = ((kind_of(text), text) for text in concerns_told(health))
@@ -129,7 +129,7 @@ class Client:
             say("paused", instruction=instruction)
 
     def _listen(self) -> None:
-        """Take what stands on standard input; after its end nothing more is expected."""
+        """Handle the lines on standard input; after its end nothing more is expected."""
         try:
             if not self._listening or not select.select([STDIN], [], [], 0.0)[0]:
                 return

@@ -54,7 +54,7 @@ class LinuxCncMachine:
         self._wait(self._all_homed, deadline, "homed machine")
 
     def take(self) -> None:
-        """Go over to commands; ends the program when the machine is not ready for them."""
+        """Switch to commands; ends the program when the machine is not ready for them."""
         lx = self._linuxcnc
         # LinuxCNC that has just been started says at first that it has no joints at all.
         deadline = time.monotonic() + START_TIMEOUT_S

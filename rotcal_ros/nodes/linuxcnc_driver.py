@@ -1,10 +1,9 @@
-"""A rotary axis of LinuxCNC as the table: takes orders, tells ``joint_states``.
+"""A rotary axis of LinuxCNC as the table: takes orders, publishes ``joint_states``.
 
-The machine may have other axes besides; which joint the axis is, its ini file says.
+The machine may have other axes too; its ini file says which joint the axis is.
 
 LinuxCNC itself is spoken to by a process of its own, :mod:`rotcal_ros.nodes.linuxcnc_agent`, on
-the system's Python. Where a HAL pin knows the actual angle, it goes out on
-``table_actual``.
+the system's Python. Where a HAL pin holds the actual angle, it is published on ``table_actual``.
 """
 
 from __future__ import annotations
@@ -33,12 +32,12 @@ from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.safety_settings import SafetySettings
 
 END_TIMEOUT_S: Final = 15.0
-"""So long the agent may take to end by itself: less than a node may."""
+"""The agent may take so long to end by itself: less than a node may."""
 SIDES: Final = {Approach.POSITIVE: 1, Approach.NEGATIVE: -1}
 
 
 class LinuxCncDriver(CellNode):
-    """Passes orders and positions on; a thread reads what the agent says."""
+    """Passes on orders and positions; a thread reads the output of the agent."""
 
     def __init__(self) -> None:
         super().__init__("linuxcnc_driver")
@@ -51,7 +50,7 @@ class LinuxCncDriver(CellNode):
             self.parameter("agent_command", [""], "what starts the agent; empty: found out")
         )
         self._overshoot_deg = self.parameter(
-            "overshoot_deg", 2.0, "deg, how far it is overrun to arrive from the ordered side"
+            "overshoot_deg", 2.0, "deg, overshoot to arrive from the ordered side"
         )
         cell = self.settings("cell", CellSettings)
         self._joint = cell.joint or "table"
@@ -88,7 +87,7 @@ class LinuxCncDriver(CellNode):
         return self._agent.poll() is not None
 
     def finished(self) -> bool:
-        """Return whether the agent has ended by itself: then nobody moves the table."""
+        """Return whether the agent has ended by itself: then nothing moves the table."""
         return self._ending_s is None and self._agent.poll() is not None
 
     def _obey(self, message: TableAngle) -> None:
@@ -120,8 +119,8 @@ class LinuxCncDriver(CellNode):
     def _publish(self, reading: Mapping[str, Any]) -> None:
         """Publish the joint's angle; its speed is the motor's, which the correction moves too.
 
-        A table that has an order and has not begun to move is not at rest where it was sent: if
-        it stands there by chance, before it comes again from the other side, nobody hears of it.
+        A table that has an order and has not begun to move is not at rest where it was sent: if it
+        stands there by chance, before it arrives again from the other side, that is not published.
         """
         stamp_ns, angle = reading["stamp_ns"], reading["angle_deg"] * DEGREE
         speed = 0.0

@@ -18,13 +18,13 @@ from rotcal_msgs.action import Calibrate
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.plugins import in_words
 from rotcal_ros.methods import prepare_to_measure
-from rotcal_ros.nodes.goal.asking import obstacle
 from rotcal_ros.nodes.goal.cell_links import CellLinks
 from rotcal_ros.nodes.goal.crew import Codes, Crew
+from rotcal_ros.nodes.goal.goal_watch import GoalWatch
+from rotcal_ros.nodes.goal.operator_requests import obstacle
 from rotcal_ros.nodes.goal.pauses import Pauses
 from rotcal_ros.nodes.goal.progress import GoalProgress
 from rotcal_ros.nodes.goal.run import GoalRun
-from rotcal_ros.nodes.goal.watch import GoalWatch
 from rotcal_ros.nodes.runtime.cell_node import IDLE_S, CellNode
 from rotcal_ros.nodes.runtime.conversions import feedback_message
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
@@ -37,7 +37,7 @@ RESULT_TIMEOUT_S: Final = 3600
 FEEDBACK_PERIOD_S: Final = 0.1
 NO_ORDERS: Final = "the planner orders nothing; a recording goes on"
 RESTART_WAIT_S: Final = 20.0
-"""So long a goal waits for a node of the suite that was lost to be started again."""
+"""A goal waits so long for a lost node of the suite to be restarted."""
 
 
 class Planner(CellNode):
@@ -92,7 +92,7 @@ class Planner(CellNode):
         return not self.configured or (self._run is None and not self._preparing)
 
     def gather_s(self) -> float:
-        """Let what comes gather until there is a goal."""
+        """Let messages gather until there is a goal."""
         return IDLE_S if self.stopped() else 0.0
 
     def _give_up(self, why: str) -> None:

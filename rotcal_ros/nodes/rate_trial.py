@@ -3,7 +3,7 @@
     python -m rotcal_ros.nodes.rate_trial FOLDER
 
 A tracer's readings come over DDS, are understood and written as a bag below FOLDER, for 5 s beside
-whatever else runs. Prints one line and leaves with 0, or says what was missing and leaves with 1.
+whatever else runs. Prints one line and exits with 0, or says what was missing and exits with 1.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def verdict(count: int, came: int, recording: BagRecording, longest_s: float) ->
 
 
 def main() -> int:
-    """Try it and say in one line what came of it."""
+    """Run the trial and print the outcome in one line."""
     use_middleware()
     parent = Path(sys.argv[1]) if len(sys.argv) > 1 else None
     with tempfile.TemporaryDirectory(prefix=".doctor", dir=parent) as folder:

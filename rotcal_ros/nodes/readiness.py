@@ -1,4 +1,4 @@
-"""Waiting until the nodes of a cell are active, then saying what a person does next.
+"""Waiting until the nodes of a cell are active, then printing what to do next.
 
 For launch files: ``python -m rotcal_ros.nodes.readiness /cell planner capture``.
 """
@@ -37,7 +37,7 @@ def waiting_for(health: Health, names: Collection[str]) -> list[str]:
 
 
 def what_next(place: str, names: Collection[str], domain: str) -> str:
-    """Return what a person does when all nodes of the namespace ``place`` are active."""
+    """Return what to do when all nodes of the namespace ``place`` are active."""
     shell = f"in a shell with      ROS_DOMAIN_ID={domain}\n" if domain else ""
     return NEXT.format(place=place.rstrip("/"), names=", ".join(names), shell=shell)
 

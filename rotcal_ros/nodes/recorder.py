@@ -20,16 +20,16 @@ from rotcal_ros.nodes.runtime.draining import GRAPH_PERIOD_S, Batch
 from rotcal_ros.nodes.runtime.health import RECORDING_FAILED
 from rotcal_ros.nodes.runtime.roll_call import LOADING
 from rotcal_ros.nodes.runtime.running import done_aside, run
-from rotcal_ros.nodes.runtime.turns import handle_events
+from rotcal_ros.nodes.runtime.timers_and_events import handle_events
 from rotcal_ros.nodes.writing.bookkeeping import LogTimes, Silences
-from rotcal_ros.nodes.writing.dropouts import TOGETHER_S, DropoutNotes
+from rotcal_ros.nodes.writing.dropout_notes import TOGETHER_S, DropoutNotes
 from rotcal_ros.nodes.writing.heard_topic import HeardTopic
-from rotcal_ros.nodes.writing.listening import TopicListener
 from rotcal_ros.nodes.writing.receipts import Receipts
 from rotcal_ros.nodes.writing.recorded_session import RecordedSession
 from rotcal_ros.nodes.writing.recording import BagRecording, Messages
 from rotcal_ros.nodes.writing.session_bags import OpenBag, SessionBags
 from rotcal_ros.nodes.writing.surroundings import NodeParameters, keep_surroundings
+from rotcal_ros.nodes.writing.topic_listener import TopicListener
 
 CLOSE_TIMEOUT_S: Final = 15.0
 Request: TypeAlias = StartRecording.Request
@@ -137,7 +137,7 @@ class RecorderNode(CellNode):
         topic = self._called.topic(names.OBSERVATION)
         try:
             if not await until(self.stopped, CLOSE_TIMEOUT_S):
-                raise BagError("the recorder is still closing the bag of the run before")
+                raise BagError("the recorder is still closing the bag of the previous run")
             self._reading, self._unwanted = True, False
             self.health.beat()  # before the reading can hold it up
             bag = await done_aside(self._bags.go_on, request.plan_id, topic)
@@ -186,7 +186,7 @@ class RecorderNode(CellNode):
         return response
 
     def _close(self) -> None:
-        """Take what has arrived and close the bag behind it."""
+        """Take what has arrived and then close the bag."""
         if (recording := self._writing()) is not None:
             self._listener.drain()
             self._asked.attach()
@@ -195,7 +195,7 @@ class RecorderNode(CellNode):
             recording.close(self._listener.losses + self._silences.counts)
 
     def _node_lost(self, name: str) -> None:
-        """Without its planner a calibration is over: close the bag."""
+        """Close the bag when its planner is lost: the calibration is over."""
         if name == "planner" and self._writing() is not None:
             self.get_logger().error("the planner is lost: closing the bag")
             self._close()

@@ -1,7 +1,7 @@
 """A message there and back over DDS, for ``rotcal doctor``: python -m rotcal_ros.nodes.selftest.
 
 Two contexts are two DDS participants, so the message takes the way that it takes between two
-processes. Prints one line and leaves with 0, or says what failed and leaves with 1.
+processes. Prints one line and exits with 0, or says what failed and exits with 1.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def round_trip() -> float | None:
 
 
 def main() -> int:
-    """Run the self-test and say in one line what came of it."""
+    """Run the self-test and print the outcome in one line."""
     seconds = round_trip()
     rmw = get_rmw_implementation_identifier()
     if seconds is None:

@@ -1,4 +1,4 @@
-"""The simulated cell as a node: obeys orders and streams like the instruments would."""
+"""The simulated cell as a node: obeys orders and publishes streams as the instruments would."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from rotcal_ros.simulation import CellOutput
 
 PERIOD_S: Final = 0.01
 LONGEST_TURN_NS: Final = 20_000_000
-"""Wall time made up for in one turn at most, so that a stall never becomes a burst."""
+"""Longest wall time made up for in one turn, so that a stall never becomes a burst."""
 LONGEST_SIM_TURN_NS: Final = 500_000_000
-"""The same of ``/clock``, which may come seldom."""
+"""The same for ``/clock``, which may come rarely."""
 UNASKED_PERIOD_S: Final = 0.5
 ANNOUNCING_PERIOD_S: Final = 0.5
 AIR: Final = {
@@ -39,7 +39,7 @@ AIR: Final = {
 
 
 class SimulatedCellNode(CellNode):
-    """Lets machine time pass: ``time_scale`` times faster than life while something is to do."""
+    """Lets machine time pass: ``time_scale`` times real time while something is to do."""
 
     def __init__(self) -> None:
         super().__init__("simulated_cell")
@@ -136,7 +136,7 @@ class SimulatedCellNode(CellNode):
             self._tracer.publish(conversions.tracer_message(tracer))
 
     def _announce(self) -> None:
-        """Say whether our control holds a table; which one it is only the configuration knows."""
+        """Say whether our control holds a table; only the configuration knows which one."""
         empty = not self._settings.table.compensation.angles_deg
         self._table_in_force.publish(
             conversions.in_force_message(self._axis, NONE if empty else UNKNOWN, self.now_ns())
@@ -148,7 +148,7 @@ class SimulatedCellNode(CellNode):
             self._publish(CellOutput(probe=(self._cell.unasked_point(),)))
 
     def _steady_ns(self) -> int:
-        """Return the time by which the machine lives."""
+        """Return the time of the machine."""
         return self.now_ns() if self.health.sim.used else time.monotonic_ns()
 
     @property

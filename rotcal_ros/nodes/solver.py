@@ -53,7 +53,7 @@ from rotcal_ros.nodes.runtime.running import run
 ARRIVAL_TIMEOUT_S = 10.0
 SOLVE_TIMEOUT_S = 3600.0
 OBSERVATIONS_S = 0.04
-"""So long observations gather while somebody measures."""
+"""Observations gather for so long while a calibration measures."""
 
 
 class SolverNode(CellNode):
@@ -93,7 +93,7 @@ class SolverNode(CellNode):
         self._worker.shutdown(wait=False, cancel_futures=True)
 
     def gather_s(self) -> float:
-        """Let observations gather: nobody waits for a preliminary result."""
+        """Let observations gather: no one waits for a preliminary result."""
         return 0.0 if self._answering else self.idle_s() or OBSERVATIONS_S
 
     def _take_plan(self, message: CalibrationPlan) -> None:
@@ -240,8 +240,8 @@ Known = Mapping[RunStep, Observation]
 class EarlierObservations:
     """Asks the recorder for the observations of a plan so far, all runs of its session.
 
-    Only where the planner works for this plan: what somebody else announces has none. While it
-    does, they are waited for: without them the joined runs could not be solved.
+    Only where the planner works for this plan: a plan that another node announces has none. While
+    it does, they are waited for: without them the joined runs could not be solved.
     """
 
     def __init__(self, node: CellNode) -> None:
@@ -282,7 +282,7 @@ class EarlierObservations:
             self._asked_s, self._asked = now_s, self._client.call_async(Trigger.Request())
             self._asked.add_done_callback(self._node.health.guarded(lambda _: self._look()))
         elif now_s - max(self._asked_s, since_s) > PATIENCE_S:
-            text = "the recorder does not tell what was measured before: waiting for it"
+            text = "the recorder does not answer what was measured earlier: waiting for it"
             self._node.get_logger().warning(text, throttle_duration_sec=PATIENCE_S)
             self._asked = None
 
@@ -295,7 +295,7 @@ class EarlierObservations:
         return goals_run != run_name(message) if goals_run else waited_s > NO_GOAL_S
 
     def _recorded(self, message: CalibrationPlan) -> tuple[Observation, ...]:
-        """Return what the recorder told, if it is of this plan."""
+        """Return the answer of the recorder, if it is about this plan."""
         try:
             known = Recorded.from_json(self._asked.result().message)
         except DataError as error:

@@ -34,10 +34,10 @@ from rotcal_ros.planning.table_motion import is_near
 
 START_S: Final = 15.0
 BEFORE_S: Final = 1.0
-"""So long all is heard before the order: the noise of the lengths."""
+"""Time of listening before the order: gives the noise of the lengths."""
 TURN_S: Final = 30.0
 AFTER_S: Final = 2.0
-"""So long all is heard after the table has told rest."""
+"""Time of listening after the table has reported rest."""
 _SAME: Final = 0.02 * DEGREE
 _LOOK_S: Final = 0.02
 
@@ -109,14 +109,14 @@ class TrialMotionNode(CellNode):
         )  # fmt: skip
 
     async def _back(self, motion: TrialMotion) -> None:
-        """Go back to where the table stood; a stop lets it stand where it is."""
+        """Go back to where the table stood; after a stop it stays where it is."""
         if not self._why_not():
             ordered_s = time.monotonic()
             self._order(motion.start)
             await self._rest(motion.start, ordered_s)
 
     async def _rest(self, goal: float, ordered_s: float) -> None:
-        """Wait until the table tells rest, at its goal or anywhere else, and a little longer."""
+        """Wait until the table reports rest, at its goal or anywhere else, and a little longer."""
         since_s = ordered_s
 
         def rests() -> bool:
@@ -138,7 +138,7 @@ class TrialMotionNode(CellNode):
         return way if upper is None or start + way <= upper * DEGREE else -way
 
     def _ready(self) -> bool:
-        """Return whether the table is heard and somebody will obey; or nothing can be done."""
+        """Return whether the table is heard and a machine will obey; or nothing can be done."""
         obeys = CellGraph(self).machines(names.TABLE_ANGLE)
         return bool(self._why_not()) or bool(self._table and set(obeys) - {self.get_name()})
 

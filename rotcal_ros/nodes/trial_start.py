@@ -2,8 +2,8 @@
 
     python -m rotcal_ros.nodes.trial_start
 
-They are processes as in a calibration: each has to beat, and to leave well when told to end.
-Prints one line and leaves with 0, or says what failed and leaves with 1.
+They are processes as in a calibration: each has to beat, and to end cleanly when told to. Prints
+one line and exits with 0, or says what failed and exits with 1.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _NAMESPACE: Final = "/doctor"
 
 
 class TrialNode:
-    """One node as a process; what it writes stands in a file without a name."""
+    """One node as a process; its output goes to a file without a name."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -107,7 +107,7 @@ def trial() -> tuple[float, str]:
 
 
 def main() -> int:
-    """Run the trial and say in one line what came of it."""
+    """Run the trial and print the outcome in one line."""
     took, wrong = trial()
     if wrong:
         sys.stdout.write(f"{wrong}\n")

@@ -1,4 +1,4 @@
-"""What a verb is given: a bag or a plain table, its set-up, changes; read in one place."""
+"""What a verb is given: a bag or a plain table, its set-up and changes, read in one place."""
 
 from __future__ import annotations
 
@@ -22,10 +22,9 @@ from rotcal_ros.recordings.topics import Topics, of_one_cell
 class Input:
     """A bag or a table at ``path`` and what belongs to it.
 
-    ``setup`` is the file of its configuration, for a bag in the place of the one in it;
-    ``targets`` that of a tracer's targets; ``changes`` are ``group.name=value``, of a bag
-    ``reading.name=value`` too. ``taken_from``
-    and ``namespace`` say what of a bag is solved.
+    ``setup`` is the file of its configuration, which for a bag replaces the one in it; ``targets``
+    that of a tracer's targets; ``changes`` are ``group.name=value``, for a bag
+    ``reading.name=value`` too. ``taken_from`` and ``namespace`` say what part of a bag is solved.
     """
 
     path: Path
@@ -44,7 +43,7 @@ class Input:
         """Return what was measured, ready to be solved.
 
         Raises BagError for what is neither a bag nor a table, ConfigurationError for a table
-        without set-up and for changes that cannot be, DataError for contradictory content.
+        without set-up and for impossible changes, DataError for contradictory content.
         """
         of_reading = tuple(change for change in self.changes if is_limit(change))
         if is_table(self.path):
@@ -73,7 +72,7 @@ class Input:
     def _asked_names(
         self, configuration: Configuration | None, changes: tuple[str, ...]
     ) -> dict[str, str]:
-        """Return the names of topics that are asked for here, not by what is in the bag."""
+        """Return the names of topics that are given here, not in the bag."""
         known = {} if configuration is None else configuration.topics.renamed()
         changed_ones = {change.partition("=")[0] for change in changes}
         return {r: n for r, n in known.items() if self.setup or f"topics.{r}" in changed_ones}

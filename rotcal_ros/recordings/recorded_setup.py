@@ -13,7 +13,7 @@ from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import scan_file
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
-from rotcal_ros.bags.scan import Scan
+from rotcal_ros.bags.storage_scan import Scan
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.methods.configuration import (
@@ -48,8 +48,8 @@ def find_configuration(
 def require_one_configuration(scans: Iterable[Scan], planned: Iterable[str], path: Path) -> None:
     """Raise BagError, with the lines, where a bag states two configurations that differ.
 
-    ``planned`` are the texts of its plans. Which of two was measured with nobody can tell from
-    the bag: a set-up has to be given.
+    ``planned`` are the texts of its plans. The bag does not tell which of two was used: a set-up
+    has to be given.
     """
     texts: dict[str, str] = {}
     for scan in scans:
@@ -63,7 +63,7 @@ def require_one_configuration(scans: Iterable[Scan], planned: Iterable[str], pat
         (first, place), (second, other), *_ = texts.items()
         raise BagError(
             f"{path} holds {len(texts)} configurations that differ, {place} and {other}: "
-            f"{_first_difference(first, second)}; say which one was measured with (--setup)"
+            f"{_first_difference(first, second)}; give the one that was used (--setup)"
         )
 
 
@@ -74,7 +74,7 @@ def _first_difference(first: str, second: str) -> str:
         if ours != theirs:
             here, there = ours.strip(), theirs.strip()
             return f"line {line} is {here!r:.80} in one and {there!r:.80} in the other"
-    return "in their line ends"
+    return "in their line endings"
 
 
 def recorded_configurations(texts: Iterable[str]) -> Iterator[Configuration]:
@@ -91,16 +91,16 @@ def require_its_method(
     for method in (known.method.name for known in recorded):
         if method != configuration.method.name:
             raise DataError(
-                f"{path} was recorded with the method {method}, but {configuration.source} "
-                f"sets up {configuration.method.name}: give the set-up that belongs to it, "
-                "or none, then the one in the bag is taken"
+                f"{path} was recorded with the method {method}, but {configuration.source} sets "
+                f"up {configuration.method.name}: give the set-up that belongs to it, or leave it "
+                "out to use the one in the bag"
             )
 
 
 def recorded_subjects(texts: Iterable[str], scans: Iterable[Scan]) -> Iterator[Subject]:
     """Yield what a bag says that it measures: its configurations first, then its recorder.
 
-    Settings that cannot be read hide none of it.
+    Settings that cannot be read do not hide it.
     """
     for text in texts:
         with suppress(ConfigurationError):
@@ -112,8 +112,8 @@ def recorded_subjects(texts: Iterable[str], scans: Iterable[Scan]) -> Iterator[S
 def as_recorded(configuration: Configuration, subjects: Sequence[Subject]) -> Configuration:
     """Return the configuration with what no other set-up can change about a recording.
 
-    A simulation stays one, and who and what was measured stands in the bag unless it is given:
-    what is told first counts.
+    A simulation stays one; who measured what is taken from the bag unless it is given: what is
+    said first counts.
     """
     identity = configuration.identity
     if "identity" not in configuration.given:

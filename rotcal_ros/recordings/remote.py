@@ -1,4 +1,4 @@
-"""Bags that lie elsewhere (``s3://...``): found, told apart by their ends, fetched once."""
+"""Remote bags (``s3://...``): found, told apart by their last bytes, fetched once."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def remote_files(source: str) -> tuple[str, ...]:
 
 
 def remote_state(source: str, tail_bytes: int, *, whole: bool) -> Iterator[bytes]:
-    """Yield what tells the content of a remote bag apart, file by file, without fetching it.
+    """Yield what identifies the content of a remote bag, file by file, without fetching it.
 
     That is size, time or tag as the place states them, and the last ``tail_bytes``; with
     ``whole`` it is every byte, and nothing else.

@@ -1,11 +1,9 @@
 """Solving a bag offline: the same capture and the same solver as live, hence the same result.
 
-Which observations are spoilt by clocks that differ: what the live capture said of it counts.
+Which observations are spoilt by clocks that differ: what the live capture said of them counts. Its
+estimate depends on when messages reached it, which no recorder knows; its verdicts are in the bag.
 
-Its estimate hangs on when messages came to it, which no recorder knows; its verdicts are in the
-bag.
-
-How the clock of a bag's recorder went: what it noted of jumps, and the order of log times.
+How the clock of a bag's recorder ran: the jumps that it noted, and the order of log times.
 
 What a run knew of the runs before it, where the nodes themselves went on.
 
@@ -28,11 +26,11 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks, sha256_of
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.run_number import run_number
-from rotcal_ros.bags.scan import Scan, StorageContents
 from rotcal_ros.bags.session_identity import require_one_session
 from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session
+from rotcal_ros.bags.storage_scan import Scan, StorageContents
 from rotcal_ros.bags.time_order import TimeOrder, TimeOrders, sorted_blocks
-from rotcal_ros.bags.unread import note_unread
+from rotcal_ros.bags.unread_data import note_unread
 from rotcal_ros.bags.verdict import FileVerdict, losses_in_words, session_losses, unread_losses
 from rotcal_ros.capture import messages as records
 from rotcal_ros.capture.attempt import nanoseconds
@@ -52,9 +50,9 @@ from rotcal_ros.methods.configuration import (
 from rotcal_ros.methods.goal import GoalStanding, goal_standing
 from rotcal_ros.methods.method import Trials
 from rotcal_ros.planning.policy_names import UNTIL_GOAL
-from rotcal_ros.recordings.choices import RecordedChoice, differences
-from rotcal_ros.recordings.dropouts import PlacedDropout, placed_in, sentences
-from rotcal_ros.recordings.nothing_captured import doubtful, why_nothing
+from rotcal_ros.recordings.missing_observations import doubtful, why_nothing
+from rotcal_ros.recordings.placed_dropouts import PlacedDropout, placed_in, sentences
+from rotcal_ros.recordings.recorded_choices import RecordedChoice, differences
 from rotcal_ros.recordings.recorded_setup import (
     Decoders,
     as_recorded,
@@ -74,14 +72,14 @@ Source = Literal["streams", "observations"]
 class Recording:
     """Everything that was read from a bag.
 
-    ``observations`` are those of the chosen source, ``recorded`` those that the live capture
-    had published; ``counts`` is what the capture counted per stream (empty when the
-    observations were taken from the bag), ``broken`` the messages per topic that could not be
-    decoded, and ``sha256`` maps file names to hashes. ``choices`` says why each step was measured,
+    ``observations`` are those of the chosen source, ``recorded`` those that the live capture had
+    published; ``counts`` is what the capture counted per stream (empty when the observations were
+    taken from the bag), ``broken`` the messages per topic that could not be decoded, and
+    ``sha256`` maps file names to hashes. ``choices`` says why each step was measured,
     ``announced`` which tables the cell announced to be in force for the measured axis,
-    ``other_axes`` which other ones it spoke of, ``frames`` its static transforms, ``unreadable``
-    why topics could not be read, ``clock`` how the system clock jumped, in words, ``session``
-    whether all files are there, ``dropouts`` what the recorder itself missed.
+    ``other_axes`` the other axes that it announced tables for, ``frames`` its static transforms,
+    ``unreadable`` why topics could not be read, ``clock`` how the system clock jumped, in words,
+    ``session`` whether all files are there, ``dropouts`` what the recorder itself missed.
 
     >>> import rotcal_ros as rc
     >>> recording = rc.read_bag("examples/data/ball_plate_bag")
@@ -115,7 +113,8 @@ class Recording:
     def solve(self) -> Result:
         """Return the result; equal observations give equal results to the last bit.
 
-        It has the warnings about the bag too, and is suspect at best where a file is missing.
+        It carries the warnings about the bag too, and its verdict is at best suspect where a file
+        is missing.
         """
         self._require_observations()
         try:
@@ -168,8 +167,8 @@ class Recording:
     def same_as_recorded(self) -> bool:
         """Tell whether the final observations equal those of the live capture.
 
-        Behind the last recorded one of a run there may be more: nodes that were killed had the
-        readings on disk before they could tell what they are.
+        After the last recorded one of a run there may be more: nodes that were killed had the
+        readings on disk before they could publish the observation.
         """
         again, live = map(methods.last_accepted, (self.observations, self.recorded))
         newest: defaultdict[int, int] = defaultdict(int)
@@ -183,7 +182,7 @@ class Recording:
         """Return where the policy chooses otherwise with the observations of this recording.
 
         It is that of the configuration in the bag, with which the steps were chosen. This plans
-        the measurement once more, which takes longer than to solve it.
+        the measurement once more, which takes longer than solving it.
         """
         try:
             calibration = self._as_chosen()
@@ -303,15 +302,15 @@ def _undecoded(broken: Mapping[str, int]) -> list[str]:
 
 
 def _left_alone(verdicts: Sequence[FileVerdict]) -> list[str]:
-    """Say whose messages the run did not believe: the recorder has kept them beside."""
+    """Say whose messages the run ignored: the recorder keeps them on topics of their own."""
     ending = f"_{names.LEFT_ALONE}"
     count = Counter({
         topic: sum(v.topics[topic].messages for v in verdicts if topic in v.topics)
         for topic in {t for v in verdicts for t in v.topics if t.endswith(ending)}
     })  # fmt: skip
     return [
-        f"{n} messages on {topic.rpartition('/')[2].removesuffix(ending)} were of somebody who "
-        f"joined during the run; they were left alone, and stand in {topic}"
+        f"{n} messages on {topic.rpartition('/')[2].removesuffix(ending)} came from a publisher "
+        f"that joined during the run; they were ignored, and are kept in {topic}"
         for topic, n in sorted(count.items())
     ]
 
@@ -334,7 +333,7 @@ def _feeder(calibration: methods.Calibration, configuration: Configuration) -> S
 
 
 def _apart_ns(configuration: Configuration) -> int:
-    """Return how far streams may run apart on their way to the capture, well below its limit."""
+    """Return how far apart streams may be when fed to the capture, well below its limit."""
     return min(SLICE_NS, nanoseconds(0.1 * configuration.capture.clock_tolerance_s))
 
 
@@ -359,7 +358,7 @@ class _BagContents:
     decoders: Decoders = field(default_factory=dict)
 
     def take(self, part: RoleMessages, block: Block) -> None:
-        """Take the messages of a part that is no stream."""
+        """Take the messages of a part that is not a stream."""
         if part.role == names.OBSERVATION:
             self.recorded += (records.observation(m) for _, m in part.messages(block))
         elif part.role == names.PLAN:
@@ -380,7 +379,7 @@ def _read_in_order(
     source: Source,
     apart_ns: int,
 ) -> tuple[_BagContents, StreamFeeder, TimeOrder]:
-    """Read all files; once more, sorted by time, where their order turns out to be another one."""
+    """Read all files; a second time, sorted by time, where they turn out not to be in order."""
     feeder, scans = make(), list[Scan]()
     found = _read(_noted(passes(), scans), topics, feeder if source == "streams" else None)
     order = found.order.judged(apart_ns)
@@ -452,7 +451,7 @@ _SHOWN: Final = 5
 
 
 def clock_in_words(scans: Sequence[Scan], order: TimeOrder) -> tuple[str, ...]:
-    """Return how the clock jumped, a line for each jump that the recorder noted, and the order.
+    """Return how the clock jumped: a line for each noted jump, and one for log times out of order.
 
     Log times that go back are explained where jumps were noted.
     """
@@ -469,7 +468,7 @@ def clock_in_words(scans: Sequence[Scan], order: TimeOrder) -> tuple[str, ...]:
 def known_then(
     captured: Iterable[Observation], recorded: Iterable[Observation], scans: Iterable[Scan]
 ) -> tuple[Observation, ...]:
-    """Return the observations without those that no later run of the nodes has known."""
+    """Return the observations without those that no later run of the nodes knew of."""
     went_on = (
         scan.metadata
         for scan in scans

@@ -16,7 +16,7 @@ import numpy as np
 from rotcal_ros.bags.parquet import arrow
 from rotcal_ros.foundation.escapes import encodable
 from rotcal_ros.foundation.files import FolderLock, replace_atomically
-from rotcal_ros.recordings.kept import BagOutcome
+from rotcal_ros.recordings.outcome_cache import BagOutcome
 
 ROWS: Final = 50_000
 """Rows after which a part is written."""
@@ -27,10 +27,11 @@ PATIENCE_S: Final = 30.0
 class ResultsDataset:
     """The rows of all bags of a call in ``folder``; one row per bag, angle and component.
 
-    SI; deviation = actual - commanded. A bag without a result has one row with its error. What
-    was there before stays where the same outcome comes again, and goes at the end where it does
-    not. Every part is whole: a second call goes on after a crash. ``broken`` counts parts that
-    were damaged; their rows come again. One process writes at a time: raises BagError.
+    SI; deviation = actual - commanded. A bag without a result has one row with its error. Rows of
+    an earlier call stay where the same outcome comes again, and are removed at the end where it
+    does not. Every part is written whole, so that a second call goes on after a crash. ``broken``
+    counts parts that were damaged; their rows come again. One process writes at a time: raises
+    BagError.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -57,7 +58,7 @@ class ResultsDataset:
         _error: BaseException | None,
         _traceback: TracebackType | None,
     ) -> None:
-        """Write what waits; what an interrupted call has not come to stays."""
+        """Write the waiting rows; those that an interrupted call did not reach stay."""
         try:
             self._write()
             for path in self._earlier:
@@ -86,7 +87,7 @@ class ResultsDataset:
         self._batches, self._rows, self._since = [], 0, time.monotonic()
 
     def _read(self, path: Path) -> bool:
-        """Learn what a part of an earlier call holds; a broken one is removed."""
+        """Read what a part of an earlier call holds; a damaged one is removed."""
         try:
             table = _whole(path)
             pairs = _bags_of(table)
@@ -98,7 +99,7 @@ class ResultsDataset:
         return True
 
     def _tidy(self, path: Path, *, complete: bool) -> None:
-        """Leave those rows of an earlier part that still hold."""
+        """Keep those rows of an earlier part that are still valid."""
         table = _whole(path)
         stale = [
             source

@@ -68,10 +68,10 @@ class StreamFeeder:
 
     Tracer readings and feedback of the table go in many at once, so they run ahead of the other
     streams, by ``slice_ns`` of their stamps at most; as long as that is well within the clock
-    tolerance, the capture's answer does not depend on it. ``make`` returns a new
-    capture for the run with a number. ``joint`` names the table among the joint states; empty
-    means the first. ``offset`` says which clocks differ, by more than ``limits``,
-    ``doubt`` which seem to by less, ``offsets`` what the bag tells of that at each observation.
+    tolerance, the capture's answer does not depend on it. ``make`` returns a new capture for the
+    run with a number. ``joint`` names the table among the joint states; empty means the first.
+    ``offset`` says which clocks differ by more than ``limits``, ``doubt`` which seem to differ by
+    less, ``offsets`` what the bag shows of it at each observation.
     """
 
     def __init__(
@@ -157,7 +157,7 @@ class StreamFeeder:
         self.offsets += [offset] * (len(self.observations) - len(self.offsets))
 
     def _hold(self, role: str, records: NDArray[np.void], block: Block) -> None:
-        """Hold stamps against the times at which the messages came."""
+        """Compare stamps with the times at which the messages came."""
         came = block.headers["log_time"][records["row"]].astype(np.int64)
         self._clocks.note_many(role, records["stamp_ns"], came)
 
@@ -287,7 +287,7 @@ def _in_rows(known: NDArray[np.void], further: NDArray[np.void]) -> NDArray[np.v
 
 
 def _tells_positions(part: RoleMessages) -> bool:
-    """Return whether somebody tells where the probe is without a step."""
+    """Return whether positions of the probe come without a step."""
     is_probe = part.role == names.PROBE_POINT
     return is_probe and form_of(part.role, part.decoder.channel.type_name) is not None
 

@@ -16,7 +16,7 @@ from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import read_blocks
 from rotcal_ros.bags.reading_limits import ReadingLimits
-from rotcal_ros.bags.scan import StorageContents
+from rotcal_ros.bags.storage_scan import StorageContents
 from rotcal_ros.foundation.arrays import Ints
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.methods import Configuration
@@ -43,34 +43,34 @@ class RoleMessages:
 
     @contextmanager
     def taken_as_expected(self) -> Iterator[None]:
-        """Around taking the messages: a definition of somebody else has other fields, or kinds.
+        """Guard the taking of messages: a foreign definition may have other fields or types.
 
-        Raises BagError for what Python says to that.
+        Raises BagError for the errors of Python that this causes.
         """
         try:
             yield
         except (AttributeError, IndexError, TypeError, ValueError, OverflowError) as error:
             channel = self.decoder.channel
             raise BagError(
-                f"topic {channel.topic}: {channel.type_name}, as this bag defines it, is no "
+                f"topic {channel.topic}: {channel.type_name}, as this bag defines it, is not a "
                 f"{self.role}: {error}"
             ) from error
 
 
 class SeveralCells(BagError):  # noqa: N818 - says what was found
-    """Two topics want the same role, and nobody has said which cell is meant."""
+    """Two topics have the same role, and it is not known which cell is meant."""
 
 
 @dataclass
 class Topics:
     """Finds the topics of one cell.
 
-    A topic plays the role that its last name says (``/cell/tracer_length``), below
-    ``namespace`` when that is given, unless roles are mapped to topics with other names: by
-    ``renamed``, which comes first, by what the recorder noted in the bag, or by ``planned``, which
-    the configuration says. Plan, orders and observations are of our own types unless their topic
-    is named. ``ignored`` are topics of others that are called like roles. ``unreadable`` says of
-    topics whose definition cannot be used why: the others are read.
+    A topic plays the role that its last name says (``/cell/tracer_length``), below ``namespace``
+    when that is given, unless roles are mapped to topics with other names: by ``renamed``, which
+    comes first, by what the recorder noted in the bag, or by ``planned``, which the configuration
+    says. Plan, orders and observations are of our own types unless their topic is named.
+    ``ignored`` are topics of others that are called like roles. ``unreadable`` says why the
+    definition of a topic cannot be used: the others are read.
     """
 
     namespace: str = ""
@@ -83,16 +83,16 @@ class Topics:
 
     @classmethod
     def of(cls, configuration: Configuration | None, namespace: str = "") -> Topics:
-        """Return what finds the topics of a cell; a ``configuration`` that is given names them."""
+        """Return the finder for the topics of a cell; a given ``configuration`` names them."""
         return cls(namespace, {} if configuration is None else configuration.topics.renamed())
 
     def follow(self, planned: Mapping[str, str]) -> None:
-        """Take what the configuration says; what was taken before it was known is open again."""
+        """Take the names of the configuration; roles that were given before are open again."""
         self.planned = planned
         self._taken.clear()
 
     def role(self, topic: str, type_name: str = "") -> str | None:
-        """Return the role of ``topic``; raises SeveralCells when two topics want the same one."""
+        """Return the role of ``topic``; raises SeveralCells when two topics have the same one."""
         if topic == names.TF_STATIC:
             return names.TF_STATIC
         others = {**self.planned, **self._recorded, **self.renamed}
@@ -109,7 +109,7 @@ class Topics:
         return self._only(role, topic)
 
     def of_the_only_plan(self, files: tuple[Path, ...], limits: ReadingLimits) -> Topics | None:
-        """Return what finds the topics of the one cell that has a plan; None where none is alone.
+        """Return the finder for the one cell that has a plan; None unless it is the only one.
 
         Where no topic is a plan, the one cell with messages of our own types is meant. Topics
         outside of its namespace are ignored where one inside has the same role. Reads the files
@@ -176,7 +176,7 @@ class Topics:
 def of_one_cell(
     read: Callable[[Topics], T], topics: Topics, files: tuple[Path, ...], limits: ReadingLimits
 ) -> T:
-    """Return what ``read`` gives, where it raises SeveralCells for the only cell with a plan."""
+    """Return what ``read`` returns; after SeveralCells, that for the only cell with a plan."""
     try:
         return read(topics)
     except SeveralCells:

@@ -24,8 +24,8 @@ from queue import Empty, SimpleQueue
 from typing import Any, Final
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
-from rotcal_ros.recordings.kept import BagOutcome
-from rotcal_ros.recordings.many import Job, solve_bag
+from rotcal_ros.recordings.batch_solving import Job, solve_bag
+from rotcal_ros.recordings.outcome_cache import BagOutcome
 
 TIME_LIMIT_S: Final = 3600.0
 """How long a bag may take by default."""
@@ -36,7 +36,7 @@ _SCHEDULER_GONE_S: Final = 10.0
 _CENSUS_S: Final = 10.0
 """How often the workers of a cluster are counted."""
 _TRIES: Final = 5
-"""How often Dask may give up a bag because its workers died."""
+"""How often Dask may give up on a bag because its workers died."""
 
 
 def on_all_cores(
@@ -166,7 +166,8 @@ def _next(client: Any, finished: SimpleQueue[Any], scheduler: str) -> Iterator[A
 
 def _gone(scheduler: str) -> BagError:
     return BagError(
-        f"the Dask scheduler {scheduler} went away; what was solved is kept: the same call goes on"
+        f"the Dask scheduler {scheduler} went away; what was solved is kept, and the same call "
+        "continues"
     )
 
 
@@ -181,7 +182,7 @@ def supervised(job: Job, time_limit_s: float, work: Work) -> BagOutcome:
 
 
 def _lost(future: Any) -> bool:
-    """Return whether Dask gave a bag up because workers died; a bag cannot kill one itself."""
+    """Return whether Dask gave up on a bag because workers died; a bag cannot kill one itself."""
     return type(future.exception()).__name__ == "KilledWorker"
 
 
@@ -198,7 +199,7 @@ def _outcome(future: Any, source: str) -> BagOutcome:
 
 Work = Callable[[Job], BagOutcome]
 TRIES: Final = 2
-"""Deaths of its worker that are held against a bag."""
+"""Deaths of its worker that count against a bag."""
 FROM_OUTSIDE: Final = 5
 """Deaths in all, when somebody else may have ended the worker."""
 _OUTSIDE: Final = ("SIGKILL", "SIGTERM", "SIGHUP")
@@ -206,7 +207,8 @@ _OOM_COUNTERS: Final = ("/sys/fs/cgroup/memory.events", "/proc/vmstat")
 MEMORY: Final = ", out of memory"
 _START_S: Final = 120.0
 _GRACE_S: Final = 30.0
-"""How much longer than its supervisor a process waits for itself, in case that has died."""
+"""How much longer than its supervisor a process waits before it ends itself, in case that has
+died."""
 
 
 class Supervised:
@@ -290,7 +292,7 @@ class Supervised:
 
 
 def _blamed(died: Sequence[str]) -> bool:
-    """Return whether a job died often enough for it not to be chance."""
+    """Return whether a job died too often for chance."""
     own = [way for way in died if way not in _OUTSIDE]
     return len(own) >= TRIES or len(died) >= FROM_OUTSIDE
 
@@ -300,7 +302,7 @@ def _times(died: Sequence[str]) -> str:
 
 
 def _oom_kills() -> int:
-    """Return how many processes the system has ended for want of memory."""
+    """Return how many processes the system has ended for lack of memory."""
     found = 0
     for name in _OOM_COUNTERS:
         with contextlib.suppress(OSError, ValueError):
@@ -310,7 +312,7 @@ def _oom_kills() -> int:
 
 
 def _serve(connection: Connection[Any, Any]) -> None:
-    """Do jobs until nobody asks any more; the terminal's Ctrl-C is the supervisor's matter."""
+    """Do jobs until no more come; Ctrl-C in the terminal is handled by the supervisor."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with contextlib.suppress(EOFError, OSError):
         connection.send("ready")

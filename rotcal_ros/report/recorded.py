@@ -18,7 +18,7 @@ from rotcal_ros.methods import find_method, method_names
 from rotcal_ros.methods.measurements import PlannedMeasurements
 from rotcal_ros.methods.method import Measurements
 from rotcal_ros.recordings.replay import Recording
-from rotcal_ros.recordings.sources import ResultSource
+from rotcal_ros.recordings.result_sources import ResultSource
 from rotcal_ros.report.page import TITLE, ReportInput, render_report
 from rotcal_ros.report.printing import write_page
 from rotcal_ros.report.verification import acting_section

@@ -7,7 +7,7 @@ from pathlib import Path
 from markupsafe import escape
 from matplotlib.axes import Axes
 
-from rotcal_ros.compensation.earlier import effect_in_force
+from rotcal_ros.compensation.earlier_export import effect_in_force
 from rotcal_ros.evaluation.verification import ISO_FIGURES, Positioning, Verification
 from rotcal_ros.figures import style
 from rotcal_ros.foundation.components import COVERAGE_FACTOR

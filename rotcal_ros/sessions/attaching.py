@@ -57,10 +57,10 @@ class Attachment:
 
 
 def watch(folder: SessionFolder, *, stop: bool = False) -> Event:
-    """Show a running session to its end, and return that: its event ``ended``.
+    """Show a running session to its end, and return its event ``ended``.
 
-    Enter answers what is asked of a person. Raises ConfigurationError when nothing runs there,
-    DataError when the session dies meanwhile.
+    Enter confirms what a person was asked to do. Raises ConfigurationError when nothing runs
+    there, DataError when the session dies meanwhile.
     """
     with _attached(folder) as session, progress_bar() as bar:
         display = Display(bar, deciles=-1)
@@ -100,7 +100,7 @@ def _raise_gone(folder: SessionFolder) -> NoReturn:
 
 
 def _person(folder: SessionFolder, session: Attachment) -> Person:
-    """Return the person who watches; how their work counts as done, the session says first."""
+    """Return the person who watches; how their work counts as done, the first event says."""
     try:
         greeting = session.events.get(timeout=patient(GREETING_TIMEOUT_S))
     except Empty:
@@ -130,7 +130,7 @@ def _connect(connection: socket.socket, folder: SessionFolder) -> None:
         connection.connect(_address(folder))
     except PermissionError:
         raise ConfigurationError(
-            f"the calibration in {folder.path} belongs to another user, who alone may attach"
+            f"the calibration in {folder.path} belongs to another user; only that user may attach"
         ) from None
     except (FileNotFoundError, ConnectionRefusedError):
         raise ConfigurationError(_why_nothing_runs(folder)) from None
@@ -161,7 +161,7 @@ def _why_nothing_runs(folder: SessionFolder) -> str:
         )
     if _is_locked(folder):
         return (
-            f"a calibration still writes in {folder.path}, but nobody can attach to it: its "
+            f"a calibration still writes in {folder.path}, but it cannot be attached to: its "
             "socket is gone; see its log, or wait for its end"
         )
     return f"no calibration runs in {folder.path}, it was interrupted; {_how_to_go_on(folder)}"

@@ -1,4 +1,4 @@
-"""A check of a live cell: a process listens, and what it prints is read again."""
+"""A check of a live cell: a process listens, and its printed report is read."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from rotcal_ros.sessions.environment import node_environment
 from rotcal_ros.sessions.processes import Processes
 
 _GRACE_S: Final = 30.0
-"""Time for the start of the process and for what is worked out of the plan."""
+"""Time for the start of the process and for working out the plan."""
 _END_S: Final = 5.0
 _POLL_S: Final = 0.1
 _TRIAL_S: Final = 150.0
@@ -51,10 +51,10 @@ def check_cell(path: Path | None, namespace: str = "", seconds: float = 5.0) -> 
 
 
 def move_cell(path: Path, report: CellReport) -> CellReport:
-    """Turn the table by a few degrees and back; return ``report`` with what that has proven.
+    """Turn the table by a few degrees and back; return ``report`` with what this has proven.
 
-    Only once a person has agreed. An adapter of the configuration that is not here yet is started
-    for it. Raises RotcalError when the process that orders ends without an answer.
+    Call it only when a person has agreed. An adapter of the configuration that is not running yet
+    is started for it. Raises RotcalError when the process that orders ends without an answer.
     """
     configuration = read_configuration(path)
     environment = node_environment(alone=False)
@@ -81,7 +81,7 @@ def move_cell(path: Path, report: CellReport) -> CellReport:
 
 
 def _answer(command: list[str], seconds: float) -> CellReport:
-    """Return what the process found; it is ended whatever happens here."""
+    """Return what the process found; it is ended in any case."""
     environment, late = {**os.environ, **node_environment(alone=False)}, False
     limit_s = seconds + patient(_GRACE_S)
     with tempfile.TemporaryFile("w+", errors="replace") as log:

@@ -1,4 +1,4 @@
-"""Whether the bag of a calibration will find room on the disk: asked before the first motion."""
+"""Whether the disk has room for the bag of a calibration: checked before the first motion."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rotcal_ros.methods import Calibration, Configuration
 from rotcal_ros.planning.policy_names import AS_LISTED
 
 BYTES_PER_MESSAGE: Final = 100.0
-"""Of a reading in a bag, with its index; compression leaves about half of it."""
+"""Bytes of a reading in a bag, with its index; compression leaves about half of them."""
 TABLE_HZ: Final = 100.0
 TRACER_HZ: Final = 1000.0
 """Messages per second of real instruments, which no setting states."""
@@ -43,7 +43,7 @@ def require_space(calibration: Calibration, folder: Path, steps: int | None = No
 def expected_bytes(calibration: Calibration, steps: int | None = None) -> float:
     """Return how large the bag of ``steps`` (None: of the whole plan) may become, in bytes.
 
-    0 for a policy that chooses: nobody knows how few of the steps it will take.
+    0 for a policy that chooses: it is not known how few of the steps it will take.
     """
     configuration, plan = calibration.configuration, calibration.plan
     if configuration.planner.policy != AS_LISTED or not plan.steps:

@@ -19,7 +19,7 @@ NO_MACHINE: Final = f"{SIMULATED}: no machine is measured, the cell is a simulat
 
 
 class Display:
-    """A progress bar; where there is no terminal, a line for every tenth of the steps.
+    """A progress bar; without a terminal, a line for every tenth of the steps.
 
     ``deciles`` are how many tenths need no line; -1 asks for one at once.
     """

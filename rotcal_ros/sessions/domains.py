@@ -1,4 +1,4 @@
-"""A ROS domain that nobody on this machine uses, so that two cells never hear each other."""
+"""An unused ROS domain of this machine, so that two cells never hear each other."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from typing import Final
 DOMAINS: Final = 100
 """Domains 1 to 100 use ports below the range that the kernel gives to outgoing connections."""
 DEFAULT_DOMAIN: Final = 0
-"""Where ROS looks as long as nobody has set a domain."""
+"""The domain that ROS uses where none is set."""
 _FIRST_PORT: Final = 7410
 _PORTS_PER_DOMAIN: Final = 250
 
 _SOCKETS: Final = (Path("/proc/net/udp"), Path("/proc/net/udp6"))
 _BASE_PORT: Final = 7400
 _OFFSETS: Final = range(10, 50, 2)
-"""Where the first twenty participants of a domain are spoken to, from the domain's base port."""
+"""Ports of the first twenty participants of a domain, counted from the domain's base port."""
 
 _turn = itertools.count(os.getpid())
 _held: dict[int, int] = {}
@@ -31,10 +31,10 @@ _held: dict[int, int] = {}
 def free_domain() -> int:
     """Return a domain (1 to 100) whose first participant's port is free; a new one every call.
 
-    It stays this process's own to its end, or to `release_domains`: until the first participant is
-    there, another process of this user that asks gets another one. The port is
-    7410 + 250 domain (DDSI-RTPS 2.3, 9.6.1). When all are taken, the next is returned all the
-    same: sharing a domain beats not starting.
+    It stays reserved for this process to its end, or to `release_domains`: another process of this
+    user gets another one even before the first participant is there. The port is 7410 + 250 domain
+    (DDSI-RTPS 2.3, 9.6.1). When all are taken, the next is returned all the same: sharing a domain
+    is better than not starting.
     """
     for _ in range(DOMAINS):
         domain = 1 + next(_turn) % DOMAINS
@@ -44,13 +44,13 @@ def free_domain() -> int:
 
 
 def release_domains() -> None:
-    """Leave the domains that this process got to others: whoever took part there is gone."""
+    """Release the domains of this process: its participants are gone."""
     while _held:
         os.close(_held.popitem()[1])
 
 
 def _hold(domain: int) -> bool:
-    """Take the lock of a domain; return False when somebody has it."""
+    """Take the lock of a domain; return False when another process has it."""
     file = Path(tempfile.gettempdir(), f"rotcal_domain_{os.getuid()}_{domain}.lock")
     try:
         held = os.open(file, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
@@ -75,7 +75,7 @@ def _is_free(domain: int) -> bool:
 
 
 def domains_in_use() -> tuple[int, ...]:
-    """Return the domains that somebody on this machine takes part in, as far as it can be seen.
+    """Return the domains with participants on this machine, as far as they can be seen.
 
     Empty where the system does not list its sockets (other systems than Linux).
     """

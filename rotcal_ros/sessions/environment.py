@@ -1,4 +1,4 @@
-"""What the nodes need around them: ROS, a domain and a middleware for this machine alone."""
+"""What the nodes need around them: ROS, and a domain and a middleware of this machine alone."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def require_ros() -> None:
     missing = [name for name in ("rclpy", "rotcal_msgs") if find_spec(name) is None]
     if missing:
         raise ConfigurationError(
-            f"live calibration needs ROS 2, not found: {', '.join(missing)}; run it from the "
+            f"live calibration needs ROS 2; not found: {', '.join(missing)}; run it from the "
             "project's environment (make setup) or source a ROS 2 workspace; recorded bags are "
             "solved without ROS: rotcal solve BAG"
         )
 
 
 def page_can_be_served() -> bool:
-    """Return whether the operator's page has what it needs; say so where it has not."""
+    """Return whether what the operator's page needs is installed; print what is missing."""
     missing = [name for name in _OF_THE_PAGE if find_spec(name) is None]
     if missing:
         say(f"no page: not installed: {', '.join(missing)} (pip install 'rotcal_ros[page]')")
@@ -37,7 +37,7 @@ def page_can_be_served() -> bool:
 def node_environment(*, alone: bool = True) -> dict[str, str]:
     """Return the variables for the nodes; what the user has set stays.
 
-    ``alone``: they need nobody else and take a domain of their own, else ROS's own default.
+    ``alone``: they need no other nodes and get a domain of their own, else ROS's default.
     """
     domain = os.environ.get("ROS_DOMAIN_ID") or str(free_domain() if alone else DEFAULT_DOMAIN)
     usual = {"PYTHONUNBUFFERED": "1", "OMP_NUM_THREADS": "1"}

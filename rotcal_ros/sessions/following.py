@@ -25,7 +25,7 @@ from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.foundation.node_names import VIEWERS
 from rotcal_ros.methods.configuration import node_parameters
 from rotcal_ros.recordings.replay import read_recording
-from rotcal_ros.recordings.sources import read_source
+from rotcal_ros.recordings.result_sources import read_source
 from rotcal_ros.report.terminal.console import progress_bar, say
 from rotcal_ros.sessions.commands import CLIENT, client_command, node_command, node_names
 from rotcal_ros.sessions.display import NO_MACHINE, Display, Event
@@ -36,7 +36,7 @@ from rotcal_ros.sessions.session import Session, require_as_found
 from rotcal_ros.sessions.viewers import Viewers
 
 SILENCE_TIMEOUT_S: Final = 60.0
-"""The client reports every second; after this silence it hangs."""
+"""The client reports every second; after this silence it counts as hung."""
 CANCEL_TIMEOUT_S: Final = 25.0
 _POLL_S: Final = 0.2
 _LOST: Final = 603
@@ -49,10 +49,10 @@ topic missing, emergency stop."""
 def calibrate(session: Session, viewers: Viewers, *, at_once: bool = False) -> dict[str, Any]:
     """Run the nodes of a session to the end and return the outcome of the goal.
 
-    A person's work counts as done ``at_once`` or when the person says so, here or as a viewer. The
-    outcome's ``interrupted`` is true when the user ended it, else its ``verdict_line`` says how
-    far to trust the result, and its ``marks`` are those of the result. Raises RotcalError when it
-    failed.
+    A person's work counts as done ``at_once``, or when the person confirms it, here or as a
+    viewer. The outcome's ``interrupted`` is true when the user ended it, else its ``verdict_line``
+    says how far to trust the result, and its ``marks`` are those of the result. Raises RotcalError
+    when it failed.
     """
     if session.configuration.simulated:
         say(NO_MACHINE)
@@ -60,7 +60,7 @@ def calibrate(session: Session, viewers: Viewers, *, at_once: bool = False) -> d
     try:
         outcome = _solve_bag(session) if session.finished else _run(session, viewers, at_once)
     except KeyboardInterrupt:  # while the first one was still being obeyed
-        viewers.say("interrupted once more: the nodes were ended without waiting for the bag")
+        viewers.say("interrupted again: the nodes were ended without waiting for the bag")
         viewers.say(_how_to_go_on(session))
         raise
     finally:
@@ -107,7 +107,7 @@ def _run(session: Session, viewers: Viewers, at_once: bool) -> dict[str, Any]:
 
 
 def _solve_bag(session: Session) -> dict[str, Any]:
-    """Solve the bag of a session that was interrupted behind its last step."""
+    """Solve the bag of a session that was interrupted after its last step."""
     lock = FolderLock(session.folder.path)
     try:
         require_as_found(session)
@@ -128,7 +128,7 @@ def _solve_bag(session: Session) -> dict[str, Any]:
 
 
 def _result_of_cancelling(nodes: RunningSession) -> Event:
-    """Return the result of a canceled goal, empty when none comes."""
+    """Return the result of a canceled goal; empty when none arrives."""
     deadline = time.monotonic() + patient(CANCEL_TIMEOUT_S)
     while time.monotonic() < deadline:
         try:
@@ -174,7 +174,7 @@ def _follow(nodes: RunningSession, person: Person, viewers: Viewers) -> dict[str
 
 
 def _warn(text: str, display: Display, viewers: Viewers) -> None:
-    """Show what a person should know, here and to viewers."""
+    """Show warnings, here and to viewers."""
     display.line(f"warning: {text}")
     viewers.publish({"event": "line", "text": f"warning: {text}"})
 
@@ -187,7 +187,7 @@ def _tell_page(address: str, display: Display, viewers: Viewers) -> None:
 
 
 def _obey(viewers: Viewers, person: Person) -> None:
-    """Do what the viewers have asked for."""
+    """Carry out the requests of viewers."""
     for order in viewers.orders():
         if order.get("event") == "stop":
             raise KeyboardInterrupt
@@ -204,11 +204,11 @@ def _check(nodes: RunningSession, begun: bool, silence_s: float) -> None:
             f"node {name} ended at its start (exit code {code})", nodes.log_tail(name)
         )
     if silence_s > patient(SILENCE_TIMEOUT_S):
-        raise DataError(f"the client has said nothing for {silence_s:.0f} s: it hangs")
+        raise DataError(f"the client has been silent for {silence_s:.0f} s: it hangs")
 
 
 def _ending(nodes: RunningSession, event: dict[str, Any], begun: bool) -> dict[str, Any]:
-    """Return a result event; raise the error that any other ending is."""
+    """Return a result event; raise an error for any other ending."""
     if event["event"] == "refused":
         raise ConfigurationError(f"the goal was refused: {event['reason']}")
     if event["event"] == "end":
@@ -245,7 +245,7 @@ class RunningSession:
         Thread(target=self._read, name="client reader", daemon=True).start()
 
     def ended(self) -> dict[str, int]:
-        """Return the exit codes of nodes that have ended; those for people may."""
+        """Return the exit codes of nodes that have ended; those for people may end."""
         ended = self._processes.ended()
         return {n: code for n, code in ended.items() if n not in (CLIENT, *VIEWERS.values())}
 
@@ -262,7 +262,7 @@ class RunningSession:
         self._processes.signal(CLIENT, signal.SIGINT)
 
     def resume(self) -> None:
-        """Let the planner know that the work it waits for is done."""
+        """Tell the planner that the work it waits for is done."""
         self._processes.tell(CLIENT, "resume")
 
     def log_tail(self, name: str) -> str:

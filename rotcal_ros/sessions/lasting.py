@@ -1,4 +1,4 @@
-"""Output that outlives its terminal: when that goes, the process goes on and writes to a log."""
+"""Output that outlives its terminal: without it the process goes on and writes to a log."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _LOG_FLAGS: Final = os.O_WRONLY | os.O_CREAT | os.O_APPEND
 
 @contextmanager
 def lasting_output(log: Path) -> Iterator[None]:
-    """Let no lost terminal and no closed pipe end this process; what they do not take goes to log.
+    """Keep this process alive without its terminal or a pipe; its output then goes to ``log``.
 
     On SIGHUP standard input ends, and all output to terminals goes to ``log`` from then on, also
-    behind this block. A hang-up that is ignored already (nohup) stays so. For the main thread.
+    after this block. A hang-up that is ignored already (nohup) stays ignored. For the main thread.
     """
     terminals = [number for number in (_STDIN, *_OUTPUTS) if os.isatty(number)]
 
@@ -47,7 +47,7 @@ def lasting_output(log: Path) -> Iterator[None]:
 
 
 def go_to_background(log: Path) -> bool:
-    """Split this process in two; True in the one that goes on without a terminal.
+    """Fork this process; return True in the child, which goes on without a terminal.
 
     Its output goes to ``log``. No thread may have been started before.
     """
@@ -62,14 +62,14 @@ def go_to_background(log: Path) -> bool:
 
 
 class _LastingFile(io.FileIO):
-    """A descriptor for output that is turned to a log when nobody takes the output any more."""
+    """A descriptor for output that is redirected to a log once its reader is gone."""
 
     def __init__(self, descriptor: int, log: Path) -> None:
         super().__init__(descriptor, "w", closefd=False)
         self._log = log
 
     def write(self, data: Any, /) -> int:
-        """Write to the descriptor, or to the log from the first time on that nobody listens."""
+        """Write to the descriptor, and from the first failure on to the log."""
         try:
             return super().write(data)
         except OSError as error:
@@ -80,7 +80,7 @@ class _LastingFile(io.FileIO):
 
 
 def _lasting(stream: TextIO, log: Path) -> TextIO:
-    """Return a stream that lasts; one that is no standard output of the process stays itself."""
+    """Return a stream that lasts; any but a standard output of the process as it is."""
     stream.flush()
     with suppress(OSError, AttributeError):
         if stream.fileno() in _OUTPUTS:
@@ -90,7 +90,7 @@ def _lasting(stream: TextIO, log: Path) -> TextIO:
 
 
 def _turn(number: int, log: Path) -> None:
-    """Turn standard input to nothing, an output to the log; where that fails, to nothing too."""
+    """Redirect standard input to nothing, an output to the log; if that fails, to nothing too."""
     descriptor = os.open(os.devnull, os.O_RDWR)
     if number != _STDIN:
         with suppress(OSError):

@@ -14,11 +14,11 @@ from rotcal_ros.planning.plan import PAUSED, RELEASED, STOPPED
 class Person:
     """Does the work that a plan leaves to a person, or says when it is done.
 
-    In a simulated cell, or with ``at_once``, the work is done as soon as it is asked for; not by
-    one who is only ``watching`` from another terminal. In a terminal Enter says so. Without one
-    only others do: one who is attached, or the service ``resume`` of the cell. After an emergency
-    stop nobody goes on at once, and while it lasts nobody is asked to.
-    ``instruction`` is what was asked for last.
+    In a simulated cell, or with ``at_once``, the work counts as done as soon as it is asked for,
+    but not for a viewer who is only ``watching`` from another terminal. In a terminal Enter
+    confirms it. Without a terminal only others can: an attached viewer, or the service ``resume``
+    of the cell. After an emergency stop nothing is confirmed at once, and while it lasts nothing
+    is asked for. ``instruction`` is what was asked for last.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class Person:
         return ""
 
     def confirm(self, instruction: str) -> None:
-        """Take the word of another terminal that this work is done, if it is still asked for."""
+        """Accept from another terminal that this work is done, if it is still asked for."""
         self._confirmed = self._asked and instruction == self.instruction
 
     def is_done(self) -> bool:
@@ -77,7 +77,7 @@ class Person:
 def _enter_pressed() -> bool:
     """Return whether a line was entered in the terminal; never waits.
 
-    A terminal that is lost in this moment has its end to read, and is none any more.
+    A terminal that is lost in this moment reads as ended, and does not count as one any more.
     """
     try:
         if not sys.stdin.isatty() or not select.select([sys.stdin], [], [], 0.0)[0]:

@@ -57,7 +57,7 @@ class Processes:
         }
 
     def tell(self, name: str, text: str) -> None:
-        """Write a line to a piped child; one that has ended does not hear it."""
+        """Write a line to a piped child; nothing happens when it has ended."""
         stream = self.children[name].stdin
         assert stream is not None
         with suppress(OSError):

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.compensation.adding import combined
+from rotcal_ros.compensation.cascaded_tables import combined
 from rotcal_ros.compensation.export import ExportFiles, prepare_export
 from rotcal_ros.compensation.table import CompensationTable, table_from_result
 from rotcal_ros.compensation.writing import write_files
@@ -21,7 +21,7 @@ from rotcal_ros.foundation.untrusted import load_json, read_text
 from rotcal_ros.methods.configuration import read_policy
 from rotcal_ros.planning.policy_names import UNTIL_GOAL
 from rotcal_ros.recordings.replay import read_recording
-from rotcal_ros.recordings.sources import ResultSource, read_source
+from rotcal_ros.recordings.result_sources import ResultSource, read_source
 from rotcal_ros.report.terminal.console import say
 from rotcal_ros.sessions.session import Session
 from rotcal_ros.simulation.table import true_deviations
@@ -37,10 +37,10 @@ def write_products(
     export: bool = True,
     tell: Callable[[str], None] = say,
 ) -> dict[str, str]:
-    """Write what follows from the result; return name -> absolute path of all there is.
+    """Write what follows from the result; return name -> absolute path of everything there is.
 
     A report or controller files that cannot be written never spoil a calibration: the reason is
-    told, and they are left out.
+    printed, and they are left out.
     """
     folder = session.folder
     paths = {"bag": folder.bag, "result": folder.result}
@@ -63,7 +63,7 @@ def write_products(
 
 
 def goal_line(folder: SessionFolder) -> str:
-    """Return in one line how a session stands to its goal; empty where it had none."""
+    """Return in one line whether a session met its goal; empty where it had none."""
     if read_policy(read_text(folder.configuration)) != UNTIL_GOAL:
         return ""
     recording = read_recording(folder.bag, "observations")
@@ -104,7 +104,7 @@ def write_report(folder: SessionFolder, extra: Sequence[tuple[str, str]] = ()) -
     result = write_recorded(recording, folder.report, truth, extra)
     live = recording.with_warnings(read_source(folder.result).result)
     if result.to_json() != live.to_json():
-        say(f"warning: {folder.bag} solved again gives another result than live: rotcal solve")
+        say(f"warning: {folder.bag}, solved again, gives another result than live: rotcal solve")
 
 
 def export_files(
@@ -118,7 +118,7 @@ def export_files(
 ) -> dict[str, ExportFiles]:
     """Return the files of the controllers ``names``, with rows every ``spacing`` rad.
 
-    ``settings`` are those of the controllers, by name; what is not there is at its defaults.
+    ``settings`` are those of the controllers, by name; a missing one has its defaults.
     """
     now = datetime.now(timezone.utc)
     return {

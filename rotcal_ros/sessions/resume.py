@@ -1,4 +1,4 @@
-"""Finding out where an interrupted session stands, to go on from there."""
+"""Finding out how far an interrupted session came, to continue from there."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from rotcal_ros.sessions.disk_space import require_space
 from rotcal_ros.sessions.session import Session, checked_calibration
 
 LOCK_TIMEOUT_S: Final = 40.0
-"""Nodes whose ``rotcal run`` was killed end by themselves, and close their bag, within this."""
+"""Within this time nodes whose ``rotcal run`` was killed close their bag and end."""
 _POLL_S: Final = 0.2
 
 
@@ -34,7 +34,7 @@ def resume_session(source: Path, path: Path, changes: Sequence[str]) -> Session:
     Its raw streams say what is left to measure.
 
     Raises ConfigurationError when there is no such session, it is finished, or it was configured
-    otherwise; BagError when another process works there.
+    differently; BagError when another process works there.
     """
     folder = SessionFolder(path.absolute())
     calibration = checked_calibration(source, changes)
@@ -104,7 +104,7 @@ def _observed(bag: Path, calibration: Calibration) -> tuple[Observation, ...]:
 
 
 def _say_what_is_left(calibration: Calibration, continuation: Continuation) -> None:
-    """Say how far the plan is; with a goal only the policy knows how many steps it will take."""
+    """Print how far the plan is; with a goal only the policy knows how many steps it will take."""
     total, missing = len(calibration.plan.steps), len(continuation.steps)
     missing -= len(continuation.again)
     again = f"; {len(continuation.again)} done steps are measured again" * bool(continuation.again)
@@ -112,5 +112,5 @@ def _say_what_is_left(calibration: Calibration, continuation: Continuation) -> N
     if calibration.configuration.planner.policy != AS_LISTED:
         again = f"{again} if any is chosen" * bool(again)
         done = len({o.step for o in continuation.observations})
-        left = f"{done} steps are done, and the policy chooses on among the {total} offered"
+        left = f"{done} steps are done, and the policy goes on choosing among the {total} offered"
     say(f"run {continuation.run}: {left}{again}")

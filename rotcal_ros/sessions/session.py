@@ -27,7 +27,7 @@ from rotcal_ros.sessions.disk_space import require_space
 class Session:
     """A calibration and its folder; ``continuation`` is what an interrupted run has left.
 
-    ``continued_by`` is the command line that goes on with the whole of which it is a part,
+    ``continued_by`` is the command line that continues the whole of which it is a part,
     ``shown_by`` names nodes for people that are started too: see VIEWERS of node_names.
     """
 
@@ -59,7 +59,7 @@ class Session:
 
     @property
     def run_log(self) -> Path:
-        """What 'rotcal run' itself says once it has no terminal."""
+        """What 'rotcal run' itself prints once it has no terminal."""
         return self.log_folder / "run.log"
 
     @property
@@ -81,10 +81,10 @@ def prepare_session(
 ) -> Session:
     """Check the whole configuration, then make the folder; nothing is ever overwritten.
 
-    ``changes`` are ``group.name=value`` with the value in YAML. With ``keep_previous`` an
-    existing folder is moved aside to the first free ``<folder>-<number>``. A folder that a run has
-    left before anything was recorded is taken again. Raises ConfigurationError where the disk has
-    no room for the bag.
+    ``changes`` are ``group.name=value`` with the value in YAML. With ``keep_previous`` an existing
+    folder is moved aside to the first free ``<folder>-<number>``. A folder that a run left before
+    anything was recorded is used again. Raises ConfigurationError where the disk has no room for
+    the bag.
     """
     calibration = checked_calibration(source, changes)
     folder = folder.absolute()
@@ -103,9 +103,9 @@ def prepare_session(
 
 
 def require_as_found(session: Session) -> None:
-    """Raise ConfigurationError where somebody else went on in the folder since it was looked at.
+    """Raise ConfigurationError where another run went on in the folder since it was read.
 
-    Who calls it holds the lock of the folder.
+    The caller holds the lock of the folder.
     """
     files: tuple[Path, ...] = ()
     with suppress(BagError):
@@ -122,8 +122,8 @@ def require_as_found(session: Session) -> None:
 def _taken_again(folder: SessionFolder) -> bool:
     """Return whether nothing was measured in ``folder``; the logs of its run are then removed.
 
-    Anything that a run does not leave before its first message keeps the folder as it is.
-    Raises BagError when a run is still at work there.
+    The folder stays as it is where it holds anything else than a run leaves before its first
+    message. Raises BagError when a run is still at work there.
     """
     path = folder.path
     beginnings = (folder.configuration, folder.parameters, folder.log(), folder.bag)

@@ -1,8 +1,8 @@
 """Measure a cell, give its control the correction table, and measure again.
 
-A simulated control gets the rows of the table by itself. The table of a real one a person loads,
-and says so: nothing is measured again before. What is done stands on the disk, so that an
-interrupted verification goes on where it was.
+A simulated control gets the rows of the table by itself. The table of a real one is loaded by a
+person, who confirms it: nothing is measured again before that. Every step is noted on disk, so
+that an interrupted verification continues where it was.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.compensation import plain_csv
-from rotcal_ros.compensation.adding import combined
+from rotcal_ros.compensation.cascaded_tables import combined
 from rotcal_ros.compensation.effect import Effect, effect_of_result
 from rotcal_ros.compensation.export import CONTENTS, ExportFiles
-from rotcal_ros.compensation.held import held_table, in_force_of
+from rotcal_ros.compensation.held_table import held_table, in_force_of
 from rotcal_ros.compensation.table import CompensationTable, table_from_result
 from rotcal_ros.compensation.writing import PROVENANCE, of_the_controller
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230, iso230
@@ -35,7 +35,7 @@ from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.foundation.untrusted import load_json, read_text, why
 from rotcal_ros.methods import Calibration
 from rotcal_ros.methods.configuration import Configuration, read_configuration
-from rotcal_ros.recordings.sources import ResultSource, read_source
+from rotcal_ros.recordings.result_sources import ResultSource, read_source
 from rotcal_ros.report.terminal.console import say
 from rotcal_ros.sessions.environment import require_ros
 from rotcal_ros.sessions.following import calibrate
@@ -49,7 +49,7 @@ CONTROLLERS: Final = ("linuxcnc", "sinumerik", "csv")
 TABLES: Final = {"after": "compensation", "again": "compensation_added"}
 """Folders of the tables that the further measurements have in force."""
 LOADED: Final = "loaded"
-"""How the name of the file begins that keeps a person's word that a real control has a table."""
+"""Prefix of the file that notes a person's confirmation that a real control has loaded a table."""
 Loaded = Callable[[Path, Sequence[Path]], bool]
 APPLIED: Final = "csv"
 """The rows of this table go into the simulated control."""
@@ -60,7 +60,7 @@ ISO_TARGETS: Final = 47
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked of a verification beside the configuration of the first measurement.
+    """The options of a verification, besides the configuration of the first measurement.
 
     ``check`` are changes of the second measurement, ``spacing_deg`` is that of the rows of the
     tables, 0: chosen. Files are written for CONTROLLERS and ``controllers``, as they would be with
@@ -154,7 +154,7 @@ def begin(
 def verify(
     folder: Path, loaded: Loaded | None = None
 ) -> tuple[Verification, tuple[str, ...]] | None:
-    """Do what is left of the verification in ``folder``; None when the user ended it.
+    """Carry out what is left of the verification in ``folder``; None when the user ended it.
 
     Returns the outcome and the controllers that got files. ``folder`` is the session of the first
     measurement and gets ``compensation``, the session ``after`` and verification.json; with
@@ -189,9 +189,9 @@ def verify(
 
 
 def confirm_loaded(folder: Path) -> None:
-    """Note the word of a person that the real control has the table that waits for it.
+    """Note that a person says the real control has loaded the waiting table.
 
-    Raises ConfigurationError where none waits: what was not written yet nobody can have loaded.
+    Raises ConfigurationError where none waits: a table that is not written yet cannot be loaded.
     """
     request = _read_request(folder)
     applied = request.applied(read_configuration(SessionFolder(folder).configuration))
@@ -203,7 +203,7 @@ def confirm_loaded(folder: Path) -> None:
             contents = sides[0][CONTENTS]
             write_atomically(word, json.dumps({"contents_sha256": contents}) + "\n")
             return
-    raise ConfigurationError(f"{folder} has no table that waits to be loaded: leave out --loaded")
+    raise ConfigurationError(f"{folder} has no table waiting to be loaded: leave out --loaded")
 
 
 def _round(
@@ -238,13 +238,15 @@ def _round(
 
 
 def _is_loaded(folder: Path, name: str, applied: ExportFiles, loaded: Loaded | None) -> bool:
-    """Return whether the table is in the control, by the word of a person, which is kept."""
+    """Return whether a person has confirmed that the table is in the control; noted on disk."""
     word = folder / f"{LOADED}_{name}.json"
     contents = in_force_of(applied.files)
     if word.is_file():
         if load_json(read_text(word)) == {"contents_sha256": contents}:
             return True
-        raise DataError(f"{word} is about another table than {contents[:12]}: begin anew")
+        raise DataError(
+            f"{word} is about another table than {contents[:12]}: begin another verification"
+        )
     files = [folder / TABLES[name] / file for file in of_the_controller(applied.files)]
     if loaded is None or not loaded(folder, files):
         return False
@@ -283,7 +285,7 @@ def _outcome(
 
 
 def _require_known(cell: Configuration, request: Request) -> None:
-    """Raise ConfigurationError unless a real cell says what it holds, and what takes its table."""
+    """Raise ConfigurationError unless a real cell states its controller and table in force."""
     if cell.simulated:
         return
     if not request.controllers and "bridge" not in cell.given:
@@ -294,15 +296,15 @@ def _require_known(cell: Configuration, request: Request) -> None:
     if cell.cell.table_in_force != NONE:
         raise ConfigurationError(
             f"cell.table_in_force is {cell.cell.table_in_force[:12]}: a verification begins with "
-            "no table in force. Take the table away or switch it off, and say so: "
-            f"--set cell.table_in_force={NONE}"
+            "no table in force. Remove the table or switch it off, and say so: --set "
+            f"cell.table_in_force={NONE}"
         )
 
 
 def _rehearse(request: Request, calibration: Calibration) -> None:
     """Make the controller files of a perfect table, and raise ConfigurationError where they fail.
 
-    So a misspelt controller, or rows that it cannot hold, are told at once.
+    So a misspelt controller, or rows that it cannot hold, are reported at once.
     """
     angles = np.unique(calibration.plan.table_angles)
     nothing = {"ECC": np.zeros(len(angles))}
@@ -316,7 +318,7 @@ def _rehearse(request: Request, calibration: Calibration) -> None:
 def _measure(
     configuration: Path, path: Path, changes: Sequence[str], whole: Path
 ) -> FinishedSession | None:
-    """Return the measurement in the session ``path``, carried out as far as it is not yet.
+    """Return the measurement in the session ``path``; what is missing of it is carried out.
 
     DataError unless its verdict is ok, None when the user ended it.
     """

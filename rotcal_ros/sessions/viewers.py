@@ -1,4 +1,4 @@
-"""Those who watch a running calibration from elsewhere: each hears all of it, and may answer.
+"""Those who watch a running calibration from elsewhere: each gets all of it, and may answer.
 
 They meet at a Unix domain socket that only its user may open. Lines of JSON go both ways: to the
 viewers what the client reports (see :mod:`rotcal_ros.nodes.client`) between ``session`` and
@@ -37,28 +37,28 @@ Event = Mapping[str, Any]
 
 
 class History:
-    """What somebody has to hear who comes late: how it stands, not how it came to that."""
+    """What a late viewer has to know: the present state, not how it came about."""
 
     def __init__(self) -> None:
         self._now: dict[str, Event] = {}
 
     def remember(self, event: Event) -> None:
-        """Note an event; it takes the place of what it outdates."""
+        """Note an event; it replaces those that it outdates."""
         kind = event["event"]
         if kind == "feedback" and not event["activity"].startswith(PAUSED):
             self._now.pop("paused", None)
         self._now[kind] = event
 
     def events(self) -> list[Event]:
-        """Return what counts now, in the order in which it is understood."""
+        """Return the present state, in an order that can be understood."""
         kinds = ("session", "page", "feedback", "paused", "ended")
         return [self._now[kind] for kind in kinds if kind in self._now]
 
 
 class Viewers:
-    """The viewers of a session; a context manager, whose end or error they hear.
+    """The viewers of a session; a context manager, whose end or error they are told.
 
-    Nothing here waits for a viewer, and nothing here fails: without a socket nobody can attach.
+    Nothing here waits for a viewer, and nothing fails: without a socket nobody can attach.
     """
 
     def __init__(self, session: Session, *, at_once: bool = False) -> None:
@@ -76,11 +76,11 @@ class Viewers:
             say(f"nobody can attach to this calibration: {error}")
 
     def publish(self, event: Event) -> None:
-        """Let all viewers know, those of now and those to come."""
+        """Tell all viewers, present and future ones."""
         self._loop.call_soon_threadsafe(self._spread, event)
 
     def say(self, text: str) -> None:
-        """Print a line for people, here and with all viewers."""
+        """Print a line for people, here and at all viewers."""
         say(text)
         self.publish({"event": "line", "text": text})
 
@@ -139,7 +139,7 @@ class Viewers:
                 writer.write(line)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Show a viewer how it stands and take its orders until it leaves."""
+        """Send a viewer the present state and take its requests until it leaves."""
         for event in self._history.events():
             writer.write(_line(event))
         self._writers.add(writer)
@@ -150,7 +150,7 @@ class Viewers:
         writer.close()
 
     async def _farewell(self) -> None:
-        """Let go of all viewers, with all they can take in a moment."""
+        """Disconnect all viewers, after a moment for their last lines."""
         writers = tuple(self._writers)
         for writer in writers:
             writer.close()
@@ -183,7 +183,7 @@ def _listening() -> socket.socket:
 
 
 def _place() -> str:
-    """Return a folder for sockets whose path is short enough; that of a session seldom is."""
+    """Return a folder for sockets whose path is short enough; that of a session rarely is."""
     room = len(os.fsencode("/rotcal-12345678/socket"))
     # That of XDG comes last: it is removed with the last login, which a calibration may outlive.
     for place in (tempfile.gettempdir(), "/tmp", os.environ.get("XDG_RUNTIME_DIR", "")):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from rotcal_ros.adjust.felt import Felt, Moment, total
 from rotcal_ros.adjust.low_rank import LowRank, Slopes
+from rotcal_ros.adjust.sensitivity import Moment, Sensitivity, total
 
 RNG = np.random.default_rng(20240611)
 
@@ -102,14 +102,16 @@ def test_moments_of_the_outputs():
     moments, whole = [], []
     for at in ([2], [5, 6], []):
         own = RNG.standard_normal((len(at), 4))
-        felt = Felt(RNG.standard_normal((3, 4)), common, np.array(at, dtype=int), own)
-        expected = common @ felt.along
+        sensitivity = Sensitivity(
+            RNG.standard_normal((3, 4)), common, np.array(at, dtype=int), own
+        )
+        expected = common @ sensitivity.along
         expected[at] += own
-        close(felt.of(np.eye(4)), expected)
-        close(felt.dense(), expected)
-        moments.append(Moment(felt, RNG.standard_normal(4), positive(4)))
-        whole.append(Moment(Felt.whole(expected), moments[-1].first, moments[-1].square))
+        close(sensitivity.of(np.eye(4)), expected)
+        close(sensitivity.dense(), expected)
+        moments.append(Moment(sensitivity, RNG.standard_normal(4), positive(4)))
+        whole.append(Moment(Sensitivity.whole(expected), moments[-1].first, moments[-1].square))
     mean, second = total(moments, 8)
-    close(mean, sum(m.felt.along @ m.first for m in whole))
-    close(second, sum(m.felt.along @ m.square @ m.felt.along.T for m in whole))
+    close(mean, sum(m.sensitivity.along @ m.first for m in whole))
+    close(second, sum(m.sensitivity.along @ m.square @ m.sensitivity.along.T for m in whole))
     close(total(whole, 8)[1], second)

@@ -8,7 +8,7 @@ import pytest
 from aids import on_node
 from bag_samples import simulate, write_run
 
-from rotcal_ros.bags.closing import open_end
+from rotcal_ros.bags.interrupted_files import open_end
 from rotcal_ros.bags.reader import check_files
 from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.foundation.machine_load import patient

@@ -19,7 +19,7 @@ from bag_samples import CONFIGURATION, open_writer
 from rosbags.rosbag2 import Reader
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.closing import InterruptedSession
+from rotcal_ros.bags.interrupted_files import InterruptedSession
 from rotcal_ros.bags.mcap_file import McapFile
 from rotcal_ros.bags.reader import bag_files, check_files, session_files
 from rotcal_ros.bags.reindex import reindex

@@ -19,7 +19,7 @@ from rotcal_ros.bags.reader import bag_files, check_files, read_blocks
 from rotcal_ros.bags.repair import repair
 from rotcal_ros.bags.verdict import FileVerdict
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.recordings.dropouts import placed_in
+from rotcal_ros.recordings.placed_dropouts import placed_in
 from rotcal_ros.recordings.topics import Topics
 
 MESSAGES = payloads(60)

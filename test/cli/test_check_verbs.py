@@ -149,7 +149,7 @@ def test_people_are_shown_what_is_not_covered():
     ran = run(*PLAN, "--within", "4", "--every", "2", "--least-redundancy", "0")
     assert ran.exit_code == 0, ran.output
     assert "nothing will be known of 1 of 2 angles" in ran.stderr
-    assert "warning: little checks some lengths" in ran.stderr
+    assert "warning: some lengths are hardly checked" in ran.stderr
     assert "30 lengths to 5 targets" in ran.stderr
 
 

@@ -241,7 +241,7 @@ DAY_NS = 86_400 * 10**9
             {"identity": Identity(serial="9999")},
             "serial number 9999 was measured and the export (--axis, --serial) has 4711",
         ),
-        ("age", [], {"begun_ns": 366 * DAY_NS}, "days old, at most 30 are taken"),
+        ("age", [], {"begun_ns": 366 * DAY_NS}, "days old, at most 30 are accepted"),
     ],
 )
 def test_what_contradicts_the_machine_is_refused_unless_its_word_is_given(
@@ -271,7 +271,7 @@ def test_the_largest_age_can_be_set(export, tmp_path):
 
 @pytest.mark.parametrize("controller", ["csv", "volumetric"])
 def test_a_result_without_a_date_does_not_pass_for_young(export, tmp_path, controller):
-    words = "warning: nothing says how many days ago this was measured, at most 30 are taken"
+    words = "warning: it is not known how many days ago this was measured, at most 30 are accepted"
     ran = export("--to", controller)
     assert ran.exit_code == 0
     assert words in ran.stderr

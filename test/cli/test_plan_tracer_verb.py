@@ -112,7 +112,7 @@ def test_what_a_promise_assumes_is_printed(setting, words):
     assert "assumed: a length 0.2 um (k = 1, readings and all), a target 1 um" in result.stdout
     assert words in result.stdout
     assert "that results state: with a probability of 50 % at most" in result.stdout
-    assert "%, sound as they are, are not called ok, which no length changes" in result.stdout
+    assert "% are sound but not called ok, which more lengths do not change" in result.stdout
 
 
 @pytest.mark.slow

@@ -45,7 +45,7 @@ def test_a_report_of_a_bag_is_written_beside_it(session):
     [
         (0.0, 0, "table acts: "),
         (1.0, 1, "it is inactive, or on the wrong axis"),
-        (2.0, 1, "its sign is turned round"),
+        (2.0, 1, "its sign is wrong"),
     ],
 )
 def test_a_result_on_top_of_a_table_says_whether_that_table_acts(left, code, words, tmp_path):

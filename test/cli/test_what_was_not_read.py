@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner, Result
 from mcap.reader import make_reader
 
-from rotcal_ros.bags.unread import unread
+from rotcal_ros.bags.unread_data import unread
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.extensions.replay.replayed_bag import ReplayedBag
 

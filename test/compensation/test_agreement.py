@@ -31,7 +31,7 @@ def test_what_agrees_is_as_it_was():
 CONFLICTS = {
     "serial": (table("9999"), 1.0, "serial number 9999 was measured and this cell has 4711"),
     "axis": (table(axis="B"), 1.0, "axis B was measured and this cell has axis C"),
-    "age": (table(), 366.0, "the measurement is 366 days old, at most 30 are taken"),
+    "age": (table(), 366.0, "the measurement is 366 days old, at most 30 are accepted"),
 }
 
 
@@ -58,7 +58,7 @@ def test_the_largest_age_can_be_set_and_what_has_no_date_goes_by_when_it_was_mad
     undated = replace(table(), measured_from_ns=0)
     now_ns = 500 * DAY_NS
     (*_, said) = agreeing(undated, MACHINE, Accepted(), now_ns).warnings
-    assert "nothing says how many days ago this was measured, at most 30 are taken" in said
+    assert "it is not known how many days ago this was measured, at most 30 are accepted" in said
     dated = agreeing(undated, MACHINE, Accepted(), now_ns, made_ns=490 * DAY_NS)
     assert dated is undated
     with pytest.raises(DataError, match="100 days old"):

@@ -110,7 +110,7 @@ def test_both_directions_are_of_one_item():
     assert table_from_result(known, reverse=known).item == "table no. 1"
     assert table_from_result(unknown, reverse=known).item == "table no. 1"
     assert table_from_result(unknown).item == ""
-    with pytest.raises(DataError, match=r"two items, no\. 1 and no\. 2"):
+    with pytest.raises(DataError, match=r"different items, no\. 1 and no\. 2"):
         table_from_result(known, reverse=of("table", "2"))
 
 
@@ -124,7 +124,7 @@ def test_both_directions_keep_the_reversal():
     assert not table.warnings
     mean = averaged(table)
     np.testing.assert_allclose(mean.correction_forward, table.correction_forward, atol=1e-18)
-    assert "4 arcsec of reversal stay" in mean.warnings[-1]
+    assert "4 arcsec of reversal remain" in mean.warnings[-1]
 
 
 def test_reverse_uncertainty_holds_the_forward_zero_too():

@@ -35,7 +35,7 @@ def good(angles):
     [
         (1.0, 0.0, ""),
         (0.0, 1.0, "inactive, or on the wrong axis"),
-        (-1.0, 2.0, "its sign is turned round"),
+        (-1.0, 2.0, "its sign is wrong"),
         (2.0, -1.0, "acts twice"),
     ],
 )

@@ -8,7 +8,7 @@ from test_feed import COMP, Cell, applied, made_before, table_of, trims, undone
 
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.feed import Feed
-from rotcal_ros.compensation.held import in_force_of
+from rotcal_ros.compensation.held_table import in_force_of
 from rotcal_ros.foundation.errors import DataError
 
 
@@ -132,7 +132,9 @@ def test_the_journal_knows_that_none_is_wrong(cell):
         feed.take(left, cell.clock())
     assert feed.offer is None
     word = cell.feed(combine="replace")
-    with pytest.raises(DataError, match=r"bridge.combine says 'replace', but by the journal"):
+    with pytest.raises(
+        DataError, match=r"bridge.combine says 'replace', but according to the journal"
+    ):
         word.take(replace(left, measured_on="unknown"), cell.clock())
     undated = replace(left, measured_from_ns=0, measured_until_ns=0)
     with pytest.raises(DataError, match="journal of this bridge"):
@@ -182,7 +184,7 @@ def test_a_hash_that_the_journal_contradicts_is_named_and_refused(cell):
     undone(feed)
     applied(feed, made_before(table_of()))
     begun_without = replace(left, measured_on=first, measured_from_ns=early_ns)
-    with pytest.raises(DataError, match="by the journal"):
+    with pytest.raises(DataError, match="according to the journal"):
         feed.take(replace(begun_without, measured_until_ns=between_ns), cell.clock())
     sound = replace(left, measured_on=first, measured_from_ns=cell.clock())
     assert feed.take(replace(sound, measured_until_ns=cell.clock()), cell.clock())
@@ -208,7 +210,7 @@ def test_a_controller_that_shows_no_table_is_not_believed_against_the_journal(ce
     for name in cell.files():
         (cell.folder / name).unlink()
     assert feed.in_force() == "unknown"
-    assert f"by the journal it was given {held[:12]}" in feed.contradiction("unknown")
+    assert f"according to the journal it was given {held[:12]}" in feed.contradiction("unknown")
 
 
 def test_a_setting_that_says_none_is_named_where_the_controller_holds_a_table(cell):
@@ -295,7 +297,7 @@ def test_another_axis_needs_its_word_and_becomes_that_of_the_cell(cell):
 # A table in force that does not do what it should.
 
 
-@pytest.mark.parametrize(("gain", "words"), [(1.0, "inactive"), (2.0, "sign is turned round")])
+@pytest.mark.parametrize(("gain", "words"), [(1.0, "inactive"), (2.0, "sign is wrong")])
 def test_what_a_wrong_table_left_is_not_added_to_it(cell, gain, words):
     """Deviation d, correction -d: inactive it leaves d, with the wrong sign 2 d."""
     feed = cell.feed()

@@ -76,7 +76,7 @@ def test_a_folder_that_holds_anything_else_is_refused(cell, name):
     folder = first.take(table_of(), 1)[0].parent
     old = (folder / name).read_text() if (folder / name).exists() else ""
     (folder / name).write_text(old.replace("1", "2") + " ")
-    with pytest.raises(DataError, match=f"holds something else than the files.*{name}"):
+    with pytest.raises(DataError, match=f"does not hold exactly the files.*{name}"):
         cell.feed().take(table_of(), 2)
     if old:
         with pytest.raises(DataError, match=f"{name} was changed since it was written"):

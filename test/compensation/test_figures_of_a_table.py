@@ -14,10 +14,10 @@ from rotcal_ros.compensation.controller import Controller
 from rotcal_ros.compensation.lookup import Correction
 from rotcal_ros.compensation.quality import residual_budget, simulate
 from rotcal_ros.compensation.resample import averaged, resample
-from rotcal_ros.compensation.rows import (
+from rotcal_ros.compensation.table import CompensationTable, table_from_result
+from rotcal_ros.compensation.table_rows import (
     mean_deg,
 )
-from rotcal_ros.compensation.table import CompensationTable, table_from_result
 from rotcal_ros.foundation.components import check_axis
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.observations import Approach
@@ -217,7 +217,7 @@ def test_the_mean_of_both_directions_is_zero_at_the_reference():
     np.testing.assert_allclose(found.correction_reverse, mean, atol=1e-18)
     left = max(np.max(np.abs(table.correction_forward - mean)),
                np.max(np.abs(table.correction_reverse - mean)))  # fmt: skip
-    words = f"mean of both directions: up to {left / ARCSEC:.3g} arcsec of reversal stay"
+    words = f"mean of both directions: up to {left / ARCSEC:.3g} arcsec of reversal remain"
     assert found.warnings == ("known", words)
     np.testing.assert_allclose(mean_deg(table)[:-1], np.rad2deg(mean), atol=1e-16)
     same = replace(table, correction_reverse=table.correction_forward)

@@ -52,7 +52,7 @@ def test_a_configuration_is_refused_at_its_start_not_when_a_table_arrives():
         ({"endpoint": "http://10.0.0.5"}, r"expected opc\.tcp://HOST:PORT"),
         (
             {"user": "me", "password_from": "env:A", "user_certificate": "b", "user_key": "c"},
-            "a user comes by one",
+            "give only one of them",
         ),
     ],
 )

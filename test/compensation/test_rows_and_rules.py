@@ -5,14 +5,14 @@ import pytest
 from compensation_examples import even, two_ways
 
 from rotcal_ros.compensation.linuxcnc import load
-from rotcal_ros.compensation.rows import (
+from rotcal_ros.compensation.periodic_rule import PeriodicTable, periodic
+from rotcal_ros.compensation.table_rows import (
     columns_deg,
     even_interval_deg,
     fixed,
     require_at_most,
     require_zero_at_start,
 )
-from rotcal_ros.compensation.rules import PeriodicTable, periodic
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import ARCSEC, DEGREE

@@ -94,7 +94,7 @@ def test_six_arcsec_of_play_are_removed_or_stated(name):
     assert found <= residual.stated + 4 * residual.std
     one_column = name in ("sinumerik", "fanuc", "twincat_nc", "kflop", "smoothieware")
     assert (residual.direction > 5.9 * ARCSEC) == one_column
-    assert any("of reversal stay" in text for text in made.warnings) == one_column
+    assert any("of reversal remain" in text for text in made.warnings) == one_column
     if not one_column:
         # a staircase of steps of 0.36 arcsec leaves more than lines between rows
         assert found < (1.1 if name == "fanuc each" else 0.7) * ARCSEC

@@ -184,7 +184,7 @@ DAMAGE = [
     ("heidenhain", "0.00000\n[END]", "0.00000", "expected BEGIN in the first line and"),
     ("heidenhain", "0 * x", "0 * y", "the .CMA table does not name x.COM"),
     ("heidenhain", "270.00000 -0.00100", "270.0 x", r"x\.COM, row 4: found 'x', expected a num"),
-    ("fagor", "P003 C1", "P003 B", r"x\.txt, line 3: 'P003 B .* is no line such as P001 C 0 EC 0"),
+    ("fagor", "P003 C1", "P003 B", r"x\.txt, line 3: 'P003 B .* is not a line such as P001 C"),
     ("fagor", "270.0000", "nan", r"x\.txt, line 4: found 'nan', expected a number"),
     ("pmac", "-2 0\n", "-2 1\n", r"x\.pmc, COMP: entries, counts per turn and last entry are "
      r"\(4, 36000, 1\), expected \(4, 36000, 0\)"),
@@ -234,7 +234,7 @@ DAMAGE = [
     ("fanuc", "P90.000000", "P80.000000", "80 deg apart in a turn of 360 deg; expected the first"),
     ("fanuc", "N10062P5;\n", "", r"not all slots 60 \.\. 64 are there"),
     ("fanuc", "N10060P1;\n", "", r"not all slots 60 \.\. 64 are there"),
-    ("fanuc", "P5;", "P8;\n", r"x\.txt, line 11: '' is no line such as N10061P-3;|add up to 3"),
+    ("fanuc", "P5;", "P8;\n", r"x\.txt, line 11: '' is not a line such as N10061P-3;|add up to 3"),
     ("fanuc", "N10064P1", "N10064P2", r"add up to 1 \(expected 0\), the slot of the reference "
      r"holds 1 and the last 2 \(expected the same\), the largest is 5 \(at most 7\)"),
     ("fanuc", "N10060P1", "N10060P0", r"add up to 0 \(expected 0\), the slot of the reference "

@@ -8,7 +8,7 @@ import pytest
 from rotcal_ros.cli.main import _explain
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.recordings.many import _in_words
+from rotcal_ros.recordings.batch_solving import _in_words
 
 MODULE = """
 import json

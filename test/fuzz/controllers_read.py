@@ -46,7 +46,7 @@ def _exports() -> Mapping[str, Mapping[str, str]]:
     from rotcal_ros.compensation.controllers import controller_names
     from rotcal_ros.compensation.export import prepare_export
     from rotcal_ros.compensation.table import table_from_result
-    from rotcal_ros.recordings.sources import read_source
+    from rotcal_ros.recordings.result_sources import read_source
 
     table = table_from_result(read_source(DATA / "result_tracer.json").result)
     found = {}
@@ -85,9 +85,9 @@ def side_files() -> Iterable[bytes]:
 
 def read_side_file(path: Path) -> None:
     from rotcal_ros.compensation.controllers import make_controller
-    from rotcal_ros.compensation.earlier import read_earlier
+    from rotcal_ros.compensation.earlier_export import read_earlier
     from rotcal_ros.compensation.feed import _span
-    from rotcal_ros.compensation.held import held_table
+    from rotcal_ros.compensation.held_table import held_table
 
     text = path.read_bytes().decode(errors="replace")
     _span(text)

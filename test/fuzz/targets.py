@@ -137,7 +137,7 @@ def _read_targets(path: Path) -> None:
 
 
 def _read_reference(path: Path) -> None:
-    from rotcal_ros.recordings.sources import read_curve
+    from rotcal_ros.recordings.result_sources import read_curve
 
     read_curve(path, "ECC", None, 1e-6)
 
@@ -152,7 +152,7 @@ def _references() -> Iterable[bytes]:
 
 def _read_runs(path: Path) -> None:
     from rotcal_ros.evaluation.iso230 import iso230
-    from rotcal_ros.recordings.sources import read_repeated_runs
+    from rotcal_ros.recordings.result_sources import read_repeated_runs
 
     iso230(read_repeated_runs(path))
 
@@ -163,7 +163,7 @@ def _read_runs(path: Path) -> None:
 def _read_result(path: Path) -> None:
     from rotcal_ros.compensation.table import table_from_result
     from rotcal_ros.curves.measured import measured_curve
-    from rotcal_ros.recordings.sources import read_source
+    from rotcal_ros.recordings.result_sources import read_source
     from rotcal_ros.report.terminal.tables import print_result
 
     result = read_source(path).result
@@ -178,7 +178,7 @@ def _read_result(path: Path) -> None:
 
 
 def _read_report(path: Path) -> None:
-    from rotcal_ros.recordings.sources import read_source
+    from rotcal_ros.recordings.result_sources import read_source
     from rotcal_ros.report.recorded import write_result
 
     page = path.with_suffix(".html")

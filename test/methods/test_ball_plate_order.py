@@ -26,6 +26,7 @@ from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.protection import EFFECTS
 from rotcal_ros.methods.ball_plate.design.ball_plan import plan_measurement
 from rotcal_ros.methods.ball_plate.solver import closure, solve
+from rotcal_ros.methods.ball_plate.solver.disturbance_response import unit_std
 from rotcal_ros.methods.ball_plate.solver.estimate import least_squares
 from rotcal_ros.methods.ball_plate.solver.order_effects import (
     drift_error,
@@ -35,7 +36,6 @@ from rotcal_ros.methods.ball_plate.solver.order_effects import (
     order_effects,
 )
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
-from rotcal_ros.methods.ball_plate.solver.response import unit_std
 
 
 @pytest.mark.parametrize("part", [0.02, 0.37, 0.97])

@@ -15,7 +15,7 @@ from rotcal_ros.foundation.errors import ObservabilityError, PlanError
 from rotcal_ros.methods.ball_plate.solver import closed_form, model, solve
 from rotcal_ros.methods.ball_plate.solver.estimate import least_squares
 from rotcal_ros.methods.ball_plate.solver.gaps import gap_cells, solve_with_gaps
-from rotcal_ros.methods.ball_plate.solver.general import solve_general
+from rotcal_ros.methods.ball_plate.solver.general_least_squares import solve_general
 from rotcal_ros.methods.ball_plate.solver.model import FIELDS, TABLE_COMPONENTS
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, select
 from rotcal_ros.methods.ball_plate.solver.separability import separability

@@ -8,7 +8,12 @@ from plate_data import RADIUS, grid_rows, simulated
 
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ObservabilityError
-from rotcal_ros.methods.ball_plate.solver import BallPlateProblem, plate_trials, solve
+from rotcal_ros.methods.ball_plate.solver import (
+    BallPlateProblem,
+    general_least_squares,
+    plate_trials,
+    solve,
+)
 from rotcal_ros.methods.ball_plate.solver.separability import Separability, separability
 from rotcal_ros.methods.ball_plate.solver.solution import split
 
@@ -142,8 +147,8 @@ def test_rejected_centres_stay_rejected_in_trials():
 def test_trials_of_large_grids_are_solved_one_by_one(monkeypatch):
     problem, _ = simulated(12, [0, 1, 3, 7, 8, 10], sigma=5e-8)
     straight = plate_trials(problem)
-    monkeypatch.setattr("rotcal_ros.methods.ball_plate.solver.general.MAX_UNKNOWNS", 131)
+    monkeypatch.setattr(general_least_squares, "MAX_UNKNOWNS", 131)
     # 18 of the plate, 36 of the CMM, 72 of the table, 6 of the axis
     assert type(plate_trials(problem)) is not type(straight)
-    monkeypatch.setattr("rotcal_ros.methods.ball_plate.solver.general.MAX_UNKNOWNS", 132)
+    monkeypatch.setattr(general_least_squares, "MAX_UNKNOWNS", 132)
     assert type(plate_trials(problem)) is type(straight)

@@ -17,7 +17,7 @@ from pseudo_terminal import PseudoTerminal
 from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.methods.configuration import changed, read_configuration
 from rotcal_ros.recordings.replay import read_recording
-from rotcal_ros.recordings.sources import read_source
+from rotcal_ros.recordings.result_sources import read_source
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")

@@ -89,7 +89,7 @@ def run_of(calibration, cell, steps, run=0):
     """Measure ``steps``; return what was asked for (texts) and ordered (steps)."""
     continuation = Continuation(PLAN_ID, run, steps[0], (), tuple(steps), ())
     measuring = GoalMeasurement(calibration, continuation, cell)
-    measuring.asking, cell.done = cell, []
+    measuring.operator, cell.done = cell, []
     try:
         asyncio.run(measuring.measure_all())
     except GoalError:
@@ -107,7 +107,7 @@ def test_work_that_nobody_has_confirmed_is_asked_for_before_another_run_moves(la
 
 def test_a_complaint_is_still_to_be_put_right_when_its_steps_were_accepted():
     calibration, cell = Checked(["nest 2 has moved"]), Cell(fails=1)
-    text = "not as it should be: nest 2 has moved; put it right (mount the mirror)"
+    text = "not as it should be: nest 2 has moved; correct it (mount the mirror)"
     assert run_of(calibration, cell, range(6)) == [0, 1, "mount the mirror", 2, 3, 4, text, "lost"]
     assert run_of(calibration, cell, [5], 1) == [text, 2, 3, 4, 5]
 
@@ -204,7 +204,7 @@ def test_a_later_preflight_has_somebody_resume_before_it_misses_what_is_silent(m
     async def found(missing):
         return not missing()
 
-    class Asking:
+    class Requests:
         async def have_done(self):
             asked.append(stop.latched)
             stop.latched = ""
@@ -214,5 +214,5 @@ def test_a_later_preflight_has_somebody_resume_before_it_misses_what_is_silent(m
 
     monkeypatch.setattr(goal_run, "_missing", missing)
     watch = SimpleNamespace(preflight=False, stop=stop, have=have, is_found=found, links=None)
-    asyncio.run(goal_run._have_topics(PLAIN, watch, Asking()))
+    asyncio.run(goal_run._have_topics(PLAIN, watch, Requests()))
     assert asked == ["the gate is open"]

@@ -12,7 +12,7 @@ from rotcal_ros.methods import changed, prepare, read_configuration
 from rotcal_ros.nodes.goal import run as goal_run
 from rotcal_ros.nodes.goal.cell_links import CellLinks
 from rotcal_ros.nodes.goal.crew import GoalError
-from rotcal_ros.nodes.goal.watch import GoalWatch
+from rotcal_ros.nodes.goal.goal_watch import GoalWatch
 
 STOP = "/safety/estop"
 
@@ -98,7 +98,7 @@ def test_an_instrument_that_was_started_anew_is_named_and_measured_with_in_anoth
     watch = watched(offer("tracer", NEW), machines=machines)
     with pytest.raises(GoalError) as lost:
         watch._check_publishers("at step 3 of 9")
-    assert "node tracer, which publishes /cell/tracer_length, was started anew" in str(lost.value)
+    assert "node tracer, which publishes /cell/tracer_length, was restarted" in str(lost.value)
     assert lost.value.in_another_run == another_run
 
 

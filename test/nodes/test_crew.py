@@ -71,7 +71,7 @@ def test_a_solver_may_be_away_for_a_while_and_be_another_process(clock):
 def test_capture_and_recorder_need_another_run_even_if_they_were_away_unnoticed(name):
     health, made = watched()
     health.processes[name] = "second"
-    with pytest.raises(GoalError, match=f"node {name} was started anew at step 3") as raised:
+    with pytest.raises(GoalError, match=f"node {name} was restarted at step 3") as raised:
         made.check("at step 3")
     assert raised.value.in_another_run
     made.end_run()
@@ -99,6 +99,6 @@ def test_a_machine_that_was_started_anew_ends_the_goal_however_quickly_it_was_ba
     made.end_run()  # nor is it forgotten while the goal waits for others
     made.check("in the preflight")
     health.processes["machine"] = "second"
-    with pytest.raises(GoalError, match="node machine was started anew at step 3") as raised:
+    with pytest.raises(GoalError, match="node machine was restarted at step 3") as raised:
         made.check("at step 3")
     assert not raised.value.in_another_run

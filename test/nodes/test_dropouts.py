@@ -13,7 +13,7 @@ from rotcal_ros.bags.reader import bag_files, check_files
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.nodes.writing.bookkeeping import Silence
-from rotcal_ros.nodes.writing.dropouts import DropoutNotes
+from rotcal_ros.nodes.writing.dropout_notes import DropoutNotes
 from rotcal_ros.nodes.writing.recording import BagRecording, Channel, Messages
 
 TOPIC = "/cell/recorder/dropouts"

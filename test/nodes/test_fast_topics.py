@@ -15,7 +15,7 @@ from rotcal_msgs.msg import TracerLength
 from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.qos import STREAM
-from rotcal_ros.nodes.writing.listening import TOGETHER_S, TopicListener
+from rotcal_ros.nodes.writing.topic_listener import TOGETHER_S, TopicListener
 from rotcal_ros.sessions.environment import node_environment
 
 RATE_HZ, SECONDS = 200, 2.0

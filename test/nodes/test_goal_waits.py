@@ -10,10 +10,10 @@ pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros.foundation import machine_load
-from rotcal_ros.nodes.goal import watch as goal_watch
+from rotcal_ros.nodes.goal import goal_watch
 from rotcal_ros.nodes.goal.crew import Codes, Crew, GoalError
+from rotcal_ros.nodes.goal.goal_watch import GoalWatch
 from rotcal_ros.nodes.goal.progress import GoalProgress
-from rotcal_ros.nodes.goal.watch import GoalWatch
 from rotcal_ros.nodes.runtime import cell_node
 from rotcal_ros.nodes.runtime.latest import HOPELESS, SILENT
 from rotcal_ros.planning.health_settings import HealthSettings

@@ -10,7 +10,7 @@ pytest.importorskip("rclpy")
 from rotcal_ros.bags import names
 from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.instruments.conventions import Conventions
-from rotcal_ros.nodes.writing import listening
+from rotcal_ros.nodes.writing import topic_listener
 from rotcal_ros.nodes.writing.heard_topic import HeardTopic
 from rotcal_ros.nodes.writing.recording import Channel
 
@@ -47,9 +47,9 @@ def test_a_topic_whose_subscription_fails_is_tried_again(monkeypatch):
             raise RuntimeError("the graph has just changed")
 
     for name in ("message_type", "adapted_qos", "described_channel"):
-        monkeypatch.setattr(listening, name, lambda *_arguments: SimpleNamespace())
-    monkeypatch.setattr(listening, "_wanted_topics", lambda *_: {"/cell/plan": "a type"})
-    listener = object.__new__(listening.TopicListener)
+        monkeypatch.setattr(topic_listener, name, lambda *_arguments: SimpleNamespace())
+    monkeypatch.setattr(topic_listener, "_wanted_topics", lambda *_: {"/cell/plan": "a type"})
+    listener = object.__new__(topic_listener.TopicListener)
     listener.topics, listener.refused, listener._stop = {}, {}, []
     publisher = SimpleNamespace(qos_profile=None)
     listener._node = SimpleNamespace(get_publishers_info_by_topic=lambda _name: [publisher])

@@ -9,7 +9,7 @@ pytest.importorskip("rclpy")
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
 from rotcal_ros.capture.heard import Believed
-from rotcal_ros.nodes.runtime.concerns import INTRUDER
+from rotcal_ros.nodes.runtime.diagnostic_warnings import INTRUDER
 from rotcal_ros.nodes.runtime.hearing import APART, BELIEVED, HEARS, Hearing, digest, origin_of
 
 POINTS, SENT = "/cell/probe_point", "/cell/observation"
@@ -107,7 +107,7 @@ def test_a_node_that_was_started_anew_is_named_as_that(there, anew):
     node.there = there
     assert not hearing.hears(POINTS, info(STRAY))
     assert f"node {there[-1][0]} " in node.said[0]
-    assert ("started anew" in node.said[0]) == anew
+    assert ("restarted" in node.said[0]) == anew
     assert ("end that node" in node.said[0]) != anew
 
 

@@ -63,7 +63,7 @@ def test_events_are_handled_once_and_no_turn_waits_for_them(monkeypatch):
     from std_msgs.msg import Bool
 
     from rotcal_ros.nodes.runtime.managed_node import ManagedNode
-    from rotcal_ros.nodes.runtime.turns import handle_events
+    from rotcal_ros.nodes.runtime.timers_and_events import handle_events
     from rotcal_ros.sessions.environment import node_environment
 
     for name, value in node_environment().items():

@@ -62,7 +62,7 @@ TOLD = {
     "adapter, no velocity": ("", "", ""),
     "adapter, table's clock": ("stamps", "doubt", "0.40 s"),
     "adapter, 5 Hz": ("joint_states", "doubt", "comes at 5 Hz"),
-    "adapter, second table": ("joint", "missing", "2 publishers tell of the joint 'rotary'"),
+    "adapter, second table": ("joint", "missing", "2 publishers publish the joint 'rotary'"),
     "adapter, positions": ("controller", "missing", "hw/table takes positions"),
     "adapter, not active": ("controller", "missing", "nobody takes"),
 }

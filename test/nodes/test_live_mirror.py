@@ -71,7 +71,7 @@ def test_the_planner_waits_for_the_tracker_and_asks_again_for_a_displaced_nest(c
     resume(live)
     again = paused(client)
     assert again.startswith("not as it should be: nest 4 moved between tracker stations 0 and 1")
-    assert "put it right" in again
+    assert "correct it" in again
     resume(live)
     outcome = client.result()
     assert outcome["error_code"] == 0, outcome["error_msg"]

@@ -13,7 +13,7 @@ from rotcal_msgs.msg import CalibrationPlan
 from rotcal_ros.capture.heard import PATIENCE_S
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.nodes.runtime import planners_plans
-from rotcal_ros.nodes.runtime.concerns import FOREIGN_PLAN
+from rotcal_ros.nodes.runtime.diagnostic_warnings import FOREIGN_PLAN
 from rotcal_ros.nodes.runtime.planners_plans import PlannersPlans
 from rotcal_ros.nodes.runtime.plans import RUN, run_name
 

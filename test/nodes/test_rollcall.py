@@ -107,7 +107,7 @@ def test_an_overload_is_one_line_at_its_begin_and_one_at_its_end():
         "waiting for capture (1.6 s), solver (2.0 s): slow, not lost; load 23.0 on 2 cores; it "
         "goes on by itself"
     )
-    assert f"nobody has been slow for {OVER_S:g} s: waited 60 times" in lines[1]
+    assert f"no node has been slow for {OVER_S:g} s: waited 60 times" in lines[1]
     assert "5.0 s" in lines[1]
 
 

@@ -13,7 +13,7 @@ from live_cell import DEADLINE_S, DEMO, SHORT, wait_until
 
 from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.recordings.replay import read_recording
-from rotcal_ros.recordings.sources import read_source
+from rotcal_ros.recordings.result_sources import read_source
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")

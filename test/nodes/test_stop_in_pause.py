@@ -9,7 +9,7 @@ pytest.importorskip("rotcal_msgs")
 
 from std_srvs.srv import Trigger
 
-from rotcal_ros.nodes.goal.asking import obstacle
+from rotcal_ros.nodes.goal.operator_requests import obstacle
 from rotcal_ros.nodes.goal.pauses import Pauses
 
 BETWEEN = "not resumed: an emergency stop came in between: look, then resume again"

@@ -11,7 +11,7 @@ import warm
 from live_cell import wait_until
 
 from rotcal_ros.foundation.machine_load import patient
-from rotcal_ros.recordings.sources import read_source
+from rotcal_ros.recordings.result_sources import read_source
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")

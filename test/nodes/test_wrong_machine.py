@@ -27,7 +27,7 @@ SENTENCES = {
         TOPIC_MISSING,
         "stamps of tracer_length are constantly 4.0 s behind those of joint_states",
     ),
-    "deaf": (TOPIC_MISSING, "node wrong_machine hears nothing on /cell/table_angle"),
+    "deaf": (TOPIC_MISSING, "node wrong_machine cannot receive /cell/table_angle"),
 }
 
 

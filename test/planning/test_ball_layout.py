@@ -19,7 +19,7 @@ from rotcal_ros.methods.ball_plate.design.ball_plan import spread_out
 from rotcal_ros.methods.ball_plate.design.effort import required_effort, unit_std
 from rotcal_ros.methods.ball_plate.design.layout_variance import mean_variances, proven_bound
 from rotcal_ros.methods.ball_plate.solver import BallPlateProblem
-from rotcal_ros.methods.ball_plate.solver.general import solve_general
+from rotcal_ros.methods.ball_plate.solver.general_least_squares import solve_general
 
 PAPER_PLATE = [0, 8, 12, 18, 21, 28, 32, 37, 42, 50, 58, 62]
 RADIUS = 0.185

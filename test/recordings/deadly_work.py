@@ -6,8 +6,8 @@ import signal
 import time
 from pathlib import Path
 
-from rotcal_ros.recordings.kept import BagOutcome
-from rotcal_ros.recordings.many import Job, solve_bag
+from rotcal_ros.recordings.batch_solving import Job, solve_bag
+from rotcal_ros.recordings.outcome_cache import BagOutcome
 
 
 def work(job: Job) -> BagOutcome:

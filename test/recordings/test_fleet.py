@@ -13,8 +13,8 @@ import deadly_work
 from fleet_bags import configuration_text, write_bag, write_fleet
 
 from rotcal_ros.methods.configuration import parse_configuration
-from rotcal_ros.recordings.finding import find_bags
-from rotcal_ros.recordings.many import Job, solve_bag
+from rotcal_ros.recordings.bag_search import find_bags
+from rotcal_ros.recordings.batch_solving import Job, solve_bag
 from rotcal_ros.recordings.results_dataset import ResultsDataset
 from rotcal_ros.recordings.workers import on_all_cores
 from rotcal_ros.report.fleet_queries import asked, bags_by_table

@@ -137,7 +137,7 @@ def test_messages_that_contradict_others_are_told(expected, tmp_path):
     found = read_recording(write_mcap(tmp_path / "a.mcap", both))
     assert found.observations == expected
     count = Counter(m.topic.rpartition("/")[2] for m in ours)
-    assert [text.partition(" say ")[0] for text in found.warnings()] == [
+    assert [text.partition(" contradict ")[0] for text in found.warnings()] == [
         f"{count[role]} messages on {role}" for role in ("tracer_length", "probe_point")
     ]
 

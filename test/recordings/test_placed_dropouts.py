@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from rotcal_ros.bags.dropouts import GAP, Dropout
-from rotcal_ros.recordings.dropouts import Window, placed, sentences
+from rotcal_ros.recordings.placed_dropouts import Window, placed, sentences
 
 SECOND = 10**9
 
@@ -50,4 +50,4 @@ def test_words_name_few_steps_and_say_how_many_dropouts_there_are():
     (one,) = sentences(placed([file((2.0, 2.1))], windows(*[True] * 7)))
     assert one.endswith("; step 2")
     many = placed([file(*((n, n) for n in range(25)))], ())
-    assert sentences(many)[-1] == "and 5 dropouts more"
+    assert sentences(many)[-1] == "and 5 more dropouts"

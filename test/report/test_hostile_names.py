@@ -25,7 +25,7 @@ from rotcal_ros.foundation.escapes import printable, printable_lines, table_cell
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.settings import check_ros_name
-from rotcal_ros.recordings.sources import ResultSource
+from rotcal_ros.recordings.result_sources import ResultSource
 from rotcal_ros.report.recorded import write_result
 from rotcal_ros.report.terminal.columns import Column, Titled, print_tables, print_words
 from rotcal_ros.report.terminal.console import say, tell
@@ -191,7 +191,7 @@ def test_it_is_no_name_in_ros_unless_it_is_one(name):
 
 @pytest.mark.parametrize("text", ["a\ud800", "a\0b"])
 def test_what_no_message_can_hold_is_no_setting(text):
-    with pytest.raises(ConfigurationError, match="item: no text"):
+    with pytest.raises(ConfigurationError, match="is not valid text"):
         Identity.from_dict({"item": text})
 
 

@@ -165,7 +165,7 @@ def test_a_second_interruption_says_how_to_go_on_too(tmp_path, monkeypatch, reco
     told = Told()
     with pytest.raises(KeyboardInterrupt):
         following.calibrate(real, told)
-    assert "interrupted once more" in told[0]
+    assert "interrupted again" in told[0]
     expected = "to go on: rotcal run c.yaml --resume f" if recorded else "nothing was recorded yet"
     assert told[1].startswith(expected)
 

@@ -16,7 +16,7 @@ from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods import changed, prepare, read_configuration
-from rotcal_ros.recordings.sources import ResultSource, read_source
+from rotcal_ros.recordings.result_sources import ResultSource, read_source
 from rotcal_ros.report.verification import verification_section
 from rotcal_ros.sessions import verification
 from rotcal_ros.sessions.session import Session
@@ -180,13 +180,13 @@ def test_a_real_cell_is_measured_again_once_a_person_has_loaded_the_table(real):
     side = json.loads((folder / "compensation" / "c_linuxcnc.provenance.json").read_text())
     assert side["serial"] == "4711"
     assert real.rounds["after"].cell.table_in_force == side["contents_sha256"]
-    with pytest.raises(ConfigurationError, match="no table that waits to be loaded"):
+    with pytest.raises(ConfigurationError, match="no table waiting to be loaded"):
         verification.confirm_loaded(folder)
 
 
 @pytest.mark.parametrize(
     ("gain", "factor", "words"),
-    [(0.0, 1.0, "inactive, or on the wrong axis"), (-1.0, 2.0, "sign is turned round")],
+    [(0.0, 1.0, "inactive, or on the wrong axis"), (-1.0, 2.0, "sign is wrong")],
 )
 def test_a_table_that_a_control_uses_wrongly_is_named_and_not_added_to(real, gain, factor, words):
     folder = begun(real, again=True)
@@ -229,5 +229,5 @@ def test_a_real_cell_has_to_say_what_is_in_force_and_who_takes_the_table(real):
         verification.begin(real.configuration, real.root / "a", unknown, request)
     assert not (real.root / "a").exists()
     folder = begun(real)
-    with pytest.raises(ConfigurationError, match="no table that waits"):
+    with pytest.raises(ConfigurationError, match="no table waiting"):
         verification.confirm_loaded(folder)

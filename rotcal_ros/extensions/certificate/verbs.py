@@ -16,7 +16,7 @@ from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.foundation.untrusted import read_bytes
 from rotcal_ros.methods import find_method, method_names
 from rotcal_ros.recordings.inputs import Input
-from rotcal_ros.recordings.sources import read_source
+from rotcal_ros.recordings.result_sources import read_source
 from rotcal_ros.report.terminal.console import say
 
 

@@ -1,7 +1,7 @@
-"""An instrument of an installed plug-in: publishes its lengths, or the places it was sent to.
+"""An instrument of an installed plug-in: publishes its lengths, or its positions.
 
-What it speaks is the plug-in's matter, see ``instrument`` beside it; its thread is ``driver``.
-This node only passes on.
+Its protocol is up to the plug-in, see ``instrument`` beside it; its thread is ``driver``. This
+node only passes orders and readings on.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rotcal_ros.instruments.interpreter import Interpreter
 from rotcal_ros.nodes.instruments.topics import InstrumentTopics
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.concerns import COMPLAINT, show
+from rotcal_ros.nodes.runtime.diagnostic_warnings import COMPLAINT, show
 from rotcal_ros.nodes.runtime.draining import Batch, sent_ns
 from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
 from rotcal_ros.nodes.runtime.running import run
@@ -64,7 +64,7 @@ LOOK_PERIOD_S = 0.2
 
 
 class InstrumentDriverNode(CellNode):
-    """Gives the driver of one instrument its orders and feedback, and publishes what it tells."""
+    """Gives the driver of one instrument its orders and feedback, and publishes its readings."""
 
     def __init__(self) -> None:
         super().__init__("instrument_driver")
@@ -95,7 +95,7 @@ class InstrumentDriverNode(CellNode):
         self._driver.begin()
 
     def deactivated(self) -> None:
-        """Let go of the instrument."""
+        """Release the instrument."""
         self._driver.stop()
 
     def stopped(self) -> bool:

@@ -1,7 +1,7 @@
-"""A measuring machine with a rotary table behind I++ DME: takes orders, tells points and feedback.
+"""A measuring machine with a rotary table behind I++ DME: takes orders, gives points and feedback.
 
-What the machine is told and what it answers is the matter of the ``driver`` beside it, whose
-thread may wait; this node only passes on.
+The dialogue with the machine is that of the ``driver`` beside it, whose thread may wait; this node
+only passes orders and answers on.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from rotcal_ros.extensions.ipp_dme.settings import DmeSettings
 from rotcal_ros.foundation.observations import Command, ProbeSample, TableSample
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.concerns import BLOCKED, show
+from rotcal_ros.nodes.runtime.diagnostic_warnings import BLOCKED, show
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.planners_plans import PlannersPlans
 from rotcal_ros.nodes.runtime.plans import RUN, calibration_of, load_method, run_name
@@ -35,10 +35,10 @@ from rotcal_ros.planning.safety_settings import SafetySettings
 
 WATCH_PERIOD_S: Final = 0.1
 LOOKS_FIRST: Final = round(5.0 / WATCH_PERIOD_S)
-"""Looks before the machine is spoken to: 5 s to find an adapter that was there, and hear it."""
+"""Looks before the machine is contacted: 5 s to find an adapter that was there, and hear it."""
 PLANNER: Final = "planner"
 UNBLOCKED: Final = ("", NOT_STARTED)
-HOW_TO_GO_ON: Final = "; once that is put right, a person goes on with the service clear_errors"
+HOW_TO_GO_ON: Final = "; once that is corrected, a person continues with the service clear_errors"
 
 
 class DmeAdapter(CellNode):
@@ -48,7 +48,7 @@ class DmeAdapter(CellNode):
         super().__init__("dme_adapter")
 
     def configure(self) -> None:
-        """Get ready to speak to the machine, which begins with the first activation."""
+        """Prepare the session with the machine, which begins with the first activation."""
         load_method(self)
         settings = self.settings("dme", DmeSettings)
         self._joint = self.settings("cell", CellSettings).joint or "table"
@@ -81,7 +81,7 @@ class DmeAdapter(CellNode):
         return not self._driver.alive
 
     def _begin(self) -> None:
-        """Obey, in a session that begins now; after a stop a person lets it begin, it may home."""
+        """Obey, in a session that begins now; it may home, so after a stop a person allows it."""
         why = self._stop.heed()
         self._driver.begin(why and f"{NOT_STARTED}: emergency stop: {why}")
         self._orders = self.take_orders(self._obey)
@@ -113,7 +113,7 @@ class DmeAdapter(CellNode):
     async def _clear(
         self, _request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        """Go on after an error: whoever calls this has seen why the machine stopped."""
+        """Continue after an error: the caller has seen why the machine stopped."""
         if self._stop.why:
             response.message = f"the emergency stop is on: {self._stop.why}"
             return response
@@ -125,7 +125,7 @@ class DmeAdapter(CellNode):
         return response
 
     def _watch(self) -> None:
-        """Begin when nobody else holds the machine; then look who is served, and what is wrong."""
+        """Begin when no other adapter holds the machine; then check whom it serves, and faults."""
         if self._looks < LOOKS_FIRST and not self.health.refused:
             self._looks += 1
             if self._looks == LOOKS_FIRST:
@@ -135,7 +135,7 @@ class DmeAdapter(CellNode):
         show(self.health, BLOCKED, blocked + HOW_TO_GO_ON if blocked not in UNBLOCKED else "")
 
     def _planners_run(self) -> str:
-        """Return for which run of a plan the planner works; empty: for none, or nobody knows."""
+        """Return for which run of a plan the planner works; empty: for none, or unknown."""
         if PLANNER in self.health.lost:
             return ""
         return self.health.values(PLANNER).get(RUN, "")
@@ -149,7 +149,7 @@ class DmeAdapter(CellNode):
         self._served = run
 
     def _node_lost(self, name: str) -> None:
-        """Stop the machine when nobody is left who knows what it is moving for."""
+        """Stop the machine when the planner for which it moves is lost."""
         if name == PLANNER:
             self._drop("the planner was lost in the middle of a step")
 

@@ -3,9 +3,9 @@
 It speaks JSON lines, for ``rotcal replay``: ``reading``, ``left_out``, ``note``, ``playing``,
 ``solving``, ``result``. SIGINT or SIGTERM ends it.
 
-Company in which no bag is replayed: a machine that would move, a second source of a topic.
+Nodes beside which no bag is replayed: a machine that would move, a second source of a topic.
 
-What live nodes made of a replayed bag, held against what was recorded.
+What live nodes made of a replayed bag, compared with what was recorded.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import read_blocks
 from rotcal_ros.bags.rosbag2_metadata import INFINITE_NS, qos_profiles
-from rotcal_ros.bags.unread import unread
+from rotcal_ros.bags.unread_data import unread
 from rotcal_ros.capture import messages
 from rotcal_ros.evaluation.marks import marks
 from rotcal_ros.extensions.replay.replayed_bag import CLOCK, ReplayedBag, of_attempts
@@ -57,7 +57,7 @@ from rotcal_ros.nodes.runtime.running import EndRequest, leave_with
 from rotcal_ros.nodes.writing.bookkeeping import NEVER_PAUSE
 
 VOLATILE_DEPTH: Final = 5000
-"""The graph tells no recorder how deep a publisher's queue was: so much is kept for slow ones."""
+"""The graph does not show how deep a publisher's queue was: so much is kept for slow readers."""
 _BEST_EFFORT: Final = ("best_effort", 2)
 _TRANSIENT_LOCAL: Final = ("transient_local", 1)
 """In words, and the numbers of older bags."""
@@ -109,7 +109,7 @@ class ReplayPace:
         self._begun_s = time.monotonic()
 
     def stood_still(self, seconds: float) -> None:
-        """Go on behind a pause as if there had been none."""
+        """Go on after a pause as if there had been none."""
         self._begun_s += seconds
 
     def passed_s(self) -> float:
@@ -130,7 +130,7 @@ class ReplayPace:
 
 
 def read_arguments(argv: Sequence[str]) -> Namespace:
-    """Return what the player is asked for; the process ends where that is nothing it knows."""
+    """Return the options of the player; the process ends where they are wrong."""
     parser = ArgumentParser(prog="player")
     parser.add_argument("bag", type=Path)
     parser.add_argument("--rate", type=float, default=1.0)
@@ -144,7 +144,7 @@ def read_arguments(argv: Sequence[str]) -> Namespace:
 
 
 LOOK_AROUND_S: Final = 2.0
-"""So long the graph is looked at before anything is published."""
+"""The graph is watched for so long before anything is published."""
 LISTENERS_S, PLAN_TAKEN_S, NODES_S = 10.0, 120.0, 60.0
 TOLD_PERIOD_S: Final = 0.2
 _AHEAD_S: Final = 5e-4  # nobody waits for less
@@ -231,7 +231,7 @@ class Player:
             say("note", text=f"warning: {' and '.join(nodes)} do not listen to all of {left}")
 
     def _wait_until(self, log_time_ns: int) -> None:
-        """Wait until it is time for a message; the clock runs, and Ctrl-C is heard, meanwhile."""
+        """Wait until it is time for a message; meanwhile the clock runs, and Ctrl-C is handled."""
         while (left_s := self._pace.left_s(log_time_ns)) > _AHEAD_S:
             self._look()
             self._peer.work_until(lambda: False, min(left_s, CLOCK_PERIOD_S))
@@ -248,7 +248,7 @@ class Player:
         return bool(met)
 
     def _look(self) -> None:
-        """Do what is due: the clock, the progress, the look around."""
+        """Do what is due: the clock, the progress, the look at the graph."""
         if self._end:
             raise Ended
         now_s = time.monotonic()
@@ -301,15 +301,15 @@ _OF_THE_PLANNER: Final = (
 )  # fmt: skip
 """Roles that an idle planner is known to publish."""
 _NAMELESS: Final = "_NODE_NAME_UNKNOWN_"
-"""What the middleware calls a node whose topics it hears of before its name."""
+"""What the middleware calls a node whose topics it discovers before its name."""
 _NAMES_S, _PERIOD_S = 10.0, 1.0
 Wait = Callable[[Callable[[], bool], float], object]
 
 
 class ReplayGuard:
-    """Looks around again and again; ``wait`` waits while the recording stands still.
+    """Looks at the graph again and again; ``wait`` waits while the recording stands still.
 
-    A node is known by its topics before it is by its name: each gets some time to tell it.
+    A node's topics are known before its name: each gets some time to be named.
     """
 
     def __init__(
@@ -370,12 +370,13 @@ def _moved(
             if not name.startswith(_COMMAND_LINE):
                 yield (
                     f"node {name} listens to {topic}: replayed orders would move its machine; end "
-                    f"it, use another ROS_DOMAIN_ID, or say that it only looks: --watcher {name}"
+                    "it, use another ROS_DOMAIN_ID, or declare that it only watches: --watcher "
+                    f"{name}"
                 )
 
 
 def _sources(node: Node, bag: ReplayedBag, topics: Iterable[str]) -> Iterator[str]:
-    """Yield which topics come from somebody else already."""
+    """Yield which topics another node publishes already."""
     for topic in topics:
         others = _publishers(node, topic)
         if bag.called.role(topic) in _OF_THE_PLANNER:
@@ -393,7 +394,7 @@ def _publishers(node: Node, topic: str) -> list[str]:
 
 
 ARRIVAL_S: Final = 10.0
-"""So long the last observations may take behind the last message."""
+"""The last observations may take so long after the last message."""
 SOLVE_S: Final = 3600.0
 _SHOWN: Final = 3
 
@@ -450,27 +451,28 @@ class ReplayOutcome:
             )
         if remappings := self._bag.remappings():
             yield (
-                "some topics were called otherwise; nodes hear them with the configuration in the "
-                f"bag, or --ros-args {' '.join(remappings)}"
+                "some topics had other names; nodes hear them with the configuration in the bag, "
+                f"or --ros-args {' '.join(remappings)}"
             )
         if anew := self._bag.taken_when_sent():
             yield (
-                f"warning: {', '.join(anew)}: taken when they are sent (no header, or "
-                "topics.*_clock: sent), which is now; observations are not the recorded ones, and "
-                "beside streams with stamps of then there are none: rotcal solve reads the bag"
+                f"warning: {', '.join(anew)}: stamped when they are sent (no header, or "
+                "topics.*_clock: sent), which is now; observations differ from the recorded ones, "
+                "and together with streams that have recorded stamps there are none: rotcal solve "
+                "reads the bag"
             )
         if clock:
             yield "nodes follow /clock where they have use_sim_time: true"
 
     def tell(self, result: Path | None, *, finish: bool) -> None:
-        """Say what became of it, and keep the result where that is asked for."""
+        """Report the outcome, and keep the result where that is asked for."""
         found: dict[str, object] = {}
         if "capture" in self.live() and self._bag.plan_id:
             found = self._compared()
         if finish and "solver" in self.live() and self._bag.plan_id:
             found |= self._solved(result)
         elif result is not None:
-            raise ConfigurationError(f"no result for {result}: no solver was asked for one")
+            raise ConfigurationError(f"no result for {result}: no solver was asked for it")
         say("result", **found)
 
     def _hear(self, message: ObservationMsg) -> None:

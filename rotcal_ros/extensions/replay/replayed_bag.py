@@ -1,4 +1,4 @@
-"""What of a recorded bag is published again, and what it says its nodes had made of it; no ROS."""
+"""What of a recorded bag is published again, and what its nodes had made of it; no ROS."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks
-from rotcal_ros.bags.scan import Scan
 from rotcal_ros.bags.session_identity import require_one_session
+from rotcal_ros.bags.storage_scan import Scan
 from rotcal_ros.bags.topic_roles import CalledOtherwise
 from rotcal_ros.capture import messages
 from rotcal_ros.foundation.errors import BagError
@@ -29,7 +29,7 @@ OUTPUTS: Final = frozenset({
     names.OBSERVATION, names.OBSERVATION_RECORDED, "deviations", "compensation_table",
     "volumetric_correction", "scene", "scene_motion", names.HEARTBEAT, names.DROPOUTS,
 })  # fmt: skip
-"""Last names of what our own nodes make of the streams: live ones shall make it again."""
+"""Last names of the topics that our own nodes make of the streams: live nodes make them again."""
 OF_ROS: Final = ("/diagnostics", "/rosout", "/parameter_events", "/clock")
 CLOCK: Final = "/clock"
 _PACKAGE: Final = "rotcal_msgs/"
@@ -103,12 +103,12 @@ class ReplayedBag:
         return [topic for topic in self.channels if self.called.role(topic) in wanted]
 
     def taken_when_sent(self) -> list[str]:
-        """Return the published topics whose messages bear the time of sending: that of now."""
+        """Return the published topics whose messages get the time of sending, which is now."""
         sent, role = Conventions(read_topics(self.configuration)).by_sending, self.called.role
         return sorted(t for t, c in self.channels.items() if sent(role(t), c.type_name))
 
     def remappings(self) -> list[str]:
-        """Return the remappings without which the nodes hear not all of it."""
+        """Return the remappings that the nodes need to hear all of it."""
         return [f"-r {role}:={topic}" for role, topic in sorted(self.called.topics.items())]
 
     def _name(self, found: _BagPass) -> None:
@@ -142,7 +142,7 @@ class ReplayedBag:
             if own := topic in OF_ROS or self.called.role(topic) in OUTPUTS:
                 self.outputs.add(topic)
             if topic == CLOCK or "/_" in topic:
-                self.left_out[topic] = "it belongs to those who ran then"
+                self.left_out[topic] = "it belongs to the nodes of that time"
             elif own and not everything:
                 self.left_out[topic] = "nodes made it of the streams (--all)"
             elif channel.message_encoding not in ("", "cdr"):
@@ -150,7 +150,7 @@ class ReplayedBag:
         self.leave_out(self.left_out)
 
     def leave_out(self, why: Mapping[str, str]) -> None:
-        """Publish some topics not."""
+        """Leave some topics out."""
         self.left_out |= why
         for topic in why:
             self.channels.pop(topic, None)

@@ -15,7 +15,7 @@ from typing import Any, Final, NoReturn
 
 import click
 
-from rotcal_ros.bags.unread import note_unread
+from rotcal_ros.bags.unread_data import note_unread
 from rotcal_ros.cli.console import (
     INTERRUPTED,
     VERDICT_EXIT_CODES,
@@ -36,10 +36,10 @@ _ERRORS: Final = {2: ConfigurationError, 3: DataError}
 
 
 def _rate(_context: click.Context, _option: click.Parameter, value: float) -> float:
-    """Refuse a pace that is none."""
+    """Refuse an invalid pace."""
     if not math.isfinite(value) or not LEAST_RATE <= value <= LARGEST_RATE:
         raise click.BadParameter(
-            f"{value:g} is no pace: {LEAST_RATE:g} (slow motion) to {LARGEST_RATE:g} (fast)"
+            f"{value:g} is no valid pace: {LEAST_RATE:g} (slow motion) to {LARGEST_RATE:g} (fast)"
         )
     return value
 
@@ -52,7 +52,7 @@ def _rate(_context: click.Context, _option: click.Parameter, value: float) -> fl
 )  # fmt: skip
 @click.option("--clock", is_flag=True, help="Publish the time of the recording on /clock.")
 @click.option(
-    "--all", "everything", is_flag=True, help="Publish too what nodes had made of the streams."
+    "--all", "everything", is_flag=True, help="Also publish what nodes had made of the streams."
 )
 @click.option("--no-finish", is_flag=True, help="Do not ask a live solver for the result.")
 @click.option(
@@ -62,7 +62,7 @@ def _rate(_context: click.Context, _option: click.Parameter, value: float) -> fl
     help="Keep the result of the live solver as JSON.",
 )
 @click.option(
-    "--wait-for", "nodes", multiple=True, metavar="NODE", help="Begin when this node is there."
+    "--wait-for", "nodes", multiple=True, metavar="NODE", help="Begin when this node has appeared."
 )
 @click.option(
     "--watcher", "watchers", multiple=True, metavar="NODE",

@@ -69,7 +69,7 @@ class JointWatch:
         return self.latest.angle if isfinite(self.latest.angle) else None
 
     def motion(self, now_s: float) -> tuple[float, float] | None:
-        """Return where the joint is (rad) and its velocity (rad/s); None where nobody tells."""
+        """Return where the joint is (rad) and its velocity (rad/s); None where unknown."""
         here = self.here(now_s)
         return None if here is None else (here, self.velocity)
 

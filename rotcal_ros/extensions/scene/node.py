@@ -1,6 +1,6 @@
-"""The scene node: plan, table, targets and errors as markers, for RViz, Foxglove and their like.
+"""The scene node: plan, table, targets and errors as markers, for RViz, Foxglove and so on.
 
-No other node needs it. It publishes seldom and only what has changed, since all of it goes into
+No other node needs it. It publishes rarely and only what has changed, since all of it goes into
 the bag; ``tf`` is published where the package tf2_msgs is installed.
 """
 
@@ -42,7 +42,7 @@ from rotcal_ros.nodes.runtime.running import run
 
 
 def markers(shapes: Iterable[Shape], stamp_ns: int) -> MarkerArray:
-    """Return a whole scene, which takes the place of what its topic has shown before."""
+    """Return a whole scene, which replaces what its topic has shown before."""
     clear = Marker(header=header(stamp_ns), action=Marker.DELETEALL)
     return MarkerArray(markers=[clear, *(_marker(shape, stamp_ns) for shape in shapes)])
 

@@ -17,7 +17,7 @@ from rotcal_ros.methods.ball_plate.design.ball_plan import (
 )
 from rotcal_ros.methods.ball_plate.plate import checked
 from rotcal_ros.methods.ball_plate.settings import SURFACE, BallPlatePlanSettings
-from rotcal_ros.methods.ball_plate.solver.general import MIN_BALLS
+from rotcal_ros.methods.ball_plate.solver.general_least_squares import MIN_BALLS
 from rotcal_ros.methods.ball_plate.solver.problem import position_of
 from rotcal_ros.methods.ball_plate.solver.rejection import MOST_OPEN
 from rotcal_ros.methods.ball_plate.solver.solve import METHOD

@@ -20,7 +20,7 @@ from rotcal_ros.methods.tracer.lengths import (
     reported_positions,
 )
 from rotcal_ros.methods.tracer.settings import TracerPlanSettings
-from rotcal_ros.methods.tracer.solver.joins import (
+from rotcal_ros.methods.tracer.solver.joined_runs import (
     RepeatedLengths,
     Runs,
     adjust_at_equal_places,
@@ -41,8 +41,8 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     """Solve the accepted observations of a laser-tracer plan.
 
     Those of several runs of an interrupted plan are joined by what was measured twice:
-    :mod:`rotcal_ros.methods.tracer.solver.joins`. Repeated runs of the plan become one curve over
-    the distinct angles: :mod:`rotcal_ros.methods.arrivals`.
+    :mod:`rotcal_ros.methods.tracer.solver.joined_runs`. Repeated runs of the plan become one curve
+    over the distinct angles: :mod:`rotcal_ros.methods.arrivals`.
     """
     result, positions = _solved(configuration, plan, observations)
     arrivals = _arrivals(configuration)

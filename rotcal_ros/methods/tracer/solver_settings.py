@@ -126,8 +126,8 @@ class TracerSolverSettings(LengthNoiseSettings):
     )
     slip_m: float = setting(
         0.3164e-6,
-        doc="m, with a zero per_segment: a fringe by which the counter may slip without a word; "
-        "what would not be found of it is in the uncertainty; 0: the counter does not slip",
+        doc="m, with a zero per_segment: a fringe by which the counter may slip unnoticed; what "
+        "would not be found of it is in the uncertainty; 0: the counter does not slip",
         minimum=0.0,
         maximum=1e-5,
     )

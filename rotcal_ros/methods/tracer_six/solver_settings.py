@@ -29,8 +29,8 @@ class TracerSixSolverSettings(LengthNoiseSettings):
     )
     slip_m: float = setting(
         0.3164e-6,
-        doc="m, a fringe by which the counter may slip without a word where lengths share zeros; "
-        "what would not be found of it is in the uncertainty; 0: the counter does not slip",
+        doc="m, a fringe by which the counter may slip unnoticed where lengths share zeros; what "
+        "would not be found of it is in the uncertainty; 0: the counter does not slip",
         minimum=0.0,
         maximum=1e-5,
     )

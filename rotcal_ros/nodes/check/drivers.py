@@ -13,7 +13,7 @@ from rotcal_ros.methods import Configuration
 from rotcal_ros.methods.check_lines import CheckLine, DriverCheck
 
 if TYPE_CHECKING:
-    from rotcal_ros.nodes.check.heard import HeardCell
+    from rotcal_ros.nodes.check.cell_snapshot import CellSnapshot
 
 
 class TableEars(Protocol):
@@ -40,19 +40,19 @@ def table_ears(node: Node, configuration: Configuration) -> TableEars | None:
     return None
 
 
-def brought(heard: HeardCell) -> dict[str, list[str]]:
+def brought(snapshot: CellSnapshot) -> dict[str, list[str]]:
     """Return role -> nodes of all that drivers will bring which are not here yet."""
     found: dict[str, list[str]] = {}
-    for group, check in _checks(heard.configuration):
-        if (node := FURTHER_NODES[group]) not in heard.nodes:
-            for role in check.brings(heard.configuration.group(group)):
+    for group, check in _checks(snapshot.configuration):
+        if (node := FURTHER_NODES[group]) not in snapshot.nodes:
+            for role in check.brings(snapshot.configuration.group(group)):
                 found.setdefault(role, []).append(node)
     return found
 
 
-def brought_line(heard: HeardCell, part: str, role: str, does: str) -> CheckLine | None:
+def brought_line(snapshot: CellSnapshot, part: str, role: str, does: str) -> CheckLine | None:
     """Return the line of a role that a driver will bring; None where none will."""
-    nodes = heard.brought.get(role, [])
+    nodes = snapshot.brought.get(role, [])
     if not nodes:
         return None
     if len(nodes) > 1:
@@ -61,12 +61,12 @@ def brought_line(heard: HeardCell, part: str, role: str, does: str) -> CheckLine
     return CheckLine(part, role, "note", f"{nodes[0]} {does}, which rotcal run starts")
 
 
-def driver_lines(heard: HeardCell) -> Iterator[CheckLine]:
+def driver_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
     """Yield whether the devices of the drivers are there, as far as that is seen from outside."""
-    configuration = heard.configuration
-    for group, check in _checks(heard.configuration):
+    configuration = snapshot.configuration
+    for group, check in _checks(snapshot.configuration):
         if check.look is not None:
-            here = FURTHER_NODES[group] in heard.nodes
+            here = FURTHER_NODES[group] in snapshot.nodes
             yield check.look(configuration.group(group), here, configuration.simulated)
 
 

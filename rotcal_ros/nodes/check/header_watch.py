@@ -1,4 +1,4 @@
-"""What the headers of a topic tell: how often, how late, in which frames; whatever its type.
+"""What the headers of a topic show: how often, how late, in which frames; whatever its type.
 
 The messages stay bytes: only their first bytes are read, so that a fast stream costs little.
 """
@@ -26,7 +26,8 @@ _KEPT = 5000
 class HeaderWatch:
     """The headers of the messages since the beginning; times of arrival are of this machine.
 
-    ``heard_s`` is the monotonic time of the latest one: a clock that is set is no silence.
+    ``heard_s`` is the monotonic time of the latest one: setting a clock does not look like
+    silence.
     """
 
     count: int = 0
@@ -48,7 +49,7 @@ class HeaderWatch:
 
     @property
     def ahead_s(self) -> float | None:
-        """Stamp less time of arrival, in the middle; None where nothing is stamped."""
+        """Median of stamp less time of arrival; None where nothing is stamped."""
         return median(self._ahead_ns) * NANOSECOND if self._ahead_ns else None
 
     def note(self, data: bytes, received_ns: int) -> int:

@@ -11,10 +11,10 @@ from rotcal_ros.capture.stamp_offsets import DOUBT_S
 from rotcal_ros.instruments.conventions import single_shots
 from rotcal_ros.instruments.interpreter import FAST
 from rotcal_ros.methods.check_lines import CheckLine, State
+from rotcal_ros.nodes.check.cell_snapshot import CellSnapshot
 from rotcal_ros.nodes.check.drivers import brought_line
 from rotcal_ros.nodes.check.header_watch import HeaderWatch
-from rotcal_ros.nodes.check.heard import HeardCell
-from rotcal_ros.nodes.check.neighbours import namesakes
+from rotcal_ros.nodes.check.other_nodes import namesakes
 from rotcal_ros.nodes.goal.preflight import (
     air_doubts,
     expected_air,
@@ -25,7 +25,7 @@ from rotcal_ros.nodes.goal.preflight import (
     slow_table,
     without_air,
 )
-from rotcal_ros.nodes.runtime.concerns import CLOCK_DOUBT, OFFSET
+from rotcal_ros.nodes.runtime.diagnostic_warnings import CLOCK_DOUBT, OFFSET
 from rotcal_ros.nodes.runtime.latest import NOW, REFUSED
 from rotcal_ros.nodes.runtime.topic_names import name_in
 
@@ -52,93 +52,94 @@ _IN_WORDS: Final[Mapping[str, str]] = {
 }  # fmt: skip
 
 
-def stream_lines(heard: HeardCell) -> Iterator[CheckLine]:
+def stream_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
     """Yield a line for every stream."""
     for topic in KINDS:
-        yield _line(heard, topic)
+        yield _line(snapshot, topic)
 
 
-def clock_line(heard: HeardCell) -> CheckLine:
+def clock_line(snapshot: CellSnapshot) -> CheckLine:
     """Say whether the clocks of the streams agree, by the times of arrival."""
-    if OFFSET in heard.values:
-        return CheckLine("clocks", "stamps", "missing", heard.values[OFFSET], _CLOCKS)
-    if doubt := heard.values.get(CLOCK_DOUBT):
+    if OFFSET in snapshot.values:
+        return CheckLine("clocks", "stamps", "missing", snapshot.values[OFFSET], _CLOCKS)
+    if doubt := snapshot.values.get(CLOCK_DOUBT):
         return CheckLine("clocks", "stamps", "doubt", doubt, _CLOCKS)
-    if not heard.compared:
+    if not snapshot.compared:
         return CheckLine("clocks", "stamps", "note", "too few stamped streams to compare")
-    found = f"{', '.join(heard.compared)} and joint_states agree within {DOUBT_S:g} s"
+    found = f"{', '.join(snapshot.compared)} and joint_states agree within {DOUBT_S:g} s"
     return CheckLine("clocks", "stamps", "good", found)
 
 
-def _line(heard: HeardCell, topic: str) -> CheckLine:
+def _line(snapshot: CellSnapshot, topic: str) -> CheckLine:
     part, _ = KINDS[topic]
-    offers, watch = heard.graph.offers(heard.name(topic)), heard.headers.get(topic, HeaderWatch())
+    offers, watch = (
+        snapshot.graph.offers(snapshot.name(topic)),
+        snapshot.headers.get(topic, HeaderWatch()),
+    )
     if not offers:
-        return _absent(heard, topic)
-    problem, todo = _problem(heard, topic, offers, watch)
-    doubt, advice = _doubt(heard, topic, watch)
+        return _absent(snapshot, topic)
+    problem, todo = _problem(snapshot, topic, offers, watch)
+    doubt, advice = _doubt(snapshot, topic, watch)
     state: State = "missing" if problem else "doubt" if doubt else "good"
-    if problem and topic not in heard.topics:
+    if problem and topic not in snapshot.topics:
         state = "doubt"
-    return CheckLine(
-        part, topic, state, "; ".join(filter(None, [problem, doubt, _seen(heard, topic, offers)])),
-        todo or advice, watch.rate_hz, watch.ahead_s,
-    )  # fmt: skip
+    found = "; ".join(filter(None, [problem, doubt, _seen(snapshot, topic, offers)]))
+    return CheckLine(part, topic, state, found, todo or advice, watch.rate_hz, watch.ahead_s)
 
 
-def _absent(heard: HeardCell, topic: str) -> CheckLine:
+def _absent(snapshot: CellSnapshot, topic: str) -> CheckLine:
     """Return the line of a stream that nobody publishes."""
     part, kind = KINDS[topic]
-    name = heard.name(topic)
-    if heard.started_by_us:
+    name = snapshot.name(topic)
+    if snapshot.started_by_us:
         return CheckLine(part, topic, "note", "simulated: rotcal run starts it")
-    if line := brought_line(heard, part, topic, "tells it"):
+    if line := brought_line(snapshot, part, topic, "tells it"):
         return line
-    air = ([], []) if heard.calibration is None else expected_air(heard.calibration)
+    air = ([], []) if snapshot.calibration is None else expected_air(snapshot.calibration)
     required, wished = air
-    if topic in heard.topics or topic in required:
-        why = heard.unusable(topic)
-        todo = namesakes(heard.graph, topic, name, kind) or f"publish {kind} on {name}"
+    if topic in snapshot.topics or topic in required:
+        why = snapshot.unusable(topic)
+        todo = namesakes(snapshot.graph, topic, name, kind) or f"publish {kind} on {name}"
         return CheckLine(part, topic, "missing", why, todo)
     if topic in wished:
-        why = without_air(topic, name, heard.configuration)
+        why = without_air(topic, name, snapshot.configuration)
         return CheckLine(part, topic, "doubt", f"nobody publishes {name}", why)
     return CheckLine(part, topic, "note", "nobody publishes it, and nobody needs it")
 
 
 def _problem(
-    heard: HeardCell, topic: str, offers: list[Any], watch: HeaderWatch
+    snapshot: CellSnapshot, topic: str, offers: list[Any], watch: HeaderWatch
 ) -> tuple[str, str]:
     """Return why nothing can be measured with a stream, and what to do; empty: it can be."""
     _, kind = KINDS[topic]
-    name, limit_s = heard.name(topic), heard.configuration.planner.stream_timeout_s
-    if text := heard.values.get(REFUSED + topic):
+    name, limit_s = snapshot.name(topic), snapshot.configuration.planner.stream_timeout_s
+    if text := snapshot.values.get(REFUSED + topic):
         return text, f"publish {kind} on {name}"
-    bad_joint = topic == names.JOINT_STATES and any(heard.joint_faults())  # its line tells it
-    if not bad_joint and (why := heard.unusable(topic)):
+    bad_joint = topic == names.JOINT_STATES and any(snapshot.joint_faults())  # its line tells it
+    if not bad_joint and (why := snapshot.unusable(topic)):
         many = f"stop all publishers of {name} but one" if len(offers) > 1 else ""
-        if topic == names.JOINT_STATES and heard.adapter is not None:
-            many = heard.adapter.wrong()[1]
+        if topic == names.JOINT_STATES and snapshot.adapter is not None:
+            many = snapshot.adapter.wrong()[1]
         return why, many or _silent(watch, name)
-    if wrong := next(_faults(heard, topic), ""):
+    if wrong := next(_faults(snapshot, topic), ""):
         return wrong, f"publish {name} as expected, or set what its line names"
     if watch.unstamped and watch.unstamped == watch.count:
-        return "its messages bear no stamp", f"fill header.stamp of {name}: when it was measured"
+        return "its messages have no stamp", f"fill header.stamp of {name}: when it was measured"
     silence_s = time.monotonic() - watch.heard_s
-    steady = topic in FAST and topic not in single_shots(heard.configuration.topics)
+    steady = topic in FAST and topic not in single_shots(snapshot.configuration.topics)
     if steady and silence_s > limit_s:
         todo = f"let {name} stream without a pause, or raise planner.stream_timeout_s"
         return f"silent for {silence_s:.1f} s (planner.stream_timeout_s {limit_s:g})", todo
     return "", ""
 
 
-def _faults(heard: HeardCell, topic: str) -> Iterator[str]:
-    """Yield what the preflight has against the numbers of a stream."""
-    values, configuration = heard.values, heard.configuration
+def _faults(snapshot: CellSnapshot, topic: str) -> Iterator[str]:
+    """Yield what the preflight finds wrong with the numbers of a stream."""
+    values, configuration = snapshot.values, snapshot.configuration
     if topic == names.TRACER_LENGTH:
         yield from length_faults(values, configuration)
-    if topic == names.PROBE_POINT and heard.calibration is not None:
-        yield from probe_faults(values, configuration, heard.calibration.plan)
+    if topic == names.PROBE_POINT and snapshot.calibration is not None:
+        yield from probe_faults(values, configuration, snapshot.calibration.plan)
     called = name_in(values, topic)
     yield from (text for text in rate_faults(values, configuration) if text.startswith(called))
 
@@ -149,34 +150,34 @@ def _silent(watch: HeaderWatch, name: str) -> str:
     return f"{name} delivers nothing usable: see its status, and whether its numbers are finite"
 
 
-def _doubt(heard: HeardCell, topic: str, watch: HeaderWatch) -> tuple[str, str]:
+def _doubt(snapshot: CellSnapshot, topic: str, watch: HeaderWatch) -> tuple[str, str]:
     """Return what looks wrong about a stream though it can be measured with, and what to do."""
-    limit_s = heard.configuration.capture.stamp_offset_s
-    planned, is_table = heard.calibration, topic == names.JOINT_STATES
-    if planned and (small := next(size_doubts(heard.values, planned, topic), "")):
-        return small, f"publish {heard.name(topic)} in the unit that the group topics states"
-    if is_table and (slow := next(slow_table(heard.values, heard.configuration), "")):
-        return slow, f"publish {heard.name(topic)} more often"
-    text = next(air_doubts(heard.values, topic), "") if topic in _IN_WORDS else ""
+    limit_s = snapshot.configuration.capture.stamp_offset_s
+    planned, is_table = snapshot.calibration, topic == names.JOINT_STATES
+    if planned and (small := next(size_doubts(snapshot.values, planned, topic), "")):
+        return small, f"publish {snapshot.name(topic)} in the unit that the group topics states"
+    if is_table and (slow := next(slow_table(snapshot.values, snapshot.configuration), "")):
+        return slow, f"publish {snapshot.name(topic)} more often"
+    text = next(air_doubts(snapshot.values, topic), "") if topic in _IN_WORDS else ""
     if text:
-        return text, f"publish {heard.name(topic)} in {_IN_WORDS[topic]}"
-    fast = heard.configuration.simulated  # a simulation may run by a time of its own
+        return text, f"publish {snapshot.name(topic)} in {_IN_WORDS[topic]}"
+    fast = snapshot.configuration.simulated  # a simulation may run by a time of its own
     if watch.ahead_s is not None and abs(watch.ahead_s) > limit_s and not fast:
         way = "ahead of" if watch.ahead_s > 0 else "behind"
         text = f"stamps {abs(watch.ahead_s):.2f} s {way} this machine's clock"
         return text, _CLOCKS
     if watch.set_back:
         text = f"{watch.set_back} stamps go back"
-        return text, f"let the stamps of {heard.name(topic)} ascend"
+        return text, f"let the stamps of {snapshot.name(topic)} ascend"
     return "", ""
 
 
-def _seen(heard: HeardCell, topic: str, offers: list[Any]) -> str:
-    """Return what there is to see of a stream that somebody publishes."""
+def _seen(snapshot: CellSnapshot, topic: str, offers: list[Any]) -> str:
+    """Return what can be seen of a stream that is published."""
     nodes = ", ".join(sorted({info.node_name for info in offers}))
     profile = offers[0].qos_profile
     words = [f"node {nodes}"]
-    now = heard.values.get(NOW + topic, "")
+    now = snapshot.values.get(NOW + topic, "")
     if topic in _UNITS and now:
         words.append(_reading(now, topic))
     words.append(profile.reliability.name.lower().replace("_", " "))

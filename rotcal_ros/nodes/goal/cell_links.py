@@ -30,7 +30,7 @@ from rotcal_ros.foundation.observations import Command, Observation
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_graph import ORDERS, CellGraph
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.concerns import show
+from rotcal_ros.nodes.runtime.diagnostic_warnings import show
 from rotcal_ros.nodes.runtime.hearing import APART, HEARS, digest
 from rotcal_ros.nodes.runtime.identity import IDENTITY
 from rotcal_ros.nodes.runtime.managed_node import not_active
@@ -102,7 +102,7 @@ class CellLinks:
         self._choices = node.create_publisher(StepChoice, names.STEP_CHOICE, EVENT)
 
     def publish_anew(self) -> None:
-        """Publish as somebody new, whom those may find who have not found this planner."""
+        """Publish with new publishers, which may be discovered where the old ones were not."""
         for publisher in (self._plans, self._tables, self._probes, self._choices):
             self.node.destroy_publisher(publisher)
         self._publish()
@@ -138,7 +138,7 @@ class CellLinks:
         self._probes.publish(probe)
 
     def warn(self, key: str, texts: Sequence[str]) -> None:
-        """Tell people what looks wrong, and that it is over when there is nothing."""
+        """Report what looks wrong, and that it is over when there is nothing."""
         for text in texts:
             self.node.get_logger().warning(text)
         show(self.health, key, "; ".join(texts))
@@ -171,8 +171,8 @@ class CellLinks:
     ) -> list[str]:
         """Return what is missing around the instrument topics and the orders, in words.
 
-        Those that are ``silent`` before the first order need deliver nothing yet, and nobody need
-        publish the emergency ``stop``.
+        Those that are ``silent`` before the first order need not deliver anything yet, and the
+        emergency ``stop`` need not be published.
         """
         graph, heard = self.graph, self.health.values("capture")
         measured = [self.instrument(topic) for topic in topics]
@@ -191,12 +191,12 @@ class CellLinks:
         return found + here + [self._unrecorded(self.resolve(topic)) for topic in unheard]
 
     def _unrecorded(self, name: str) -> str:
-        """Say that the recorder does not listen to a topic yet, or why it never will."""
+        """Say that the recorder does not listen to a topic yet, or why it cannot."""
         why = self.health.values("recorder").get(name, "")
         return f"the recorder does not listen to {name}{': ' + why if why else ' yet'}"
 
     def believed(self, instruments: Collection[str]) -> Believed:
-        """Return who publishes now what a run believes: the suite's nodes and ``instruments``."""
+        """Return who publishes now the topics of a run: the suite's nodes and ``instruments``."""
         place = self.node.get_namespace()
         found = {
             self.instrument(role): self.graph.offers(self.instrument(role)) for role in instruments
@@ -239,14 +239,14 @@ class CellLinks:
         return found + [text for name in called for text in self.graph.crowded(name)]
 
     def missing_ears(self, believed: Believed) -> list[str]:
-        """Return which nodes cannot hear yet whom a run believes, in words."""
+        """Return which nodes cannot hear the publishers of a run yet, in words."""
         others = (*PREFLIGHT_NODES, *self._own_machines())
         beats = {name: self.health.values(name) for name in others}
         beats[self.node.get_name()] = self.node.hearing.values()
         return [
             f"node {name} cannot hear or be heard yet on {apart}"
             if (apart := values.get(APART))
-            else f"node {name} has not heard who is believed in this run"
+            else f"node {name} has not been told which publishers count in this run"
             for name, values in beats.items()
             if values.get(HEARS) != digest(believed)
         ] + self._missing_machines()
@@ -261,7 +261,7 @@ class CellLinks:
         """Return the orders that are not joined yet with all of those who beat and obey them."""
         publishers = {names.TABLE_ANGLE: self._tables, names.PROBE_TARGET: self._probes}
         return [
-            f"the planner cannot be heard yet by all who obey {self.resolve(topic)}"
+            f"the planner cannot be heard yet by all nodes that obey {self.resolve(topic)}"
             for topic, publisher in publishers.items()
             if publisher.get_subscription_count()
             < len(self.health.present().intersection(self.graph.listeners(topic)))

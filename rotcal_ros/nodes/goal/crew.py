@@ -1,4 +1,4 @@
-"""The nodes that a goal needs: which are lost, which were started anew, who is waited for."""
+"""The nodes that a goal needs: which are lost, which were restarted, which are waited for."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class GoalError(Exception):
 class Crew:
     """The ``nodes`` that must be there while a goal runs.
 
-    The solver may be away for ``restart_wait_s``: it gets from the recorder what it missed. Any
-    other that was started anew breaks the run off, however quickly it came back.
+    The solver may be away for ``restart_wait_s``: it gets from the recorder what it missed. The
+    restart of any other node breaks the run off, however quickly it came back.
     """
 
     def __init__(self, health: Health, restart_wait_s: float) -> None:
@@ -91,7 +91,7 @@ class Crew:
         lost = any(name in self._health.lost for name in missing)
         how = "is lost" if lost else "was ended"
         words = [f"node {', '.join(missing)} {how}"] if missing else []
-        return [*words, *(f"node {name} was started anew" for name in anew)]
+        return [*words, *(f"node {name} was restarted" for name in anew)]
 
     def _last_words(self, missing: list[str]) -> str:
         lost = [name for name in missing if name in self._health.lost]

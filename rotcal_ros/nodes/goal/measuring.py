@@ -1,4 +1,4 @@
-"""Measuring what is left of a plan, step by step, with a person where it needs one."""
+"""Measuring the rest of a plan, step by step, with a person where one is needed."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from rotcal_ros.capture.failed_steps import FailedSteps
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.methods import Calibration
 from rotcal_ros.methods.continuation import ATTEMPTS_PER_RUN, Continuation
-from rotcal_ros.nodes.goal.asking import Asking
 from rotcal_ros.nodes.goal.cell_links import Attempt
 from rotcal_ros.nodes.goal.crew import Codes, GoalError
-from rotcal_ros.nodes.goal.watch import GoalWatch, HaltedError
+from rotcal_ros.nodes.goal.goal_watch import GoalWatch, HaltedError
+from rotcal_ros.nodes.goal.operator_requests import OperatorRequests
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.latest import WAITING_FOR
 from rotcal_ros.planning.choices import Choice, Standing, StepOutcome
@@ -20,13 +20,13 @@ from rotcal_ros.planning.plan import Pause
 from rotcal_ros.planning.policy_names import AS_LISTED
 
 SETTLING_S: Final = 1.2
-"""So long after a clock was set the capture takes nothing (1 s), once it has noticed."""
+"""For so long after a clock was set the capture takes nothing (1 s), once it has noticed."""
 
 
 class GoalMeasurement:
     """Measures the steps of one goal; no attempt at a step has a number twice.
 
-    ``reasons`` says why attempts were rejected, or came to nothing; ``asking`` asks a person.
+    ``reasons`` says why attempts were rejected, or came to nothing; ``operator`` asks a person.
     """
 
     def __init__(
@@ -35,7 +35,9 @@ class GoalMeasurement:
         self._calibration = calibration
         self._continuation = continuation
         self._watch = watch
-        self.asking = Asking(watch, calibration.configuration.plan_id, continuation.run)
+        self.operator = OperatorRequests(
+            watch, calibration.configuration.plan_id, continuation.run
+        )
         self._policy = calibration.policy(continuation)
         self._chosen = 0
         self._next_attempt: dict[int, int] = {}
@@ -72,7 +74,7 @@ class GoalMeasurement:
         return [step for step in self._watch.progress.accepted if step in self._next_attempt]
 
     def _give_up(self, *, at_the_end: bool) -> None:
-        """Raise GoalError where too many steps failed; at the end what there is is solved."""
+        """Raise GoalError where too many steps failed; at the end the others are solved."""
         text = self._failed.why_give_up()
         solvable = self._watch.progress.accepted or self._continuation.observations
         if text and not (at_the_end and solvable):
@@ -96,7 +98,7 @@ class GoalMeasurement:
             self._watch.owed = pause, work, begin
             if work:
                 self._place(pause.first)
-                await self.asking.have_done(work, pause.move)
+                await self.operator.have_done(work, pause.move)
             self._watch.owed = pause, "", begin
             for index in range(begin, pause.last + 1):
                 shows = Choice(index, f"shows {pause.instruction}", Standing(1))
@@ -106,10 +108,10 @@ class GoalMeasurement:
             if not found or (asked >= self._watch.settings.max_attempts and not hopeless):
                 self._watch.owed = None
                 return
-            work = f"not as it should be: {found}; put it right ({pause.instruction})"
+            work = f"not as it should be: {found}; correct it ({pause.instruction})"
 
     def _complaints(self) -> tuple[str, bool]:
-        """Return what the observations so far say against the work; hopeless or not."""
+        """Return what the observations so far show against the work, and if it is hopeless."""
         earlier, now = self._continuation.observations, self._watch.links.observations
         try:
             return "; ".join(self._calibration.check([*earlier, *now.values()])), False
@@ -117,7 +119,7 @@ class GoalMeasurement:
             return str(error), True
 
     async def _measure(self, index: int, choice: Choice) -> list[str]:
-        """Attempt a step; when an emergency stop breaks it off, again after somebody resumed.
+        """Attempt a step; when an emergency stop breaks it off, again after a person has resumed.
 
         Return why it failed, once for every attempt; nothing when it was captured.
         """
@@ -126,7 +128,7 @@ class GoalMeasurement:
         except HaltedError as halted:
             self.reasons.append(str(halted))
         self._watch.progress.rejected += 1
-        await self.asking.have_done()
+        await self.operator.have_done()
         return await self._measure(index, choice)
 
     async def _attempt(self, index: int, choice: Choice) -> list[str]:
@@ -166,7 +168,7 @@ class GoalMeasurement:
         return f"no observation within {limit_s:g} s of the order: {heard}"
 
     def _place(self, index: int) -> None:
-        """Show how far the goal is: the step of a list, or how many steps of those expected."""
+        """Show the progress of the goal: the step of a list, or how many of the expected steps."""
         progress = self._watch.progress
         if self._watch.settings.policy == AS_LISTED:
             progress.step = index

@@ -20,7 +20,7 @@ from rotcal_ros.planning.plan import PAUSED
 
 @dataclass(frozen=True, slots=True)
 class Feedback:
-    """How far a calibration has come; None is what nobody knows yet.
+    """The progress of a calibration; None is what is not known yet.
 
     ``accepted`` and ``rejected`` count attempts, ``left`` the steps that are expected to be left.
     ``uncertainty_rad`` (k = 2) now and ``goal_rad`` are those of a policy that has a

@@ -42,7 +42,7 @@ class Pauses:
         self.waiting = True
 
     def show(self, instruction: str, move: Move | None = None) -> None:
-        """Tell what is waited for; the same again tells nothing."""
+        """Publish what is waited for, unless that has not changed."""
         if self._latest.instruction == instruction:
             return
         place = move or Move("", 0)
@@ -57,12 +57,12 @@ class Pauses:
         self._publish(place.frame)
 
     def stop_between(self, stops: int) -> str:
-        """Return, once, that a stop came after the pause began: who resumes may not know of it."""
+        """Return, once, that a stop came after the pause began: its caller may not know of it."""
         before, self._stops = self._stops, stops
         return "an emergency stop came in between: look, then resume again" * (stops > before)
 
     def end(self) -> None:
-        """Tell that nothing is waited for any more."""
+        """Publish that nothing is waited for any more."""
         self.waiting = False
         if self._latest.waiting:
             latest = self._latest

@@ -1,4 +1,4 @@
-"""What the capture has heard, held against a configuration before anything moves; without ROS.
+"""What the capture has heard, checked against a configuration before anything moves; without ROS.
 
 It is the values of the capture's beat that are judged: the latest reading of every instrument.
 """
@@ -20,7 +20,7 @@ from rotcal_ros.instruments.plausibility import (
 )
 from rotcal_ros.methods import Calibration, Configuration
 from rotcal_ros.nodes.instruments.table_feedback import joint_doubts, joint_faults, number_in
-from rotcal_ros.nodes.runtime.concerns import OFFSET
+from rotcal_ros.nodes.runtime.diagnostic_warnings import OFFSET
 from rotcal_ros.nodes.runtime.latest import FRAME, NOW, RATE, REFUSED
 from rotcal_ros.nodes.runtime.topic_names import name_in
 from rotcal_ros.planning.plan import Plan
@@ -34,7 +34,7 @@ _AIR: Final = {
 SLOW_HZ: Final = 8.0
 _SIZED: Final = (names.TRACER_LENGTH, names.PROBE_POINT)
 _OUTSIDE: Final = 3.0
-"""So many times nearer or further than the targets of the plan a probe may stand."""
+"""A probe may stand this many times nearer or further than the targets of the plan."""
 _OF_AN_INSTRUMENT: Final = {PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST}
 
 Values = Mapping[str, str]
@@ -43,7 +43,7 @@ Values = Mapping[str, str]
 def faults(values: Values, configuration: Configuration, plan: Plan | None = None) -> list[str]:
     """Return why no observation can come of these instruments, in words.
 
-    The probe's positions are held against the ``plan``.
+    The probe's positions are compared with the ``plan``.
     """
     clocks = [values[OFFSET]] if OFFSET in values else []
     return [
@@ -61,7 +61,7 @@ def doubts(
 ) -> list[str]:
     """Return what looks wrong, though observations may come of it.
 
-    Readings are held against the geometry of the plan of a ``calibration``.
+    Readings are compared with the geometry of the plan of a ``calibration``.
     """
     small = [] if calibration is None else [
         text for role in _SIZED for text in size_doubts(values, calibration, role)
@@ -76,7 +76,7 @@ def doubts(
 
 
 def air_doubts(values: Values, role: str) -> Iterator[str]:
-    """Yield what looks wrong about what the ``role`` says of the air."""
+    """Yield what looks wrong about the air as the ``role`` gives it."""
     value = number_in(values.get(NOW + role, ""))
     found = [] if value is None else air_in_words({role: value})
     yield from (f"{name_in(values, role)} {text}" for role, text in found if text)
@@ -102,7 +102,7 @@ def size_doubts(values: Values, calibration: Calibration, role: str) -> Iterator
 
 
 def slow_table(values: Values, configuration: Configuration) -> Iterator[str]:
-    """Yield that the table's feedback comes so seldom that its rest is known late.
+    """Yield that the table's feedback comes so rarely that its rest is noticed late.
 
     A machine behind I++ DME is asked seldom while it has no order.
     """
@@ -125,7 +125,7 @@ def frame_doubts(values: Values, configuration: Configuration) -> Iterator[str]:
         yield (
             f"{name_in(values, names.PROBE_POINT)} is stamped with the frame {printable(frame)}, "
             f"the targets of the plan are in {ours} (cell.machine_frame); points are taken as "
-            "they come, nothing transforms them"
+            "they are, and not transformed"
         )
 
 
@@ -146,7 +146,7 @@ def without_air(role: str, topic: str, configuration: Configuration) -> str:
     """Say what it means that nobody publishes the expected ``topic`` of a quantity of the air."""
     name = next(name for name, last in _AIR.items() if role == last)
     return (
-        f"nobody publishes {topic}: every observation waits for it as long as "
+        f"nobody publishes {topic}: every observation waits for it for "
         f"{configuration.capture.clock_tolerance_s:g} s (capture.clock_tolerance_s), then does "
         f"without; publish it, or set capture.{name}_expected: false"
     )

@@ -1,6 +1,6 @@
 """Carrying out one calibration goal, from preflight to result, as one coroutine.
 
-The bag of a goal: begun, gone on with in another run, and closed, by the recorder.
+The bag of a goal: begun, continued in another run, and closed, by the recorder.
 
 Before a goal moves anything: all nodes and instruments are there, and fit its configuration.
 """
@@ -26,22 +26,22 @@ from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.instruments.conventions import single_shots
 from rotcal_ros.methods import Calibration, Configuration
 from rotcal_ros.methods.continuation import Continuation, Recorded
-from rotcal_ros.nodes.goal.asking import Asking
 from rotcal_ros.nodes.goal.cell_links import CellLinks
 from rotcal_ros.nodes.goal.crew import SOLVER, Codes, GoalError
+from rotcal_ros.nodes.goal.goal_watch import GoalWatch
 from rotcal_ros.nodes.goal.measuring import GoalMeasurement
+from rotcal_ros.nodes.goal.operator_requests import OperatorRequests
 from rotcal_ros.nodes.goal.preflight import doubts, expected_air, faults, without_air
-from rotcal_ros.nodes.goal.watch import GoalWatch
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_node import until
-from rotcal_ros.nodes.runtime.concerns import OF_MACHINES, PREFLIGHT, concerns_told
+from rotcal_ros.nodes.runtime.diagnostic_warnings import OF_MACHINES, PREFLIGHT, concerns_told
 from rotcal_ros.nodes.runtime.hearing import BELIEVED
 from rotcal_ros.nodes.runtime.plans import RUN, run_name
 from rotcal_ros.nodes.runtime.sim_clock import unlike_clocks
 from rotcal_ros.nodes.runtime.topic_names import TOPICS, names_at_odds, topics_value
 
 MOST_IN_VAIN: Final = 2
-"""So many runs without a newly accepted step follow each other at most, when nodes are lost."""
+"""Largest number of successive runs without a newly accepted step, when nodes are lost."""
 
 
 class GoalRun:
@@ -88,7 +88,7 @@ class GoalRun:
         return outcome
 
     async def _solved(self) -> FinishCalibration.Response:
-        """Return the solver's answer, in as many runs as the loss of nodes makes it take."""
+        """Return the solver's answer, after as many runs as the loss of nodes requires."""
         in_vain = 0
         while True:
             before = len(self.watch.progress.accepted)
@@ -103,7 +103,7 @@ class GoalRun:
 
     async def _solved_in_one_run(self) -> FinishCalibration.Response:
         try:
-            await be_ready(self._calibration, self.watch, self.measuring.asking)
+            await be_ready(self._calibration, self.watch, self.measuring.operator)
         except GoalError as error:
             of_a_person = error.code in (Codes.CANCELED, Codes.EMERGENCY_STOP)
             if self._lost is None or of_a_person or error.in_another_run:
@@ -128,14 +128,14 @@ class GoalRun:
         self.watch.links.node.get_logger().warning(f"{lost}: the goal waits for it and goes on")
 
     def values(self) -> dict[str, object]:
-        """Return what the planner tells of the goal in its beat."""
+        """Return what the planner's beat says of the goal."""
         heard: dict[str, object] = {BELIEVED: line} if (line := self._believed.in_a_beat()) else {}
         own: dict[str, object] = {**self.watch.progress.counts(), **heard}
         own[TOPICS] = topics_value(self._calibration.configuration)
         return {RUN: self._run, **own} if self._run else own
 
     async def _believe(self) -> None:
-        """Take those who publish now for those of the run, and wait until everybody knows them."""
+        """Fix the present publishers as those of the run, and wait until all nodes know them."""
         await self._decide()
         if not await self.watch.is_found(self._missing_ears):
             await self._decide()
@@ -174,7 +174,7 @@ class GoalRun:
         self.watch.links.node.get_logger().info(text)
 
     async def _announce(self) -> None:
-        """Publish the plan and wait until everybody has taken it."""
+        """Publish the plan and wait until all nodes have taken it."""
         links, configuration = self.watch.links, self._calibration.configuration
         message = CalibrationPlan(
             header=conversions.header(links.node.now_ns()),
@@ -222,7 +222,7 @@ BAG_TIMEOUT_S: Final = 10.0
 OPEN_TIMEOUT_S: Final = 120.0
 """To go on, a recorder reads what the runs before have recorded."""
 LAST_TIMEOUT_S: Final = 2.0
-"""So long the bag stays open for observations that have come here and not yet to the recorder."""
+"""The bag stays open so long for observations that came here and not yet to the recorder."""
 
 
 class GoalBag:
@@ -303,7 +303,7 @@ class GoalBag:
         return answer
 
 
-async def be_ready(calibration: Calibration, watch: GoalWatch, asking: Asking) -> None:
+async def be_ready(calibration: Calibration, watch: GoalWatch, operator: OperatorRequests) -> None:
     """Wait for all nodes and topics; GoalError names what is missing after the time for it."""
     links, configuration = watch.links, calibration.configuration
     links.forget()
@@ -315,7 +315,7 @@ async def be_ready(calibration: Calibration, watch: GoalWatch, asking: Asking) -
     watch.tell("preflight: clocks")
     await watch.have(lambda: unlike_clocks(links.health, configuration), Codes.TOPIC_MISSING)
     watch.tell("preflight: topics")
-    await _have_topics(calibration, watch, asking)
+    await _have_topics(calibration, watch, operator)
     _, wished = expected_air(calibration)
     unheard = [
         without_air(role, name, configuration) for role, name in links.missing_air(wished).items()
@@ -329,14 +329,16 @@ async def be_ready(calibration: Calibration, watch: GoalWatch, asking: Asking) -
 
 
 def _needed(links: CellLinks) -> set[str]:
-    """Return the nodes of the suite and those that are here; nobody needs what shows something."""
+    """Return the nodes of the suite and those that are here, except those that only show."""
     return (links.health.present() | set(PREFLIGHT_NODES)) - {*VIEWERS.values()}
 
 
-async def _have_topics(calibration: Calibration, watch: GoalWatch, asking: Asking) -> None:
+async def _have_topics(
+    calibration: Calibration, watch: GoalWatch, operator: OperatorRequests
+) -> None:
     """Wait for the topics; a stop that has broken the run off is released and resumed first.
 
-    Instruments may be silent meanwhile, and a capture that was started anew has heard nothing.
+    Instruments may be silent meanwhile, and a restarted capture has heard nothing.
     """
     missing, links = partial(_missing, calibration, watch.links), watch.links
     if watch.preflight:  # a second publisher that is found only in the run would be a stranger
@@ -348,11 +350,11 @@ async def _have_topics(calibration: Calibration, watch: GoalWatch, asking: Askin
         await watch.have(lambda: [] if _halted(watch) else missing(), Codes.TOPIC_MISSING)
         if not _halted(watch):
             return
-        await asking.have_done()
+        await operator.have_done()
 
 
 def _halted(watch: GoalWatch) -> bool:
-    """Return whether somebody has to resume after an emergency stop: never in the first one."""
+    """Return whether a person has to resume after an emergency stop: never in the first one."""
     return not watch.preflight and bool(watch.stop.heed())
 
 

@@ -53,7 +53,7 @@ class JointReadings:
 
 
 TIMED: Final = (*FAST, names.PROBE_POINT)
-"""Streams by whose stamps an observation is made: their clocks must agree."""
+"""Streams whose stamps make an observation: their clocks must agree."""
 
 
 class InstrumentStreams:
@@ -85,7 +85,7 @@ class InstrumentStreams:
         self._interpreter = Interpreter(self.topics.settings, self._joint)
 
     def not_silent(self) -> None:
-        """Let silences count from now: what came while the node was busy waits to be read."""
+        """Count silences from now on: what came while the node was busy waits to be read."""
         self._heard_s = dict.fromkeys(self._heard_s, self._awake.now_s())
 
     def values(self, needed: Collection[str]) -> dict[str, Any]:
@@ -130,7 +130,7 @@ class InstrumentStreams:
             self._joints.note(message, self._joint)
 
     def _switched(self, role: str) -> None:
-        """Forget what was heard of an instrument that is another, or understood otherwise now."""
+        """Forget what was heard of an instrument that changed, or is understood differently."""
         for known in (self._heard_s, self._latest, self._frames, self._valid):
             known.pop(role, None)
         self._rates.forget(role)

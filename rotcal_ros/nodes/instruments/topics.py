@@ -22,11 +22,11 @@ from rotcal_ros.nodes.runtime.topic_names import TOPICS, given_topics, other_nam
 
 
 class InstrumentTopics:
-    """Subscribes to instruments, and elsewhere when a goal names other topics.
+    """Subscribes to instruments, and to other topics when a goal names them.
 
     ``settings`` are the group ``topics`` in force: what a goal gives, told by the planner's beat
-    before the preflight, else by the plan. Units and clocks are then the goal's alone, as for
-    everybody who reads the bag; of the node's own parameters only names stay. ``switched`` is
+    before the preflight, else by the plan. Units and clocks are then those of the goal alone, as
+    for every reader of the bag; of the node's own parameters only names stay. ``switched`` is
     called with the role of a stream that comes from elsewhere now, or is understood otherwise.
     ``refused`` says by role which types cannot be used.
     """
@@ -42,7 +42,7 @@ class InstrumentTopics:
         node.every(BEAT_PERIOD_S, self._follow)
 
     def listen(self, role: str, handle: Callable[[str, Batch], None]) -> None:
-        """Subscribe to the instrument of a role once somebody publishes it, whatever its type.
+        """Subscribe to the instrument of a role once it is published, whatever its type.
 
         ``handle`` is called with the name of the type.
         """
@@ -80,7 +80,7 @@ class InstrumentTopics:
         return {**named, **refused, TOPICS: self._goals}
 
     def _by_sending(self) -> dict[str, str]:
-        """Say by role what bears the time of the computer while the cell follows ``/clock``."""
+        """Say by role what has the computer's time while the cell follows ``/clock``."""
         if not self._node.health.sim.used:
             return {}
         conventions = Conventions(self.settings)
@@ -103,9 +103,9 @@ class InstrumentTopics:
         others = {key: value for key, value in self._own.items() if key not in names.ROLES}
         if goals != self._goals and (ours := others.items() - given.items()):
             self._node.get_logger().warning(
-                f"parameters of this node that the goal's configuration does not say: "
-                f"{', '.join(f'topics.{key}' for key, _ in sorted(ours))}; they do not count, "
-                "for a bag would not tell them: put them into the configuration"
+                "parameters of this node that the goal's configuration does not say: "
+                f"{', '.join(f'topics.{key}' for key, _ in sorted(ours))}; they are ignored, "
+                "since the bag would not hold them: put them into the configuration"
             )
         called = {key: value for key, value in self._own.items() if key in names.ROLES}
         settings = load(TopicSettings, {**called, **given}, "the goal's configuration: topics")

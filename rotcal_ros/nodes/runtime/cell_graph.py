@@ -29,14 +29,14 @@ _AS_THE_GRAPH_SHOWS_IT: Final = QoSProfile(
 
 @dataclass(frozen=True)
 class ExpectedPublisher:
-    """A publisher that is still to come."""
+    """A publisher that is yet to appear."""
 
     node_name: str
     qos_profile: QoSProfile
 
 
 PLANNERS: Final = ExpectedPublisher("planner", _AS_THE_GRAPH_SHOWS_IT)
-"""What the planner offers, for as long as there is none."""
+"""Stands for the planner's publishers as long as there are none."""
 
 
 class CellGraph:
@@ -98,7 +98,7 @@ class CellGraph:
     def without_machine(self, topic: str) -> Iterator[str]:
         """Yield in words why nobody obeys the order ``topic``.
 
-        A machine that cannot hear it is let be beside another one that can.
+        A machine that cannot hear it does not matter where another one can.
         """
         machines = self.machines(topic)
         if not machines:
@@ -127,7 +127,7 @@ def deaf_listeners(
             verdict, why = qos_check_compatible(source.qos_profile, reader.qos_profile)
             if verdict == QoSCompatibility.ERROR:
                 yield (
-                    f"node {reader.node_name} hears nothing on {topic} of node "
+                    f"node {reader.node_name} cannot receive {topic} from node "
                     f"{source.node_name}: their qualities of service do not match "
                     f"({why.strip(' ;')})"
                 )

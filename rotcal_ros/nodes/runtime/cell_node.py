@@ -24,16 +24,16 @@ from rotcal_ros.nodes.runtime.hearing import Hearing
 from rotcal_ros.nodes.runtime.managed_node import ManagedNode
 from rotcal_ros.nodes.runtime.parameters import declare_settings, given_parameters
 from rotcal_ros.nodes.runtime.qos import EVENT
+from rotcal_ros.nodes.runtime.timers_and_events import steady_timer
 from rotcal_ros.nodes.runtime.topic_names import other_names
-from rotcal_ros.nodes.runtime.turns import steady_timer
 from rotcal_ros.planning.health_settings import HealthSettings
 
 T = TypeVar("T")
 
 IDLE_S: Final = 0.1
-"""So long messages gather while nobody measures."""
+"""Messages gather for so long while nothing is measured."""
 _QUIET: Final = frozenset({"recorder", "solver"})
-"""Nodes that leave alone what others have named."""
+"""Nodes that ignore silently what others have named."""
 
 
 @coroutine
@@ -53,7 +53,8 @@ async def until(
 ) -> bool:
     """Wait until ``condition``; False after ``timeout_s``. ``check`` may raise to give up.
 
-    The time does not run while somebody is waited for (``pausing``), or while this process stands.
+    The time does not run while a node is waited for (``pausing``), or while this process stands
+    still.
     """
     patience = Patience(timeout_s)
     while not condition():
@@ -99,7 +100,7 @@ class CellNode(ManagedNode, ABC):
     ) -> None:
         """Subscribe to a topic; an exception in ``handle`` is counted and logged.
 
-        ``judged``: while a goal runs only those are heard whom the run believes.
+        ``judged``: while a goal runs only the publishers of the run are heard.
         """
         handle = self.health.guarded(handle)
         latched = getattr(qos, "durability", None) == DurabilityPolicy.TRANSIENT_LOCAL
@@ -186,7 +187,7 @@ class CellNode(ManagedNode, ABC):
         return "" if self.active else f"node {self.get_name()} is {self.standing()}"
 
     def over(self) -> bool:
-        """Return whether the node has to end: by a transition, by its work, or for another."""
+        """Return whether the node has to end: by a transition, its work, or another node."""
         done = self.configured and self.finished()
         return self.shut_down or done or bool(self.health.refused)
 
@@ -210,7 +211,7 @@ class CellNode(ManagedNode, ABC):
         """Return the state in words and values; asked for every beat."""
 
     def _node_lost(self, name: str) -> None:
-        """Hear that another node is lost."""
+        """Handle the loss of another node."""
 
     def _beat_values(self) -> tuple[str, Values]:
         """Return what the beat tells in every state: the report, and other names of topics."""

@@ -1,4 +1,4 @@
-"""What a bag says of a topic: its type with the definition, and what its publishers offer."""
+"""What a bag says of a topic: its type with the definition, and its publishers' QoS."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def described_channel(name: str, type_name: str, infos: Sequence[Any]) -> Channe
 
 @cache
 def own_channel(topic: str, type_name: str) -> Channel:
-    """Return what a bag says of a topic that nobody publishes: the recorder writes it itself."""
+    """Return what a bag says of a topic without publishers: the recorder writes it itself."""
     return Channel(
         topic=topic,
         type_name=type_name,
@@ -49,7 +49,7 @@ def own_channel(topic: str, type_name: str) -> Channel:
 def importable_type(type_name: str, type_hash: str) -> tuple[type | None, str]:
     """Return the class of a recorded message type; None, and why, where it is not the same here.
 
-    ``type_hash`` is that of the recorded definition, empty where nobody knows it.
+    ``type_hash`` is that of the recorded definition, empty where it is not known.
     """
     try:
         found = message_type(type_name)
@@ -57,7 +57,7 @@ def importable_type(type_name: str, type_hash: str) -> tuple[type | None, str]:
         return None, str(error)
     here = _installed_hash(type_name)
     if type_hash and here and type_hash != here:
-        return None, f"message type {type_name} is defined otherwise here than in the bag"
+        return None, f"message type {type_name} is defined differently here and in the bag"
     return found, ""
 
 
@@ -76,7 +76,7 @@ def message_type(type_name: str) -> type:
 
 
 def _installed_hash(type_name: str) -> str:
-    """Return the hash of a type's definition as it is installed; empty where nobody tells it."""
+    """Return the hash of a type's definition as it is installed; empty where it is not known."""
     package, kind, name = type_name.split("/")
     try:
         described = _share(package) / kind / f"{name}.json"

@@ -1,4 +1,4 @@
-"""What a node tells of the system clock's jumps, and what it hears of those of others."""
+"""The jumps of the system clock: those that a node reports, and those that others report."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ JUMP: Final = "clock_jump"
 
 
 class ClockNews:
-    """The jumps of this node's clock: logged once, told in every beat from then on."""
+    """The jumps of this node's clock: logged once, in every beat from then on."""
 
     def __init__(self, logger: Any) -> None:
         self._logger = logger
@@ -35,13 +35,13 @@ class ClockNews:
         return {JUMPS: self.watch.count} if self.watch.count else {}
 
     def since(self, count: int) -> tuple[ClockJump, ...]:
-        """Return the jumps behind the first ``count`` ones, as far as they are remembered."""
+        """Return the jumps after the first ``count``, as far as they are remembered."""
         new = self.watch.count - count
         return tuple(self.watch.jumps)[-new:] if new else ()
 
 
 def jumps_told(beats: Iterable[Mapping[str, str]]) -> int:
-    """Return how many jumps the values of beats tell of, all together."""
+    """Return the number of jumps in the values of all beats."""
     return sum(int(values.get(JUMPS, 0)) for values in beats)
 
 

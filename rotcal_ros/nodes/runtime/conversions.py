@@ -252,7 +252,7 @@ def compensation_table(message: CompensationTableMsg) -> CompensationTable:
 
 
 def result_values(result: Result) -> dict[str, str]:
-    """Return a result in words, as values of a diagnostic status: for who has no message of ours.
+    """Return a result in words, as values of a diagnostic status: needs no message of ours.
 
     Of every deviation its range and its largest expanded uncertainty (k = 2).
     """

@@ -14,13 +14,13 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from rotcal_ros.nodes.runtime.qos import adapted_qos
-from rotcal_ros.nodes.runtime.turns import Unwaited, steady_timer
+from rotcal_ros.nodes.runtime.timers_and_events import Unwaited, steady_timer
 
 LIMIT: Final = 1000
 """Messages taken in one callback at most, so that no topic starves the others."""
 
 GRAPH_PERIOD_S: Final = 0.1
-"""How often the graph is looked at for new publishers."""
+"""How often the graph is searched for new publishers."""
 
 Batch = Sequence[tuple[Any, Any]]
 """Pairs of a message (or its serialised bytes) and rclpy's message info."""

@@ -1,4 +1,4 @@
-"""Hearing of an emergency stop: every node that orders or carries out motion does so by itself.
+"""Listening for an emergency stop: every node that orders or carries out motion does so itself.
 
 No safety function in the sense of ISO 13849: messages come late or not at all.
 """
@@ -14,10 +14,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.concerns import EMERGENCY, show
+from rotcal_ros.nodes.runtime.diagnostic_warnings import EMERGENCY, show
 from rotcal_ros.nodes.runtime.draining import Batch, DrainedSubscription
 from rotcal_ros.nodes.runtime.qos import EVENT, VIEW
-from rotcal_ros.nodes.runtime.turns import steady_timer
+from rotcal_ros.nodes.runtime.timers_and_events import steady_timer
 from rotcal_ros.planning.emergency_stop import StopSources
 from rotcal_ros.planning.safety_settings import SafetySettings
 
@@ -77,7 +77,7 @@ class EmergencyStop:
         return bool(self.why)
 
     def forget(self) -> None:
-        """Begin anew; a stop that lasts stays."""
+        """Start afresh; a stop that lasts stays."""
         self.latched = self.why
 
     def _subscribe(self, qos: QoSProfile) -> None:
@@ -93,7 +93,7 @@ class EmergencyStop:
         self._heard.append(DrainedSubscription(self._node, kind, topic, qos, handle))
 
     def _attend(self) -> None:
-        """Listen as well as the publishers allow: best effort hears all, but may lose a word."""
+        """Listen as reliably as the publishers allow: best effort hears all, but may lose some."""
         for info in self._node.get_publishers_info_by_topic(self._topic) if self._topic else ():
             offered = info.qos_profile
             if offered.reliability == ReliabilityPolicy.RELIABLE:
@@ -113,7 +113,7 @@ class EmergencyStop:
                 self._judge()
 
     def _look(self) -> None:
-        """Let silence count, after all that has come: this node may have stood still itself."""
+        """Check for silence after all that has come: this node may have stood still itself."""
         self.heed()
         self._looked_s = time.monotonic()
         self._judge()

@@ -22,7 +22,7 @@ _QOS = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-"""As tf2 has it: whoever comes later still gets what was told."""
+"""As in tf2: late subscribers still get what was published."""
 
 
 class StaticFrames:

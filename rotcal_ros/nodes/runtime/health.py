@@ -29,18 +29,18 @@ from rotcal_ros.nodes.runtime.memory import end_without_memory
 from rotcal_ros.nodes.runtime.processes_here import PROCESS, is_of_here, why_gone
 from rotcal_ros.nodes.runtime.roll_call import RollCall
 from rotcal_ros.nodes.runtime.sim_clock import SimClock
-from rotcal_ros.nodes.runtime.turns import UNWAITED, steady_timer
+from rotcal_ros.nodes.runtime.timers_and_events import UNWAITED, steady_timer
 from rotcal_ros.planning.health_settings import HealthSettings
 
 HEAR_PERIOD_S: Final = 0.1
-"""So often the beats of the others are heard, all together."""
+"""Interval at which the beats of the others are handled, all together."""
 DIAGNOSTICS_PERIOD_S: Final = 1.0
 AWARE_S: Final = 0.7
-"""So long behind a standstill of its own a node does not know the others as they are now."""
+"""For so long after a standstill a node does not know the present state of the others."""
 RECORDING_FAILED: Final = "recording failed"
-"""How the state of a recorder begins that cannot write any more."""
+"""Beginning of the state of a recorder that cannot write any more."""
 CALIBRATING: Final = "calibrating"
-"""How the state of a planner begins while a goal runs."""
+"""Beginning of the state of a planner while a goal runs."""
 
 Values = Mapping[str, object]
 
@@ -50,7 +50,7 @@ class Health:
 
     ``concerns`` is what a person should look at, ``alarms`` what a person must look at. ``report``
     returns (state in words, values) at any time for every beat; without it the node only listens,
-    and nobody will miss it. ``on_lost`` is called with the name of every other node that is lost.
+    and is not missed. ``on_lost`` is called with the name of every other node that is lost.
     ``refused`` says why this node must end: an older one of its name is there; empty: it need not.
     """
 
@@ -150,7 +150,7 @@ class Health:
         return f"{self.lost[name]}; before that: {state}" if name in self.lost else state
 
     def leave(self) -> None:
-        """Tell the others that this node ends on purpose, and let the word reach them."""
+        """Tell the others that this node ends on purpose, and let the message reach them."""
         if self._beats is not None and not self.refused:
             self._beats.leave(self._status(LEAVING, {}))
 
@@ -200,10 +200,10 @@ class Health:
                 self._on_lost(name)
 
     def _gone(self, name: str) -> str:
-        """Say why a node whose beat is late is no more; empty: it is, as far as anybody can tell.
+        """Say why a node whose beat is late is gone; empty: it is there, as far as can be told.
 
-        On another machine, or where it does not tell its process, the graph knows: DDS takes out
-        who does not renew his lease.
+        On another machine, or where its process is not known, the graph decides: DDS removes a
+        participant that does not renew its lease.
         """
         process = self.values(name).get(PROCESS, "")
         if is_of_here(process):
@@ -241,7 +241,7 @@ class Health:
 
 
 def _seconds(text: str) -> float:
-    """Return a number of seconds that somebody tells; 0 where it is none."""
+    """Return a number of seconds from a beat; 0 where it is none."""
     try:
         return max(0.0, float(text))
     except ValueError:

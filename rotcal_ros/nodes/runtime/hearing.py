@@ -1,4 +1,4 @@
-"""Who is heard by a node: what the planner says of a run, held against every message."""
+"""Which publishers a node hears: what the planner says of a run, applied to every message."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture.heard import Believed, Intruder, Origin, WhoIsHeard, publisher_of
-from rotcal_ros.nodes.runtime.concerns import INTRUDER, show
+from rotcal_ros.nodes.runtime.diagnostic_warnings import INTRUDER, show
 from rotcal_ros.nodes.runtime.draining import Batch
 
 BELIEVED: Final = "believed"
-"""Value in the planner's beat: who is believed on each topic while a goal runs."""
+"""Value in the planner's beat: which publishers count on each topic while a goal runs."""
 LISTENERS: Final = {names.OBSERVATION: 3, names.STEP_CHOICE: 1}
-"""How many nodes of the suite listen to a topic; to others that a run believes in, USUAL ones."""
+"""How many nodes of the suite listen to a topic; USUAL to any other of a run."""
 USUAL: Final = 2
 UNNAMED: Final = "_NODE_NAME_UNKNOWN_"
 """What rclpy calls a node that discovery has not named yet."""
 HEARS: Final = "hears"
 """Value in the beat of every other node: the hash of what it has heard of that."""
 APART: Final = "apart"
-"""Instead, while the middleware has not joined it yet with all whom it shall hear: the topics."""
+"""Instead, while not all of these publishers are discovered yet: their topics."""
 
 
 class Hearing:
-    """What a node makes of the messages of a run; it names whom it leaves alone.
+    """Which messages of a run a node accepts; it names the publishers that it leaves alone.
 
     ``quiet``: another node says that already.
     """
@@ -41,7 +41,7 @@ class Hearing:
         self._words: dict[str, str] = {}
 
     def decide(self, believed: Believed) -> None:
-        """Believe these, as the planner that decides it; nobody in particular: everybody."""
+        """Accept these publishers, as the planner that decides it; none given: all."""
         self._believe(believed)
 
     def hears(self, topic: str, info: Any) -> bool:
@@ -63,7 +63,7 @@ class Hearing:
         return ours, others
 
     def values(self) -> dict[str, str]:
-        """Return what the beat tells: of whom this node has heard, and that it can hear them."""
+        """Return the values for the beat: which publishers count here, and that they are heard."""
         self._follow()
         if not self._judge.believed.publishers:
             return {}
@@ -73,8 +73,9 @@ class Hearing:
     def _apart(self) -> list[str]:
         """Return the topics of the run on which this node cannot hear or be heard yet.
 
-        Both ends find each other by themselves, one perhaps seconds after the other, and what is
-        sent once, as an order or an observation, is lost to who is not found yet.
+        Each end discovers the other by itself, one perhaps seconds after the other, and what is
+        sent once, such as an order or an observation, is lost to an end that is not discovered
+        yet.
         """
         if self._joined:
             return []
@@ -92,7 +93,7 @@ class Hearing:
         return sorted(apart)
 
     def _follow(self) -> None:
-        """Believe whom the planner says."""
+        """Accept the publishers that the planner names."""
         beat = self._node.health.others.get("planner")
         if beat is self._beat:
             return
@@ -108,7 +109,7 @@ class Hearing:
             self._show("")
 
     def _tell(self) -> None:
-        """Name those who are left alone, each once on the console."""
+        """Name the publishers that are left alone, each once on the console."""
         texts = []
         for intruder in self._judge.met():
             known = self._words.get(intruder.publisher)
@@ -122,7 +123,7 @@ class Hearing:
         self._show("; ".join(texts))
 
     def _in_words(self, intruder: Intruder) -> str:
-        """Say who it is; empty while the middleware has found a node whose name it lacks."""
+        """Return the name of a publisher; empty while the middleware lacks its node's name."""
         infos = self._node.get_publishers_info_by_topic(intruder.topic)
         known = self._judge.believed.publishers[intruder.topic]
         there = {publisher_of(i.endpoint_gid): i.node_name for i in infos}
@@ -140,12 +141,12 @@ class Hearing:
 
 
 def origin_of(info: Any) -> Origin:
-    """Return where a message comes from, by its message info; not every ROS 2 tells it."""
+    """Return where a message comes from, by its message info, which not every ROS 2 fills in."""
     publisher, number = info.get("publisher_gid"), info.get("publication_sequence_number")
     identity = publisher_of(publisher["data"]) if publisher else ""
     return Origin(identity, None if number is None else int(number))
 
 
 def digest(believed: Believed) -> str:
-    """Return a short name of what is believed."""
+    """Return a short name of the accepted publishers."""
     return hashlib.sha256(believed.in_a_beat().encode()).hexdigest()[:12]

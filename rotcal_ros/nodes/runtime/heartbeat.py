@@ -1,4 +1,4 @@
-"""The beats of a node: sent with every news, and else by a thread that nothing can hold up."""
+"""The beats of a node: sent at every change, and otherwise by a thread that nothing can block."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ BUSY: Final = "busy_s"
 LEAVING: Final = "leaving"
 LEAVE_TIMEOUT_S: Final = 0.5
 _TOLD_S: Final = 0.5
-"""Only from then on a beat tells that the node is busy."""
+"""Only from then on a beat says that the node is busy."""
 
 
 class Heartbeat:
-    """Sends what the node told last; from the second beat on also while it takes no turn."""
+    """Sends the node's latest state; from the second beat on also while it takes no turn."""
 
     def __init__(self, node: Node, identity: ProcessIdentity) -> None:
         self._context, self._identity = node.context, identity

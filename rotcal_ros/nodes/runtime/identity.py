@@ -23,7 +23,7 @@ _HOW: Final = (
 _DIGITS: Final = 20
 _AT_ONCE_S: Final = 0.1
 TAKE_OVER_S: Final = 0.7
-"""A holder that is silent for longer gives its name to whoever beats under it."""
+"""A holder that is silent for longer loses its name to the node that beats under it."""
 
 
 @dataclass(frozen=True, slots=True)

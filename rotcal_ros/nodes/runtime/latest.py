@@ -20,23 +20,23 @@ from rotcal_ros.foundation.observations import TemperatureSample as Thermometer
 from rotcal_ros.instruments.steps import Position
 
 NOW: Final = "now."
-"""How the values of the capture begin that tell the latest reading of a topic."""
+"""Beginning of the capture's values with the latest reading of a topic."""
 FRAME: Final = "frame."
-"""How the values of the capture begin that tell the frame that a topic is stamped with."""
+"""Beginning of the capture's values with the frame that a topic is stamped with."""
 HOPELESS: Final = "hopeless"
 """Value in the capture's beat: why no attempt at any step will ever be accepted."""
 WAITING_FOR: Final = "waiting_for"
 """Value of the capture: what its oldest undecided attempt waits for, in words."""
 RATE: Final = "rate_hz."
-"""How the values of the capture begin that tell how often a stream comes."""
+"""Beginning of the capture's values with the rate of a stream."""
 REFUSED: Final = "refused."
-"""How the values of the capture begin that tell why a topic's message type cannot be used."""
+"""Beginning of the capture's values with the reason why a topic's message type cannot be used."""
 SILENT: Final = "silent_s."
-"""How the values of the capture begin that tell the silence of a stream in seconds."""
+"""Beginning of the capture's values with the silence of a stream in seconds."""
 JOINT: Final = "joint."
-"""How the values of the capture begin that tell angle (rad) and velocity (rad/s) of a joint."""
+"""Beginning of the capture's values with angle (rad) and velocity (rad/s) of a joint."""
 MOST_JOINTS: Final = 32
-"""So many joints are told at most, beside the chosen one once there is a plan."""
+"""Largest number of joints in a beat, besides the chosen one once there is a plan."""
 
 
 def reading(record: Record | Position) -> str:

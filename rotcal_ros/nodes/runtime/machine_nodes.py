@@ -10,7 +10,7 @@ from rotcal_ros.foundation.node_names import further_nodes
 
 AS_CONFIGURED: Final = "as_configured"
 OWN: Final = "own"
-"""A node of the user's, which somebody else starts."""
+"""A node of the user's own, which is not started here."""
 TABLES: Final[Mapping[str, str]] = {
     "table_adapter": "table_adapter",
     "dme_adapter": "dme",
@@ -21,7 +21,7 @@ PROBES: Final[Mapping[str, str]] = {"dme_adapter": "dme"}
 
 
 def machine_nodes(groups: Collection[str], table: str, probe: str) -> list[str]:
-    """Return the nodes of a cell beside those of every cell; each once.
+    """Return the nodes of a cell besides those of every cell, each once.
 
     ``groups`` are those of the configuration, ``table`` and ``probe`` are AS_CONFIGURED, OWN or
     a node of TABLES and PROBES. ConfigurationError when that node lacks its group.

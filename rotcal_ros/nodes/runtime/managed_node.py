@@ -12,7 +12,11 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from rotcal_ros.foundation.errors import RotcalError
-from rotcal_ros.nodes.runtime.turns import handle_events, steady_timer, with_unwaited_events
+from rotcal_ros.nodes.runtime.timers_and_events import (
+    handle_events,
+    steady_timer,
+    with_unwaited_events,
+)
 
 
 def entities(node: Node) -> Iterator[Any]:
@@ -43,12 +47,12 @@ def destroy(node: Node, kept: Collection[Any]) -> None:
 
 UNCONFIGURED: Final = "unconfigured"
 INACTIVE: Final = "inactive"
-"""How the state of a node begins that is not active."""
+"""Beginning of the state of a node that is not active."""
 WIND_UP_S: Final = 1.0
-"""So long a clean-up waits at most; the node does not beat meanwhile."""
+"""Longest wait of a clean-up; the node does not beat meanwhile."""
 _POLL_S: Final = 0.02
 EVENTS_PERIOD_S: Final = 0.1
-"""So often a node looks for events of the middleware."""
+"""Interval at which a node looks for events of the middleware."""
 SUCCESS: Final = TransitionCallbackReturn.SUCCESS
 FAILURE: Final = TransitionCallbackReturn.FAILURE
 
@@ -100,7 +104,7 @@ class ManagedNode(LifecycleNode):
         if fixed:
             reason = (
                 f"{', '.join(fixed)}: taken when node {self.get_name()} starts and the same until "
-                "it ends; start it anew with the value, or give it in the configuration"
+                "it ends; restart it with the value, or give it in the configuration"
             )
         if reason:
             return SetParametersResult(successful=False, reason=reason)
@@ -138,7 +142,7 @@ class ManagedNode(LifecycleNode):
         """Begin to work."""
 
     def deactivated(self) -> None:
-        """Leave off: give up what is under way, and keep what was made."""
+        """Stop working: give up what is going on, and keep what was made."""
 
     def begin_stop(self) -> None:
         """Begin to end: give up running work, close files."""
@@ -157,7 +161,7 @@ class ManagedNode(LifecycleNode):
         return False
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Make what is needed; of what could not be finished nothing is left."""
+        """Make what is needed; after a failure nothing is left."""
         self._outside, self._ending = frozenset(entities(self)), False
         self.configured = self._did("configure", self.configure)
         if not self.configured:
@@ -174,7 +178,7 @@ class ManagedNode(LifecycleNode):
         return self._entered(self.active)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Leave off, whatever comes of it."""
+        """Stop working, whatever fails."""
         self.active = False
         self._did("deactivate", self.deactivated)
         return self._entered(True)

@@ -12,7 +12,7 @@ OF_LIBRARIES: Final = "not enough memory"
 
 
 def end_without_memory(error: BaseException, where: str) -> None:
-    """End this process where ``error`` is want of memory: what else it did could be half done.
+    """End this process where ``error`` is a lack of memory: other work could be half done.
 
     The others notice its silence; a bag is sound up to its last chunk, as after any kill.
     """

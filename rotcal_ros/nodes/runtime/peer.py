@@ -1,4 +1,4 @@
-"""A node that is worked by hand, for programs that are more than a node."""
+"""A node that is spun by hand, for programs that are more than a node."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from rotcal_ros.nodes.runtime.turns import wake_after_jumps
+from rotcal_ros.nodes.runtime.timers_and_events import wake_after_jumps
 
 _TURN_S: Final = 0.1
 

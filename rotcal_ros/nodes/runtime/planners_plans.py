@@ -1,4 +1,4 @@
-"""Plans are taken from the planner alone: what somebody else publishes stops no calibration."""
+"""Plans are taken from the planner alone: another publisher cannot stop a calibration."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from rotcal_ros.bags import names
 from rotcal_ros.capture.heard import PlansHeard, Whose
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.concerns import FOREIGN_PLAN, show
+from rotcal_ros.nodes.runtime.diagnostic_warnings import FOREIGN_PLAN, show
 from rotcal_ros.nodes.runtime.heartbeat import BEAT_PERIOD_S
 from rotcal_ros.nodes.runtime.plans import RUN, run_name
 from rotcal_ros.nodes.runtime.qos import LATCHED
 
 
 class PlannersPlans:
-    """Hands over the plans that count: while a goal runs the planner's beat tells which one.
+    """Hands over the plans that count: while a goal runs the planner's beat names it.
 
-    What a stranger's plan cannot be used for is no error of the node: it is said and left alone.
+    A foreign plan that cannot be used is not an error of the node: it is reported and left alone.
     """
 
     def __init__(self, node: CellNode, take: Callable[[CalibrationPlan], None]) -> None:
@@ -48,7 +48,7 @@ class PlannersPlans:
                 self._left_alone(message, f"cannot be used: {error}")
 
     def _goals_run(self) -> str | None:
-        """Return which run the planner vouches for; empty: it is free, None: nobody knows it."""
+        """Return the run that the planner works for; empty: it is free, None: it is not known."""
         health = self._node.health
         if "planner" in health.lost:
             return ""

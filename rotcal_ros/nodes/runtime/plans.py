@@ -31,12 +31,12 @@ from rotcal_ros.planning.safety_settings import SafetySettings
 
 SAFETY, HEALTH = "safety", "health"
 FROM_THE_START: Final = (SAFETY, HEALTH)
-"""The groups that all nodes go by from their start: no goal has others."""
+"""The groups that hold for all nodes from their start: no goal changes them."""
 ALWAYS: Final = ("cell", "plan", "capture", "solver", "planner", *FROM_THE_START)
 """Groups that are parameters of the planner even if it was not given them."""
 
 REFUSED: Final = "plan refused"
-"""How the state of a node begins that cannot use the announced plan."""
+"""Beginning of the state of a node that cannot use the announced plan."""
 RUN: Final = "run"
 """Value in a beat: the run of the plan that a node works for; see :func:`run_name`."""
 
@@ -82,7 +82,7 @@ class PlannerParameters:
             if group in configuration.given and configuration.group(group) != own:
                 raise ConfigurationError(
                     f"{source}: its group {group} is not the one that the planner was started "
-                    "with and goes by: start the nodes with this configuration"
+                    "with: start the nodes with this configuration"
                 )
         if goal.method and goal.method != configuration.method.name:
             raise ConfigurationError(
@@ -102,7 +102,7 @@ class PlannerParameters:
 
 
 def run_name(message: CalibrationPlan) -> str:
-    """Return what tells this run of a plan from every other run."""
+    """Return the name that tells this run of a plan from every other run."""
     return f"{message.plan_id}@{stamp_ns(message.header.stamp)}"
 
 
@@ -126,7 +126,7 @@ def calibration_of(message: CalibrationPlan) -> Calibration:
 def load_method(node: CellNode) -> None:
     """Load the code of the method that a node was given, before it says that it is there.
 
-    What cannot be loaded the planner tells.
+    The planner reports what cannot be loaded.
     """
     with suppress(RotcalError):
         find_method(str(node.given.get("method") or DEFAULT))

@@ -1,4 +1,4 @@
-"""Which process a beat comes from, and whether it still exists: told apart on one machine."""
+"""Which process a beat comes from, and whether it still exists on this machine."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _STATE, _START = 0, 19
 
 @cache
 def machine() -> str:
-    """Return what tells this machine, and what its process ids count for, from all others."""
+    """Return what identifies this machine and its space of process ids."""
     with suppress(OSError):
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
         return f"{boot}/{Path('/proc/self/ns/pid').stat().st_ino}"  # containers count anew
@@ -26,12 +26,12 @@ def machine() -> str:
 
 
 def own_process() -> str:
-    """Return this process as a beat tells it."""
+    """Return this process as it stands in a beat."""
     return f"{machine()} {os.getpid()} {_fields(os.getpid())[1]}"
 
 
 def why_gone(process: str) -> str:
-    """Say that a process is gone, told as a beat does; empty: it exists, or is not of here."""
+    """Say that a process of a beat is gone; empty: it exists, or is on another machine."""
     words = process.split()
     if len(words) != 3 or words[0] != machine() or not (words[1] + words[2]).isdecimal():
         return ""
@@ -45,7 +45,7 @@ def why_gone(process: str) -> str:
 
 
 def is_of_here(process: str) -> bool:
-    """Return whether a process, told as a beat does, runs on this machine."""
+    """Return whether a process of a beat runs on this machine."""
     return process.partition(" ")[0] == machine()
 
 
@@ -60,7 +60,7 @@ def _exists(pid: int) -> bool:
 
 
 def _fields(pid: int) -> tuple[str, str]:
-    """Return state and begin of a process; ("", "0") where the system does not tell."""
+    """Return state and start of a process; ("", "0") where the system does not show them."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
     except OSError:

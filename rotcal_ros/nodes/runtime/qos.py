@@ -10,7 +10,7 @@ LATCHED: Final = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-"""Plans and results: whoever comes later still gets the last one."""
+"""Plans and results: late subscribers still get the last one."""
 
 EVENT: Final = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 """Orders, observations, receipts: none may be lost."""
@@ -26,7 +26,7 @@ STREAM: Final = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 """Readings at kilohertz rates, published reliably by our own nodes."""
 
 VIEW: Final = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""For those who only look: no publisher repeats anything for them, or waits."""
+"""For nodes that only watch: no publisher repeats anything for them, or waits."""
 
 LISTENING_DEPTH: Final = 50_000
 """Messages that the middleware keeps for a busy listener: a second of the fastest load."""

@@ -1,7 +1,7 @@
 """Who is there, who is slow and who is lost, without ROS.
 
-A node is *lost* when its process is gone, and *slow* while its sign of life is late: nobody gives
-up a slow one before the settled time is over.
+A node is *lost* when its process is gone, and *slow* while its sign of life is late: a slow one is
+not given up before the set time is over.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from typing import Final
 from rotcal_ros.planning.health_settings import HealthSettings
 
 SOLVING: Final = "solving"
-"""State of a node whose numerics are at work."""
+"""State of a node that computes."""
 LOADING: Final = "loading what the plan needs"
 """State of a node that loads a method's code, or reads what was measured before."""
 LATE_S: Final = 0.6
 """A sign of life that is three beats late is worth a look at the process."""
 OVER_S: Final = 60.0
-"""An overload is over when nobody has been slow for so long."""
+"""An overload is over when no node has been slow for so long."""
 
 
 @dataclass
@@ -50,8 +50,8 @@ class RollCall:
     def look(self, now_s: float, gone: Callable[[str], str]) -> list[str]:
         """Judge all nodes; return the names of those that are lost since the last look.
 
-        ``gone`` says why the process of a node is gone, empty: it is there, or nobody can tell.
-        It is asked of those alone whose beat is late.
+        ``gone`` says why the process of a node is gone, empty: it is there, or this is not known.
+        It is called only for nodes whose beat is late.
         """
         silence = {name: now_s - seen_s for name, seen_s in self.seen.items()}
         late = {n: s for n, s in silence.items() if s > LATE_S and n not in self.lost}
@@ -69,7 +69,7 @@ class RollCall:
 
 @dataclass
 class Overload:
-    """Tells once of an overload: at its begin, and when it is over.
+    """Reports an overload once at its begin, and once when it is over.
 
     ``text`` says who is waited for now, empty: nobody.
     """
@@ -99,7 +99,7 @@ class Overload:
 
     def _end(self) -> str:
         text = (
-            f"nobody has been slow for {OVER_S:g} s: waited {self._times} times, the longest "
+            f"no node has been slow for {OVER_S:g} s: waited {self._times} times, the longest "
             f"silence was {self._longest_s:.1f} s"
         )
         self._times, self._longest_s, self._last_s = 0, 0.0, None

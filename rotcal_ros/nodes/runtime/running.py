@@ -1,6 +1,6 @@
 """Running a node until it has to end: by SIGINT, SIGTERM or the loss of its supervisor.
 
-Work that takes its time, beside a node that goes on meanwhile.
+Long work in a thread, while the node goes on.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from rotcal_ros.foundation.machine_load import Patience
 from rotcal_ros.foundation.middleware import ROS_DEFAULT_RANGE, middleware, without_security
 from rotcal_ros.nodes.runtime.cell_node import CellNode, until
 from rotcal_ros.nodes.runtime.memory import end_without_memory
-from rotcal_ros.nodes.runtime.turns import wake_after_jumps
+from rotcal_ros.nodes.runtime.timers_and_events import wake_after_jumps
 
 SUPERVISOR_VARIABLE: Final = "ROTCAL_SUPERVISOR"
 """Environment variable: process id of a supervisor that the node must not outlive."""
@@ -37,15 +37,15 @@ _AWAKE_S: Final = 0.01
 
 
 def run(make: Callable[[], CellNode], default_range: str = ROS_DEFAULT_RANGE) -> NoReturn:
-    """Make a node and spin it until it has to end; leave with the exit code of the process.
+    """Make a node and spin it until it has to end; exit with the exit code of the process.
 
-    ``default_range`` is how far it is heard where the user has not settled that.
+    ``default_range`` is the discovery range where the user has not set one.
     """
     leave_with(lambda: _spin(make), default_range)
 
 
 def leave_with(work: Callable[[], None], default_range: str = ROS_DEFAULT_RANGE) -> NoReturn:
-    """Do the work of a process and leave; an error of rotcal is one line and its exit code."""
+    """Do the work of a process and exit; an error of rotcal is one line and its exit code."""
     use_middleware(default_range)
     use_single_thread()
     try:
@@ -71,7 +71,7 @@ def use_middleware(default_range: str = ROS_DEFAULT_RANGE) -> None:
 
 
 def use_single_thread() -> None:
-    """Let linear algebra take one thread: with more of them the last bits of sums are others."""
+    """Limit linear algebra to one thread: with more threads the last bits of sums differ."""
     os.environ["OMP_NUM_THREADS"] = "1"  # of what is loaded later
     threadpool_limits(1, "blas")
 

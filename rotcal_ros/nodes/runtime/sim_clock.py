@@ -1,4 +1,4 @@
-"""``/clock`` as a node with ``use_sim_time`` sees it: how fast it runs, whether it stands."""
+"""``/clock`` as a node with ``use_sim_time`` sees it: its pace, and whether it stands still."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, Final
 from rotcal_ros.foundation.node_names import PREFLIGHT_NODES
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.methods import Configuration
-from rotcal_ros.nodes.runtime.concerns import SIM_CLOCK
+from rotcal_ros.nodes.runtime.diagnostic_warnings import SIM_CLOCK
 
 SIM_TIME: Final = "sim_time_s"
 """Value in a beat: the time of ``/clock`` in s; only of nodes that follow it."""
@@ -18,11 +18,11 @@ STILL_S: Final = 1.5
 _SETTLING_S: Final = 2.0
 """So long the streams may take to come again once it goes on."""
 _PACE_S: Final = 2.0
-"""The pace is that of so long at least."""
+"""The pace is measured over at least this time."""
 
 
 class SimClock:
-    """The clock of a node, looked at regularly; without ``use_sim_time`` there is nothing to say.
+    """The clock of a node, checked regularly; without ``use_sim_time`` there is nothing to report.
 
     ``now`` and ``steady`` (monotonic, s) are read for the time.
     """
@@ -67,11 +67,11 @@ class SimClock:
         return self.used and self._still_s() > STILL_S
 
     def is_settled(self) -> bool:
-        """Return whether streams must come: the clock runs, and not only since just now."""
+        """Return whether streams must come: the clock runs, and has been running for a while."""
         return not self.stands() and self._steady() > self._went_on_s + _SETTLING_S
 
     def in_words(self) -> str:
-        """Say that the clock stands; empty: it runs, or nobody follows it."""
+        """Say that the clock stands still; empty: it runs, or the node does not follow it."""
         if not self.stands():
             return ""
         if not self._now_ns:
@@ -84,7 +84,7 @@ class SimClock:
         )
 
     def remark(self) -> str:
-        """Return what an error has to add where a time-out may be the clock's matter."""
+        """Return what an error has to add where the clock may be the cause of a time-out."""
         if not self.used:
             return ""
         words = self.in_words()
@@ -103,8 +103,8 @@ def unlike_clocks(health: Any, configuration: Configuration) -> list[str]:
     found = [health.sim.in_words()] if health.sim.stands() else []
     if other:
         found.append(
-            f"use_sim_time is {str(own).lower()} for node planner, not so for {', '.join(other)}: "
-            "set it alike for all nodes of the cell"
+            f"use_sim_time is {str(own).lower()} for node planner, but not for "
+            f"{', '.join(other)}: set it alike for all nodes of the cell"
         )
     elif configuration.use_sim_time and not own:
         found.append(

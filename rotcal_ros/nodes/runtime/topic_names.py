@@ -1,6 +1,6 @@
-"""What the topics of the cell are called, as the nodes tell each other in their beats; no ROS.
+"""The names of the cell's topics, as the nodes exchange them in their beats; no ROS.
 
-A topic is called after its role, below the namespace of the cell, unless it is remapped or the
+A topic has the name of its role, below the namespace of the cell, unless it is remapped or the
 configuration names another one in its group ``topics``.
 """
 
@@ -21,25 +21,25 @@ _HEARD_OF_THE_PLANNER: Final = {
     "capture": (names.PLAN, names.OBSERVATION, names.TABLE_ANGLE, names.PROBE_TARGET),
     "solver": (names.PLAN, names.OBSERVATION),
 }
-"""Roles that a node must call as the planner does."""
+"""Roles whose names a node must share with the planner."""
 
 Resolve = Callable[[str], str]
 """The absolute name of a topic for this node."""
 
 
 def other_names(namespace: str, resolve: Resolve) -> dict[str, str]:
-    """Return what a beat tells of the roles that a node calls otherwise."""
+    """Return the values of a beat for roles that have another name in a node."""
     called = {role: resolve(role) for role in sorted(names.ROLES)}
     return {f"{TOPIC}{r}": n for r, n in called.items() if n != plain_name(namespace, r)}
 
 
 def name_in(values: Mapping[str, str], role: str) -> str:
-    """Return what people are told that a topic is called; its role where that is its name."""
+    """Return the name of a topic for people; its role where that is its name."""
     return values.get(TOPIC + role, role)
 
 
 def at_odds(values: Values, namespace: str, resolve: Resolve) -> Iterator[str]:
-    """Yield which topics the planner calls by ``resolve`` and another node otherwise, in words."""
+    """Yield in words which topics have other names in a node than in the planner."""
     for node, roles in _HEARD_OF_THE_PLANNER.items():
         for role in roles:
             theirs = values(node).get(TOPIC + role, plain_name(namespace, role))
@@ -66,5 +66,5 @@ def given_topics(configuration: Configuration) -> dict[str, Any]:
 
 
 def topics_value(configuration: Configuration) -> str:
-    """Return what the beat of a planner tells of its goal's group ``topics``."""
+    """Return the values of a planner's beat for its goal's group ``topics``."""
     return json.dumps(given_topics(configuration), sort_keys=True)

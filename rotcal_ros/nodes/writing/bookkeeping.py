@@ -24,9 +24,9 @@ NEEDED: Final = ((names.TRACER_LENGTH, names.PROBE_POINT), (names.JOINT_STATES,)
 class TopicLosses:
     """Gaps in the numbers of the publishers, and the reports of the middleware itself.
 
-    The numbers tell nothing of what a publisher sent before the first or behind the last message
-    that arrived; reports come too late or, from some middlewares, never. Both count the same
-    messages: the larger number is the better one.
+    The numbers do not cover what a publisher sent before the first or after the last message that
+    arrived; reports come too late or, from some middlewares, never. Both count the same messages:
+    the larger number is the better one.
     """
 
     def __init__(self) -> None:
@@ -104,14 +104,14 @@ class Silences:
 
 
 JUMP_ON_ITS_WAY_S: Final = 60.0
-"""So long after a clock was set messages of before may still come."""
+"""For so long after a clock was set earlier messages may still come."""
 
 
 class LogTimes:
     """Log times in the order of a topic: none goes back, unless the clock of this machine did.
 
-    A packet that was lost and sent again arrives behind those that had to wait for it: each is
-    here when it can be taken. ``jumps`` counts the jumps of the clock so far.
+    A packet that was lost and sent again arrives behind those that had to wait for it: each has
+    arrived when it can be taken. ``jumps`` counts the jumps of the clock so far.
     """
 
     def __init__(
@@ -137,11 +137,11 @@ class LogTimes:
 
 
 _SETTLED_NS: Final = 1_000_000_000
-"""This long after a clock was set back no observation of before is on its way any more."""
+"""This long after a clock was set back no earlier observation is on its way any more."""
 
 
 PATIENCE_S: Final = 2.0
-"""So long an observation waits for the point that answered its order, when all else has come."""
+"""An observation waits so long for the point that answered its order, when all else has come."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +161,7 @@ class PendingReceipts:
 
     Where the clock of the readings is set back, those of the windows before it have come. Where
     orders are ``answered`` by points that echo them, each observation waits for its own; one that
-    does not come in ``PATIENCE_S`` behind all else is lost.
+    does not come within ``PATIENCE_S`` after all else is lost.
     """
 
     def __init__(self, *, answered: bool) -> None:

@@ -24,7 +24,7 @@ class HeardTopic:
     """A topic that is listened to: its channel and how far it has come.
 
     ``heard_s`` is the monotonic time of the latest batch, or of the subscription, ``heard_ns`` the
-    log time of the latest message; ``latched`` is what was told once for all.
+    log time of the latest message; ``latched`` is what was published once for late subscribers.
     """
 
     channel: Channel

@@ -17,9 +17,9 @@ from rotcal_ros.nodes.runtime.draining import Batch
 from rotcal_ros.nodes.runtime.qos import EVENT
 from rotcal_ros.nodes.writing.bookkeeping import NEEDED, PendingReceipts
 from rotcal_ros.nodes.writing.heard_topic import HeardTopic
-from rotcal_ros.nodes.writing.listening import TopicListener
 from rotcal_ros.nodes.writing.recorded_session import RecordedSession
 from rotcal_ros.nodes.writing.recording import Receipt
+from rotcal_ros.nodes.writing.topic_listener import TopicListener
 
 
 class Receipts:
@@ -67,7 +67,7 @@ class Receipts:
             if not self._pending.is_answered(receipt):
                 self._logger.warning(
                     f"step {receipt.step}, attempt {receipt.attempt}: the point that answered the "
-                    "order has not come here; it counts as lost"
+                    "order has not arrived; it counts as lost"
                 )
             yield receipt
 

@@ -1,4 +1,4 @@
-"""What the recorder has of a session: for the planner that goes on, and a solver started anew."""
+"""What the recorder has of a session: for a planner that continues, and a restarted solver."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The bags of a session: begun, or gone on with after an interruption."""
+"""The bags of a session: begun, or continued after an interruption."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from uuid import uuid4
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.closing import InterruptedSession
+from rotcal_ros.bags.interrupted_files import InterruptedSession
 from rotcal_ros.bags.reader import bag_files
 from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.bags.session_identity import file_head
@@ -34,7 +34,7 @@ class OpenBag:
     def keep(self, configuration_text: str) -> None:
         """Put the configuration into the folder, so that ``rotcal run --resume`` can go on there.
 
-        Whether the disk can be written the bag itself tells.
+        Opening the bag itself shows whether the disk can be written.
         """
         if not self.folder.configuration.exists():
             with suppress(OSError):
@@ -66,7 +66,7 @@ class SessionBags:
     def go_on(self, plan_id: str, topic: str) -> OpenBag:
         """Open the next run of the last session of a plan, with the observations on ``topic``.
 
-        Raises BagError when there is none that could be gone on with.
+        Raises BagError when there is none that could be continued.
         """
         folder = self._unfinished(plan_id)
         earlier = InterruptedSession.read(folder.bag)
@@ -110,8 +110,8 @@ class SessionBags:
                 return folder
         place = self._folder(self._settings.session).path
         raise BagError(
-            f"{place} holds no session of this plan to go on with: it was measured elsewhere, "
-            "with another configuration, or not at all; begin a new one with start_index 0"
+            f"{place} holds no session of this plan to continue: it was measured elsewhere, with "
+            "another configuration, or not at all; begin a new one with start_index 0"
         )
 
     def _candidates(self, plan_id: str) -> Iterator[SessionFolder]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rotcal_ros.bags.unread import note_told
+from rotcal_ros.bags.unread_data import note_told
 from rotcal_ros.foundation.escapes import printable
 
 if TYPE_CHECKING:

@@ -156,7 +156,7 @@ def test_an_adapter_that_is_deactivated_stops_the_machine_and_keeps_its_session(
 def test_why_nothing_moves_stands_in_the_diagnostics_until_it_is_cleared(made):
     made._driver.client.blocked = "PtMeas: error 1006"
     made._watch()
-    assert made.health.concerns["blocked"].startswith("PtMeas: error 1006; once that is put right")
+    assert made.health.concerns["blocked"].startswith("PtMeas: error 1006; once that is corrected")
     made._driver.client.blocked = ""
     made._watch()
     assert made.health.concerns == {}
@@ -272,7 +272,7 @@ def test_after_a_stop_no_session_begins_and_no_machine_homes_by_itself(made):
     assert made.listening == {"orders": 1, "clear_errors": 1}
     made._driver.client.blocked = told
     made._watch()
-    assert made.health.concerns["blocked"].startswith(f"{told}; once that is put right")
+    assert made.health.concerns["blocked"].startswith(f"{told}; once that is corrected")
 
 
 def test_an_adapter_that_is_refused_never_speaks_to_the_machine(made):

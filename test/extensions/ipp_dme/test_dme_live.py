@@ -66,7 +66,7 @@ def test_a_machine_that_stops_goes_on_by_a_person_and_is_aborted_by_a_cancel(cel
     relay.answers["PtMeas"] = ERROR
     told = client.wait_for("warning", where=lambda event: "error 1006" in event["text"])
     assert told["text"].startswith("dme_adapter: PtMeas(")
-    assert "a person goes on with the service clear_errors" in told["text"]
+    assert "a person continues with the service clear_errors" in told["text"]
     assert "ClearAllErrors" not in relay.orders
     person = subprocess.run(
         [sys.executable, "-c", CLEAR], env={**os.environ, **live.processes.environment},

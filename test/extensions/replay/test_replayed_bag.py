@@ -80,7 +80,7 @@ def test_a_type_is_published_where_it_is_defined_as_it_was_recorded(monkeypatch)
     assert (kind.__name__, why) == ("CalibrationPlan", "")
     other = plan.type_hash[:-1] + ("0" if plan.type_hash[-1] != "0" else "1")
     kind, why = importable_type(plan.type_name, other)
-    assert (kind, "is defined otherwise here than in the bag" in why) == (None, True)
+    assert (kind, "is defined differently here and in the bag" in why) == (None, True)
     kind, why = importable_type("no_such_msgs/msg/Thing", "")
     assert (kind, "is not installed here" in why) == (None, True)
 

@@ -46,7 +46,7 @@ def test_auto_without_the_messages_of_goals_is_the_topic(monkeypatch):
     assert line_of(monkeypatch, "auto", installed=False, listeners=[topic]).state == "good"
     line = line_of(monkeypatch, "auto", installed=False, publishers=[STATUS])
     assert line.state == "missing"
-    assert "nobody takes trajectory on /drive/joint_trajectory" in line.found
+    assert "no node takes trajectory on /drive/joint_trajectory" in line.found
 
 
 def test_goals_without_their_messages_and_nobody_at_all_are_missing(monkeypatch):

@@ -114,7 +114,7 @@ def test_a_joint_whose_place_nobody_tells_is_not_sent_anywhere_and_its_way_is_gi
     adapter.halt()
     assert (len(adapter._controller.sent), adapter._controller.halted) == (1, 1)
     assert adapter.logged == [
-        "the table cannot be held: where it is nobody tells; its goal is canceled"
+        "the table cannot be held: its position is not known; its goal is canceled"
     ]
 
 

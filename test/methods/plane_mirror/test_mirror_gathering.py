@@ -139,7 +139,7 @@ def test_the_linear_view_of_reflectors_is_that_of_the_way():
     view = linear(prepared, prepared.deviations(prepared.problem.xyz))
     for element in (0, 31, 60):
         response = view.outputs @ view.view.covariance @ view.design[element].T
-        error = np.abs(view.felt[:, element] - response).max()
+        error = np.abs(view.sensitivity[:, element] - response).max()
         assert error < 0.1 * np.abs(response).max()
 
 

@@ -8,7 +8,7 @@ from chances import LONG, most, scatter, share, squares
 from tracer_scene import arc, low_ring, simulate
 
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.methods.tracer.solver.joins import adjust_at_equal_places
+from rotcal_ros.methods.tracer.solver.joined_runs import adjust_at_equal_places
 from rotcal_ros.methods.tracer.solver.reported import Slope, with_reported
 from rotcal_ros.methods.tracer.solver.solve import result_of, solve
 

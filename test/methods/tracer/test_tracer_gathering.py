@@ -186,7 +186,10 @@ def test_stations_apart_are_seen_as_in_the_covariance_of_all_unknowns():
     strip, target = np.array([3, 3, 3, 0, 7]), np.array([0, 4, 5, 4, 4])
     for one, other in (
         (apart.leverage(strip, target), whole.leverage(strip, target)),
-        (apart.felt(strip, target).of(np.eye(5)), whole.felt(strip, target).of(np.eye(5))),
+        (
+            apart.sensitivity(strip, target).of(np.eye(5)),
+            whole.sensitivity(strip, target).of(np.eye(5)),
+        ),
     ):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-11 * np.abs(other).max())
     strip = np.arange(len(here.sound))

@@ -27,7 +27,7 @@ def whole(covariance):
     return StationCovariance(
         LowRank.whole(covariance.lengths.dense(), 3),
         LowRank.whole(covariance.targets.dense(), 3),
-        covariance.felt,
+        covariance.sensitivity,
         covariance.dof_effective,
     )
 
@@ -48,7 +48,7 @@ def test_the_stations_have_the_covariance_of_the_network_that_keeps_them():
     for name in ("lengths", "targets"):
         found, expected = getattr(solution.covariance, name), getattr(other, name)
         close(found.dense(), expected.dense(), 1e-8)
-    close(solution.covariance.felt, other.felt, 1e-8)
+    close(solution.covariance.sensitivity, other.sensitivity, 1e-8)
 
 
 @pytest.mark.parametrize("variant", ["joint", "station"])

@@ -11,7 +11,12 @@ from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.methods.tracer.solver.error_motion import ErrorMotion
 from rotcal_ros.methods.tracer.solver.grid import arrange
-from rotcal_ros.methods.tracer.solver.joins import RepeatedLengths, Runs, adjust_joined, join_of
+from rotcal_ros.methods.tracer.solver.joined_runs import (
+    RepeatedLengths,
+    Runs,
+    adjust_joined,
+    join_of,
+)
 from rotcal_ros.methods.tracer.solver.noise import NoiseFactors
 from rotcal_ros.methods.tracer.solver.observability import (
     check_counts,

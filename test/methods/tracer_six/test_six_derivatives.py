@@ -14,7 +14,7 @@ from rotcal_ros.methods.tracer_six.solver.curves import (
     table_curves,
 )
 from rotcal_ros.methods.tracer_six.solver.layout import lay_out
-from rotcal_ros.methods.tracer_six.solver.rig import relax, slopes
+from rotcal_ros.methods.tracer_six.solver.network import relax, slopes
 from rotcal_ros.methods.tracer_six.solver.solution import find_start
 
 
@@ -110,19 +110,19 @@ def test_normal_matrix_is_the_slope_of_the_slopes(tilt, scattered):
     layout, _ = lay_out(SixProblem(**rows, tilt_std=tilt))
     state, grid = find_start(layout), layout.grid
     roots = 1e-7 * rng.normal(size=(len(layout.position), 3, 3)) if scattered else None
-    rig = relax(grid, layout, roots, state)
-    state = rig.state
+    network = relax(grid, layout, roots, state)
+    state = network.state
     kept, poses = 1e-8 * rng.normal(size=layout.size), 1e-8 * rng.normal(size=(4, 6))
     ahead = slopes(grid, layout, roots, state.moved(kept, poses))
     behind = slopes(grid, layout, roots, state.moved(-kept, -poses))
     by_kept, by_poses = 0.5 * (ahead.kept - behind.kept), 0.5 * (ahead.poses - behind.poses)
     # N x, and back: equal to x but for what no length feels
-    x, y = rig.reduced.solve(by_kept, by_poses.ravel())
+    x, y = network.reduced.solve(by_kept, by_poses.ravel())
     assert x @ by_kept + y @ by_poses.ravel() == pytest.approx(
         kept @ by_kept + (poses * by_poses).sum(), rel=1e-5
     )
     again = slopes(grid, layout, roots, state.moved(x - kept, y.reshape(4, 6) - poses))
-    assert again.chi2 - rig.slopes.chi2 < 1e-6 * (ahead.chi2 - rig.slopes.chi2)
+    assert again.chi2 - network.slopes.chi2 < 1e-6 * (ahead.chi2 - network.slopes.chi2)
 
 
 def test_jacobian_of_the_curves_by_differences():

@@ -7,7 +7,7 @@ from six_scene import good_targets, on_circle, scene
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.methods.tracer_six.solver import SixProblem
 from rotcal_ros.methods.tracer_six.solver.layout import lay_out
-from rotcal_ros.methods.tracer_six.solver.rig import relax
+from rotcal_ros.methods.tracer_six.solver.network import relax
 from rotcal_ros.methods.tracer_six.solver.solution import adjust, find_start
 
 
@@ -38,8 +38,8 @@ def test_open_directions_are_those_of_the_dense_jacobian(heights, open_):
     jacobian = jacobian.reshape(-1, jacobian.shape[2])
     values = np.linalg.svd(jacobian, compute_uv=False)
     assert (values < 1e-9 * values[0]).sum() == open_
-    rig = relax(grid, layout, None, state)
-    assert rig.reduced.constraints.shape[1] == open_
+    network = relax(grid, layout, None, state)
+    assert network.reduced.constraints.shape[1] == open_
     assert adjust(problem).fit.rank == jacobian.shape[1] - open_
 
 

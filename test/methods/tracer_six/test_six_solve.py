@@ -57,10 +57,10 @@ def test_same_minimum_as_scipy(zero):
     assert solution.fit.chi2 == pytest.approx(2.0 * found.cost, rel=1e-7)
     stations = scipy._arms(scipy._turned(c), q) + d[problem.position]
     layout = solution.layout
-    ours = solution.rig.state.stations(layout)
+    ours = solution.network.state.stations(layout)
     at = np.searchsorted(7 * layout.place + layout.position, 7 * problem.place + problem.position)
     assert np.abs(ours[at] - stations).max() < 3e-10
-    assert np.abs(solution.rig.state.targets - targets).max() < 3e-10
+    assert np.abs(solution.network.state.targets - targets).max() < 3e-10
 
 
 def dense_covariance(problem, zero, target_std):
@@ -118,7 +118,7 @@ def test_tilts_of_a_milliradian_and_a_leaning_axis_are_exact():
     solution = adjust(SixProblem(**large.rows, **KNOWN))
     assert solution.fit.chi2 < 1e-9
     # back from the curves to the stations: the frames and the curves together are the poses
-    found, state = solution.table.curves, solution.rig.state
+    found, state = solution.table.curves, solution.network.state
     from scipy.spatial.transform import Rotation
 
     turned = Rotation.from_rotvec(found.rotation) * Rotation.from_euler("z", angles[:, None])

@@ -46,7 +46,7 @@ def test_a_trial_is_what_the_solver_finds(datum):
     trials = six_trials(problem)
     drawn, layout = trials._drawn(np.random.default_rng(5))
     station = np.empty(len(problem.length), dtype=int)
-    station[trials.rig.grid.row.ravel()] = np.repeat(np.arange(24), 10)
+    station[trials.network.grid.row.ravel()] = np.repeat(np.arange(24), 10)
     length = drawn.length[station, problem.target]
     answer = solve(replace(problem, length=length, targets=drawn.targets))
     found = trials._solved(drawn, layout).reshape(6, 8)

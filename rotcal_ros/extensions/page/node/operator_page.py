@@ -1,8 +1,8 @@
 """The operator's page: shows a browser what the cell does, and passes on what a person asks.
 
-It hears what the nodes tell anyway and subscribes to no instrument. Nothing waits for it.
+It hears what the nodes publish anyway and subscribes to no instrument. Nothing waits for it.
 
-Following the goal of a planner from outside: any node may, whoever sent it.
+Following the goal of a planner from outside, whoever sent it.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from rotcal_ros.extensions.page.app import Answer
 from rotcal_ros.extensions.page.board import Board, Course
 from rotcal_ros.extensions.page.headline import HeardPlanner, now
 from rotcal_ros.extensions.page.node import sections as page_sections
-from rotcal_ros.extensions.page.node.offer import WaitingTable
 from rotcal_ros.extensions.page.node.topics import CapturedValues, PageTopics
+from rotcal_ros.extensions.page.node.waiting_table import WaitingTable
 from rotcal_ros.extensions.page.server import PageServer
 from rotcal_ros.extensions.page.settings import PageSettings
 from rotcal_ros.extensions.page.state import Cell, ShownUncertainty, StepProgress
@@ -39,7 +39,7 @@ from rotcal_ros.planning.plan import PAUSED
 
 PERIOD_S: Final = 0.25
 LAST_WORD_S: Final = 2.0
-"""For the end of a goal, which its client may have heard before us."""
+"""How long to wait for the end of a goal, which its client may have heard before us."""
 PLANNER: Final = "planner"
 
 
@@ -80,7 +80,7 @@ class OperatorPage(CellNode):
         return self._asked(partial(self._table.apply, confirmation, secret))
 
     def begin_stop(self) -> None:
-        """Wait for the last word of the planner, then tell the viewers the end."""
+        """Wait for the last message of the planner, then tell the viewers the end."""
         self._ending_s = time.monotonic()
 
     def stopped(self) -> bool:
@@ -115,7 +115,7 @@ class OperatorPage(CellNode):
         self.board.show(standing=ShownUncertainty(), recording=None)
 
     def _look(self) -> None:
-        """Bring what the heartbeats tell up to date."""
+        """Update what the heartbeats show."""
         health, goal = self.health, self._goal
         capture = health.others.get("capture")
         if capture is not None and capture is not self._beat:

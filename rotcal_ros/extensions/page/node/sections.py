@@ -129,7 +129,7 @@ def _words(status: DiagnosticStatus) -> str:
 
 
 def recording(values: Mapping[str, str]) -> RecorderState | None:
-    """Return how the bag is doing, from the recorder's values; None before there is one."""
+    """Return the state of the bag, from the recorder's values; None before there is one."""
     if "file" not in values:
         return None
     losses = {k: int(n) for k, n in values.items() if k not in OF_THE_BAG and n.isdigit()}
@@ -151,5 +151,5 @@ def _free_gb(folder: Path) -> float | None:
 
 
 def number(value: Any) -> float | None:
-    """Return a number that is known, else None."""
+    """Return a number, or None where it is not known."""
     return float(value) if value is not None and math.isfinite(value) else None

@@ -1,6 +1,6 @@
 """What the page takes from topics: plan, deviations, rejected attempts, orders, warnings.
 
-What the heartbeat of the capture tells of the instruments: rates, readings, temperatures.
+What the heartbeat of the capture says of the instruments: rates, readings, temperatures.
 """
 
 from __future__ import annotations

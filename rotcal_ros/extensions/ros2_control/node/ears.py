@@ -1,4 +1,4 @@
-"""The table behind an adapter that is still to come: heard and judged as the adapter will."""
+"""The table behind an adapter that does not run yet: heard and judged as the adapter will."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _MOST_NAMES: Final = 12
 
 
 class AdapterEars:
-    """What the adapter would hear: of all joints that of the table, and who tells of it."""
+    """What the adapter would hear: of all joints that of the table, and who publishes it."""
 
     def __init__(self, node: Node, configuration: Configuration) -> None:
         self._node, self._settings = node, configuration.table_adapter
@@ -56,16 +56,16 @@ class AdapterEars:
             there = ", ".join(self._names())
             return f"{found}, it has {there or 'said nothing'}", f"cell.joint: one of {there}"
         if len(self._tellers) > 1:
-            found = f"{len(self._tellers)} publishers tell of the joint {joint!r} on {topic}"
+            found = f"{len(self._tellers)} publishers publish the joint {joint!r} on {topic}"
             return f"{found} ({self._who()})", "stop all but one that publish this joint"
         if text := self._watch.doubt() or self._watch.complaint(time.monotonic()):
-            return text, f"let {topic} tell the joint in rad, and without a pause"
+            return text, f"let {topic} give the joint in rad, and without a pause"
         return "", ""
 
     def outside(self) -> str:
         """Return in words that the joint stands outside of its stated travel; empty: it does not.
 
-        Degrees that are taken for radians often do.
+        Degrees that are taken for radians often show so.
         """
         low, high, latest = self._settings.lower_deg, self._settings.upper_deg, self._watch.latest
         if low is None or high is None or latest is None:
@@ -105,7 +105,7 @@ class AdapterEars:
         return [printable(name) for name in self._others][:_MOST_NAMES]
 
     def _who(self) -> str:
-        """Return the nodes that tell of the joint, as far as the graph names them."""
+        """Return the nodes that publish the joint, as far as the graph names them."""
         found = self._node.get_publishers_info_by_topic(self.topic)
         named = {publisher_of(info.endpoint_gid): info.node_name for info in found}
         return ", ".join(
@@ -128,7 +128,7 @@ def asked_for(settings: TableAdapterSettings, interface: str) -> str:
 
 
 def offered(node: Node, settings: TableAdapterSettings) -> dict[str, str]:
-    """Return interface -> node, for all by which this controller could be ordered."""
+    """Return interface -> node, for all interfaces by which this controller takes orders."""
     found = {}
     status = node.get_publishers_info_by_topic(
         node.resolve_topic_name(f"{asked_for(settings, 'goals')}/_action/status")

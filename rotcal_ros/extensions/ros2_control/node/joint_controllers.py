@@ -1,4 +1,4 @@
-"""How controllers of ros2_control take where a joint shall go: by topics, or by goals."""
+"""How controllers of ros2_control are told where a joint shall go: by topics, or by goals."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rotcal_ros.planning.table_ways import Way
 
 SETPOINT_PERIOD_S: Final = 0.02
 LATEST_S: Final = 1.5 * SETPOINT_PERIOD_S
-"""Time made up for in one step at most: a machine that is busy goes slower, it never jumps."""
+"""Longest time made up for in one step: a busy computer slows the joint, it never jumps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,10 +32,10 @@ class ControllerReport:
 
 
 class JointController(Protocol):
-    """Takes ways; a new one takes the place of the one under way."""
+    """Takes ways; a new one replaces the present one."""
 
     def heard(self) -> bool:
-        """Return whether anybody listens to it."""
+        """Return whether a node listens to it."""
 
     def setpoint(self) -> tuple[float, float] | None:
         """Return where (rad) and how fast (rad/s) it was sent last on its way, if known."""
@@ -44,10 +44,10 @@ class JointController(Protocol):
         """Let the joint go that way from now on."""
 
     def forget(self) -> None:
-        """Send nothing more of the way under way."""
+        """Send nothing more of the present way."""
 
     def halt(self) -> str:
-        """End the way under way though nobody knows where it is; return what was done."""
+        """End the present way though the position is not known; return what was done."""
 
     def report(self) -> ControllerReport:
         """Return what the controller says of the latest way."""
@@ -56,7 +56,7 @@ class JointController(Protocol):
 def interface_of(settings: TableAdapterSettings) -> str:
     """Return goals, trajectory or positions, whichever it is here.
 
-    Raises ConfigurationError for goals where nobody knows their messages.
+    Raises ConfigurationError for goals where their messages are not installed.
     """
     interface, with_goals = settings.interface, find_spec("control_msgs") is not None
     if interface == "goals" and not with_goals:
@@ -88,7 +88,7 @@ class TrajectoryController:
         )
 
     def heard(self) -> bool:
-        """Return whether anybody listens to it."""
+        """Return whether a node listens to it."""
         return bool(self._publisher.get_subscription_count())
 
     def setpoint(self) -> None:
@@ -106,7 +106,7 @@ class TrajectoryController:
         """Do nothing: the controller has the whole trajectory, and ends it by itself."""
 
     def halt(self) -> str:
-        """Do nothing: only a place takes that of the way, an empty trajectory is refused."""
+        """Do nothing: only a new target replaces the trajectory, an empty one is refused."""
         return "a trajectory sent by topic cannot be taken back, it goes on to its end"
 
 
@@ -120,7 +120,7 @@ class PositionController:
         node.every(SETPOINT_PERIOD_S, self._step)
 
     def heard(self) -> bool:
-        """Return whether anybody listens to it."""
+        """Return whether a node listens to it."""
         return bool(self._publisher.get_subscription_count())
 
     def setpoint(self) -> tuple[float, float] | None:

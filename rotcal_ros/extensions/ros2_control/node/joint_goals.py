@@ -51,7 +51,7 @@ class GoalController:
         """Return None: the controller goes over from one trajectory to the next by itself."""
 
     def send(self, way: Way) -> None:
-        """Send a goal; the controller gives the one before it up by itself."""
+        """Send a goal; the controller gives up the previous one by itself."""
         self._latest, self._handle, self._report = way, None, ControllerReport()
         goal = FollowJointTrajectory.Goal(trajectory=trajectory_message(self._joint, way))
         answer = self._client.send_goal_async(goal)
@@ -90,7 +90,7 @@ class GoalController:
         if way is not self._latest:
             return
         if ended.status == GoalStatus.STATUS_CANCELED:
-            self._say("canceled the goal", "somebody else asked it to, or it was deactivated")
+            self._say("canceled the goal", "another client asked it to, or it was deactivated")
         elif ended.status != GoalStatus.STATUS_SUCCEEDED or ended.result.error_code:
             code, own = ended.result.error_code, ended.result.error_string[:MOST_SAID]
             why = f"{ERRORS.get(code, 'unknown reason')} (error {code})"

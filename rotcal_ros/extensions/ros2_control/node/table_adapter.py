@@ -1,7 +1,7 @@
 """A joint of ros2_control as the table: orders become trajectories, its feedback the cell's.
 
-Whether the table is where it was sent is told by the feedback of its joint alone; what cannot be,
-or does not happen, is logged and stands in the diagnostics.
+Only the feedback of its joint shows whether the table is where it was sent; what is impossible, or
+does not happen, is logged and stands in the diagnostics.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.concerns import COMPLAINT, show
+from rotcal_ros.nodes.runtime.diagnostic_warnings import COMPLAINT, show
 from rotcal_ros.nodes.runtime.draining import Batch, InstrumentSubscription
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.health import CALIBRATING
@@ -39,7 +39,7 @@ from rotcal_ros.planning.table_ways import way_to, way_to_rest
 
 LOOK_PERIOD_S: Final = 0.2
 FRESH_S: Final = 1.0
-"""Age of an order from which on the planner's beat is younger than it."""
+"""Age of an order from which the planner's beat is certainly younger."""
 
 
 class TableAdapter(CellNode):
@@ -77,13 +77,13 @@ class TableAdapter(CellNode):
         self.every(LOOK_PERIOD_S, self._look)
 
     def deactivated(self) -> None:
-        """Command nothing more, neither in an emergency stop."""
+        """Command nothing more, not even in an emergency stop."""
         self._waiting = None
         self._controller.forget()
         self._watch.leave()
 
     def _obey(self, message: TableAngle) -> None:
-        """Take an order; it takes the place of one that is under way."""
+        """Take an order; it replaces one that is being carried out."""
         if self._stop.refuses(message.step):
             return
         self._waiting, self._waiting_s, self._refused = message, self.health.awake.now_s(), ""
@@ -91,7 +91,7 @@ class TableAdapter(CellNode):
         self._send()
 
     def _halt(self, _why: str) -> None:
-        """Forget the order that waits, and bring a joint that moves by another to rest."""
+        """Forget the waiting order, and bring a joint that moves by another one to rest."""
         self._waiting, self._state = None, "waiting for an order"
         if not self._watch.under_way(now_s := self.health.awake.now_s()):
             return
@@ -99,7 +99,7 @@ class TableAdapter(CellNode):
         self._held = sent is not None
         if sent is None:
             self._watch.leave()
-            how = f"where it is nobody tells; {self._controller.halt()}"
+            how = f"its position is not known; {self._controller.halt()}"
             self.get_logger().error(f"the table cannot be held: {how}")
             return
         way = way_to_rest(*sent, self._settings)
@@ -107,7 +107,7 @@ class TableAdapter(CellNode):
         self._watch.begin(way, now_s)
 
     def _send(self) -> None:
-        """Send what waits, as soon as it is known where the joint stands and who listens."""
+        """Send the waiting order as soon as it is known where the joint stands and who listens."""
         order, here = self._waiting, self._watch.here(self.health.awake.now_s())
         if order is None or here is None or self._watch.doubt() or not self._controller.heard():
             return
@@ -143,7 +143,7 @@ class TableAdapter(CellNode):
         self._send()
 
     def _look(self) -> None:
-        """Send what waited for a listener, and look for what is wrong."""
+        """Send what waited for a listener, and check for faults."""
         self._forget()
         self._send()
         if text := self._wrong():
@@ -175,7 +175,7 @@ class TableAdapter(CellNode):
         return f"joint {self._joint!r} of {self._settings.controller}: {text}" if text else ""
 
     def _why_waiting(self) -> str:
-        """Say why an order is not sent; nothing while graphs may still come together."""
+        """Say why an order is not sent; nothing while discovery may still be going on."""
         if doubt := self._watch.doubt():
             return doubt
         if self.health.awake.now_s() <= self._waiting_s + self._settings.silence_s:
@@ -184,8 +184,8 @@ class TableAdapter(CellNode):
             return f"nobody publishes {self._settings.feedback}: nothing can be moved"
         if not self._controller.heard():
             return (
-                f"nobody listens to {self._settings.controller}: is the controller active, "
-                "and does it take what table_adapter.interface says?"
+                f"no node listens to {self._settings.controller}: is the controller active, and "
+                "does it take what table_adapter.interface says?"
             )
         return ""
 

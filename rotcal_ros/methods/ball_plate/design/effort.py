@@ -14,7 +14,7 @@ from rotcal_ros.foundation.errors import ObservabilityError, PlanError
 from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.ball_plate.design.ball_layout import BallLayout, best_layout
 from rotcal_ros.methods.ball_plate.design.ball_plan import spread_out
-from rotcal_ros.methods.ball_plate.solver.general import solve_general
+from rotcal_ros.methods.ball_plate.solver.general_least_squares import solve_general
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, grid_angles
 
 MOST_BALLS = 24

@@ -10,6 +10,7 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.methods.ball_plate.design.ball_plan import BallPlan
 from rotcal_ros.methods.ball_plate.solver.closure import split
+from rotcal_ros.methods.ball_plate.solver.disturbance_response import unit_std
 from rotcal_ros.methods.ball_plate.solver.estimate import least_squares
 from rotcal_ros.methods.ball_plate.solver.order_effects import (
     RANDOM_MOMENTS,
@@ -21,7 +22,6 @@ from rotcal_ros.methods.ball_plate.solver.order_effects import (
     order_effects,
 )
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, grid_angles, on_circle
-from rotcal_ros.methods.ball_plate.solver.response import unit_std
 
 AXES = ("x", "y", "z")
 

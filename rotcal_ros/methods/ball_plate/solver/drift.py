@@ -15,6 +15,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ObservabilityError
+from rotcal_ros.methods.ball_plate.solver.disturbance_response import Responder, responses, weights
 from rotcal_ros.methods.ball_plate.solver.model import (
     FIELDS,
     LinearFit,
@@ -23,7 +24,6 @@ from rotcal_ros.methods.ball_plate.solver.model import (
     Solution,
 )
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
-from rotcal_ros.methods.ball_plate.solver.response import Responder, responses, weights
 
 VISIBLE = 0.01
 """Part of a drift's sum of squares that must be left in the residuals to estimate it."""

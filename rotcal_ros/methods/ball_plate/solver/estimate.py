@@ -7,7 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats, Ints
-from rotcal_ros.methods.ball_plate.solver import drift, gaps, general, model, rigorous, spectral
+from rotcal_ros.methods.ball_plate.solver import (
+    drift,
+    gaps,
+    general_least_squares,
+    model,
+    rigorous,
+    spectral,
+)
 from rotcal_ros.methods.ball_plate.solver.model import LinearFit, PlateParameters, Solution
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 
@@ -50,7 +57,9 @@ def factored(problem: BallPlateProblem) -> LinearFit:
     if problem.complete and problem.std is None:
         return spectral.factored(problem)
     cells = _few_gaps(problem)
-    return general.factored(problem) if cells is None else gaps.factored(problem, cells)
+    return (
+        general_least_squares.factored(problem) if cells is None else gaps.factored(problem, cells)
+    )
 
 
 def _same_everywhere(problem: BallPlateProblem) -> Floats | None:
@@ -94,8 +103,8 @@ def _few_gaps(problem: BallPlateProblem) -> Ints | None:
     if min(map(len, whole)) < problem.grid:
         return None  # a filled grid would have unknowns that no centre sees
     cells = gaps.gap_cells(problem)
-    large = model.offsets(problem).total > general.MAX_UNKNOWNS
+    large = model.offsets(problem).total > general_least_squares.MAX_UNKNOWNS
     if cells is None or len(cells) > (MANY_GAPS if large else FEW_GAPS):
         return None
-    general.require_balls(problem)
+    general_least_squares.require_balls(problem)
     return cells

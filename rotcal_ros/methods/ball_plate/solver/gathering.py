@@ -19,15 +19,15 @@ import numpy as np
 
 from rotcal_ros.adjust import gathering as engine
 from rotcal_ros.adjust.distributions import chi2_isf
-from rotcal_ros.adjust.felt import Felt
 from rotcal_ros.adjust.gathering import Count, Gathering, GatheringLimits, Words
 from rotcal_ros.adjust.groups import Group, GroupTest
 from rotcal_ros.adjust.judgement import Belief, blame, judge
 from rotcal_ros.adjust.reliability import Hidden, hidden
+from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.adjust.subsets import distinct, runs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.protection import POWER
-from rotcal_ros.methods.ball_plate.solver import general, model
+from rotcal_ros.methods.ball_plate.solver import general_least_squares, model
 from rotcal_ros.methods.ball_plate.solver.drift import drift_columns
 from rotcal_ros.methods.ball_plate.solver.model import Solution
 from rotcal_ros.methods.ball_plate.solver.order_effects import RowOrder, layout_of
@@ -80,9 +80,9 @@ class GatheredRows:
         """What people call it."""
         return f"{self.kind} {self.number}"
 
-    def felt(self, response: Floats) -> Felt:
+    def sensitivity(self, response: Floats) -> Sensitivity:
         """Return what the outputs feel of its rows; ``response`` (o, n, 3)."""
-        return Felt.whole(response[:, self.rows].reshape(len(response), -1))
+        return Sensitivity.whole(response[:, self.rows].reshape(len(response), -1))
 
     def group(self, whitened: Floats, unit: Floats, response: Floats | None) -> Group:
         """Return the engine's group; ``response`` (o, n, 3), None for none."""
@@ -92,7 +92,9 @@ class GatheredRows:
             members=self.rows,
             residual=whitened[self.rows],
             cofactor=self.cofactor,
-            felt=self.felt(np.zeros((1, *unit.shape)) if response is None else response),
+            sensitivity=self.sensitivity(
+                np.zeros((1, *unit.shape)) if response is None else response
+            ),
             unit=unit[self.rows],
             gathered=self.gathered,
             eigen=self.eigen,
@@ -158,7 +160,9 @@ def judged(
     weighed = list[Group]()
     if first.possible:  # seldom on sound plates: of all groups it costs more
         response = view.response * scale
-        weighed = [replace(groups[k], felt=view.places[k].felt(response)) for k in asked]
+        weighed = [
+            replace(groups[k], sensitivity=view.places[k].sensitivity(response)) for k in asked
+        ]
     return engine.judged(before, groups, rest, weighed, BELIEF, common)
 
 
@@ -333,7 +337,7 @@ def view_of(problem: BallPlateProblem) -> GatheringView:
 @lru_cache(maxsize=4)
 def _of_layout(layout: RowOrder) -> GatheringView:
     problem = layout.problem()
-    view = general.linear_view(problem)
+    view = general_least_squares.linear_view(problem)
     n = len(problem.centres)
     design, std = view.design.toarray(), view.std
     half = design @ view.covariance

@@ -19,6 +19,7 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.protection import POWER
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.ball_plate.solver import model
+from rotcal_ros.methods.ball_plate.solver.disturbance_response import curves, responses, weights
 from rotcal_ros.methods.ball_plate.solver.drift import drift_columns
 from rotcal_ros.methods.ball_plate.solver.estimate import factored
 from rotcal_ros.methods.ball_plate.solver.problem import (
@@ -27,7 +28,6 @@ from rotcal_ros.methods.ball_plate.solver.problem import (
     grid_step,
     on_circle,
 )
-from rotcal_ros.methods.ball_plate.solver.response import curves, responses, weights
 
 SIGNIFICANCE: Final = 0.01
 """Level of the tests for a drift, for a motion of the plate and of the closure."""

@@ -21,7 +21,7 @@ from rotcal_ros.methods.ball_plate.solver.gathering import (
     left_out,
     suspected,
 )
-from rotcal_ros.methods.ball_plate.solver.general import (
+from rotcal_ros.methods.ball_plate.solver.general_least_squares import (
     MIN_BALLS,
     balls_at_positions,
     require_balls,

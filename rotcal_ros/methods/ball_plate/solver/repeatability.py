@@ -17,10 +17,10 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.methods.ball_plate.solver import model
 from rotcal_ros.methods.ball_plate.solver.closure import visit_numbers
+from rotcal_ros.methods.ball_plate.solver.disturbance_response import Responder, curves
 from rotcal_ros.methods.ball_plate.solver.estimate import factored
 from rotcal_ros.methods.ball_plate.solver.order_effects import RowOrder, layout_of
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
-from rotcal_ros.methods.ball_plate.solver.response import Responder, curves
 
 MIN_STOPS: Final = 10
 """Repeated stops needed to tell a scatter."""

@@ -18,7 +18,7 @@ from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.results import Rejection
 from rotcal_ros.geometry.rotations import rotation_about_z
-from rotcal_ros.methods.ball_plate.solver import general, model
+from rotcal_ros.methods.ball_plate.solver import general_least_squares, model
 from rotcal_ros.methods.ball_plate.solver.closure import split as closing_apart
 from rotcal_ros.methods.ball_plate.solver.model import Solution
 from rotcal_ros.methods.ball_plate.solver.noise import AXIS_SIGNIFICANCE, CentreNoise, assess
@@ -149,7 +149,7 @@ def _weights(whole: BallPlateProblem, n_groups: int, noise: CentreNoise) -> Floa
     and where the elimination would not fit into memory: then the larger one is stated.
     """
     weights: Floats = noise.estimated.copy()
-    large = model.offsets(whole).total > general.MAX_UNKNOWNS
+    large = model.offsets(whole).total > general_least_squares.MAX_UNKNOWNS
     if noise.plane >= AXIS_SIGNIFICANCE or n_groups > 1 or large:
         weights[:2] = np.hypot(weights[0], weights[1]) / np.sqrt(2.0)
     return weights

@@ -12,10 +12,11 @@ from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import Residuals, Result, Verdict
 from rotcal_ros.methods.ball_plate.solver import model, rigorous
 from rotcal_ros.methods.ball_plate.solver.drift import drifted
-from rotcal_ros.methods.ball_plate.solver.general import MIN_BALLS
+from rotcal_ros.methods.ball_plate.solver.general_least_squares import MIN_BALLS
 from rotcal_ros.methods.ball_plate.solver.noise import CentreNoise
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.solver.rejection import Fitted
+from rotcal_ros.methods.ball_plate.solver.reliability import completed
 from rotcal_ros.methods.ball_plate.solver.separability import separability
 from rotcal_ros.methods.ball_plate.solver.solution import (
     PlateSolution,
@@ -24,7 +25,6 @@ from rotcal_ros.methods.ball_plate.solver.solution import (
     turned_back,
 )
 from rotcal_ros.methods.ball_plate.solver.trials import influence_of
-from rotcal_ros.methods.ball_plate.solver.trust import completed
 from rotcal_ros.methods.ball_plate.solver.zeros import groups_in_words, zeros_of
 
 METHOD = "ball_plate"

@@ -9,7 +9,7 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.raw_data import MOST_INFLUENCES, Influence
-from rotcal_ros.methods.ball_plate.solver import general, model
+from rotcal_ros.methods.ball_plate.solver import general_least_squares, model
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.solver.solution import PlateSolution, adjust
 
@@ -57,7 +57,7 @@ def plate_trials(problem: BallPlateProblem) -> LinearTrials | SolvedTrials:
     if _linear(problem):
         used = solution.fits[0].problem
         std = _std(used, solution.noise.scale).ravel()
-        return LinearTrials(_in_order(solution), general.table_gain(used).T, std)
+        return LinearTrials(_in_order(solution), general_least_squares.table_gain(used).T, std)
     return SolvedTrials(problem, _std(problem, solution.noise.used))
 
 
@@ -70,14 +70,14 @@ def influence_of(solution: PlateSolution) -> Influence | None:
     rows = len(COMPONENTS) * len(used.table_positions)
     if not _linear(solution.problem) or rows * used.centres.size > MOST_INFLUENCES:
         return None
-    gain = general.table_gain(used) * _std(used, solution.noise.scale).ravel()
+    gain = general_least_squares.table_gain(used) * _std(used, solution.noise.scale).ravel()
     by_component = dict(zip(COMPONENTS, np.split(gain, len(COMPONENTS)), strict=True))
     return Influence(used.rows, 3, by_component)
 
 
 def _linear(problem: BallPlateProblem) -> bool:
     """Whether one matrix takes all centres to all deviations."""
-    large = model.offsets(problem).total > general.MAX_UNKNOWNS
+    large = model.offsets(problem).total > general_least_squares.MAX_UNKNOWNS
     return not (problem.separate_groups or large or problem.drift > 0)
 
 

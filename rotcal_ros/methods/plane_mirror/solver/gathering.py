@@ -19,11 +19,11 @@ import numpy as np
 
 from rotcal_ros.adjust import gathering as engine
 from rotcal_ros.adjust.distributions import chi2_isf
-from rotcal_ros.adjust.felt import Felt
 from rotcal_ros.adjust.gathering import SUSPECTED, Gathering, Words
 from rotcal_ros.adjust.groups import Group
 from rotcal_ros.adjust.judgement import Belief, blame
 from rotcal_ros.adjust.reliability import hidden
+from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.adjust.subsets import distinct, neighbourhoods, runs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, RotcalError
@@ -201,8 +201,10 @@ def groups_of(points: Linear, problem: PlaneMirrorProblem, lost: tuple[int, ...]
             _gathered(elements, here),
             gone,
         )
-        if points.felt is not None:
-            whole = replace(whole, felt=Felt.whole(points.felt[:, here].reshape(n, -1)))
+        if points.sensitivity is not None:
+            whole = replace(
+                whole, sensitivity=Sensitivity.whole(points.sensitivity[:, here].reshape(n, -1))
+            )
         found.append(whole)
         if kind in TURNING:
             found.append(_sideways(whole))
@@ -220,7 +222,7 @@ def _sideways(group: Group) -> Group:
         name=f"{group.name}, sideways",
         residual=group.residual[:, level],
         cofactor=group.cofactor[:, level, :, level],
-        felt=Felt.whole(group.response[:, :, 1]),
+        sensitivity=Sensitivity.whole(group.response[:, :, 1]),
         unit=group.unit[:, level],
     )
 

@@ -18,8 +18,8 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.adjust.explanations import Hypotheses
-from rotcal_ros.adjust.felt import Felt
 from rotcal_ros.adjust.groups import SolutionView
+from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.methods.plane_mirror.solver import joint
 from rotcal_ros.methods.plane_mirror.solver.direct import (
@@ -90,8 +90,8 @@ class Linear:
 
     ``unit`` (m, 3): whitened units per m. ``root`` (m, 3, 3): makes errors along the axes of the
     station (m) whitened ones. ``outputs`` (N, p): the deviations, from the first. ``prior``
-    (N, p), ``prior_misclosure`` (N,): of the tilts. ``felt`` (N, m, 3): by how much the deviations
-    are off per whitened unit, where that is not as of the least squares of all of it.
+    (N, p), ``prior_misclosure`` (N,): of the tilts. ``sensitivity`` (N, m, 3): by how much the
+    deviations are off per whitened unit, where that is not as of the least squares of all of it.
     """
 
     elements: Elements
@@ -102,7 +102,7 @@ class Linear:
     outputs: Floats
     prior: Floats
     prior_misclosure: Floats
-    felt: Floats | None = None
+    sensitivity: Floats | None = None
 
     @cached_property
     def view(self) -> SolutionView:
@@ -139,9 +139,9 @@ class Linear:
         weight = white.T @ (white - self.design.reshape(len(white), -1) @ solved)
         values, vectors = np.linalg.eigh(0.5 * (weight + weight.T))
         along = (white.T @ self.residual.ravel()) @ vectors
-        felt = Felt.whole(np.asarray(self.outputs @ solved))
+        sensitivity = Sensitivity.whole(np.asarray(self.outputs @ solved))
         return Hypotheses(
-            np.maximum(values, 0.0)[None], along[None], lambda: vectors[:, None], felt
+            np.maximum(values, 0.0)[None], along[None], lambda: vectors[:, None], sensitivity
         )
 
     def _white(self, errors: Floats) -> Floats:
@@ -258,7 +258,7 @@ def _of_reflectors(prepared: PreparedPoints, deviations: Floats) -> Linear:
         outputs=outputs,
         prior=np.zeros((0, size)),
         prior_misclosure=np.zeros(0),
-        felt=_felt(prepared, elements, root),
+        sensitivity=_sensitivity(prepared, elements, root),
     )
 
 
@@ -284,7 +284,7 @@ def _circle_rows(prepared: PreparedPoints, deviations: Floats, size: int) -> tup
     return rows, np.einsum("maj,ma->mj", axes, np.column_stack([along, off_circle]))
 
 
-def _felt(prepared: PreparedPoints, elements: Elements, root: Floats) -> Floats:
+def _sensitivity(prepared: PreparedPoints, elements: Elements, root: Floats) -> Floats:
     """Return what whitened errors of the elements do to the estimate (N, m, 3).
 
     Those of the nests, by way of stations and drift, by differences.

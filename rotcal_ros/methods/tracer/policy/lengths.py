@@ -23,14 +23,14 @@ from rotcal_ros.methods.tracer.design.information import Information
 from rotcal_ros.methods.tracer.design.ordering import noisy_problem
 from rotcal_ros.methods.tracer.design.scene import Lengths, Scene
 from rotcal_ros.methods.tracer.policy.contrasts import LengthContrasts
-from rotcal_ros.methods.tracer.policy.measured import MeasuredLengths
+from rotcal_ros.methods.tracer.policy.measured_lengths import MeasuredLengths
 from rotcal_ros.methods.tracer.policy.noise import (
     LengthNoise,
     estimated_noise,
     judged_lengths,
     suspect_length,
 )
-from rotcal_ros.methods.tracer.policy.stated import Solver
+from rotcal_ros.methods.tracer.policy.stated_uncertainty import Solver
 from rotcal_ros.methods.tracer.solver.grid import station_minimum
 from rotcal_ros.methods.tracer.solver.prediction import predicted
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem

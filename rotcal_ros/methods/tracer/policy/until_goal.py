@@ -50,11 +50,17 @@ from rotcal_ros.methods.tracer.design.exchange import fewest_lengths
 from rotcal_ros.methods.tracer.design.penalty import Demands
 from rotcal_ros.methods.tracer.design.sequence_choice import least_hidden, measuring_orders
 from rotcal_ros.methods.tracer.design.sequence_forecast import SequenceForecast
-from rotcal_ros.methods.tracer.policy.further import MOST_AT_ONCE, Wish, as_sweep, best_at, pick
 from rotcal_ros.methods.tracer.policy.lengths import LengthExperiment
-from rotcal_ros.methods.tracer.policy.measured import MeasuredLengths
+from rotcal_ros.methods.tracer.policy.measured_lengths import MeasuredLengths
 from rotcal_ros.methods.tracer.policy.noise import LengthNoise, student_factor
-from rotcal_ros.methods.tracer.policy.stated import Allowance, Stated
+from rotcal_ros.methods.tracer.policy.stated_uncertainty import Allowance, Stated
+from rotcal_ros.methods.tracer.policy.step_selection import (
+    MOST_AT_ONCE,
+    Wish,
+    as_sweep,
+    best_at,
+    pick,
+)
 from rotcal_ros.planning.choices import Choice, Standing, StepOutcome
 from rotcal_ros.planning.sequence_time import stated_time
 

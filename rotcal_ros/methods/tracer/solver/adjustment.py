@@ -87,7 +87,7 @@ class StationCovariance:
     """Covariance (3 m, 3 m) of the stations in m^2, by source, in blocks of stations.
 
     ``lengths``: noise of the lengths, ``targets``: errors of the machine's coordinates, common to
-    all stations; ``felt`` (3 m, n, 3): what a standard error of each coordinate does to the
+    all stations; ``sensitivity`` (3 m, n, 3): what a standard error of each coordinate does to the
     stations, m. ``circle``: by how much stations leave a stated circle; None: none is.
     ``dof_effective``: the chi-squared sum is distributed like ``dof / dof_effective`` times
     chi-squared of that many degrees of freedom.
@@ -95,7 +95,7 @@ class StationCovariance:
 
     lengths: LowRank
     targets: LowRank
-    felt: Floats
+    sensitivity: Floats
     dof_effective: float
     circle: LowRank | None = None
 

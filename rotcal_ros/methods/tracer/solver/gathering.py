@@ -15,11 +15,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from rotcal_ros.adjust import gathering as engine
-from rotcal_ros.adjust.felt import Felt
 from rotcal_ros.adjust.gathering import SUSPECTED, Gathering, GatheringLimits, Words
 from rotcal_ros.adjust.groups import Group, Undivided
 from rotcal_ros.adjust.judgement import blame
 from rotcal_ros.adjust.reliability import hidden
+from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.adjust.subsets import neighbourhoods, runs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.protection import POWER, Protection
@@ -121,8 +121,8 @@ def groups_of(
     for places in places_of(grid, fit, order):
         strip, target = places.at.T
         if len(places.gathered):
-            leverage, felt = view.leverage(strip, target), view.felt(strip, target)
-            found.append(group_at(grid, places, -network.f, leverage, felt))
+            leverage, sensitivity = view.leverage(strip, target), view.sensitivity(strip, target)
+            found.append(group_at(grid, places, -network.f, leverage, sensitivity))
         else:
             unit = 1.0 / grid.length_std[strip, target]
             residual = -network.f[strip, target] * unit
@@ -199,11 +199,13 @@ def _stretches(grid: Grid, order: Ints) -> list[Places]:
     return found
 
 
-def group_at(grid: Grid, places: Places, residual: Floats, leverage: Floats, felt: Felt) -> Group:
+def group_at(
+    grid: Grid, places: Places, residual: Floats, leverage: Floats, sensitivity: Sensitivity
+) -> Group:
     """Return the group of ``places`` with the ``residual`` (p, n) of all lengths, m.
 
-    ``leverage`` (e, e): covariance of the adjusted lengths, m^2. ``felt`` (o, e): what the outputs
-    are off by for a unit of each length over its variance.
+    ``leverage`` (e, e): covariance of the adjusted lengths, m^2. ``sensitivity`` (o, e): what the
+    outputs are off by for a unit of each length over its variance.
     """
     strip, target = places.at.T
     unit = 1.0 / grid.length_std[strip, target]
@@ -214,7 +216,7 @@ def group_at(grid: Grid, places: Places, residual: Floats, leverage: Floats, fel
         residual[strip, target][:, None] * unit[:, None],
         unit[:, None],
         leverage * unit * unit[:, None],
-        felt.weighted(unit),
+        sensitivity.weighted(unit),
         places.gathered,
         places.lost,
     )

@@ -115,20 +115,20 @@ def network_covariance(grid: Grid, fit: Adjustment) -> StationCovariance:
         stations = _move_datum(network, mixed, kept)
         if by_circle is not None:
             by_circle = by_circle - on_stations @ (rigid_part @ of_targets)
-    prior, felt = np.zeros_like(stations), np.zeros_like(mixed)
+    prior, sensitivity = np.zeros_like(stations), np.zeros_like(mixed)
     if not grid.free:
-        felt = mixed / grid.target_std.ravel()
-        prior = felt @ felt.T
+        sensitivity = mixed / grid.target_std.ravel()
+        prior = sensitivity @ sensitivity.T
     coordinates = network.layout.places
     places = np.ix_(coordinates, coordinates)
-    felt = felt[coordinates].reshape(-1, *grid.targets.shape)
+    sensitivity = sensitivity[coordinates].reshape(-1, *grid.targets.shape)
     lengths, circle = stations - prior, None
     if by_circle is not None:
         shared = by_circle @ by_circle.T
         lengths, circle = lengths - shared, LowRank.whole(shared[places], 3)
     return StationCovariance(
-        LowRank.whole(lengths[places], 3), LowRank.whole(prior[places], 3), felt, float(fit.dof),
-        circle,
+        LowRank.whole(lengths[places], 3), LowRank.whole(prior[places], 3), sensitivity,
+        float(fit.dof), circle,
     )  # fmt: skip
 
 
@@ -137,12 +137,12 @@ def _apart_covariance(network: Network, grid: Grid, dof: float) -> StationCovari
     reduced, std = network.reduced, grid.target_std.ravel()
     kept = reduced.covariance()
     common = np.ascontiguousarray(reduced.transfer[:, network.layout.places].T)
-    felt = -(common @ (kept / std))
+    sensitivity = -(common @ (kept / std))
     own, shared = reduced.inverse[:, :3, :3], (kept / std) @ (kept / std).T
     return StationCovariance(
         lengths=LowRank(own, common, kept - shared).quick(),
         targets=LowRank(np.zeros_like(own), common, shared).quick(),
-        felt=felt.reshape(-1, *grid.targets.shape),
+        sensitivity=sensitivity.reshape(-1, *grid.targets.shape),
         dof_effective=dof,
     )
 

@@ -21,7 +21,7 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Ints
 from rotcal_ros.methods.tracer.solver.adjustment import Adjustment
 from rotcal_ros.methods.tracer.solver.grid import Grid
-from rotcal_ros.methods.tracer.solver.shifts import Shifts, shifts_at
+from rotcal_ros.methods.tracer.solver.zero_shifts import Shifts, shifts_at
 
 MOST_FRINGES: Final = 3
 """Fringes that a counter slips at once; what is more is a beam that was broken."""

@@ -13,8 +13,8 @@ from typing import Protocol
 
 import numpy as np
 
-from rotcal_ros.adjust.felt import Felt
 from rotcal_ros.adjust.low_rank import LowRank, Slopes
+from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.methods.tracer.solver.network import Network
 
@@ -25,7 +25,7 @@ class LengthView(Protocol):
     def leverage(self, strip: Ints, target: Ints) -> Floats:
         """Return the covariance (e, e) of the adjusted lengths, m^2."""
 
-    def felt(self, strip: Ints, target: Ints) -> Felt:
+    def sensitivity(self, strip: Ints, target: Ints) -> Sensitivity:
         """Return what the outputs are off by for a unit of each length over its variance."""
 
     def cofactor(self, strip: Ints, target: Ints, unit: Floats) -> LowRank:
@@ -69,8 +69,8 @@ class _Whole:
         spread = _combined(self.covariance, columns, values)
         return _combined(spread.T, columns, values)
 
-    def felt(self, strip: Ints, target: Ints) -> Felt:
-        return Felt.whole(_combined(self.carried, *self._rows(strip, target)).T)
+    def sensitivity(self, strip: Ints, target: Ints) -> Sensitivity:
+        return Sensitivity.whole(_combined(self.carried, *self._rows(strip, target)).T)
 
     def cofactor(self, strip: Ints, target: Ints, unit: Floats) -> LowRank:
         leverage = self.leverage(strip, target) * unit * unit[:, None]
@@ -137,7 +137,7 @@ class _Apart:
         own *= strip[:, None] == strip
         return np.asarray(own + by_target @ self.network.reduced.covariance() @ by_target.T)
 
-    def felt(self, strip: Ints, target: Ints) -> Felt:
+    def sensitivity(self, strip: Ints, target: Ints) -> Sensitivity:
         moved = self._by_station(strip, target)[:, :3]
         of_targets = self.network.reduced.covariance() @ self._by_target(strip, target).T
         columns = 3 * strip[:, None] + np.arange(3)
@@ -145,7 +145,7 @@ class _Apart:
         at, which = np.unique(strip, return_inverse=True)
         own = np.zeros((len(at), len(strip)))
         own[which, np.arange(len(strip))] = (self.outputs.own[strip] * moved).sum(axis=1)
-        return Felt(np.vstack([shared, of_targets]), self.common, at, own)
+        return Sensitivity(np.vstack([shared, of_targets]), self.common, at, own)
 
     def cofactor(self, strip: Ints, target: Ints, unit: Floats) -> LowRank:
         slopes = self.network.rows[strip, target]

@@ -13,9 +13,9 @@ from rotcal_ros.methods.tracer.solver.angles import TableMotion, table_motion
 from rotcal_ros.methods.tracer.solver.grid import Grid, arrange
 from rotcal_ros.methods.tracer.solver.observability import check_counts
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
-from rotcal_ros.methods.tracer.solver.shifts import find_shifts
 from rotcal_ros.methods.tracer.solver.slips import slips_among
 from rotcal_ros.methods.tracer.solver.uncertainty import AngleUncertainty, angle_uncertainty
+from rotcal_ros.methods.tracer.solver.zero_shifts import find_shifts
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
 """What protects a tracer result against each effect that could spoil it, and how well.
 
 Drift, knock, scale and refraction are worked out for the measurement at hand: what each does to
-the deviations, and at which size a test would turn the verdict (:mod:`.response`).
+the deviations, and at which size a test would turn the verdict (:mod:`.error_response`).
 
 What could go wrong while a tracer measures, as errors of its lengths per unit of size.
 
@@ -26,7 +26,7 @@ from rotcal_ros.methods.tracer.solver import gathering
 from rotcal_ros.methods.tracer.solver.adjustment import ranges
 from rotcal_ros.methods.tracer.solver.angles import bearing_slopes
 from rotcal_ros.methods.tracer.solver.error_motion import circle_tested, error_motion_spread
-from rotcal_ros.methods.tracer.solver.response import Worst, respond
+from rotcal_ros.methods.tracer.solver.error_response import Worst, respond
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution
 from rotcal_ros.methods.tracer.solver.verdict import FAILED_FACTORS, closures
 
@@ -172,14 +172,14 @@ def _hidden_noise(solution: TracerSolution) -> Floats:
     significance = 0.5 * solution.problem.settings.test_significance
     ratio = chi2_isf(significance, dof) / np.maximum(chi2_isf(POWER, dof), 1e-30)
     extra = redundancy / information * (ratio - 1.0)
-    felt = angles.std > 0.0
+    uncertain = angles.std > 0.0
     cumulative = bearing_slopes(solution.fit.stations, solution.motion).from_first
-    of_targets = solution.covariance.felt
-    moved = cumulative.times(of_targets.reshape(len(of_targets), -1))[felt]
+    of_targets = solution.covariance.sensitivity
+    moved = cumulative.times(of_targets.reshape(len(of_targets), -1))[uncertain]
     by_axis = (moved.reshape(-1, *of_targets.shape[1:]) ** 2).sum(axis=1)
-    lengths = angles.budget["lengths"][felt] ** 2
+    lengths = angles.budget["lengths"][uncertain] ** 2
     variance = np.column_stack([lengths, lengths, by_axis])
-    shares = (variance / angles.std[felt, None] ** 2).max(axis=0) * evidence.present
+    shares = (variance / angles.std[uncertain, None] ** 2).max(axis=0) * evidence.present
     return np.asarray(np.sqrt(np.minimum(extra, FAILED_FACTORS**2) * shares), dtype=np.float64)
 
 

@@ -18,7 +18,7 @@ from scipy.special import ndtr
 from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.protection import POWER, TOLERABLE, Protection
 from rotcal_ros.methods.tracer.solver.grid import Grid
-from rotcal_ros.methods.tracer.solver.shifts import Shifts
+from rotcal_ros.methods.tracer.solver.zero_shifts import Shifts
 
 SLIPPED: Final = 0.5
 """Probability that a measurement holds a slip."""

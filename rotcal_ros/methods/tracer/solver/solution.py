@@ -57,7 +57,6 @@ from rotcal_ros.methods.tracer.solver.screening import (
     without_targets,
 )
 from rotcal_ros.methods.tracer.solver.shared_start import find_any_start, with_zeros
-from rotcal_ros.methods.tracer.solver.shifts import Shifts, find_shifts
 from rotcal_ros.methods.tracer.solver.slips import Slips, slips_among
 from rotcal_ros.methods.tracer.solver.uncertainty import (
     AngleUncertainty,
@@ -68,6 +67,7 @@ from rotcal_ros.methods.tracer.solver.uncertainty import (
     length_test,
 )
 from rotcal_ros.methods.tracer.solver.verdict import Evidence, closures, judge
+from rotcal_ros.methods.tracer.solver.zero_shifts import Shifts, find_shifts
 
 LOST: Final = 0.1
 """Deviation (rad) beyond which the stations are not those of the commanded angles."""

@@ -12,12 +12,12 @@ from rotcal_ros.foundation.protection import ordered
 from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import Rejection, Residuals, Result, Zeros
 from rotcal_ros.methods.tracer.solver.angles import algorithm_error, scatter
+from rotcal_ros.methods.tracer.solver.error_response import influence_of
 from rotcal_ros.methods.tracer.solver.gathering import details as gathering_details
 from rotcal_ros.methods.tracer.solver.numbering import Numbering, turned_by
 from rotcal_ros.methods.tracer.solver.observability import weakest_direction
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 from rotcal_ros.methods.tracer.solver.protections import protections, returned
-from rotcal_ros.methods.tracer.solver.response import influence_of
 from rotcal_ros.methods.tracer.solver.screening import rejection_limit
 from rotcal_ros.methods.tracer.solver.segments import segment_report
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust

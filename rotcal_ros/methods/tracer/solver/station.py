@@ -232,37 +232,41 @@ def stations_covariance(grid: Grid, fit: Adjustment) -> StationCovariance:
     inverse = np.linalg.inv(design.swapaxes(1, 2) @ weighted)
     gain = (weighted @ inverse)[:, :, :3]  # (m, n, 3): d station / d length
     own = gain.swapaxes(1, 2) @ (gain * (grid.length_std**2)[:, :, None])
-    felt = unit * grid.target_std  # (m, n, 3): what a standard target error does to a length
-    common = np.einsum("jia,jic->jaic", gain, felt).reshape(3 * m, -1)
+    sensitivity = unit * grid.target_std  # (m, n, 3): of a length to standard target errors
+    common = np.einsum("jia,jic->jaic", gain, sensitivity).reshape(3 * m, -1)
     return StationCovariance(
         lengths=LowRank.of_blocks(own),
         targets=LowRank(np.zeros_like(own), common, np.eye(common.shape[1])).quick(),
-        felt=common.reshape(3 * m, -1, 3),
+        sensitivity=common.reshape(3 * m, -1, 3),
         dof_effective=_effective_dof(
-            design * np.sqrt(weights)[:, :, None], felt * np.sqrt(weights)[:, :, None], fit.dof
+            design * np.sqrt(weights)[:, :, None],
+            sensitivity * np.sqrt(weights)[:, :, None],
+            fit.dof,
         ),
     )
 
 
-def _effective_dof(whitened: Floats, felt: Floats, dof: int) -> float:
+def _effective_dof(whitened: Floats, target_errors: Floats, dof: int) -> float:
     """Return the degrees of freedom of the chi-squared sum, whose stations are correlated.
 
-    ``whitened`` (m, n, 4) is the design, ``felt`` (m, n, 3) the targets' standard errors, both in
-    standard deviations of the lengths. Welch-Satterthwaite: 2 mean^2 / variance, where the
-    variance of the sum is 2 sum_jk tr(R_j D_jk R_k D_jk), D_jk the correlation of lengths to one
-    target from two stations and R the projection on the residuals of a station.
+    ``whitened`` (m, n, 4) is the design, ``target_errors`` (m, n, 3) are the targets' standard
+    errors, both in standard deviations of the lengths. Welch-Satterthwaite: 2 mean^2 / variance,
+    where the variance of the sum is 2 sum_jk tr(R_j D_jk R_k D_jk), D_jk the correlation of
+    lengths to one target from two stations and R the projection on the residuals of a station.
     """
-    if not felt.any():
+    if not target_errors.any():
         return float(dof)
     factor = np.linalg.cholesky(whitened.swapaxes(1, 2) @ whitened)
     basis = np.linalg.solve(factor, whitened.swapaxes(1, 2))  # (m, 4, n), orthonormal rows
     leverage = (basis**2).sum(axis=1)[:, :, None]
     m = len(basis)
-    # with e = felt: sum_jk |D_jk|^2 r_j is |sum_j e_j e_j'|^2, target by target
-    squares = (felt[:, :, :, None] * felt[:, :, None, :]).reshape(*felt.shape[:2], 9)
+    # with e = target_errors: sum_jk |D_jk|^2 r_j is |sum_j e_j e_j'|^2, target by target
+    squares = (target_errors[:, :, :, None] * target_errors[:, :, None, :]).reshape(
+        *target_errors.shape[:2], 9
+    )
     total = float((squares.sum(axis=0) * (squares * (1.0 - 2.0 * leverage)).sum(axis=0)).sum())
     total -= float((squares**2 * (1.0 - 2.0 * leverage)).sum())
-    columns = basis.swapaxes(1, 2)[:, :, :, None] * felt[:, :, None, :]  # (m, n, 4, 3)
+    columns = basis.swapaxes(1, 2)[:, :, :, None] * target_errors[:, :, None, :]  # (m, n, 4, 3)
     columns = columns.transpose(0, 2, 1, 3).reshape(4 * m, -1)
     by_station = columns.reshape(m, 4, -1)
     total += float(((columns.T @ columns) ** 2).sum())  # of all pairs of stations

@@ -16,9 +16,9 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.geometry.rotations import wrap_angle
 from rotcal_ros.methods.tracer.solver.circle_prior import CircleContrasts, circle_contrasts
-from rotcal_ros.methods.tracer.solver.gain import NetworkGain
 from rotcal_ros.methods.tracer.solver.grid import Grid
 from rotcal_ros.methods.tracer.solver.network import linearise, relax
+from rotcal_ros.methods.tracer.solver.network_gain import NetworkGain
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 from rotcal_ros.methods.tracer.solver.slips import Slips
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust

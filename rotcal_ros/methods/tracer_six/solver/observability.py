@@ -10,8 +10,8 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.methods.tracer.solver.observability import or_prior
+from rotcal_ros.methods.tracer_six.solver.network import LengthNetwork
 from rotcal_ros.methods.tracer_six.solver.posterior import CurvePosterior
-from rotcal_ros.methods.tracer_six.solver.rig import Rig
 
 RANK_TOLERANCE: Final = 1e-13
 CURE: Final = (
@@ -21,15 +21,15 @@ CURE: Final = (
 NAMES: Final = ("EXC", "EYC", "EZC", "EAC", "EBC", "ECC")
 
 
-def check_determined(rig: Rig) -> None:
+def check_determined(network: LengthNetwork) -> None:
     """Raise ObservabilityError where more stays open than is known in advance."""
-    values, vectors = np.linalg.eigh(rig.reduced.regular())
+    values, vectors = np.linalg.eigh(network.reduced.regular())
     missing = int((values < RANK_TOLERANCE * values[-1]).sum())
     if missing:
         raise ObservabilityError(
             f"the lengths leave {missing} more direction(s) open than expected; the weakest moves "
-            f"most {_unknown(rig, rig.reduced.scale * vectors[:, 0])}: {CURE}"
-            f"{or_prior(free=rig.layout.grid.free)}"
+            f"most {_unknown(network, network.reduced.scale * vectors[:, 0])}: {CURE}"
+            f"{or_prior(free=network.layout.grid.free)}"
         )
 
 
@@ -51,10 +51,10 @@ def check_curves(table: CurvePosterior, places: Floats, limit: float) -> None:
         )
 
 
-def _unknown(rig: Rig, direction: Floats) -> str:
-    layout = rig.layout
+def _unknown(network: LengthNetwork, direction: Floats) -> str:
+    layout = network.layout
     index = int(np.argmax(np.abs(direction)))
-    n, p = len(rig.state.targets), len(rig.state.places)
+    n, p = len(network.state.targets), len(network.state.places)
     if index < 3 * n:
         return f"target {layout.grid.target_ids[index // 3]} along {'xyz'[index % 3]}"
     if index < 3 * (n + p):

@@ -8,7 +8,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.methods.tracer_six.solver.curves import Curves, curve_jacobian, table_curves
-from rotcal_ros.methods.tracer_six.solver.rig import Rig
+from rotcal_ros.methods.tracer_six.solver.network import LengthNetwork
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,7 +19,7 @@ class Posterior:
     (V, n): variance of each computed length, scatter included, m^2.
     """
 
-    rig: Rig
+    network: LengthNetwork
     covariance: Floats
     arrived: Floats
     leverage: Floats
@@ -27,71 +27,73 @@ class Posterior:
     @property
     def targets(self) -> Floats:
         """The covariance (n, 3, n, 3) of the targets, m^2."""
-        n = len(self.rig.state.targets)
+        n = len(self.network.state.targets)
         return self.covariance[: 3 * n, : 3 * n].reshape(n, 3, n, 3)
 
     @property
     def poses(self) -> Floats:
         """The covariance (6 m, 6 m) of the poses."""
-        k = self.rig.layout.size
+        k = self.network.layout.size
         return self.covariance[k:, k:]
 
 
-def posterior(rig: Rig) -> Posterior:
+def posterior(network: LengthNetwork) -> Posterior:
     """Return the covariances of a network at its minimum."""
-    covariance = full_covariance(rig)
-    arrived, own, response = scattered(rig)
+    covariance = full_covariance(network)
+    arrived, own, response = scattered(network)
     spread = response @ covariance  # (3 V, T)
-    return Posterior(rig, covariance, arrived, _leverage(rig, covariance, own, response, spread))
+    return Posterior(
+        network, covariance, arrived, _leverage(network, covariance, own, response, spread)
+    )
 
 
-def full_covariance(rig: Rig) -> Floats:
+def full_covariance(network: LengthNetwork) -> Floats:
     """Return the covariance (T, T) of kept unknowns and poses, under the constraints."""
-    kept = rig.reduced.covariance()
-    k, t = len(kept), len(kept) + rig.reduced.inverse.shape[0] * 6
+    kept = network.reduced.covariance()
+    k, t = len(kept), len(kept) + network.reduced.inverse.shape[0] * 6
     whole = np.empty((t, t))
     whole[:k, :k] = kept
-    whole[:k, k:] = -kept @ rig.reduced.transfer
+    whole[:k, k:] = -kept @ network.reduced.transfer
     whole[k:, :k] = whole[:k, k:].T
-    whole[k:, k:] = -rig.reduced.transfer.T @ whole[:k, k:]
-    m = len(rig.reduced.inverse)
+    whole[k:, k:] = -network.reduced.transfer.T @ whole[:k, k:]
+    m = len(network.reduced.inverse)
     each = np.arange(m)
-    whole[k:, k:].reshape(m, 6, m, 6)[each, :, each] += rig.reduced.inverse
+    whole[k:, k:].reshape(m, 6, m, 6)[each, :, each] += network.reduced.inverse
     return whole
 
 
-def pulled(rig: Rig) -> Floats:
+def pulled(network: LengthNetwork) -> Floats:
     """Return U' W J (3 V, T): what unknowns do to the weighted errors along each station."""
-    v, _, k = rig.across.shape
-    whole = np.zeros((v, 3, k + 6 * len(rig.layout.angles)))
-    whole[:, :, :k] = rig.across
-    _at_poses(rig, whole, rig.normal @ rig.motion)
+    v, _, k = network.across.shape
+    whole = np.zeros((v, 3, k + 6 * len(network.layout.angles)))
+    whole[:, :, :k] = network.across
+    _at_poses(network, whole, network.normal @ network.motion)
     return whole.reshape(3 * v, -1)
 
 
-def _at_poses(rig: Rig, whole: Floats, blocks: Floats) -> None:
+def _at_poses(network: LengthNetwork, whole: Floats, blocks: Floats) -> None:
     """Put ``blocks`` (V, 3, 6) where the poses of their stations are in ``whole`` (V, 3, T)."""
     each = np.arange(len(blocks))[:, None]
-    columns = rig.layout.size + 6 * rig.layout.position[:, None] + np.arange(6)
+    columns = network.layout.size + 6 * network.layout.position[:, None] + np.arange(6)
     whole[each, :, columns] = blocks.swapaxes(1, 2)
 
 
-def scattered(rig: Rig) -> tuple[Floats, Floats, Floats]:
+def scattered(network: LengthNetwork) -> tuple[Floats, Floats, Floats]:
     """Return scatter (V, 3), its own covariance (V, 3, 3), and (3 V, T) how stations move.
 
     The scatter of a station follows its lengths, and so every unknown that these depend on.
     """
-    layout, state, here = rig.layout, rig.state, rig.slopes
+    layout, state, here = network.layout, network.state, network.slopes
     v, n, _ = here.unit.shape
     turned = state.rotation[layout.position]
     response = np.zeros((v, 3, layout.size + 6 * len(layout.angles)))
     columns = 3 * (n + layout.place)[:, None] + np.arange(3)
     response[np.arange(v)[:, None], :, columns] = turned.swapaxes(1, 2)
-    _at_poses(rig, response, rig.motion)
-    if rig.scatter is None:
+    _at_poses(network, response, network.motion)
+    if network.scatter is None:
         return np.zeros((v, 3)), np.zeros((v, 3, 3)), response.reshape(3 * v, -1)
-    root = rig.scatter
-    weighted = (here.unit * rig.grid.weights[:, :, None]).swapaxes(1, 2)
+    root = network.scatter
+    weighted = (here.unit * network.grid.weights[:, :, None]).swapaxes(1, 2)
     alone = weighted @ here.unit
     back = root.swapaxes(1, 2)
     own = root @ np.linalg.inv(np.eye(3) + back @ alone @ root) @ back
@@ -106,9 +108,9 @@ def scattered(rig: Rig) -> tuple[Floats, Floats, Floats]:
 
 
 def _leverage(
-    rig: Rig, covariance: Floats, own: Floats, response: Floats, spread: Floats
+    network: LengthNetwork, covariance: Floats, own: Floats, response: Floats, spread: Floats
 ) -> Floats:
-    layout, unit = rig.layout, rig.slopes.unit
+    layout, unit = network.layout, network.slopes.unit
     v, n, _ = unit.shape
     each, targets = np.arange(v), np.arange(n)
     own = own + spread.reshape(v, 3, -1) @ response.reshape(v, 3, -1).swapaxes(1, 2)
@@ -135,10 +137,10 @@ class CurvePosterior:
     jacobian: Floats
 
 
-def curve_posterior(rig: Rig, covariance: Floats) -> CurvePosterior:
+def curve_posterior(network: LengthNetwork, covariance: Floats) -> CurvePosterior:
     """Return the curves of a network and their covariance, from that of all unknowns (T, T)."""
-    state, angles = rig.state, rig.layout.angles
+    state, angles = network.state, network.layout.angles
     curves = table_curves(state.rotation, state.translation, angles)
     jacobian = curve_jacobian(curves, state.rotation, angles)
-    k = rig.layout.size
+    k = network.layout.size
     return CurvePosterior(curves, jacobian @ covariance[k:, k:] @ jacobian.T, jacobian)

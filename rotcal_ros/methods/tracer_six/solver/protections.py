@@ -12,8 +12,8 @@ from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
 from rotcal_ros.foundation.protection import POWER, Effect, Protection, ordered
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.methods.tracer.solver import gathering
-from rotcal_ros.methods.tracer.solver.response import Worst
-from rotcal_ros.methods.tracer_six.solver import response
+from rotcal_ros.methods.tracer.solver.error_response import Worst
+from rotcal_ros.methods.tracer_six.solver import error_response
 from rotcal_ros.methods.tracer_six.solver.solution import SixSolution
 from rotcal_ros.methods.tracer_six.solver.timing import timing
 
@@ -28,10 +28,10 @@ HARMLESS: Final = 0.1
 def protections(solution: SixSolution) -> tuple[Protection, ...]:
     """Return a statement about every effect, in the fixed order."""
     when = timing(solution.problem, solution.grid)
-    drift = response.worst(solution, response.drifts(solution, when), LARGEST_MOVE)
-    knock = response.worst(solution, response.knocks(solution, when), LARGEST_MOVE)
-    scale = response.worst(solution, response.scale(solution), LARGEST_RATIO)
-    air = response.worst(solution, response.refraction(solution), LARGEST_RATIO)
+    drift = error_response.worst(solution, error_response.drifts(solution, when), LARGEST_MOVE)
+    knock = error_response.worst(solution, error_response.knocks(solution, when), LARGEST_MOVE)
+    scale = error_response.worst(solution, error_response.scale(solution), LARGEST_RATIO)
+    air = error_response.worst(solution, error_response.refraction(solution), LARGEST_RATIO)
     return ordered(
         (
             _moved(
@@ -79,7 +79,7 @@ def _slip(solution: SixSolution) -> tuple[Protection, ...]:
     m = len(solution.layout.angles)
     std = np.sqrt(np.einsum("ajaj->ja", solution.covariance))  # (m, 6)
     moved = slips.size * slips.shifts.moved.reshape(-1, 2, m, 3).swapaxes(1, 2).reshape(-1, m, 6)
-    share = (np.abs(moved) / np.maximum(std, response.NOTHING)).max(axis=(1, 2))
+    share = (np.abs(moved) / np.maximum(std, error_response.NOTHING)).max(axis=(1, 2))
     cure = "; several arrivals at each angle (plan.arrivals) show more"
     return (slips.protection(share, cure),)
 

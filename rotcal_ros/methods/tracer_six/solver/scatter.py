@@ -40,8 +40,8 @@ from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix
+from rotcal_ros.methods.tracer_six.solver.network import LengthNetwork
 from rotcal_ros.methods.tracer_six.solver.posterior import full_covariance, pulled
-from rotcal_ros.methods.tracer_six.solver.rig import Rig
 
 OUTSIDE: Final = 0.05
 ABSENT: Final = 0.2
@@ -133,22 +133,22 @@ class ScatterContrasts:
     root: Floats
 
 
-def contrasts(rig: Rig, arms: Floats) -> ScatterContrasts:
-    """Return the contrasts of a ``rig`` that was solved without scatter; ``arms`` (V, 3) in m."""
+def contrasts(network: LengthNetwork, arms: Floats) -> ScatterContrasts:
+    """Return the contrasts of a ``network`` solved without scatter; ``arms`` (V, 3) in m."""
     v = len(arms)
     each = np.arange(v)
-    spent = pulled(rig)
-    matrix = -spent @ full_covariance(rig) @ spent.T
-    matrix.reshape(v, 3, v, 3)[each, :, each] += rig.normal
+    spent = pulled(network)
+    matrix = -spent @ full_covariance(network) @ spent.T
+    matrix.reshape(v, 3, v, 3)[each, :, each] += network.normal
     values, vectors = np.linalg.eigh(matrix)
     kept = values > RANGE * values[-1]
-    force = rig.pull @ rig.slopes.error[:, :, None]
+    force = network.pull @ network.slopes.error[:, :, None]
     root = vectors[:, kept] * np.sqrt(values[kept])
     by_station = root.reshape(v, 3, -1)
     moved = turned(arms) @ by_station
     value = (vectors[:, kept].T @ force.ravel()) / np.sqrt(values[kept])
     spread = np.stack([root.T @ root, root.T @ moved.reshape(3 * v, -1)])
-    apart = rig.state.places - rig.state.places.mean(axis=0)
+    apart = network.state.places - network.state.places.mean(axis=0)
     radius = float(np.sqrt((apart**2).sum() / len(apart)))
     return ScatterContrasts(value, spread, radius, root)
 

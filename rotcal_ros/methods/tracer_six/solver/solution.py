@@ -31,10 +31,10 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.adjust.distributions import chi2_sf
-from rotcal_ros.adjust.felt import Felt
 from rotcal_ros.adjust.gathering import Gathering
 from rotcal_ros.adjust.groups import Group
 from rotcal_ros.adjust.low_rank import LowRank
+from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import DataError
@@ -53,21 +53,22 @@ from rotcal_ros.methods.tracer.solver.screening import (
     adjust_and_screen,
     reject_gross,
 )
-from rotcal_ros.methods.tracer.solver.shifts import PLACES, Shifts, TimedLengths
 from rotcal_ros.methods.tracer.solver.slips import Slips, slips_among
 from rotcal_ros.methods.tracer.solver.start import start_candidates
 from rotcal_ros.methods.tracer.solver.station import adjust_stations
 from rotcal_ros.methods.tracer.solver.uncertainty import GlobalTest
 from rotcal_ros.methods.tracer.solver.verdict import CircleClosure, closures
+from rotcal_ros.methods.tracer.solver.zero_shifts import PLACES, Shifts, TimedLengths
 from rotcal_ros.methods.tracer_six.solver.layout import (
     StationLayout,
     lay_out,
     lost_direction,
     renamed,
 )
-from rotcal_ros.methods.tracer_six.solver.moves import Moves, moves
+from rotcal_ros.methods.tracer_six.solver.movement_tests import Moves, moves
+from rotcal_ros.methods.tracer_six.solver.network import LengthNetwork, RigState, relax
 from rotcal_ros.methods.tracer_six.solver.observability import check_curves, check_determined
-from rotcal_ros.methods.tracer_six.solver.patterns import felt
+from rotcal_ros.methods.tracer_six.solver.patterns import pattern_gradient
 from rotcal_ros.methods.tracer_six.solver.posterior import (
     CurvePosterior,
     Posterior,
@@ -77,7 +78,6 @@ from rotcal_ros.methods.tracer_six.solver.posterior import (
     scattered,
 )
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
-from rotcal_ros.methods.tracer_six.solver.rig import Rig, RigState, relax
 from rotcal_ros.methods.tracer_six.solver.scatter import (
     Scatter,
     contrasts,
@@ -125,9 +125,9 @@ class SixSolution:
     gathering: Gathering = field(default_factory=Gathering)
 
     @property
-    def rig(self) -> Rig:
+    def network(self) -> LengthNetwork:
         """The network at its minimum."""
-        return self.fit.posterior.rig
+        return self.fit.posterior.network
 
     @property
     def scatter(self) -> Scatter:
@@ -140,18 +140,18 @@ class SixSolution:
         problem, grid = self.problem, self.grid
         known = (problem.scatter_translation_std, problem.scatter_rotation_std)
         when = (timing(problem, grid).own * grid.used).sum(axis=1) / grid.used.sum(axis=1)
-        return moves(self.rig, when, known, problem.settings.test_significance)
+        return moves(self.network, when, known, problem.settings.test_significance)
 
     @property
     def zeros(self) -> Floats:
         """The zeros (s,) of the counter as the lengths of the problem have them, m."""
-        return self.rig.state.zeros + self.layout.offset
+        return self.network.state.zeros + self.layout.offset
 
     @property
     def places(self) -> Floats:
         """The places (p, 3), m, in the frame that turns with the table, z along the axis."""
         curves = self.table.curves
-        places = (self.rig.state.places - curves.table_origin) @ curves.table_turn
+        places = (self.network.state.places - curves.table_origin) @ curves.table_turn
         return np.asarray(places, dtype=np.float64)
 
     @property
@@ -196,10 +196,10 @@ def _adjusted(problem: SixProblem) -> SixSolution:
     screened, jumps, shifts = _unbroken(problem, adjuster, screened, coarse, start)
     fit = screened.fit
     assert isinstance(fit, RigidAdjustment)
-    layout = fit.posterior.rig.layout
+    layout = fit.posterior.network.layout
     names = {int(s): layout.station_name(j) for j, s in enumerate(layout.grid.position_ids)}
     why = {row: renamed(text, names) for row, text in (why | screened.why).items()}
-    table = curve_posterior(fit.posterior.rig, fit.posterior.covariance)
+    table = curve_posterior(fit.posterior.network, fit.posterior.covariance)
     lengths, scale = _length_test(fit, limits.test_significance)
     covariance = scale**2 * _enlarged(fit, table)
     slips = None
@@ -208,7 +208,7 @@ def _adjusted(problem: SixProblem) -> SixSolution:
     unseen = 0.0 if slips is None else _by_curve(slips.covariance())
     gathered = screened.gathering.covariance()
     unseen += 0.0 if gathered is None else _by_curve(gathered)
-    check_curves(table, fit.posterior.rig.state.places, limits.max_station_std)
+    check_curves(table, fit.posterior.network.state.places, limits.max_station_std)
     idle = {row for row, text in absent.items() if text.startswith("repeats")}
     return SixSolution(
         problem=problem,
@@ -296,12 +296,12 @@ def _length_test(fit: RigidAdjustment, significance: float) -> tuple[GlobalTest,
 
 def _enlarged(fit: RigidAdjustment, table: CurvePosterior) -> Floats:
     """Return the covariance (6, m, 6, m) with what is not known of the scatter."""
-    rig, after = fit.posterior.rig, fit.posterior
+    network, after = fit.posterior.network, fit.posterior
     covariance = table.covariance
     if fit.scatter.estimated:
-        gain = table.jacobian @ after.covariance[rig.layout.size :] @ pulled(rig).T
+        gain = table.jacobian @ after.covariance[network.layout.size :] @ pulled(network).T
         by_station = gain.reshape(len(gain), -1, 3)
-        arms = rig.state.arms(rig.layout)
+        arms = network.state.arms(network.layout)
         across = turned(arms)
         slope = np.stack(
             [
@@ -348,22 +348,22 @@ def find_shifts(fit: RigidAdjustment, order: Ints) -> Shifts:
 
     ``order`` (k,): when each row of the problem was taken.
     """
-    rig = fit.posterior.rig
-    moments = TimedLengths.of(rig.grid, order, rig.layout.zero)
-    jacobian = curve_posterior(rig, fit.posterior.covariance).jacobian
+    network = fit.posterior.network
+    moments = TimedLengths.of(network.grid, order, network.layout.zero)
+    jacobian = curve_posterior(network, fit.posterior.covariance).jacobian
     return shifts_at(fit, jacobian, moments, moments.few())
 
 
 def shifts_at(fit: RigidAdjustment, jacobian: Floats, moments: TimedLengths, at: Ints) -> Shifts:
     """Return the shifts that begin ``at`` (t,) some of the ``moments``."""
-    after, grid = fit.posterior, fit.posterior.rig.grid
+    after, grid = fit.posterior, fit.posterior.network.grid
     score, information, alike = np.zeros(len(at)), np.zeros(len(at)), np.ones(len(at))
     moved = np.zeros((len(at), len(jacobian)))
     size = max(2, PLACES // grid.weights.size)
     for begin in range(0, len(at), size - 1):  # the last of a chunk is the first of the next
         part = slice(begin, begin + size)
         later = moments.later(grid, at[part]).astype(np.float64)
-        here = felt(after.rig, later)
+        here = pattern_gradient(after.network, later)
         step = here.slope @ after.covariance
         total = (here.weighted * later).sum(axis=(1, 2))
         left = np.maximum(total - (step * here.slope).sum(axis=1), 1e-9 * total)
@@ -373,7 +373,7 @@ def shifts_at(fit: RigidAdjustment, jacobian: Floats, moments: TimedLengths, at:
         score[part] = (later * (grid.weights * fit.residual)).sum(axis=(1, 2))
         information[part] = left
         alike[part][1:] = both / (root[1:] * root[:-1])
-        moved[part] = step[:, after.rig.layout.size :] @ jacobian.T
+        moved[part] = step[:, after.network.layout.size :] @ jacobian.T
     return Shifts(moments, at, score, information, alike, moved)
 
 
@@ -385,10 +385,10 @@ def find(fit: RigidAdjustment, shifts: Shifts, significance: float) -> Jump | No
 
     def near(at: Ints) -> Shifts:
         return shifts_at(
-            fit, np.zeros((0, 6 * len(fit.posterior.rig.layout.angles))), shifts.moments, at
+            fit, np.zeros((0, 6 * len(fit.posterior.network.layout.angles))), shifts.moments, at
         )
 
-    return find_jump(fit.posterior.rig.grid, fit, shifts, significance, at=near)
+    return find_jump(fit.posterior.network.grid, fit, shifts, significance, at=near)
 
 
 def split(
@@ -411,12 +411,12 @@ def groups_of(grid: Grid, fit: RigidAdjustment, order: Ints) -> tuple[Group, ...
 
     ``order`` (k,): when each row of the problem was taken.
     """
-    rig, covariance = fit.posterior.rig, fit.posterior.covariance
-    layout, unit = rig.layout, rig.slopes.unit
+    network, covariance = fit.posterior.network, fit.posterior.covariance
+    layout, unit = network.layout, network.slopes.unit
     outputs = np.zeros((6 * len(layout.angles), len(covariance)))
-    outputs[:, layout.size :] = curve_posterior(rig, covariance).jacobian
+    outputs[:, layout.size :] = curve_posterior(network, covariance).jacobian
     carried = outputs @ covariance
-    _, own, response = scattered(rig)
+    _, own, response = scattered(network)
     moved = response.reshape(len(unit), 3, -1)
     first_zero = 3 * (unit.shape[1] + len(layout.places))
     found = []
@@ -428,9 +428,11 @@ def groups_of(grid: Grid, fit: RigidAdjustment, order: Ints) -> tuple[Group, ...
         design[each, first_zero + layout.zero[station, target]] -= 1.0
         beside = (towards[:, None] @ own[station])[:, 0] @ towards.T
         beside *= station[:, None] == station
-        felt = Felt.whole(carried @ design.T)
+        sensitivity = Sensitivity.whole(carried @ design.T)
         found.append(
-            group_at(grid, places, fit.residual, design @ covariance @ design.T + beside, felt)
+            group_at(
+                grid, places, fit.residual, design @ covariance @ design.T + beside, sensitivity
+            )
         )
     return tuple(found)
 
@@ -524,8 +526,10 @@ class RigidAdjuster:
         self, grid: Grid, start: Floats, targets: Floats | None = None
     ) -> RigidAdjustment:
         """Return the adjustment of ``grid``; it starts from its own state, whatever is given."""
-        rig, scatter = solve_network(grid, self.layout, self.state, self.stated, self.significance)
-        return _adjustment(rig, scatter)
+        network, scatter = solve_network(
+            grid, self.layout, self.state, self.stated, self.significance
+        )
+        return _adjustment(network, scatter)
 
 
 def solve_network(
@@ -534,35 +538,35 @@ def solve_network(
     state: RigState,
     known: tuple[float | None, float | None],
     significance: float,
-) -> tuple[Rig, Scatter]:
+) -> tuple[LengthNetwork, Scatter]:
     """Return the network at its minimum with the scatter that it tells, or that is ``known``."""
-    rig = relax(grid, layout, None, state)
-    check_determined(rig)
-    arms = rig.state.arms(layout)
-    scatter = estimate(contrasts(rig, arms), *known, significance)
+    network = relax(grid, layout, None, state)
+    check_determined(network)
+    arms = network.state.arms(layout)
+    scatter = estimate(contrasts(network, arms), *known, significance)
     roots = scatter.roots(arms)
     if roots is not None:
-        rig = relax(grid, layout, roots, rig.state)
-    return rig, scatter
+        network = relax(grid, layout, roots, network.state)
+    return network, scatter
 
 
-def _adjustment(rig: Rig, scatter: Scatter) -> RigidAdjustment:
-    grid, layout, state = rig.grid, rig.layout, rig.state
-    after = posterior(rig)
-    felt = (rig.slopes.unit @ after.arrived[:, :, None])[:, :, 0]
+def _adjustment(network: LengthNetwork, scatter: Scatter) -> RigidAdjustment:
+    grid, layout, state = network.grid, network.layout, network.state
+    after = posterior(network)
+    felt = (network.slopes.unit @ after.arrived[:, :, None])[:, :, 0]
     corrections, redundancy, coupling = _felt_by_targets(grid, state, after)
     unknowns = layout.size + 6 * len(layout.angles)
-    rank = unknowns - rig.reduced.constraints.shape[1]
+    rank = unknowns - network.reduced.constraints.shape[1]
     extra = 0 if grid.free else state.targets.size
     extra += 0 if layout.tilt_std is None else 2 * len(layout.angles)
     return RigidAdjustment(
         stations=state.stations(layout) + after.arrived,
         distances=state.zeros[layout.zero[:, 0]],
         targets=state.targets,
-        residual=-(rig.slopes.error + felt),
+        residual=-(network.slopes.error + felt),
         std=grid.length_std,
         redundancy=grid.used - grid.weights * after.leverage,
-        chi2=rig.slopes.chi2,
+        chi2=network.slopes.chi2,
         dof=int(grid.used.sum()) + extra - rank,
         unknowns=unknowns,
         rank=rank,

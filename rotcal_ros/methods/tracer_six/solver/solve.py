@@ -16,7 +16,7 @@ suspect
     ``max_rejected_share`` of the lengths were rejected; a closure is larger than its uncertainty
     allows; something gathers (:mod:`rotcal_ros.methods.tracer.solver.gathering`); the zero of a
     place jumps where no beam broke; the machine or the tracer has moved
-    between the runs or within one (:mod:`.moves`); a position of the plan is missing.
+    between the runs or within one (:mod:`.movement_tests`); a position of the plan is missing.
 failed
     the noise is beyond the limits of :mod:`rotcal_ros.methods.tracer.solver.verdict`, or more than
     a fifth of the lengths were rejected.
@@ -50,11 +50,11 @@ from rotcal_ros.methods.tracer.solver.verdict import (
     doubt_rejected,
     times_stated,
 )
+from rotcal_ros.methods.tracer_six.solver.error_response import influence_of
 from rotcal_ros.methods.tracer_six.solver.layout import renamed
-from rotcal_ros.methods.tracer_six.solver.moves import Kind
+from rotcal_ros.methods.tracer_six.solver.movement_tests import Kind
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
 from rotcal_ros.methods.tracer_six.solver.protections import protections
-from rotcal_ros.methods.tracer_six.solver.response import influence_of
 from rotcal_ros.methods.tracer_six.solver.solution import SixSolution, adjust
 from rotcal_ros.methods.tracer_six.solver.timing import timing
 
@@ -148,7 +148,7 @@ def _details(solution: SixSolution) -> dict[str, Any]:
     the problem's; ``axis``: where the axis meets the machine's z = 0, and its direction.
     ``slips``: size of a fringe, m, and how probably one at any moment is found.
     """
-    problem, rig, curves = solution.problem, solution.rig, solution.table.curves
+    problem, network, curves = solution.problem, solution.network, solution.table.curves
     slips = solution.slips
     return {
         "datum": problem.datum,
@@ -159,7 +159,7 @@ def _details(solution: SixSolution) -> dict[str, Any]:
         "zeros": solution.zeros,
         "segments": segment_report(solution),
         "target_ids": solution.grid.target_ids,
-        "targets": rig.state.targets,
+        "targets": network.state.targets,
         "axis": {"origin": curves.origin, "direction": curves.axes[:, 2]},
         "unknowns": solution.fit.unknowns,
         "rank": solution.fit.rank,
@@ -250,7 +250,7 @@ class Upward:
     @classmethod
     def of(cls, solution: SixSolution) -> Upward:
         """Return that of all lengths that were used, in the stated frame."""
-        state = solution.rig.state
+        state = solution.network.state
         beam = state.targets - state.stations(solution.layout)[:, None]
         rises = (beam[..., 2] / np.linalg.norm(beam, axis=2))[solution.grid.used]
         return cls(float(np.arcsin(rises.min())), float(np.arcsin(rises.max())))

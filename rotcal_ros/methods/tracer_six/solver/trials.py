@@ -15,8 +15,8 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.methods.tracer.solver.grid import Grid
 from rotcal_ros.methods.tracer_six.solver.curves import table_curves
 from rotcal_ros.methods.tracer_six.solver.layout import StationLayout
+from rotcal_ros.methods.tracer_six.solver.network import LengthNetwork, RigState, relax, slopes
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
-from rotcal_ros.methods.tracer_six.solver.rig import Rig, RigState, relax, slopes
 from rotcal_ros.methods.tracer_six.solver.scatter import roots_of
 from rotcal_ros.methods.tracer_six.solver.solution import SixSolution, adjust
 
@@ -38,22 +38,22 @@ class SixTrials:
     solution: SixSolution
 
     @property
-    def rig(self) -> Rig:
+    def network(self) -> LengthNetwork:
         """The network of the measurement."""
-        return self.solution.rig
+        return self.solution.network
 
     def __call__(self, rng: np.random.Generator, count: int) -> Floats:
         """Return EXC, EYC, EZC (m), EAC, EBC, ECC (rad) at all angles, (count, 6 m)."""
         return np.array([self._solved(*self._drawn(rng)) for _ in range(count)])
 
     def _drawn(self, rng: np.random.Generator) -> tuple[Grid, StationLayout]:
-        grid, layout, scale = self.rig.grid, self.rig.layout, self.solution.scale
+        grid, layout, scale = self.network.grid, self.network.layout, self.solution.scale
         known = self.solution.scatter
-        arms = self.rig.state.arms(layout)
+        arms = self.network.state.arms(layout)
         shift, turn = known.variances[rng.choice(len(known.weights), p=known.weights)]
         spread = roots_of(shift, turn, arms) @ rng.standard_normal((len(arms), 3, 1))
         noise = scale * grid.length_std * rng.standard_normal(grid.length.shape)
-        length = grid.length + noise + (self.rig.slopes.unit @ spread)[:, :, 0]
+        length = grid.length + noise + (self.network.slopes.unit @ spread)[:, :, 0]
         if self.solution.slips is not None:
             length += self.solution.slips.draw(grid, rng, 1)[0]
         if layout.tilt_std is not None:
@@ -66,22 +66,22 @@ class SixTrials:
 
     def _solved(self, grid: Grid, layout: StationLayout) -> Floats:
         state = self._settled(grid, layout)
-        curves = table_curves(state.rotation, state.translation, self.rig.layout.angles)
+        curves = table_curves(state.rotation, state.translation, self.network.layout.angles)
         return np.concatenate([curves.translation.T.ravel(), curves.rotation.T.ravel()])
 
     def _settled(self, grid: Grid, layout: StationLayout) -> RigState:
-        state = self.rig.state
+        state = self.network.state
         for _ in range(MOST_STEPS):
-            here = slopes(grid, layout, self.rig.scatter, state)
+            here = slopes(grid, layout, self.network.scatter, state)
             kept, poses = self._step(-here.kept, -here.poses)
             state = state.moved(kept, poses.reshape(-1, 6))
             if abs(float(here.kept @ kept + here.poses.ravel() @ poses)) < SETTLED:
                 return state
-        return relax(grid, layout, self.rig.scatter, state).state
+        return relax(grid, layout, self.network.scatter, state).state
 
     def _step(self, kept: Floats, poses: Floats) -> tuple[Floats, Floats]:
         """Return the steps (K,) and (6 m,) for right-hand sides (K,) and (m, 6)."""
-        reduced = self.rig.reduced
+        reduced = self.network.reduced
         x = reduced.covariance() @ (kept - reduced.transfer @ poses.ravel())
         own = (reduced.inverse @ poses[:, :, None]).ravel()
         return x, own - reduced.transfer.T @ x

@@ -9,7 +9,7 @@ from simulated import figures
 
 from rotcal_ros.foundation.protection import TOLERABLE
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.methods.tracer.policy.stated import Allowance
+from rotcal_ros.methods.tracer.policy.stated_uncertainty import Allowance
 from rotcal_ros.methods.tracer.policy.until_goal import GoalLimits, UntilGoal, first_sweep
 from rotcal_ros.methods.tracer.solver.prediction import predicted
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem

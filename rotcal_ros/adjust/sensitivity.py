@@ -1,0 +1,101 @@
+"""By how much the outputs of an adjustment are off per unit of each error, in parts that are few.
+
+A row of a large problem moves the outputs of its own place, and all of them by way of the few
+unknowns that are common. Only what is asked of a group is ever multiplied out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotcal_ros.foundation.arrays import Floats, Ints
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """The matrix (o, n) of what o outputs are off by per unit error of n rows.
+
+    ``along`` (r, n), ``common`` (o, r): all outputs feel common @ along; None: ``along`` is the
+    matrix itself. ``own`` (t, n): what the outputs ``at`` (t,) feel beside that.
+    """
+
+    along: Floats
+    common: Floats | None
+    at: Ints
+    own: Floats
+
+    @classmethod
+    def whole(cls, matrix: Floats) -> Sensitivity:
+        """Return a whole ``matrix`` (o, n)."""
+        return cls(matrix, None, np.zeros(0, dtype=np.int64), np.zeros((0, matrix.shape[1])))
+
+    @property
+    def outputs(self) -> int:
+        """The number o of outputs."""
+        return len(self.along if self.common is None else self.common)
+
+    def dense(self) -> Floats:
+        """Return the whole matrix."""
+        if self.common is None:
+            return self.along
+        whole = self.common @ self.along
+        whole[self.at] += self.own
+        return np.asarray(whole)
+
+    def of(self, errors: Floats) -> Floats:
+        """Return what ``errors`` (n, c) of the rows do to the outputs, (o, c)."""
+        found = self.along @ errors
+        if self.common is None:
+            return np.asarray(found)
+        found = self.common @ found
+        found[self.at] += self.own @ errors
+        return np.asarray(found)
+
+    def weighted(self, factor: Floats | float) -> Sensitivity:
+        """Return the matrix with each row's error ``factor`` (n,) times as large."""
+        return replace(self, along=self.along * factor, own=self.own * factor)
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """Expected error (n,) of the rows of a group, and its square (n, n)."""
+
+    sensitivity: Sensitivity
+    first: Floats
+    square: Floats
+
+
+def total(moments: Iterable[Moment], outputs: int) -> tuple[Floats, Floats]:
+    """Return the sums over groups of the outputs' expected error (o,) and of its square (o, o).
+
+    All ``moments`` have the same common part.
+    """
+    mean, second = np.zeros(outputs), np.zeros((outputs, outputs))
+    common: Floats | None = None
+    first, square, mixed = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))
+    for moment in moments:
+        sensitivity = moment.sensitivity
+        along = sensitivity.along @ moment.square
+        if sensitivity.common is None:
+            mean += sensitivity.along @ moment.first
+            second += along @ sensitivity.along.T
+            continue
+        if common is None:
+            common, r = sensitivity.common, len(sensitivity.along)
+            first, square, mixed = np.zeros(r), np.zeros((r, r)), np.zeros((r, outputs))
+        first += sensitivity.along @ moment.first
+        square += along @ sensitivity.along.T
+        mean[sensitivity.at] += sensitivity.own @ moment.first
+        mixed[:, sensitivity.at] += along @ sensitivity.own.T
+        second[np.ix_(sensitivity.at, sensitivity.at)] += (
+            sensitivity.own @ moment.square @ sensitivity.own.T
+        )
+    if common is not None:
+        mean += common @ first
+        half = common @ (0.5 * (common @ square).T + mixed)
+        second += half
+        second += half.T
+    return mean, second

@@ -1,0 +1,126 @@
+"""An earlier export in a folder: what it holds, whether it is whole, and what is added to it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rotcal_ros.compensation.agreement import Accepted, MachineIdentity, agreeing
+from rotcal_ros.compensation.cascaded_tables import combined
+from rotcal_ros.compensation.controllers import make_controller
+from rotcal_ros.compensation.effect import Effect, effect_of_result
+from rotcal_ros.compensation.held_table import HeldTable, held_table
+from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.compensation.writing import PROVENANCE, SCHEMA, check_file_name
+from rotcal_ros.foundation.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.in_force import in_words
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.untrusted import load_json, read_text, why
+
+
+def to_be_in_force(
+    table: CompensationTable,
+    controller_name: str,
+    machine: Mapping[str, MachineIdentity],
+    accepted: Accepted,
+    now_ns: int,
+    *,
+    replaces: bool = False,
+    add_to: Path | None = None,
+) -> CompensationTable:
+    """Return the table to be written for ``machine`` (its keys are names for people).
+
+    That is ``table`` itself, or ``table`` added to the one in the folder ``add_to``; all have to
+    belong to the same machine. ``replaces``: a person says that none was in force. Raises
+    DataError for what contradicts and is not ``accepted``, and where nothing says what was in
+    force; ConfigurationError where both are asked for.
+    """
+    if replaces and add_to is not None:
+        raise ConfigurationError(
+            "replacing the table in force (--replace) and adding to it (--add-to) exclude each "
+            "other"
+        )
+    if add_to is None:
+        agreed = agreeing(table, machine, accepted, now_ns)
+        return combined(agreed, lambda: None, "replace" if replaces else "as_measured")
+    letter = next((m.axis for m in machine.values() if m.axis), table.axis)
+    earlier = read_earlier(add_to, controller_name, letter)
+    machines = {**machine, f"the table in {add_to}": earlier.machine}
+    return combined(agreeing(table, machines, accepted, now_ns), lambda: earlier, "add")
+
+
+def read_earlier(folder: Path, controller_name: str, axis: str) -> HeldTable:
+    """Return the table for this controller and axis that ``folder`` holds, by its own rule.
+
+    Raises ConfigurationError unless there is exactly one, BagError when its files are damaged.
+    """
+    found = {}
+    for path in _sides(folder):
+        text, side = _text(path), _side(path)
+        try:
+            if (side["controller"], side["axis"]) == (controller_name, axis):
+                found[path.name] = (text, dict(side["settings"]), dict(side["files_sha256"]))
+        except KeyError as error:
+            raise BagError(f"{path} is no side file of a table: no entry {error}") from error
+        except (ValueError, TypeError) as error:
+            raise BagError(f"{path} is no side file of a table: {error}") from error
+    if len(found) != 1:
+        raise ConfigurationError(
+            f"{folder} holds {len(found)} tables of axis {axis} for {controller_name}, expected "
+            f"one: name the folder with the files of the table in force and its *{PROVENANCE}"
+        )
+    (name, (text, settings, hashes)), *_ = found.items()
+    files = {n: _checked(folder / check_file_name(n), h) for n, h in hashes.items()}
+    return held_table(make_controller(controller_name, settings), {**files, name: text})
+
+
+def effect_in_force(result: Result, folder: Path) -> Effect | None:
+    """Return what ``result`` says of the table on which it was measured, whose files are there.
+
+    Raises ConfigurationError where ``folder`` does not hold this very table.
+    """
+    pairs = {(side["controller"], side["axis"]) for side in map(_side, _sides(folder))}
+    held = [read_earlier(folder, controller, axis) for controller, axis in sorted(pairs)]
+    found = [table for table in held if table.in_force == result.measured_on]
+    if not found:
+        there = ", ".join(table.in_force[:12] for table in held) or "none"
+        raise ConfigurationError(
+            f"tables in {folder}: {there}; {in_words(result.measured_on)}: name the folder with "
+            f"the files of the table that was in force and its *{PROVENANCE}"
+        )
+    return effect_of_result(result, found[0])
+
+
+def _sides(folder: Path) -> list[Path]:
+    return sorted(folder.glob(f"*{PROVENANCE}"))
+
+
+def _side(path: Path) -> dict[str, Any]:
+    """Return what a side file says; BagError when it is none."""
+    try:
+        side = load_json(_text(path))
+        if side["schema"] != SCHEMA:
+            raise ValueError(f"its schema is {side['schema']!r:.20}, expected {SCHEMA}")
+        return {**side, "controller": str(side["controller"]), "axis": str(side["axis"])}
+    except KeyError as error:
+        raise BagError(f"{path} is no side file of a table: no entry {error}") from error
+    except (ValueError, TypeError) as error:
+        raise BagError(f"{path} is no side file of a table: {error}") from error
+
+
+def _checked(path: Path, sha256: str) -> str:
+    text = _text(path)
+    if hashlib.sha256(text.encode()).hexdigest() != sha256:
+        raise BagError(
+            f"{path} was changed since it was written: its side file states another SHA-256"
+        )
+    return text
+
+
+def _text(path: Path) -> str:
+    try:
+        return read_text(path)
+    except (OSError, UnicodeDecodeError) as error:
+        raise BagError(f"cannot read {path}: {why(error)}") from error

@@ -1,0 +1,338 @@
+"""Table, places and targets as one network of lengths: its linearisation, and its minimum.
+
+A station is R_i q_k + t_i, with the pose (R_i, t_i) of the table's frame at a position and the
+place q_k in that frame. Scatter from arrival to arrival moves it by e ~ N(0, S) and is
+integrated out, so that the lengths of a station have the covariance D + U S U'; its inverse is
+W = D^-1 - H H' with H (n, 3). Poses, six unknowns each, are eliminated; targets, places and zeros
+are kept. What no length feels is fixed by constraints.
+
+What no length feels: frames, and the flex of places on one circle.
+
+Right motions: the table's own frame may lie anywhere, q -> W q + w with the poses to match. Left
+motions: without a prior on the targets the whole network may, too. And with free targets, places
+at one height on one circle about the axis leave a seventh: targets and circle as in
+:mod:`rotcal_ros.methods.tracer.solver.joint`. None of them is felt by the curves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.geometry.rotations import cross_matrix, rotation_from_vector
+from rotcal_ros.methods.tracer.solver.grid import Grid
+from rotcal_ros.methods.tracer.solver.network import rigid
+from rotcal_ros.methods.tracer.solver.schur import SchurComplement
+from rotcal_ros.methods.tracer_six.solver import tilts
+from rotcal_ros.methods.tracer_six.solver.curves import table_curves
+from rotcal_ros.methods.tracer_six.solver.layout import StationLayout
+
+CONVERGED: Final = 1e-14
+"""Squared length of the last step in standard deviations."""
+STAGNANT: Final = 1e-6
+"""Squared length below which a step that no longer shrinks is rounding."""
+SHRINKING: Final = 1e-4
+"""Ratio of squared steps above which the normal matrix is made anew."""
+MAX_ITERATIONS: Final = 60
+
+
+@dataclass(frozen=True, eq=False)
+class RigState:
+    """Poses ``rotation`` (m, 3, 3), ``translation`` (m, 3), ``places`` (p, 3), ``zeros`` (s,).
+
+    ``targets`` (n, 3). ``lean`` (4,), rad: mean tilt of the table in the machine, and in the
+    table's frame; only where tilts are known beforehand. Metres.
+    """
+
+    rotation: Floats
+    translation: Floats
+    places: Floats
+    zeros: Floats
+    targets: Floats
+    lean: Floats
+
+    def stations(self, layout: StationLayout) -> Floats:
+        """Return where the stations (V, 3) of ``layout`` are without scatter, m."""
+        return self.arms(layout) + self.translation[layout.position]
+
+    def arms(self, layout: StationLayout) -> Floats:
+        """Return R q (V, 3) of all stations, m."""
+        turned = self.rotation[layout.position] @ self.places[layout.place][:, :, None]
+        return np.asarray(turned[:, :, 0], dtype=np.float64)
+
+    def moved(self, kept: Floats, poses: Floats) -> RigState:
+        """Return the state after a step: ``kept`` (K,) unknowns, ``poses`` (m, 6)."""
+        a, b = self.targets.size, self.targets.size + self.places.size
+        c = b + len(self.zeros)
+        return RigState(
+            rotation=rotation_from_vector(poses[:, :3]) @ self.rotation,
+            translation=self.translation + poses[:, 3:],
+            places=self.places + kept[a:b].reshape(-1, 3),
+            zeros=self.zeros + kept[b:c],
+            targets=self.targets + kept[:a].reshape(-1, 3),
+            lean=self.lean + kept[c:] if len(self.lean) else self.lean,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ChiSquaredSlope:
+    """Errors of a state and half the slope of chi-squared.
+
+    ``error`` (V, n): computed - observed, m; ``unit`` (V, n, 3): from target to station;
+    ``factor`` (V, n, 3): H, None without scatter; ``poses`` (m, 6), ``kept`` (K,).
+    """
+
+    error: Floats
+    unit: Floats
+    factor: Floats | None
+    chi2: float
+    poses: Floats
+    kept: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class LengthNetwork:
+    """A network at its minimum, or at one step of the way there.
+
+    ``motion`` (V, 3, 6): what the six unknowns of a pose do to its station; ``pull`` (V, 3, n):
+    U' W; ``normal`` (V, 3, 3): U' W U; ``across`` (V, 3, K): the same between a station and the
+    kept unknowns; ``reduced``: kept are targets, places, zeros and lean, eliminated the poses.
+    """
+
+    grid: Grid
+    layout: StationLayout
+    scatter: Floats | None
+    state: RigState
+    slopes: ChiSquaredSlope
+    motion: Floats
+    pull: Floats
+    normal: Floats
+    across: Floats
+    reduced: SchurComplement
+
+
+def slopes(
+    grid: Grid, layout: StationLayout, scatter: Floats | None, state: RigState
+) -> ChiSquaredSlope:
+    """Return errors and slopes at ``state``.
+
+    ``scatter`` (V, 3, 3): root L of the covariance S = L L' of each station, m.
+    """
+    arms = state.arms(layout)
+    difference = (arms + state.translation[layout.position])[:, None] - state.targets
+    distance = np.sqrt((difference * difference).sum(axis=2))
+    unit = difference / distance[:, :, None]
+    error = distance - grid.length - state.zeros[layout.zero]
+    weights = grid.weights
+    factor = _factor(weights, unit, scatter)
+    weighted = weights * error
+    if factor is not None:
+        weighted -= (factor @ (factor.swapaxes(1, 2) @ error[:, :, None]))[:, :, 0]
+    chi2 = float((weighted * error).sum())
+    push = unit * weighted[:, :, None]
+    at_station = push.sum(axis=1)
+    own = np.concatenate([np.cross(arms, at_station), at_station], axis=1)
+    poses = layout.by_position @ own
+    turned = (at_station[:, None] @ state.rotation[layout.position])[:, 0]
+    n_seen, by_pair = layout.pairs[1], layout.pairs[2]
+    zeros = np.bincount(n_seen, by_pair @ weighted.ravel(), minlength=layout.n_zeros)
+    by_target = -push.sum(axis=0)
+    if not grid.free:
+        correction = (state.targets - grid.targets) / grid.target_std
+        chi2 += float((correction * correction).sum())
+        by_target = by_target + correction / grid.target_std
+    kept = [by_target.ravel(), (layout.by_place @ turned).ravel(), -zeros]
+    if layout.tilt_std is not None:
+        known = tilts.slopes(state.rotation, state.lean, layout)
+        chi2, poses = chi2 + known.chi2, poses + known.poses
+        kept.append(known.lean)
+    return ChiSquaredSlope(error, unit, factor, chi2, poses, np.concatenate(kept))
+
+
+def _factor(weights: Floats, unit: Floats, scatter: Floats | None) -> Floats | None:
+    """Return H (V, n, 3): D^-1 U L (1 + L' U' D^-1 U L)^-1/2."""
+    if scatter is None:
+        return None
+    spread = unit @ scatter
+    weighted = weights[:, :, None] * spread
+    inner = np.linalg.inv(np.eye(3) + spread.swapaxes(1, 2) @ weighted)
+    return np.asarray(weighted @ np.linalg.cholesky(inner), dtype=np.float64)
+
+
+def linearise(
+    grid: Grid,
+    layout: StationLayout,
+    scatter: Floats | None,
+    state: RigState,
+    here: ChiSquaredSlope,
+) -> LengthNetwork:
+    """Return the network at ``state``, with its slopes ``here`` and the reduced normal matrix."""
+    unit, weights = here.unit, grid.weights
+    pull = (unit * weights[:, :, None]).swapaxes(1, 2)
+    if here.factor is not None:
+        pull = pull - (unit.swapaxes(1, 2) @ here.factor) @ here.factor.swapaxes(1, 2)
+    normal = pull @ unit
+    motion = np.empty((len(unit), 3, 6))
+    motion[:, :, :3] = -cross_matrix(state.arms(layout))
+    motion[:, :, 3:] = np.eye(3)
+    across = _across(layout, unit, pull, normal @ state.rotation[layout.position])
+    backward = motion.swapaxes(1, 2)
+    poses = _summed(layout.by_position, backward @ (normal @ motion))
+    cross = _summed(layout.by_position, backward @ across)
+    matrix = _kept_matrix(grid, layout, state, here, across)
+    if layout.tilt_std is not None:
+        poses, cross = tilts.add(poses, cross, matrix, state.rotation, layout)
+    reduced = _reduced(poses, cross, matrix, constraints(layout, state, free=grid.free))
+    return LengthNetwork(grid, layout, scatter, state, here, motion, pull, normal, across, reduced)
+
+
+def _summed(sums: Floats, blocks: Floats) -> Floats:
+    """Add up blocks (V, a, b) of stations to (m, a, b)."""
+    total = sums @ blocks.reshape(len(blocks), -1)
+    return np.asarray(total.reshape(-1, *blocks.shape[1:]), dtype=np.float64)
+
+
+def _across(layout: StationLayout, unit: Floats, pull: Floats, turned: Floats) -> Floats:
+    """Return (V, 3, K): the normal matrix between a station and the kept unknowns."""
+    v, n, _ = unit.shape
+    across = np.zeros((v, 3, layout.size))
+    # the slopes of an error by a target and by a zero are -u and -1
+    across[:, :, : 3 * n] = -(pull[:, :, :, None] * unit[:, None]).reshape(v, 3, 3 * n)
+    columns = 3 * (n + layout.place)[:, None] + np.arange(3)
+    across[np.arange(v)[:, None], :, columns] = turned.swapaxes(1, 2)
+    station, zero, by_pair = layout.pairs
+    first = 3 * (n + len(layout.places))
+    across[station, :, first + zero] = -(by_pair @ pull.swapaxes(1, 2).reshape(v * n, 3))
+    return across
+
+
+def _kept_matrix(
+    grid: Grid, layout: StationLayout, state: RigState, here: ChiSquaredSlope, across: Floats
+) -> Floats:
+    """Return the normal matrix (K, K) of targets, places, zeros and lean."""
+    v, n, _ = here.unit.shape
+    a, b = 3 * n, 3 * (n + len(layout.places))
+    c = b + layout.n_zeros
+    matrix = np.zeros((layout.size, layout.size))
+    weighted = here.unit * grid.weights[:, :, None]
+    blocks = weighted.transpose(1, 2, 0) @ here.unit.swapaxes(0, 1)
+    if not grid.free:
+        blocks[:, [0, 1, 2], [0, 1, 2]] += grid.target_std**-2
+    each = np.arange(n)
+    matrix[:a, :a].reshape(n, 3, n, 3)[each, :, each] = blocks
+    back = state.rotation[layout.position].swapaxes(1, 2) @ across
+    matrix[a:b] = _summed(layout.by_place, back).reshape(b - a, -1)
+    matrix[:a, a:b], matrix[b:c, a:b] = matrix[a:b, :a].T, matrix[a:b, b:c].T
+    sums = layout.by_zero_and_target @ np.column_stack(
+        [weighted.reshape(v * n, 3), grid.weights.ravel()]
+    )
+    sums = sums.reshape(layout.n_zeros, n, 4)
+    matrix[b:c, :a] = sums[:, :, :3].reshape(-1, a)
+    matrix[b:c, b:c] = np.diag(sums[:, :, 3].sum(axis=1))
+    if here.factor is not None:
+        low = _low_rank(layout, here)
+        both = np.r_[0:a, b:c]
+        matrix[np.ix_(both, both)] -= low @ low.T
+    matrix[:a, b:c] = matrix[b:c, :a].T
+    return matrix
+
+
+def _low_rank(layout: StationLayout, here: ChiSquaredSlope) -> Floats:
+    """Return what H does to targets and zeros, (3 n + s, 3 V); the signs of both cancel."""
+    assert here.factor is not None
+    v, n, _ = here.unit.shape
+    targets = here.unit[:, :, :, None] * here.factor[:, :, None]  # (V, n, 3, 3)
+    station, zero, by_pair = layout.pairs
+    zeros = np.zeros((layout.n_zeros, v, 3))
+    zeros[zero, station] = by_pair @ here.factor.reshape(v * n, 3)
+    columns = targets.transpose(1, 2, 0, 3).reshape(3 * n, 3 * v)
+    return np.concatenate([columns, zeros.reshape(-1, 3 * v)])
+
+
+def _reduced(poses: Floats, cross: Floats, matrix: Floats, gauge: Floats) -> SchurComplement:
+    """Eliminate the poses (m, 6, 6); ``cross`` (m, 6, K), ``matrix`` (K, K)."""
+    size = matrix.shape[0]
+    inverse = np.linalg.inv(poses)
+    flat = cross.reshape(-1, size)
+    transfer = (inverse @ cross).reshape(-1, size).T
+    schur = matrix - transfer @ flat
+    schur = 0.5 * (schur + schur.T)
+    scale = 1.0 / np.sqrt(np.maximum(matrix.diagonal(), np.finfo(np.float64).tiny))
+    columns = np.asarray(np.linalg.qr(gauge * scale[:, None])[0], dtype=np.float64)
+    return SchurComplement(schur, np.asarray(inverse), transfer, scale, columns)
+
+
+def relax(
+    grid: Grid, layout: StationLayout, scatter: Floats | None, state: RigState
+) -> LengthNetwork:
+    """Return the least-squares network near ``state``.
+
+    Chord steps: Gauss-Newton with the normal matrix of the start, as long as its steps shrink
+    fast, and the slopes of now. Start values are good to some micrometres, so that two or three
+    steps reach rounding. Raises DataError when it does not settle.
+    """
+    here, before = slopes(grid, layout, scatter, state), np.inf
+    network = linearise(grid, layout, scatter, state, here)
+    for _ in range(MAX_ITERATIONS):
+        kept, poses = network.reduced.solve(-here.kept, -here.poses.ravel())
+        squared = -float(here.kept @ kept + here.poses.ravel() @ poses)
+        if abs(squared) < CONVERGED or (abs(squared) < STAGNANT and squared > 0.25 * before):
+            return linearise(grid, layout, scatter, state, here)
+        if abs(squared) > SHRINKING * before:
+            network = linearise(grid, layout, scatter, state, here)
+            kept, poses = network.reduced.solve(-here.kept, -here.poses.ravel())
+        state = state.moved(kept, poses.reshape(-1, 6))
+        here, before = slopes(grid, layout, scatter, state), squared
+    raise DataError(
+        f"table, places and targets do not settle together in {MAX_ITERATIONS} iterations: the "
+        "lengths do not fit the targets or the places; check their order and units"
+    )
+
+
+FLAT: Final = 1e-4
+"""Difference of the places' heights and radii (m) up to which they lie on one circle: what they
+tell then about the flex is below any noise."""
+
+
+def constraints(layout: StationLayout, state: RigState, *, free: bool) -> Floats:
+    """Return the kept part (K, c) of all motions that no length feels.
+
+    Poses follow by the lengths; what moves no kept unknown cannot be open.
+    """
+    n, p, s = len(state.targets), len(state.places), len(state.zeros)
+    tilts = len(state.lean)
+    right = np.zeros((3 * n + 3 * p + s + tilts, 6))
+    right[3 * n : 3 * (n + p)] = rigid(state.places)
+    if tilts:
+        right[-2:, 3:5] = -np.eye(2)
+    if not free:
+        return right
+    left = np.zeros_like(right)
+    left[: 3 * n] = rigid(state.targets)
+    if tilts:
+        left[-4:-2, 3:5] = np.eye(2)
+    flex = _flex(layout, state)
+    return np.concatenate([right, left, *([] if flex is None else [flex[:, None]])], axis=1)
+
+
+def _flex(layout: StationLayout, state: RigState) -> Floats | None:
+    """Return the kept part (K,) of the seventh motion, None where the places do not leave it."""
+    curves = table_curves(state.rotation, state.translation, layout.angles)
+    places = (state.places - curves.table_origin) @ curves.table_turn
+    radius = np.hypot(places[:, 0], places[:, 1])
+    if np.ptp(radius) > FLAT or np.ptp(places[:, 2]) > FLAT:
+        return None
+    height = places[:, 2].mean()
+    targets = (state.targets - curves.origin) @ curves.axes - [0.0, 0.0, height]
+    bend = (targets[:, :2] ** 2).sum(axis=1) - radius.mean() ** 2
+    moved = np.column_stack([targets[:, :2], -bend / targets[:, 2]])
+    flex = np.zeros(layout.size)
+    n, p = len(targets), len(places)
+    flex[: 3 * n] = (moved @ curves.axes.T).ravel()
+    shrunk = np.column_stack([-places[:, :2], np.zeros(p)])
+    flex[3 * n : 3 * (n + p)] = (shrunk @ curves.table_turn.T).ravel()
+    return flex

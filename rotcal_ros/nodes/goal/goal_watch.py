@@ -1,0 +1,308 @@
+"""Watching over a running goal: it waits for what it needs and ends when it cannot go on."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from rotcal_ros.bags import names
+from rotcal_ros.capture.heard import Offers, started_anew
+from rotcal_ros.foundation import machine_load
+from rotcal_ros.foundation.machine_load import AwakeClock, Patience
+from rotcal_ros.nodes.goal.cell_links import CellLinks
+from rotcal_ros.nodes.goal.crew import Codes, Crew, GoalError
+from rotcal_ros.nodes.goal.pauses import Pauses
+from rotcal_ros.nodes.goal.progress import GoalProgress
+from rotcal_ros.nodes.runtime.cell_graph import ORDERS
+from rotcal_ros.nodes.runtime.cell_node import until
+from rotcal_ros.nodes.runtime.clock_news import jumps_told
+from rotcal_ros.nodes.runtime.diagnostic_warnings import SLOW, show
+from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
+from rotcal_ros.nodes.runtime.health import RECORDING_FAILED
+from rotcal_ros.nodes.runtime.latest import HOPELESS, SILENT
+from rotcal_ros.nodes.runtime.roll_call import Overload
+from rotcal_ros.planning.plan import Pause
+from rotcal_ros.planning.planner_settings import PlannerSettings
+from rotcal_ros.planning.policy_names import AS_LISTED
+
+ASTRAY_TIMEOUT_S: Final = 5.0
+"""Capture and solver may be without the plan of the goal for so long."""
+FOUND_S: Final = 5.0
+"""Two ends may take so long to find each other: lost packets of discovery are repaired in 3 s."""
+SETTLED_S: Final = 0.5
+"""No publisher may have been found for so long before a goal takes those it knows for all."""
+HOPELESS_S: Final = 0.5
+"""The capture has to call it hopeless for so long: late readings may look so for a moment."""
+
+
+class HaltedError(Exception):
+    """An emergency stop has broken off the present step; the goal waits."""
+
+
+@dataclass
+class GoalWatch:
+    """One goal's view of the cell.
+
+    ``stop`` and ``pauses`` are those of the planner; ``preflight`` is true until the goal may move
+    something: a stop ends it, later it waits. ``show`` is called with every progress, ``canceled``
+    tells of a cancel request. ``crew`` are the nodes needed, ``patience_s`` a preflight's time.
+    ``stopping`` says why the planner gives up; ``recording`` that a bag is open: from then on the
+    recorder and streams are watched too; ``run`` what capture and solver have to work for;
+    ``owed`` a pause that was broken off, the work still to be done, and the first step to check.
+    ``slow`` are the nodes and instruments that are waited for: name -> seconds. ``heard`` is who
+    published the topics of the ``instruments`` when the run began.
+    """
+
+    settings: PlannerSettings
+    links: CellLinks
+    stop: EmergencyStop
+    pauses: Pauses
+    progress: GoalProgress
+    show: Callable[[GoalProgress], None]
+    canceled: Callable[[], bool]
+    crew: Crew
+    patience_s: float
+    stopping: str = ""
+    preflight: bool = True
+    recording: bool = False
+    run: str = ""
+    owed: tuple[Pause, str, int] | None = None
+    slow: dict[str, float] = field(default_factory=dict)
+    instruments: Collection[str] = ()
+    heard: Offers = field(default_factory=dict)
+    _astray: Patience | None = None
+    _hopeless: Patience | None = None
+    _overload: Overload = field(default_factory=Overload)
+    _stream_beat: object = None
+    _silent: dict[str, float] = field(default_factory=dict)
+    _interrupted: str = ""
+    _bag_open: bool = False
+
+    def tell(self, activity: str) -> None:
+        """Show what is done now."""
+        self.progress.activity = activity
+        self.show(self.progress)
+
+    def how_to_go_on(self, code: int) -> str:
+        """Return how to continue after an error that ends the goal half-way."""
+        if code not in (
+            Codes.NODE_LOST, Codes.RECORDER_FAILED, Codes.CANCELED, Codes.TOPIC_MISSING,
+        ):  # fmt: skip
+            return ""
+        if self.settings.policy != AS_LISTED:
+            return "; continue with rotcal run --resume"
+        again = "start again what is lost, then " if code == Codes.NODE_LOST else ""
+        step = max(0, min(self.progress.step, self.progress.total - 1))
+        return f"; {again}continue with start_index {step}"
+
+    def begin_run(self, run: str) -> None:
+        """Watch over a run: capture and solver have its plan, the bag is open."""
+        self.run = run
+        self.crew.begin_run()
+
+    def end_run(self, patience_s: float) -> None:
+        """Stop watching the run, and let a preflight look for the nodes of the next one."""
+        self.run, self.recording, self._bag_open, self._astray = "", False, False, None
+        self._silent, self.heard = {}, {}
+        self.patience_s = patience_s
+        self.crew.end_run()
+
+    async def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        """Wait until ``condition``; False after the time-out, GoalError when the goal must end.
+
+        The time does not run while a node is slow.
+        """
+        return await until(condition, timeout_s, self._check, self._is_slow)
+
+    async def wait_for_machine(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        """Wait as :meth:`wait` does, for what was ordered; HaltedError in an emergency stop."""
+        arrived = await until(condition, timeout_s, self._check_machine, self._is_slow)
+        self.heed_stop()
+        return arrived
+
+    async def have_all_answer(self) -> None:
+        """Wait at a safe place until no node is slow."""
+        self._check()
+        await self.wait(lambda: not self.slow, math.inf)
+
+    def _is_slow(self) -> bool:
+        return bool(self.slow)
+
+    def heed_stop(self) -> None:
+        """Raise HaltedError during an emergency stop, and after it until a person has resumed."""
+        if why := self.stop.heed():
+            raise HaltedError(f"emergency stop: {why}")
+
+    def clock_jumps(self) -> int:
+        """Return how often a clock of the cell has jumped, as far as this node knows by now."""
+        health = self.links.health
+        health.clock.look()
+        return health.clock.watch.count + jumps_told(map(health.values, health.others))
+
+    async def have(self, missing: Callable[[], list[str]], code: int) -> None:
+        """Wait until nothing is missing; after the preflight time raise what still is."""
+        if not await self.wait(lambda: not missing(), self.patience_s):
+            raise GoalError(code, "; ".join(missing()) or "preflight timed out")
+
+    async def stands_still(self, look: Callable[[], object]) -> None:
+        """Wait until what ``look`` returns stays as it is, at most the preflight's time."""
+        clock, known = AwakeClock(time.monotonic), look()
+        since_s = clock.now_s()
+
+        def settled() -> bool:
+            nonlocal known, since_s
+            now, now_s = look(), clock.now_s()
+            if now != known:
+                known, since_s = now, now_s
+            return now_s - since_s >= SETTLED_S
+
+        await self.wait(settled, self.patience_s)
+
+    async def is_found(self, missing: Callable[[], list[str]]) -> bool:
+        """Return whether nothing is missing soon; otherwise publish with new publishers.
+
+        The middleware may never connect two ends, but connects new ones.
+        """
+        if await self.wait(lambda: not missing(), min(FOUND_S, self.patience_s)):
+            return True
+        self.links.publish_anew()
+        return False
+
+    async def call(
+        self,
+        client: Any,
+        request: Any,
+        timeout_s: float,
+        in_vain: Callable[[], bool] = lambda: False,
+    ) -> Any:
+        """Return the answer of a service; None once it is ``in_vain`` to wait for it."""
+        future = client.call_async(request)
+        if not await self.wait(lambda: future.done() or in_vain(), timeout_s):
+            text = f"{client.srv_name} gave no answer in {timeout_s:g} s"
+            raise GoalError(Codes.NODE_LOST, text)
+        return future.result() if future.done() else None
+
+    def refuse_stop(self) -> None:
+        """Raise GoalError in an emergency stop, before the goal may move anything."""
+        if self.preflight and (why := self.stop.heed()):
+            raise GoalError(
+                Codes.EMERGENCY_STOP,
+                f"emergency stop: {why}: nothing is ordered; release it, then start again",
+            )
+
+    def _check_machine(self) -> None:
+        self._check()
+        self.heed_stop()
+
+    def _check(self) -> None:
+        """Raise when the goal must end: cancel, shutdown, a node or an instrument lost."""
+        place = f"at step {self.progress.step} of {self.progress.total}"
+        self.refuse_stop()
+        if self.stopping:
+            raise GoalError(Codes.CANCELED, f"{self.stopping} {place}")
+        if self.canceled():
+            raise GoalError(Codes.CANCELED, f"canceled {place}")
+        self.crew.check(place)
+        idle = self.links.idle_nodes(but=self.crew.newcomers()) if self.recording else ()
+        if idle:
+            raise GoalError(Codes.NODE_LOST, f"{idle[0]} ({place})")
+        if self.recording:
+            state = self.links.health.state("recorder")
+            if state.startswith(RECORDING_FAILED):
+                raise GoalError(Codes.RECORDER_FAILED, f"{state}, {place}")
+            self._bag_open |= state == "recording"
+            if self._bag_open and state == "idle":
+                raise GoalError(
+                    Codes.RECORDER_FAILED,
+                    f"the recorder has closed the bag {place}: node planner stood still too long",
+                )
+            self._check_streams(place)
+            self._check_plan(place)
+        self._heed_slow()
+
+    def _heed_slow(self) -> None:
+        """Find out who is slow, and report it: an overload once, and what is waited for now."""
+        overload, before = self._overload, self._overload.text
+        self.slow = self.crew.slow() | self._silent
+        if text := overload.look(self.slow, time.monotonic(), machine_load.in_words):
+            self.links.node.get_logger().warning(text)
+        if bool(overload.text) == bool(before):
+            return
+        show(self.links.health, SLOW, overload.text)
+        if overload.text and not self.pauses.waiting:
+            self._interrupted = self.progress.activity
+            self.tell(overload.text)
+        elif self.progress.activity == before:
+            self.tell(self._interrupted)
+
+    def _check_plan(self, place: str) -> None:
+        """Raise when capture or solver have worked for another plan for too long."""
+        astray = self.links.missing_plan(self.run) if self.run else []
+        if not astray:
+            self._astray = None
+            return
+        of_capture = self.links.missing_plan(self.run, ("capture",))
+        allowed_s = ASTRAY_TIMEOUT_S if of_capture else ASTRAY_TIMEOUT_S + self.crew.restart_wait_s
+        self._astray = self._astray or Patience(allowed_s)
+        if self._astray.is_over(pausing=bool(self.slow)):
+            topic = self.links.resolve(names.PLAN)
+            publishers = ", ".join(self.links.publishers(topic)) or "nobody"
+            raise GoalError(
+                Codes.NODE_LOST,
+                f"{'; '.join(astray)} any more {place}: does another node publish on {topic} (its "
+                f"publishers: {publishers}), or was it restarted?",
+                in_another_run=True,
+            )
+
+    def _check_streams(self, place: str) -> None:
+        """Raise when the capture reports that an instrument it had heard is lost.
+
+        One that is silent and still there counts as slow, like a node, for as long.
+        """
+        beat = self.links.health.others.get("capture")
+        settled = self.links.health.sim.is_settled()
+        if self.stop.latched or not settled:
+            self._silent = {}
+        if beat is self._stream_beat or self.stop.latched or not settled:
+            return
+        self._stream_beat = beat
+        hopeless = self.links.health.values("capture").get(HOPELESS)
+        self._hopeless = (self._hopeless or Patience(HOPELESS_S)) if hopeless else None
+        if self._hopeless is not None and self._hopeless.is_over(pausing=bool(self.slow)):
+            raise GoalError(Codes.TOPIC_MISSING, f"nothing can be measured: {hopeless} ({place})")
+        self._check_publishers(place)
+        self._silent = self.silent_streams()
+        for topic, seconds in self._silent.items():
+            publishers = ", ".join(self.links.publishers(topic))
+            if not publishers or seconds > self.links.health.settings.lost_after_s:
+                who = f"{topic} (node {publishers or 'gone'})"
+                text = f"{who} has been silent for {seconds:.1f} s {place}"
+                raise GoalError(Codes.NODE_LOST, text)
+
+    def _check_publishers(self, place: str) -> None:
+        """Raise where an instrument was restarted: this run ignores it, another run hears it.
+
+        The nodes of the crew are known by their beats; a restarted machine may not know any more
+        where it is, so that a person has to begin again.
+        """
+        found = started_anew(self.heard, self.links.offered(self.instruments))
+        for path, topics in found.items():
+            name = path.rpartition("/")[2]
+            if name not in self.crew.nodes:
+                moves = any(name in self.links.graph.machines(order) for order in ORDERS)
+                raise GoalError(
+                    Codes.NODE_LOST,
+                    f"node {name}, which publishes {', '.join(topics)}, was restarted {place}",
+                    in_another_run=not moves,
+                )
+
+    def silent_streams(self) -> dict[str, float]:
+        """Return which instruments are silent, as the capture says: topic -> seconds."""
+        return {
+            self.links.instrument(key.removeprefix(SILENT)): float(value)
+            for key, value in self.links.health.values("capture").items()
+            if key.startswith(SILENT) and float(value) > self.settings.stream_timeout_s
+        }

@@ -1,0 +1,162 @@
+"""What the evaluating verbs read: results of any method, bags, reference tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from pathlib import Path
+
+from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
+from rotcal_ros.evaluation.bidirectional import read_runs, require_runs
+from rotcal_ros.evaluation.combination import CombinationInput
+from rotcal_ros.evaluation.iso230 import BidirectionalRuns
+from rotcal_ros.evaluation.reference import read_reference, without_polygon
+from rotcal_ros.evaluation.ways import EVALUATIONS, way_name
+from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.session_folder import SessionFolder
+from rotcal_ros.foundation.tables import is_table
+from rotcal_ros.foundation.untrusted import load_json, read_bytes, why
+from rotcal_ros.foundation.untrusted import read_text as text_of_file
+from rotcal_ros.methods.configuration import read_configuration
+from rotcal_ros.methods.method import Measurements
+from rotcal_ros.recordings.inputs import Input
+from rotcal_ros.recordings.replay import Recording
+
+
+@dataclass(frozen=True)
+class ResultSource:
+    """A result and where it comes from.
+
+    ``sha256`` maps file names to hashes. ``axis`` is the letter of the measured axis, None where
+    only the result is known.
+    """
+
+    result: Result
+    sha256: Mapping[str, str]
+    axis: str | None = None
+
+
+def read_source(path: Path, given: Input | None = None) -> ResultSource:
+    """Return the result in a JSON file, the solution of a bag or table, or a session's result.
+
+    ``given`` is the path with a set-up, targets, changes, with which a bag or a table is solved.
+    The folder of a session that is not finished yet has no result: its bag is solved. Raises
+    BagError when it cannot be read, DataError when the file holds no result.
+    """
+    given = given or Input(path)
+    session = SessionFolder(path)
+    if session.result.is_file() and given.plain:
+        # The result of a file does not know its axis, its session does.
+        known = session.configuration.is_file()
+        axis = read_configuration(session.configuration).cell.axis if known else None
+        return replace(read_source(session.result), axis=axis)
+    if session.bag.is_dir():
+        return read_source(session.bag, replace(given, path=session.bag))
+    if path.suffix != ".json":
+        return solved(given.read())
+    if not given.plain:
+        raise ConfigurationError(
+            f"{path} is a result already: set-up, targets and changes belong to a bag or a table"
+        )
+    found = _results(path)
+    if len(found) > 1:
+        raise DataError(
+            f"{path} holds {len(found)} evaluations of the same data ({', '.join(found)}): "
+            "`rotcal compare` reads all of them; elsewhere give one result"
+        )
+    (source,) = found.values()
+    return source
+
+
+def _results(path: Path) -> dict[str, ResultSource]:
+    """Return the result in a JSON file, or all evaluations by name; raises as read_source."""
+    try:
+        data = read_bytes(path)
+        content = load_json(data)
+        hashed = {path.name: sha256(data).hexdigest()}
+        ways = content.get(EVALUATIONS) if isinstance(content, dict) else None
+        if not isinstance(ways, list) or not ways:
+            return {"": ResultSource(Result.from_dict(content), hashed)}
+        return {
+            way_name(way.get("changes", ())): ResultSource(
+                Result.from_dict(way.get("result")), hashed
+            )
+            for way in ways
+        }
+    except OSError as error:
+        raise BagError(f"cannot read {path}: {error.strerror}") from error
+    except (AttributeError, TypeError) as error:
+        raise DataError(f"{path}: damaged evaluations: {error}") from error
+    except ValueError as error:
+        raise BagError(f"{path} is not JSON: {error}") from error
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from error
+
+
+def solved(measured: Recording | Measurements) -> ResultSource:
+    """Return the solution of a bag or a table."""
+    axis = measured.configuration.cell.axis
+    return ResultSource(measured.solve(), measured.sha256, axis)
+
+
+def read_repeated_runs(path: Path) -> BidirectionalRuns:
+    """Return the repeated runs in a table (.csv), a result or a bag; DataError without any."""
+    if is_table(path):
+        return read_runs(read_text(path), str(path))
+    return require_runs(read_source(path).result, str(path))
+
+
+def read_text(path: Path) -> str:
+    """Return the text of ``path``, a byte order mark left out; raises BagError."""
+    try:
+        return text_of_file(path, "utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise BagError(f"cannot read {path}: {why(error)}") from error
+
+
+def read_measured(
+    path: Path, polygon: MeasuredCurve | None = None, reference_std: float | None = None
+) -> CombinationInput:
+    """Return a result, a bag, a session or a reference table, ready to be combined.
+
+    See :func:`read_curve`.
+    """
+    if is_table(path):
+        return CombinationInput.of(str(path), read_curve(path, "ECC", polygon, reference_std))
+    return CombinationInput.of(str(path), read_source(path).result)
+
+
+def read_curves(
+    path: Path,
+    component: str,
+    polygon: MeasuredCurve | None = None,
+    reference_std: float | None = None,
+) -> dict[str, MeasuredCurve]:
+    """Return the curve that :func:`read_curve` does, or those of all evaluations, by name."""
+    if path.suffix == ".json" and path.is_file():
+        return {
+            f"{path}: {name}" if name else str(path): measured_curve(source.result, component)
+            for name, source in _results(path).items()
+        }
+    return {str(path): read_curve(path, component, polygon, reference_std)}
+
+
+def read_curve(
+    path: Path,
+    component: str,
+    polygon: MeasuredCurve | None = None,
+    reference_std: float | None = None,
+) -> MeasuredCurve:
+    """Return one deviation curve of a result, a bag, or a reference table.
+
+    ``polygon`` holds the face errors that are taken off reference tables, ``reference_std`` (rad)
+    is their standard uncertainty where they state none. Raises DataError where neither does.
+    """
+    if not is_table(path):
+        return measured_curve(read_source(path).result, component)
+    if component != "ECC":
+        raise DataError(f"{path}: a reference table holds ECC only, {component} was asked for")
+    reading = read_reference(read_text(path), str(path), reference_std)
+    return reading if polygon is None else without_polygon(reading, polygon)

@@ -1,0 +1,191 @@
+"""Many bags: found, solved once, in any place, with one bad one among them."""
+
+import json
+import os
+import re
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import deadly_work
+import pytest
+import yaml
+from bag_samples import CONFIGURATION as SAMPLE
+from bag_samples import simulate, write_run
+from click.testing import CliRunner
+
+from rotcal_ros.cli.main import rotcal
+from rotcal_ros.foundation.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
+from rotcal_ros.recordings import workers
+from rotcal_ros.recordings.bag_search import find_bags
+from rotcal_ros.recordings.batch_solving import Job, solve_bag
+from rotcal_ros.recordings.replay import read_recording
+from rotcal_ros.recordings.workers import on_all_cores, on_cluster
+
+HERE = Path(__file__).parent
+SEEDS = (5, 6, 7)
+_groups = yaml.safe_load(SAMPLE)["/**"]["ros__parameters"]
+_groups.pop("method")
+PLAN = {**_groups["plan"], "box_points": [2, 2, 2], "table_positions": 5}
+CONFIGURATION = dump_configuration(
+    "tracer_multistation", {**_groups, "plan": PLAN, "solver": {"variant": "station"}}
+)
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory):
+    """A folder with three sound bags of three runs and one that is no bag at all."""
+    folder = tmp_path_factory.mktemp("fleet")
+    for seed in SEEDS:
+        run = simulate(CONFIGURATION.replace("seed: 5", f"seed: {seed}"))
+        write_run(folder / f"run_{seed}" / "bag", run)
+    (folder / "torn").mkdir()
+    (folder / "torn" / "torn.mcap").write_bytes(b"not a bag")
+    (folder / "setup.yaml").write_text(CONFIGURATION)
+    return folder
+
+
+@pytest.fixture
+def jobs(fleet, tmp_path):
+    configuration = parse_configuration(CONFIGURATION)
+    return [Job(bag, configuration, str(tmp_path)) for bag in find_bags([str(fleet)])]
+
+
+def by_source(outcomes):
+    return sorted(outcomes, key=lambda outcome: outcome.source)
+
+
+@pytest.mark.slow
+def test_bags_are_found_in_folders_globs_and_lists(fleet):
+    all_bags = [str(fleet / f"run_{seed}" / "bag") for seed in SEEDS]
+    assert list(find_bags([str(fleet)])) == [*all_bags, str(fleet / "torn")]
+    assert list(find_bags([str(fleet / "run_*")])) == all_bags
+    assert list(find_bags([str(fleet / "*" / "bag"), all_bags[0]])) == all_bags
+    (fleet / "list.txt").write_text("# two of them\nrun_6/bag\n\nrun_5/bag/bag_0.mcap\n")
+    assert list(find_bags([str(fleet / "list.txt")])) == [
+        all_bags[1], str(fleet / "run_5" / "bag" / "bag_0.mcap")
+    ]  # fmt: skip
+    with pytest.raises(BagError, match="names no bag"):
+        find_bags([str(fleet / "nothing*")])
+
+
+@pytest.mark.slow
+def test_each_outcome_equals_the_bag_solved_alone_and_one_bad_bag_stops_nobody(jobs):
+    outcomes = by_source(on_all_cores(jobs, 2))
+    assert [bool(outcome.error) for outcome in outcomes] == [False, False, False, True]
+    assert "is no MCAP file" in outcomes[-1].error
+    for job, outcome in zip(jobs[:3], outcomes[:3], strict=True):
+        assert (
+            outcome.result
+            == read_recording(Path(job.source), configuration=job.configuration).solve().to_dict()
+        )
+
+
+def test_work_that_is_done_is_not_repeated_until_bag_or_configuration_change(jobs, tmp_path):
+    first = [solve_bag(job) for job in jobs]
+    again = [solve_bag(job) for job in jobs]
+    assert [outcome.cached for outcome in again] == [True, True, True, False]
+    assert [o.result for o in again] == [o.result for o in first]
+    changed = parse_configuration(CONFIGURATION + "\n# another\n")
+    assert not solve_bag(Job(jobs[0].source, changed, str(tmp_path))).cached
+
+
+def test_a_remote_bag_is_fetched_through_fsspec(fleet, jobs, tmp_path):
+    fsspec = pytest.importorskip("fsspec")
+    memory = fsspec.filesystem("memory")
+    for seed in SEEDS:
+        memory.put(str(fleet / f"run_{seed}" / "bag" / "bag_0.mcap"), f"/cell/{seed}.mcap")
+    remote = find_bags(["memory://cell/*.mcap"])
+    assert len(remote) == 3
+    outcome = solve_bag(Job(remote[0], jobs[0].configuration, str(tmp_path)))
+    assert outcome.result == solve_bag(jobs[0]).result
+
+
+@pytest.mark.slow
+def test_the_verb_writes_table_and_overview(fleet, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    arguments = [
+        "reprocess", str(fleet), "--setup", str(fleet / "setup.yaml"), "-o", str(tmp_path / "out"),
+        "--workers", "2",
+    ]  # fmt: skip
+    answer = CliRunner().invoke(rotcal, arguments)
+    assert answer.exit_code == 1, answer.output
+    assert "4 bags: 3 solved (0 of them before), 1 without a result" in answer.output
+    table = parquet.read_table(tmp_path / "out" / "results.parquet")
+    assert table.num_rows == 3 * 5 + 1
+    result = read_recording(
+        fleet / "run_6" / "bag", configuration=parse_configuration(CONFIGURATION)
+    ).solve()
+    rows = [row for row in table.to_pylist() if "run_6" in row["source"]]
+    assert [row["deviation"] for row in rows] == result.deviations["ECC"].tolist()
+    assert [row["std"] for row in rows] == result.std["ECC"].tolist()
+    assert {row["verdict_line"] for row in rows} == {result.verdict_line}
+    page = (tmp_path / "out" / "overview.html").read_text()
+    assert "is no MCAP file" in page
+    assert not re.search(r'(src|href)="(?!overview/)[^#]', page)
+    pages = [path.read_text() for path in (tmp_path / "out" / "overview").glob("table-*.html")]
+    assert any(f">{result.verdict_line}</td>" in text for text in pages)
+    again = CliRunner().invoke(rotcal, arguments)
+    assert "3 solved (3 of them before)" in again.output
+
+
+def test_a_cluster_that_does_not_answer_is_one_sentence(jobs, monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(workers, "_SCHEDULER_ANSWERS_S", 1.0)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+        with pytest.raises(ConfigurationError, match="no Dask scheduler answers"):
+            list(on_cluster(jobs, address))
+
+
+@pytest.fixture
+def cluster(tmp_path, monkeypatch):
+    """A real Dask scheduler (address, process) and two real workers, in processes of their own."""
+    pytest.importorskip("distributed")
+    monkeypatch.setenv("PYTHONPATH", f"{HERE}:{os.environ.get('PYTHONPATH', '')}")
+    file = tmp_path / "scheduler.json"
+    dask = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
+    local = ["--host", "127.0.0.1", "--no-dashboard"]
+    command = [*dask, "--port", "0", "--scheduler-file", str(file), *local]
+    worker = [
+        sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", str(file),
+        "--nworkers", "2", "--nthreads", "1", *local, "--local-directory", str(tmp_path / "w"),
+    ]  # fmt: skip
+    log = (tmp_path / "dask.log").open("w")
+    processes = [subprocess.Popen(command, stdout=log, stderr=log)]
+    deadline = time.monotonic() + patient(60)
+    while not file.exists():
+        assert time.monotonic() < deadline, (tmp_path / "dask.log").read_text()
+        time.sleep(0.05)
+    processes.append(subprocess.Popen(worker, stdout=log, stderr=log))
+    yield json.loads(file.read_text())["address"], processes[0]
+    for process in reversed(processes):
+        process.terminate()
+        process.wait(patient(30))
+
+
+@pytest.mark.long
+def test_a_dask_cluster_gives_the_same_and_its_death_loses_nothing(cluster, jobs, tmp_path):
+    from distributed import Client
+
+    address, scheduler = cluster
+    with Client(address) as client:
+        client.wait_for_workers(2, timeout=patient(60))
+    outcomes = by_source(on_cluster(jobs, address))
+    assert [bool(outcome.error) for outcome in outcomes] == [False, False, False, True]
+    assert not any(outcome.cached for outcome in outcomes)
+    for job, outcome in zip(jobs[:3], outcomes[:3], strict=True):
+        assert outcome.result == solve_bag(job).result
+
+    many = (Job(f"bag_{n}", jobs[0].configuration, str(tmp_path)) for n in range(10_000))
+    running = on_cluster(many, address, work=deadly_work.slowly)
+    done = {next(running).source for _ in range(4)}
+    scheduler.kill()
+    with pytest.raises(BagError, match="went away; what was solved is kept, and"):
+        done |= {outcome.source for outcome in running}
+    assert done <= {path.name for path in tmp_path.glob("bag_*")}
