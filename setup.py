@@ -8,6 +8,14 @@ from setuptools import find_packages, setup
 
 NAME = "rotcal_ros"
 NODES = run_path(str(Path(NAME, "foundation", "node_names.py")))["EXECUTABLES"]
+NODES_OF_EXTENSIONS = {
+    "dme_adapter": "ipp_dme.node",
+    "instrument_driver": "instrument_plugins.node",
+    "operator_page": "page.node.operator_page",
+    "scene": "scene.node",
+}
+"""Node -> its module, where an extension brings it."""
+VERBS_OF_EXTENSIONS = {"dme": "ipp_dme", "replay": "replay"}
 METHODS = {
     "tracer_multistation": "tracer",
     "ball_plate": "ball_plate",
@@ -35,6 +43,12 @@ CONTROLLERS = {
 SHARED = ["config", "config/foxglove", "config/plates", "launch"]
 
 version = re.search(r'__version__ = "(.+)"', Path(NAME, "__init__.py").read_text()).group(1)
+
+
+def module_of(node):
+    """Return the module of a node."""
+    extension = NODES_OF_EXTENSIONS.get(node)
+    return f"extensions.{extension}" if extension else f"nodes.{node}"
 
 
 def shared_files():
@@ -132,7 +146,7 @@ setup(
     entry_points={
         "console_scripts": [
             f"rotcal = {NAME}.cli.main:main",
-            *(f"{node} = {NAME}.nodes.{node}:main" for node in NODES),
+            *(f"{node} = {NAME}.{module_of(node)}:main" for node in NODES),
         ],
         "rotcal_ros.methods": [
             f"{method} = {NAME}.methods.{folder}.method:METHOD"
@@ -145,6 +159,22 @@ setup(
         "rotcal_ros.controllers": [
             f"{controller} = {NAME}.compensation.{module}:CONTROLLER"
             for controller, module in CONTROLLERS.items()
+        ],
+        "rotcal_ros.settings": [
+            f"dme = {NAME}.extensions.ipp_dme.settings:DmeSettings",
+            f"instrument = {NAME}.extensions.instrument_plugins.settings:InstrumentSettings",
+            f"page = {NAME}.extensions.page.settings:PageSettings",
+        ],
+        "rotcal_ros.driver_checks": [
+            f"dme = {NAME}.extensions.ipp_dme.check:CHECK",
+            f"instrument = {NAME}.extensions.instrument_plugins.check:CHECK",
+        ],
+        "rotcal_ros.verbs": [
+            f"{verb} = {NAME}.extensions.{extension}:VERB"
+            for verb, extension in VERBS_OF_EXTENSIONS.items()
+        ],
+        "rotcal_ros.certificates": [
+            f"dcc = {NAME}.extensions.certificate.verbs:write_certificate"
         ],
     },
     zip_safe=False,

@@ -15,11 +15,11 @@ import numpy as np
 from rotcal_ros.capture import Capture, CaptureSettings, Record
 from rotcal_ros.foundation.observations import Observation, TracerSample
 from rotcal_ros.methods import find_method
+from rotcal_ros.methods.tracer.method import METHOD
 from rotcal_ros.methods.tracer.plan import tracer_plan
 from rotcal_ros.methods.tracer.settings import TracerPlanSettings
 from rotcal_ros.methods.tracer.simulation_settings import TracerSimulationSettings
 from rotcal_ros.planning.plan import Plan
-from rotcal_ros.simulation import SimulatedCell
 
 RULES = find_method("tracer_multistation").capture
 SETTINGS = CaptureSettings()
@@ -41,7 +41,7 @@ def recorded() -> tuple[Plan, list[Record]]:
     """Return a plan of 48 steps and all records of measuring it once, in order of arrival."""
     plan = tracer_plan(TracerPlanSettings(table_positions=6, box_points=(2, 2, 2)))
     cell, capture, records = (
-        SimulatedCell(TracerSimulationSettings()),
+        METHOD.simulated_cell(TracerSimulationSettings()),
         Capture(plan, SETTINGS, RULES),
         [],
     )

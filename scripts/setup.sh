@@ -143,7 +143,7 @@ flock 9 # two terminals, one set-up
 # An environment can neither be moved nor serve another Python.
 environment=$({ python_says 'print(sys.version, sys.base_prefix)' && pwd; } | hash_of)
 packages=$({
-    echo "$environment" && cat "${PINS[@]}" setup.* rotcal_ros/{__init__,node_names}.py
+    echo "$environment" && cat "${PINS[@]}" setup.* rotcal_ros/{__init__,foundation/node_names}.py
     find config launch -type f | sort
 } | hash_of)
 messages=$({

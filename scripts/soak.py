@@ -31,10 +31,12 @@ import numpy as np
 
 from rotcal_ros.foundation.machine_load import cores, in_words
 from rotcal_ros.foundation.node_names import EXECUTABLES
+from rotcal_ros.foundation.plugins import node_module
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.recordings.replay import read_recording
 
 ROOT = Path(__file__).parents[1]
+NODE_OF = {node_module(name): name for name in EXECUTABLES}
 STOP_S, EVERY_S = 2.0, (3.0, 8.0)
 MOST = 5.0
 """Largest difference of two results, in its own standard deviations: of some 30 values."""
@@ -89,9 +91,8 @@ class Nodes:
             with suppress(OSError, IndexError):
                 stat = (folder / "stat").read_text().rpartition(")")[2].split()
                 module = (folder / "cmdline").read_bytes().split(b"\0")[2].decode()
-                name = module.removeprefix("rotcal_ros.nodes.")
-                if int(stat[1]) == self._parent and name in EXECUTABLES:
-                    found[name] = int(folder.name)
+                if int(stat[1]) == self._parent and module in NODE_OF:
+                    found[NODE_OF[module]] = int(folder.name)
         return found
 
     def _stop(self) -> None:

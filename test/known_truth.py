@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from rotcal_ros.simulation import SimulatedCell
+from rotcal_ros.simulation.table import true_deviations
 
 
 def normalized_errors(calibration, result):
     """Return E_n with k = 2 where it is defined; the injected truth has no uncertainty."""
-    cell = SimulatedCell(calibration.configuration.simulation)
-    truth = calibration.method.gauge(result.angles, cell.truth(result.angles))
+    injected = true_deviations(calibration.configuration.simulation.table, result.angles)
+    truth = calibration.method.gauge(result.angles, injected)
     found = np.concatenate(
         [(result.deviations[n] - truth[n]) / (2.0 * result.std[n]) for n in result.components]
     )

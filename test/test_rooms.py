@@ -16,13 +16,19 @@ def names(text: str, separators: str = ",") -> list[str]:
     return [name.strip().strip("`") for name in re.split(f"[{separators}]", text)]
 
 
+def rows(head: str) -> list[list[str]]:
+    """Return the cells of the table with this head."""
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    lines = text.split(f"{head}\n")[1].split("\n\n")[0].splitlines()[1:]
+    cells = [line.strip("| ").split("|") for line in lines]
+    assert all(len(row) == head.count("|") - 1 and row[-1].strip() for row in cells)
+    return cells
+
+
 def table() -> dict[str, list[str]]:
     """Return what each room of the table knows, in the table's order."""
-    text = (ROOT / "CONTRIBUTING.md").read_text()
-    rows = text.split("| room | knows | holds |\n")[1].split("\n\n")[0].splitlines()[1:]
-    cells = [row.strip("| ").split("|") for row in rows]
-    assert all(len(row) == 3 and row[2].strip() for row in cells)
-    return {room: names(knows) for rooms, knows, _holds in cells for room in names(rooms)}
+    cells = rows("| room | knows | holds |")
+    return {room: names(knows) for several, knows, _holds in cells for room in names(several)}
 
 
 def allowed() -> dict[str, set[str]]:
@@ -65,3 +71,10 @@ def test_the_table_names_every_room_that_a_room_imports():
         found = {name.split(".")[1] for name in imported - {"rotcal_ros"}}
         unnamed = found - {room, *knows, *names(LAYERS[-1], "|:")}
         assert knows == ["all below"] or not unnamed, room
+
+
+def test_the_table_holds_every_extension():
+    places = (ROOT / "rotcal_ros" / "extensions").glob("*/__init__.py")
+    assert [names(row[0])[0] for row in rows("| extension | holds |")] == sorted(
+        place.parent.name for place in places
+    )

@@ -16,6 +16,7 @@ import ctypes
 import fcntl
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -32,7 +33,7 @@ from typing import Any, NoReturn
 
 PACKAGE = "rotcal_ros."
 ROTCAL = ("-m", "rotcal_ros.cli.main")
-WITH_ROS = ("rotcal_ros.nodes", "rotcal_ros.ros", "rotcal_ros.api.ros")
+WITH_ROS = re.compile(r"rotcal_ros\.(nodes|ros|extensions\.\w+\.node)\b")
 """What needs ROS, or starts it."""
 START_NODES = ("run", "verify", "doctor")
 """Commands whose own processes begin as copies, too."""
@@ -339,7 +340,7 @@ def import_all(ros: bool) -> None:
     import rotcal_ros
 
     for module in pkgutil.walk_packages(rotcal_ros.__path__, PACKAGE):
-        if module.name.endswith("__main__") or (not ros and module.name.startswith(WITH_ROS)):
+        if module.name.endswith("__main__") or (not ros and WITH_ROS.match(module.name)):
             continue
         with suppress(ImportError):
             import_module(module.name)

@@ -6,12 +6,11 @@ the report.
 
 from pathlib import Path
 
-from rotcal_ros.capture import Capture
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import read_configuration
 from rotcal_ros.methods.plane_mirror.figures import ways
-from rotcal_ros.simulation import SimulatedCell
+from rotcal_ros.simulation.table import true_deviations
 
 HERE = Path(__file__).parent
 STEP_S = 0.1
@@ -21,8 +20,8 @@ def main() -> None:
     """Measure, solve, draw."""
     configuration = read_configuration(HERE.parents[1] / "config" / "plane_mirror_demo.yaml")
     calibration = prepare(configuration)
-    cell = SimulatedCell(configuration.simulation)
-    capture = Capture(calibration.plan, configuration.capture)
+    cell = calibration.method.simulated_cell(configuration.simulation)
+    capture = calibration.capture()
     observations: list[Observation] = []
     for step in calibration.plan.steps:
         cell.order_table(step.command(0))
@@ -32,7 +31,8 @@ def main() -> None:
             for record in (*output.table, *output.probe, *output.temperature):
                 observations += capture.feed(record)
     result = calibration.solve(observations)
-    drawing = ways(result, cell.truth_dict(result.angles))
+    truth = true_deviations(configuration.simulation.table, result.angles)
+    drawing = ways(result, {"angles_rad": result.angles, "deviations": truth})
     (HERE / "plane_mirror_ways.svg").write_text(drawing + "\n", encoding="utf-8")
 
 

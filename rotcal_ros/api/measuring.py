@@ -14,6 +14,7 @@ from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.calibration import prepare
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.simulation import SimulatedCell
+from rotcal_ros.simulation.table import true_deviations
 
 _SLICE_S = 0.2
 _MOST_SLICES = 18_000
@@ -86,8 +87,9 @@ def simulated_truth(configuration: Configuration) -> dict[str, Floats]:
     _require_simulation(configuration)
     calibration = prepare(configuration)
     angles = np.array(calibration.plan.distinct_angles)
-    truth = SimulatedCell(configuration.simulation).truth(angles)
-    return calibration.method.gauge(angles, truth)
+    return calibration.method.gauge(
+        angles, true_deviations(configuration.simulation.table, angles)
+    )
 
 
 def solve(observations: Iterable[Observation], configuration: Configuration) -> Result:
@@ -118,7 +120,8 @@ def _require_simulation(configuration: Configuration) -> None:
 def _simulated(configuration: Configuration) -> Iterator[tuple[Record, Observations]]:
     """Yield every record of the simulated cell with the observations that it completes."""
     calibration = prepare(configuration)
-    cell, capture = SimulatedCell(configuration.simulation), calibration.capture()
+    cell = calibration.method.simulated_cell(configuration.simulation)
+    capture = calibration.capture()
     for step in calibration.plan.steps:
         command = step.command(0)
         cell.order_table(command)

@@ -1,23 +1,28 @@
 """Reading a rosbag2 sqlite3 file of any version, in the same blocks as an MCAP file.
 
-The topics of a rosbag2 sqlite3 file with their definitions, in all versions of its schema.
-
-Version 1 knows names and types, 2 adds the quality of service, 3 the table ``schema``, 4 hashes
-of types and the table ``message_definitions``.
+A file is never changed; a damaged one is read as far as sqlite3 itself reads it. Version 1 of
+rosbag2's schema knows names and types of topics, 2 adds the quality of service, 3 the table
+``schema``, 4 hashes of types and the table ``message_definitions``.
 """
 
 from __future__ import annotations
 
 import re
+import shutil
 import sqlite3
+import sys
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Generator, Iterator
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Final
+from urllib.parse import quote_from_bytes
 
 import numpy as np
 
+from rotcal_ros.bags import file_compression
 from rotcal_ros.bags.blocks import HEADER_TYPE, Block
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.message_compression import (
@@ -29,8 +34,6 @@ from rotcal_ros.bags.message_compression import (
     unpacked,
 )
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, LARGEST_MESSAGE, ReadingLimits
-from rotcal_ros.bags.sqlite_file import FAILURES, Database, opened, text, words
-from rotcal_ros.bags.sqlite_salvage import salvaged
 from rotcal_ros.bags.storage_scan import Scan
 from rotcal_ros.bags.verdict import Damage, FileVerdict, TopicCount
 from rotcal_ros.foundation.errors import BagError
@@ -42,6 +45,183 @@ _NEEDED: Final = {"topics": ("id", "name", "type"), "messages": ("topic_id", "ti
 _UNKNOWN: Final = "(unknown topic)"
 _NAMELESS: Final = "/unknown_topic_"
 _NO_TYPE: Final = "unknown/msg/Unknown"
+_LEFT_BESIDE: Final = ("-wal", "-journal")
+_MAX_FAULTS: Final = 20
+_NO_FAULT: Final = ("ok", "*** in database main ***")
+_FAILURES: Final = (sqlite3.Error, UnicodeDecodeError, OverflowError)
+"""What reading a damaged database raises; Python cannot decode every complaint of sqlite3."""
+_AT_PAGE: Final = re.compile(r"page (\d+)")
+_LARGEST_ID: Final = (1 << 63) - 1
+Row = tuple[object, ...]
+
+
+@dataclass(frozen=True)
+class Database:
+    """A connection and the file that it reads: the bag's own, or a copy of it.
+
+    ``damages`` are what was found so far, none while the file is sound.
+    """
+
+    connection: sqlite3.Connection
+    file: Path
+    damages: list[Damage] = field(default_factory=list)
+
+    def columns(self, table: str) -> tuple[str, ...]:
+        """Return the columns of a table, none when there is no such table."""
+        kind = "SELECT 1 FROM sqlite_master WHERE type = 'table' AND lower(name) = ?"
+        if self.connection.execute(kind, (table,)).fetchone() is None:
+            return ()
+        info = self.connection.execute(f"PRAGMA table_info({table})")
+        return tuple(_text(name).lower() for _, name, *_ in info)
+
+    def select(self, table: str, wanted: tuple[str, ...], order: str = "") -> Iterator[Row]:
+        """Yield columns and expressions of all rows that sqlite3 reads; what it does not is noted.
+
+        A column that is not there is NULL. Rows come by ``order`` and their ids, in a damaged
+        database by their ids alone.
+        """
+        try:
+            if not (present := self.columns(table)):
+                return
+            names = [
+                name if name in present or not name.isidentifier() else "NULL" for name in wanted
+            ]
+            what = ", ".join(names)
+            if self.damages:
+                yield from self._rescued(table, what)
+                return
+            key = "id" if "id" in present else "rowid"
+            yield from self.connection.execute(
+                f"SELECT {what} FROM {table} ORDER BY {order or key}, {key}"
+            )
+        except _FAILURES as error:
+            self._note(table, _words(error))
+
+    def _rescued(self, table: str, what: str) -> Iterator[Row]:
+        """Yield the rows of a damaged table by their ids, before and behind what is damaged."""
+        start, step = 0, 1
+        while start < _LARGEST_ID:
+            last = yield from self._stretch(table, what, start)
+            step = 2 * step if last == start else 1
+            start = last + step
+
+    def _stretch(self, table: str, what: str, start: int) -> Generator[Row, None, int]:
+        """Yield the rows with ids above ``start``; return the last id before a damage, or of all.
+
+        Ids have to ascend: the tree may lead to a page again and again.
+        """
+        before = last = start
+        query = f"SELECT rowid, {what} FROM {table} NOT INDEXED WHERE rowid > ? ORDER BY rowid"
+        try:
+            for row_id, *values in self.connection.execute(query, (start,)):
+                if row_id <= last:  # then the one before may have been wrong as well
+                    self._note(table, "its rows are in disorder")
+                    return before
+                before, last = last, row_id
+                yield tuple(values)
+        except _FAILURES as error:
+            self._note(table, _words(error))
+            return last
+        return _LARGEST_ID
+
+    def _note(self, table: str, why: str) -> None:
+        at = min((damage.offset for damage in self.damages), default=0)
+        what = f"its {table} cannot all be read ({why}); sqlite3 .recover may save more"
+        if Damage(at, what) not in self.damages:
+            self.damages.append(Damage(at, what))
+
+    def check(self) -> None:
+        """Take note of what sqlite3's own integrity check says."""
+        self.damages.extend(self._integrity())
+        if self.damages:  # else sqlite3 refuses a file that is cut off from its first page on
+            self.connection.execute("PRAGMA writable_schema = ON")
+
+    def _integrity(self) -> list[Damage]:
+        try:
+            found = self.connection.execute(f"PRAGMA integrity_check({_MAX_FAULTS})").fetchall()
+            (page_size,) = self.connection.execute("PRAGMA page_size").fetchone()
+        except _FAILURES as error:
+            return [Damage(0, f"the database cannot be checked: {_words(error)}")]
+        lines = [line for (answer,) in found for line in _text(answer).splitlines()]
+        return [_damage(line, page_size) for line in lines if line not in _NO_FAULT]
+
+
+@contextmanager
+def opened(path: Path, limits: ReadingLimits = DEFAULT_LIMITS) -> Iterator[Database]:
+    """Open ``path`` for reading; texts come as bytes. Raises BagError when that is impossible.
+
+    A journal or write-ahead log that was left beside it belongs to the data, but to heed it
+    means to write: that happens in a temporary copy.
+    """
+    try:
+        with file_compression.unpacked(path, limits) as (plain, fault):
+            if not plain.is_file() or not plain.stat().st_size:
+                what = "is empty" if plain.is_file() else "is no file"
+                raise BagError(f"cannot read {path}: it {what}; there is nothing in it to be read")
+            with (
+                _with_what_was_left(plain) as (file, how),
+                closing(_connected(file, how)) as connection,
+            ):
+                yield Database(connection, file, [Damage(0, fault)] if fault else [])
+    except _FAILURES as error:
+        raise _refusal(path, _words(error)) from error
+    except OSError as error:
+        raise BagError(f"cannot read {path}: {error.strerror or error}") from error
+
+
+def _refusal(path: Path, what: str) -> BagError:
+    return BagError(
+        f"cannot read {path}: {what}; rotcal records MCAP, which it can repair; what is left of a "
+        "sqlite3 bag may be saved by 'sqlite3 FILE .recover'"
+    )
+
+
+@contextmanager
+def _with_what_was_left(path: Path) -> Iterator[tuple[Path, str]]:
+    """Yield the file to be opened and how: where something was left beside it, a copy of both."""
+    left = [file for end in _LEFT_BESIDE if (file := Path(f"{path}{end}")).is_file()]
+    if not any(file.stat().st_size for file in left):
+        with path.open("rb"):  # for the system's own words, should it not let us
+            pass
+        yield path, "mode=ro&immutable=1"
+        return
+    with TemporaryDirectory(prefix="rotcal_") as folder:
+        for file in (path, *left):
+            shutil.copyfile(file, Path(folder) / file.name)
+        yield Path(folder) / path.name, "mode=rw"
+
+
+def _text(value: object) -> str:
+    """Return a text of the database, whatever its bytes; '' for anything else."""
+    return value.decode(errors="backslashreplace") if isinstance(value, bytes) else ""
+
+
+def _words(error: Exception) -> str:
+    """Return what a failure says, in one line of visible characters."""
+    complaint = "its texts are damaged" if isinstance(error, UnicodeDecodeError) else str(error)
+    return complaint.encode("unicode_escape").decode()
+
+
+def _connected(path: Path, how: str) -> sqlite3.Connection:
+    address = quote_from_bytes(bytes(path.absolute()))
+    connection = sqlite3.connect(f"file:{address}?{how}", uri=True, isolation_level=None)
+    connection.text_factory = bytes
+    if sys.version_info >= (3, 11):
+        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 2 * LARGEST_MESSAGE)
+    # What a stranger's schema says must not run, nor take its time.
+    for pragma in (
+        "trusted_schema = OFF",
+        "ignore_check_constraints = ON",
+        "cell_size_check = ON",
+    ):
+        connection.execute(f"PRAGMA {pragma}")
+    return connection
+
+
+def _damage(line: str, page_size: int) -> Damage:
+    page = _AT_PAGE.search(line)
+    what = line.encode("unicode_escape").decode()
+    return Damage((int(page[1]) - 1) * page_size if page else 0, f"the database: {what}")
 
 
 class SqliteScan(Scan):
@@ -64,25 +244,22 @@ class SqliteScan(Scan):
         self._unpack: Unpack | None = None
 
     def blocks(self) -> Iterator[Block]:
-        """Yield the messages in the order of their log times."""
+        """Yield the messages in the order of their log times, of a damaged file of their ids."""
         with opened(self.path, self._limits) as database:
             self._size = self.path.stat().st_size
             self._plain_size = database.file.stat().st_size
-            self._damages += database.damages()
-            if not self._damages:
+            database.check()
+            self._damages = database.damages
+            damaged = bool(self._damages)
+            if not damaged:
                 self._require_tables(database)
                 if count := topics_without_text(database):
                     self._oddities["topics of which something is no text in UTF-8"] = count
-                yield from self._read(database)
-                return
-            with salvaged(database) as rescued:
-                yield from self._read(rescued)
-                self._missing_rows(rescued)
-        if not self._counts and not self.channels:
-            raise BagError(
-                f"cannot read {self.path}: {self._damages[0].what}; no page of it holds a row of "
-                "a bag (is it encrypted, or something else than a rosbag2 sqlite3 file?)"
-            )
+            yield from self._read(database)
+            if damaged:
+                self._missing_rows(database)
+        if self._damages and not self._counts and not self.channels:
+            raise _refusal(self.path, self._damages[0].what)
 
     def verdict(self) -> FileVerdict:
         """Return the verdict on the file, after the iteration."""
@@ -131,32 +308,28 @@ class SqliteScan(Scan):
     def _compression(self, database: Database) -> tuple[str, str]:
         """Return mode and format of the messages' compression; the file's own word counts."""
         stated = ("", "")
-        if "metadata" in database.columns("metadata"):
-            for (text,) in database.connection.execute("SELECT metadata FROM metadata"):
-                stated = stated_compression(text) if isinstance(text, bytes) else stated
+        for (metadata,) in database.select("metadata", ("metadata",)):
+            stated = stated_compression(metadata) if isinstance(metadata, bytes) else stated
         return stated if stated[0] else declared_compression(self.path)
 
     def _batches(self, database: Database) -> Iterator[Block]:
         batch: list[tuple[int, int, bytes]] = []
         size, room = 0, 4 * self._plain_size + LARGEST_MESSAGE
-        try:
-            key = "id" if "id" in database.columns("messages") else "rowid"
-            odd = database.connection.execute(_ODD_TIMES).fetchone() is not None
-            by = "CAST(timestamp AS INTEGER)" if odd else "timestamp"
-            for row in database.connection.execute(f"{_MESSAGES}{by}, {key}"):
-                if (message := self._understood(*row)) is None:
-                    continue
-                batch.append(message)
-                size += len(message[2])
-                if size >= _BLOCK_BYTES:
-                    self.position = min(self._size, self.position + size)
-                    room -= size
-                    yield _block(batch)
-                    batch, size = [], 0
-                if room < 0:
-                    raise sqlite3.DatabaseError("it holds more than its size allows")
-        except FAILURES as error:
-            self._damages.append(Damage(0, f"the database cannot be read further: {words(error)}"))
+        odd = not self._damages and database.connection.execute(_ODD_TIMES).fetchone() is not None
+        by = "CAST(timestamp AS INTEGER)" if odd else "timestamp"
+        for topic_id, time_ns, data, length in database.select("messages", _MESSAGE, by):
+            if (message := self._understood(topic_id, time_ns, data, length)) is None:
+                continue
+            batch.append(message)
+            size += len(message[2])
+            if size >= _BLOCK_BYTES:
+                self.position = min(self._size, self.position + size)
+                room -= size
+                yield _block(batch)
+                batch, size = [], 0
+            if room < 0:
+                self._damages.append(Damage(0, "its messages are more than its size allows"))
+                break
         if batch:
             yield _block(batch)
 
@@ -206,19 +379,19 @@ class SqliteScan(Scan):
             self._lost += broken
             self._oddities["compressed messages that cannot be unpacked"] += broken.total()
 
-    def _missing_rows(self, rescued: Database) -> None:
-        """Count the ids that are missing: rosbag2 gives them one after the other."""
-        query = "SELECT count(*), min(id), max(id) FROM messages"
-        count, first, last = rescued.connection.execute(query).fetchone()
-        if count and first >= 1 and last <= count + self._plain_size // _LEAST_ROW:
-            self._unreadable += last - count
+    def _missing_rows(self, database: Database) -> None:
+        """Count the ids that were not read: rosbag2 gives them one after the other."""
+        with suppress(*_FAILURES):
+            (last,) = database.connection.execute("SELECT max(rowid) FROM messages").fetchone()
+            known = self._counts.total() + self._lost.total() + self._unreadable
+            if isinstance(last, int) and 0 < last - known <= self._plain_size // _LEAST_ROW:
+                self._unreadable += last - known
 
 
-_MESSAGES: Final = (
-    "SELECT topic_id, timestamp,"
-    f" CASE WHEN length(data) <= {LARGEST_MESSAGE} THEN data END, length(data)"
-    " FROM messages ORDER BY "
-)
+_MESSAGE: Final = (
+    "topic_id", "timestamp", f"CASE WHEN length(data) <= {LARGEST_MESSAGE} THEN data END",
+    "length(data)",
+)  # fmt: skip
 _ODD_TIMES: Final = "SELECT 1 FROM messages WHERE typeof(timestamp) != 'integer' LIMIT 1"
 _TIME: Final = re.compile(rb"\s*([+-]?[0-9]{1,19})(\.[0-9]*)?([eE][+-]?[0-9]{1,3})?\s*")
 _LARGEST_TIME: Final = float(1 << 62)
@@ -257,20 +430,21 @@ _TEXTS: Final = ("name", "type")
 def read_channels(database: Database) -> Iterator[tuple[int, ChannelDefinition]]:
     """Yield the id of each topic in the database and its channel, numbered 0."""
     known: dict[tuple[str, str], tuple[str, str]] = {}
-    for name, type_hash, encoding, definition in _rows(
-        database, "message_definitions", _DEFINITION
+    for name, type_hash, encoding, definition in database.select(
+        "message_definitions", _DEFINITION
     ):
-        if text(encoding) in _ENCODINGS:
-            stated = text(encoding), text(definition)
-            for key in ((text(name), text(type_hash)), (text(name), "")):
+        if _text(encoding) in _ENCODINGS:
+            stated = _text(encoding), _text(definition)
+            for key in ((_text(name), _text(type_hash)), (_text(name), "")):
                 known.setdefault(key, stated)
-    for topic_id, name, type_name, type_hash, qos, form in _rows(database, "topics", _TOPIC):
+    for topic_id, name, type_name, type_hash, qos, form in database.select("topics", _TOPIC):
         if isinstance(topic_id, int):
-            key = text(type_name), text(type_hash)
+            key = _text(type_name), _text(type_hash)
             encoding, definition = known.get(key) or known.get((key[0], "")) or _own(key[0])
             channel = ChannelDefinition(
-                0, text(name), key[0], encoding, definition, key[1], text(qos), text(form) or _CDR
-            )
+                0, _text(name), key[0], encoding, definition, key[1], _text(qos),
+                _text(form) or _CDR,
+            )  # fmt: skip
             yield topic_id, channel
 
 
@@ -293,16 +467,6 @@ def _is_utf8(value: bytes | None) -> bool:
     except UnicodeDecodeError:
         return False
     return True
-
-
-def _rows(
-    database: Database, table: str, columns: tuple[str, ...]
-) -> Iterator[tuple[object, ...]]:
-    """Yield the rows of a table, NULL for columns that it does not have."""
-    present = database.columns(table)
-    if present:
-        wanted = ", ".join(name if name in present else "NULL" for name in columns)
-        yield from database.connection.execute(f"SELECT {wanted} FROM {table} ORDER BY rowid")
 
 
 def _own(type_name: str) -> tuple[str, str]:

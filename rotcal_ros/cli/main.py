@@ -5,15 +5,19 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Mapping
+from functools import cache
 from importlib import import_module
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import click
 
 from rotcal_ros import __version__
 from rotcal_ros.cli.console import INTERRUPTED
-from rotcal_ros.foundation.errors import RotcalError
+from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.escapes import printable
+
+if TYPE_CHECKING:
+    from rotcal_ros.foundation.plugins import Verb
 
 UNREADABLE: Final = 2
 BROKEN_PIPE: Final = 141
@@ -22,7 +26,7 @@ BROKEN_PIPE: Final = 141
 OF_PIP_ALONE: Final = ("mcap", "rosbags", "threadpoolctl")
 """What no package of a distribution can depend on: package.xml leaves it to the user."""
 
-VERBS: Final[Mapping[str, str]] = {
+OWN_VERBS: Final[Mapping[str, str]] = {
     "run": "Run the nodes of one cell and calibrate.",
     "attach": "Show a calibration that runs in the background.",
     "cell": "Look at a live cell: what is there, what is missing?",
@@ -38,27 +42,49 @@ VERBS: Final[Mapping[str, str]] = {
     "iso230": "Evaluate repeated bidirectional runs after ISO 230-2.",
     "uncertainty": "Propagate the noise by Monte Carlo (JCGM 101).",
     "bag": "Check, repair and describe recorded bags.",
-    "replay": "Publish a recorded bag again, for nodes and viewers.",
-    "dme": "Serve the simulated cell to clients of I++ DME.",
     "settings": "Print what can be set, with units, ranges and defaults.",
     "doctor": "Check this machine and say what to do.",
 }
 """Verb -> one line of help. The verb lives in ``rotcal_ros/cli/<verb>.py`` as ``command``."""
 
 
+@cache
+def verbs() -> Mapping[str, Verb]:
+    """Return all verbs in the order in which they are used: our own, and those of extensions.
+
+    One that cannot be loaded comes last and says so.
+    """
+    from rotcal_ros.foundation.plugins import VERBS, Verb, load, names
+
+    found = {name: Verb(text, f"rotcal_ros.cli.{name}") for name, text in OWN_VERBS.items()}
+    order = list(found)
+    for name in names(VERBS):
+        try:
+            verb = load(VERBS, name, "verb")
+        except ConfigurationError as error:
+            verb = Verb(str(error), "")
+        if found.setdefault(name, verb) is verb:
+            place = order.index(verb.after) + 1 if verb.after in order else len(order)
+            order.insert(place, name)
+    return {name: found[name] for name in order}
+
+
 class LazyGroup(click.Group):
-    """A group that lists :data:`VERBS` and imports a verb's module only when it is called."""
+    """A group that lists :func:`verbs` and imports a verb's module only when it is called."""
 
     def list_commands(self, _context: click.Context) -> list[str]:
         """Return the verbs in the order in which they are used."""
-        return list(VERBS)
+        return list(verbs())
 
     def get_command(self, _context: click.Context, name: str) -> click.Command | None:
-        """Import ``rotcal_ros.cli.<name>`` and return its ``command``; None if unknown."""
-        if name not in VERBS:
+        """Import the module of a verb and return its ``command``; None if unknown."""
+        if not _is_known(name):
             return None
         _compute_in_one_thread()
-        command: click.Command = import_module(f"rotcal_ros.cli.{name}").command
+        module = f"rotcal_ros.cli.{name}" if name in OWN_VERBS else verbs()[name].module
+        if not module:
+            raise ConfigurationError(verbs()[name].help)
+        command: click.Command = import_module(module).command
         return command
 
     def shell_complete(
@@ -67,28 +93,28 @@ class LazyGroup(click.Group):
         """Offer the verbs without importing any of them; behind a dash, the options."""
         from click.shell_completion import CompletionItem
 
-        verbs = [
-            CompletionItem(name, help=text)
-            for name, text in VERBS.items()
+        found = [
+            CompletionItem(name, help=verb.help)
+            for name, verb in verbs().items()
             if name.startswith(incomplete)
         ]
-        return verbs or super().shell_complete(context, incomplete)
+        return found or super().shell_complete(context, incomplete)
 
     def resolve_command(
         self, context: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Find the verb; a misspelt one fails with the name that was probably meant."""
         name = args[0]
-        if name not in VERBS and not name.startswith("-"):
+        if not name.startswith("-") and not _is_known(name):
             from rotcal_ros.foundation.plugins import nearest
 
-            context.fail(f"no verb {name!r}{nearest(name, VERBS)}")
+            context.fail(f"no verb {name!r}{nearest(name, verbs())}")
         return super().resolve_command(context, args)
 
     def format_commands(self, _context: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the list of verbs from :data:`VERBS`, without importing any of them."""
+        """Write the list of verbs, without importing any of them."""
         with formatter.section("Verbs"):
-            formatter.write_dl(list(VERBS.items()))
+            formatter.write_dl([(name, verb.help) for name, verb in verbs().items()])
 
     def invoke(self, context: click.Context) -> None:
         """Run a verb; an error becomes one red line and an exit code, not a traceback.
@@ -143,6 +169,11 @@ def rotcal(debug: bool) -> None:
 def main() -> None:
     """Run ``rotcal`` and exit with its exit code."""
     rotcal(prog_name="rotcal")
+
+
+def _is_known(name: str) -> bool:
+    """Return whether there is a verb; for our own, extensions are left alone."""
+    return name in OWN_VERBS or name in verbs()
 
 
 def _compute_in_one_thread() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -80,11 +81,11 @@ def command(
     if dcc:
         if truth or in_force:
             raise click.UsageError("a certificate has no room for --truth and --in-force")
-        from rotcal_ros.cli.certificate import write_certificate
+        from rotcal_ros.foundation.plugins import CERTIFICATES, extension
         from rotcal_ros.recordings.inputs import Input
 
-        given = Input(source, setup, targets, changes)
-        return write_certificate(given, output, sign, certificate)
+        write: Callable[..., int] = extension(CERTIFICATES, "dcc", "a certificate")
+        return write(Input(source, setup, targets, changes), output, sign, certificate)
     if sign or certificate:
         raise click.UsageError("--sign and --certificate belong to --dcc")
     # Figures take a second to load; a wrong option should not wait for them.

@@ -1,6 +1,7 @@
-"""What installed packages bring: methods, controllers, instruments, found by their entry points.
+"""What installed packages bring: methods, controllers, instruments, verbs, by entry points.
 
-The built-in ones are found the same way, see ``setup.py``; there is no built-in instrument.
+The built-in ones are found the same way, and so are the extensions of this package, see
+``setup.py``; there is no built-in instrument.
 """
 
 from __future__ import annotations
@@ -8,10 +9,10 @@ from __future__ import annotations
 import difflib
 import sys
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, distribution, entry_points
 from traceback import walk_tb
 from types import FrameType
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from rotcal_ros.foundation.errors import ConfigurationError
 
@@ -20,10 +21,34 @@ METHOD_SETTINGS: Final = "rotcal_ros.method_settings"
 """Of those methods whose settings can be told without loading the method."""
 CONTROLLERS: Final = "rotcal_ros.controllers"
 INSTRUMENTS: Final = "rotcal_ros.instruments"
-KINDS: Final = {METHODS: "method", CONTROLLERS: "controller", INSTRUMENTS: "instrument"}
+SETTINGS: Final = "rotcal_ros.settings"
+"""Group of a configuration -> the class that declares its settings."""
+DRIVER_CHECKS: Final = "rotcal_ros.driver_checks"
+"""Group of a configuration -> what a check of a cell says of the driver that it asks for."""
+VERBS: Final = "rotcal_ros.verbs"
+"""Of each a :class:`Verb`, which tells of it without loading it."""
+CERTIFICATES: Final = "rotcal_ros.certificates"
+"""What writes certificates for ``rotcal report``."""
+KINDS: Final = {
+    METHODS: "method",
+    CONTROLLERS: "controller",
+    INSTRUMENTS: "instrument",
+    VERBS: "verb",
+}
 _OWN: Final = "rotcal_ros"
 _LONGEST: Final = 80
 """Characters of a name that is compared with those that are known."""
+
+
+class Verb(NamedTuple):
+    """A verb that ``rotcal`` lists, with a line of ``help``, behind the verb ``after``.
+
+    Its command of click is ``command`` in ``module``, which is loaded only when it is called.
+    """
+
+    help: str
+    module: str
+    after: str = ""
 
 
 @cache
@@ -54,6 +79,33 @@ def load(group: str, name: str, what: str) -> Any:
         raise ConfigurationError(
             f"the {what} {name!r} ({package}) cannot be loaded: {why}"
         ) from error
+
+
+def extension(group: str, name: str, what: str) -> Any:
+    """Return what the entry point ``name`` of ``group`` names, which ``what`` needs.
+
+    Raises ConfigurationError, with what to install, where it, or a package that it needs, is
+    missing: pip brings both with the extra ``name`` of this package.
+    """
+    try:
+        if name not in _found(group):
+            raise ModuleNotFoundError(name=f"the extension {name!r}")
+        return _found(group)[name].load()
+    except ImportError as error:
+        raise ConfigurationError(
+            f"{what} needs {error.name}: pip install '{_OWN}[{name}]'"
+        ) from error
+
+
+def node_module(name: str) -> str:
+    """Return the module of a node, which is a command of this package.
+
+    Raises ConfigurationError where the extension that brings it is not installed.
+    """
+    scripts = distribution(_OWN).entry_points.select(group="console_scripts", name=name)
+    for script in scripts:
+        return script.module
+    raise ConfigurationError(f"the node {name!r} is not installed: pip install '{_OWN}[ros]'")
 
 
 def culprit(error: BaseException) -> str:

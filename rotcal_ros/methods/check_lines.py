@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Final, Literal
 
@@ -29,6 +29,18 @@ class CheckLine:
     todo: str = ""
     rate_hz: float | None = None
     stamp_offset_s: float | None = None
+
+
+@dataclass(frozen=True)
+class DriverCheck:
+    """What a check says of a driver before ``rotcal run`` starts it, by its group's settings.
+
+    ``brings``: the streams that it will tell, and the orders that it will obey. ``look``: the line
+    of its device, told whether its node is here and whether the cell is simulated; None: no line.
+    """
+
+    brings: Callable[[Any], Sequence[str]]
+    look: Callable[[Any, bool, bool], CheckLine] | None = None
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import hashlib
 import re
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
@@ -21,17 +21,14 @@ from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
-from rotcal_ros.dme.settings import DmeSettings
+from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.identity import Identity
-from rotcal_ros.foundation.plugins import nearest
 from rotcal_ros.foundation.settings import declarations, load, to_mapping
 from rotcal_ros.foundation.untrusted import line_of, load_yaml, read_text, why
-from rotcal_ros.instrument_plugins.settings import InstrumentSettings
 from rotcal_ros.methods.air_settings import AirSettings
 from rotcal_ros.methods.method import Method, find_method, method_names
 from rotcal_ros.methods.plan_files import PlanFile, with_contents
-from rotcal_ros.page.settings import PageSettings
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.health_settings import HealthSettings
 from rotcal_ros.planning.planner_settings import PlannerSettings
@@ -39,6 +36,10 @@ from rotcal_ros.planning.policy_names import AS_LISTED
 from rotcal_ros.planning.safety_settings import SafetySettings
 from rotcal_ros.ros2_control.settings import TableAdapterSettings
 
+EXTENSION_GROUPS: Final[Mapping[str, type[Any]]] = {
+    name: plugins.load(plugins.SETTINGS, name, "group") for name in plugins.names(plugins.SETTINGS)
+}
+"""Groups that extensions declare, by their entry points."""
 SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
     "cell": CellSettings,
     "capture": CaptureSettings,
@@ -48,19 +49,20 @@ SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
     "health": HealthSettings,
     "recorder": RecorderSettings,
     "bridge": BridgeSettings,
-    "dme": DmeSettings,
-    "instrument": InstrumentSettings,
+    **EXTENSION_GROUPS,
     "topics": TopicSettings,
     "identity": Identity,
-    "page": PageSettings,
     "table_adapter": TableAdapterSettings,
 }
 """Groups of settings that are the same for all methods."""
-GROUPS: Final = (
+_ORDER: Final = (
     "identity", "cell", "plan", "capture", "air", "solver", "planner", "safety", "health",
     "recorder", "bridge", "dme", "instrument", "table_adapter", "topics", "page", "simulation",
 )  # fmt: skip
-"""All groups, in the order in which a configuration is written."""
+"""How a configuration is written, with the groups of extensions that may be installed."""
+_KNOWN: Final = {*SHARED_GROUPS, "plan", "solver", "simulation"}
+GROUPS: Final = (*(name for name in _ORDER if name in _KNOWN), *sorted(_KNOWN.difference(_ORDER)))
+"""All groups, in the order in which a configuration is written; those of others come last."""
 ALL_NODES: Final = "/**"
 PARAMETERS: Final = "ros__parameters"
 USE_SIM_TIME: Final = "use_sim_time"
@@ -85,7 +87,7 @@ class Configuration:
     the names of the groups that the text has, and of their settings as ``group.setting``; all
     others are at their defaults. ``simulated``: the cell is a simulated one, the text has a group
     ``simulation``. ``use_sim_time``: its nodes follow ``/clock``. ``text`` is the YAML as given,
-    ``source`` names it in error texts.
+    ``source`` names it in error texts. ``extensions``: the groups of extensions, by name.
 
     >>> import rotcal_ros as rc
     >>> configuration = rc.read_configuration("examples/data/ball_plate.yaml")
@@ -104,11 +106,8 @@ class Configuration:
     health: HealthSettings
     recorder: RecorderSettings
     bridge: BridgeSettings
-    dme: DmeSettings
-    instrument: InstrumentSettings
     topics: TopicSettings
     identity: Identity
-    page: PageSettings
     table_adapter: TableAdapterSettings
     simulation: Any
     simulated: bool
@@ -116,6 +115,11 @@ class Configuration:
     text: str
     source: str
     use_sim_time: bool = False
+    extensions: Mapping[str, Any] = field(default_factory=dict, hash=False)
+
+    def group(self, name: str) -> Any:
+        """Return the settings of a group, be it one of ours or of an extension."""
+        return self.extensions[name] if name in self.extensions else getattr(self, name)
 
     @property
     def plan_id(self) -> str:
@@ -161,13 +165,14 @@ def parse_configuration(
     for group in values:
         if group not in GROUPS:
             hint = _without_its_group(method, str(group))
-            hint = hint or nearest(str(group), ("method", *GROUPS))
+            hint = hint or plugins.nearest(str(group), ("method", *GROUPS))
             raise ConfigurationError(f"{source}: unknown group {group!r:.80}{hint}")
     given = frozenset(values) & frozenset(groups)
     loaded: dict[str, Any] = {
         group: load(cls, values[group] if group in given else None, f"{source}: {group}")
         for group, cls in settings_classes(method).items()
     }
+    extensions = {group: loaded.pop(group) for group in EXTENSION_GROUPS}
     settings = (f"{group}.{setting}" for group in given for setting in values[group] or ())
     return Configuration(
         method=method,
@@ -177,6 +182,7 @@ def parse_configuration(
         text=text,
         source=source,
         use_sim_time=use_sim_time,
+        extensions=extensions,
     )
 
 
@@ -253,7 +259,7 @@ def node_parameters(configuration: Configuration) -> str:
     if configuration.use_sim_time:
         parameters[USE_SIM_TIME] = True
     for group in GROUPS:
-        values = to_mapping(getattr(configuration, group))
+        values = to_mapping(configuration.group(group))
         given = {n: v for n, v in values.items() if f"{group}.{n}" in configuration.given}
         parameters[group] = _without_none(given)
     document = {ALL_NODES: {PARAMETERS: {n: v for n, v in parameters.items() if v != {}}}}

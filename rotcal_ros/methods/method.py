@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from rotcal_ros.planning.choices import Policy
     from rotcal_ros.planning.plan import Plan, Step
     from rotcal_ros.planning.plan_figures import Compared
+    from rotcal_ros.simulation.cell import SimulatedCell
+    from rotcal_ros.simulation.instrument import MakeInstrument
     from rotcal_ros.simulation.settings import SimulationSettings
 
 Trials: TypeAlias = "Callable[[np.random.Generator, int], Floats]"
@@ -101,8 +103,9 @@ class Method:
 
     ``plan`` builds the plan from a configuration and refuses settings that cannot work;
     ``capture`` says how the streams become observations of its steps; ``solve`` turns a
-    configuration, its plan and accepted observations into a result. ``nominal`` tells what an
-    instrument without error would see, ``stations`` where the instruments stand.
+    configuration, its plan and accepted observations into a result. ``simulated_instrument`` makes
+    the instrument of a simulated cell, ``nominal`` tells what one without error would see,
+    ``stations`` where the instruments stand.
 
     ``gauge`` takes from true deviations (n,) at angles (n,) what the method cannot see, so that
     they can be compared with a result. A method whose values are relative to a zero that an
@@ -137,6 +140,7 @@ class Method:
     capture: CaptureRules
     solve: Callable[[Configuration, Plan, Observed], Result]
     simulation_settings: type[SimulationSettings]
+    simulated_instrument: MakeInstrument
     nominal: Callable[[Configuration, Plan], See] | None = None
     stations: Callable[[Configuration], Stations] | None = None
     gauge: Callable[[Floats, Curves], dict[str, Floats]] = counted_from_the_first
@@ -163,6 +167,12 @@ class Method:
             "solver": self.solver_settings,
             "simulation": self.simulation_settings,
         }
+
+    def simulated_cell(self, settings: SimulationSettings, start_ns: int = 0) -> SimulatedCell:
+        """Return a simulated cell with its instrument, whose time begins at ``start_ns``."""
+        from rotcal_ros.simulation.cell import SimulatedCell
+
+        return SimulatedCell(settings, self.simulated_instrument, start_ns)
 
     def __reduce__(self) -> tuple[Callable[[str], Method], tuple[str]]:
         """Travel to other processes by name."""

@@ -32,6 +32,7 @@ from rclpy.signals import SignalHandlerOptions
 from rotcal_msgs.msg import CalibrationPlan
 
 from rotcal_ros.bags import names
+from rotcal_ros.bags.topic_roles import TOPIC
 from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.capture.stamp_offsets import OffsetLimits, StampOffsets
 from rotcal_ros.foundation.errors import BagError
@@ -65,11 +66,9 @@ from rotcal_ros.nodes.runtime.cell_graph import ORDERS, CellGraph
 from rotcal_ros.nodes.runtime.channels import message_type
 from rotcal_ros.nodes.runtime.diagnostic_warnings import OFFSET
 from rotcal_ros.nodes.runtime.frames import StaticFrames
-from rotcal_ros.nodes.runtime.heartbeat import HEARTBEAT
 from rotcal_ros.nodes.runtime.qos import LATCHED
 from rotcal_ros.nodes.runtime.running import EndRequest, leave_with
 from rotcal_ros.nodes.runtime.timers_and_events import steady_timer
-from rotcal_ros.nodes.runtime.topic_names import TOPIC
 from rotcal_ros.planning.table_motion import PUBLISH_VELOCITY
 from rotcal_ros.sessions.domains import domains_in_use
 
@@ -84,7 +83,7 @@ STREAMS: Final = (
     names.AIR_PRESSURE, names.RELATIVE_HUMIDITY,
 )  # fmt: skip
 _OWN_TOPICS: Final = (
-    HEARTBEAT, "/diagnostics", names.PLAN, names.OBSERVATION, names.TABLE_ANGLE,
+    names.HEARTBEAT, "/diagnostics", names.PLAN, names.OBSERVATION, names.TABLE_ANGLE,
     names.PROBE_TARGET,
 )  # fmt: skip
 """What a capture publishes or obeys: here it does neither."""

@@ -30,7 +30,7 @@ from rotcal_ros.nodes.runtime.conversions import feedback_message
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.health import CALIBRATING
 from rotcal_ros.nodes.runtime.plans import PlannerParameters, read_continuation
-from rotcal_ros.nodes.runtime.qos import EVENT
+from rotcal_ros.nodes.runtime.qos import GOAL
 from rotcal_ros.nodes.runtime.running import done_aside, run
 
 RESULT_TIMEOUT_S: Final = 3600
@@ -69,7 +69,7 @@ class Planner(CellNode):
         )
         if hasattr(self._server, "configure_introspection"):  # from Kilted on
             contents = ServiceIntrospectionState.CONTENTS
-            self._server.configure_introspection(self.get_clock(), EVENT, contents)
+            self._server.configure_introspection(self.get_clock(), GOAL, contents)
 
     def activated(self) -> None:
         """Take goals."""

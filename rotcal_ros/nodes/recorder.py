@@ -11,17 +11,16 @@ from std_srvs.srv import Trigger
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.recorder_settings import RecorderSettings
+from rotcal_ros.bags.topic_roles import CalledOtherwise
 from rotcal_ros.foundation.clock_jumps import noted
 from rotcal_ros.foundation.errors import BagError, RotcalError
 from rotcal_ros.instruments.interpreter import FAST
 from rotcal_ros.nodes.runtime.cell_node import IDLE_S, CellNode, until
 from rotcal_ros.nodes.runtime.draining import GRAPH_PERIOD_S, Batch
 from rotcal_ros.nodes.runtime.health import RECORDING_FAILED
-from rotcal_ros.nodes.runtime.heartbeat import HEARTBEAT
 from rotcal_ros.nodes.runtime.roll_call import LOADING
 from rotcal_ros.nodes.runtime.running import done_aside, run
 from rotcal_ros.nodes.runtime.timers_and_events import handle_events
-from rotcal_ros.nodes.runtime.topic_names import CalledOtherwise
 from rotcal_ros.nodes.writing.bookkeeping import LogTimes, Silences
 from rotcal_ros.nodes.writing.dropout_notes import TOGETHER_S, DropoutNotes
 from rotcal_ros.nodes.writing.heard_topic import HeardTopic
@@ -86,7 +85,7 @@ class RecorderNode(CellNode):
         if recording is None:
             return
         heard = self._listener.heard_s(self._called.role)
-        self._called.keep_in(recording)
+        self._called.keep(recording.note)
         self._dropouts.silences(self._silences.look(heard, time.monotonic()))
         self._dropouts.write(TOGETHER_S)
         if counters := self._all_losses() + self._silences.counts:
@@ -110,7 +109,7 @@ class RecorderNode(CellNode):
             recording.confirm(receipt)
 
     def _is_fast(self, topic: str) -> bool:
-        return topic in map(self._called.topic, (*FAST, HEARTBEAT))
+        return topic in map(self._called.topic, (*FAST, names.HEARTBEAT))
 
     def _clock_jumps(self) -> int:
         """Return how often the clock was set, just now included."""
@@ -140,7 +139,7 @@ class RecorderNode(CellNode):
             if not await until(self.stopped, CLOSE_TIMEOUT_S):
                 raise BagError("the recorder is still closing the bag of the previous run")
             self._reading, self._unwanted = True, False
-            self.health.beat()  # before the reading can hold it up
+            self.health.beat()  # before the reading can delay it
             bag = await done_aside(self._bags.go_on, request.plan_id, topic)
             if self._unwanted:
                 bag.writer.close()
@@ -162,7 +161,7 @@ class RecorderNode(CellNode):
         self._session.begin(request.plan_id, bag.run, bag.earlier)
         recording = Recording(bag.writer, self._settings.queue_bytes, self._receipts.confirm)
         self._dropouts.begin(recording)
-        self._called.keep_in(recording)  # before the configuration, where readers stop to look
+        self._called.keep(recording.note)  # before the configuration, where readers stop to look
         keep_surroundings(recording, request.configuration)
         bag.keep(request.configuration)
         self._listener.tell_again(recording.put)

@@ -23,7 +23,7 @@ from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED, STREAM
 from rotcal_ros.nodes.runtime.running import run
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.safety_settings import SafetySettings
-from rotcal_ros.simulation import CellOutput, SimulatedCell
+from rotcal_ros.simulation import CellOutput
 
 PERIOD_S: Final = 0.01
 LONGEST_TURN_NS: Final = 20_000_000
@@ -53,7 +53,7 @@ class SimulatedCellNode(CellNode):
         self._settings, self._axis = settings, cell.axis
         self._joint = cell.joint or "table"
         self._scale = settings.time_scale
-        self._cell = SimulatedCell(settings, self.now_ns())
+        self._cell = method.simulated_cell(settings, self.now_ns())
         self._turned_ns, self._set_ahead_ns = self._steady_ns(), 0
         self._order_text = "no order yet"
         self._stop = EmergencyStop(

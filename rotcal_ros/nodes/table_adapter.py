@@ -17,7 +17,12 @@ from rotcal_ros.capture.rejections import kind_of
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import DEGREE
-from rotcal_ros.nodes.instruments.joint_controllers import joint_controller
+from rotcal_ros.nodes.instruments.joint_controllers import (
+    JointController,
+    PositionController,
+    TrajectoryController,
+    interface_of,
+)
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.diagnostic_warnings import COMPLAINT, show
@@ -53,7 +58,7 @@ class TableAdapter(CellNode):
                 f"{self._settings.feedback}"
             )
         self._watch = JointWatch(self._settings)
-        self._controller = joint_controller(self, self._settings, self._joint)
+        self._controller = _joint_controller(self, self._settings, self._joint)
         self._stop = EmergencyStop(
             self, self.settings("safety", SafetySettings), "the table is held", self._halt
         )
@@ -161,11 +166,11 @@ class TableAdapter(CellNode):
             )
         if self._waiting is not None:
             return self._why_waiting()
-        word = self._controller.word()
+        report = self._controller.report()
         text = "" if self._held else self._watch.complaint(self.health.awake.now_s())
-        if word.trouble and (self._held or not self._watch.arrived()):
-            text = word.trouble
-        if text and word.done:
+        if report.trouble and (self._held or not self._watch.arrived()):
+            text = report.trouble
+        if text and report.done:
             text += ", and the controller calls this succeeded"
         return f"joint {self._joint!r} of {self._settings.controller}: {text}" if text else ""
 
@@ -188,6 +193,19 @@ class TableAdapter(CellNode):
         latest = self._watch.latest
         angle = {} if latest is None else {"angle_deg": f"{latest.angle / DEGREE:.5f}"}
         return "held: emergency stop" if self._held and self._stop.why else self._state, angle
+
+
+def _joint_controller(
+    node: CellNode, settings: TableAdapterSettings, joint: str
+) -> JointController:
+    """Return the controller that the settings name; ConfigurationError as :func:`interface_of`."""
+    interface = interface_of(settings)
+    if interface == "goals":
+        from rotcal_ros.nodes.instruments.joint_goals import GoalController
+
+        return GoalController(node, settings.controller, joint)
+    kind = PositionController if interface == "positions" else TrajectoryController
+    return kind(node, settings.controller, joint)
 
 
 def main() -> None:

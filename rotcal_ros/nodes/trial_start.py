@@ -20,9 +20,9 @@ from typing import Any, Final
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import QoSProfile
 
+from rotcal_ros.bags import names
 from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.foundation.node_names import NODES
-from rotcal_ros.nodes.runtime.heartbeat import HEARTBEAT
 from rotcal_ros.nodes.runtime.peer import Peer
 from rotcal_ros.nodes.runtime.running import SUPERVISOR_VARIABLE
 
@@ -84,7 +84,9 @@ def trial() -> tuple[float, str]:
     with ExitStack() as stack:
         peer = Peer("doctor", _NAMESPACE)
         stack.callback(peer.close)
-        peer.node.create_subscription(DiagnosticStatus, HEARTBEAT, hear, QoSProfile(depth=100))
+        peer.node.create_subscription(
+            DiagnosticStatus, names.HEARTBEAT, hear, QoSProfile(depth=100)
+        )
         start = time.monotonic()
         nodes = []
         for name in NODES:

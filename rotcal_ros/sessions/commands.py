@@ -7,6 +7,7 @@ import sys
 from typing import Final
 
 from rotcal_ros.foundation.node_names import NODES, VIEWERS, further_nodes
+from rotcal_ros.foundation.plugins import node_module
 from rotcal_ros.sessions.session import Session
 
 CLIENT: Final = "client"
@@ -23,7 +24,8 @@ def node_names(session: Session) -> list[str]:
 
 def node_command(session: Session, name: str) -> list[str]:
     """Return the command line of a node."""
-    command = [*_start(session, name), "--params-file", str(session.folder.parameters)]
+    command = [*_start(session, node_module(name))]
+    command += ["--params-file", str(session.folder.parameters)]
     if name == "recorder":
         # In quotes, so that a folder called 2024 does not become a number.
         command += ["-p", f"recorder.folder:={json.dumps(str(session.folder.path.parent))}"]
@@ -31,7 +33,7 @@ def node_command(session: Session, name: str) -> list[str]:
         if session.run:
             command += ["-p", f"recorder.run:={session.run}"]
     if name == "planner":
-        command += ["-p", "restart_wait_s:=0.0"]  # nobody starts these nodes again
+        command += ["-p", "restart_wait_s:=0.0"]  # these nodes are not started again
     if name in ("planner", "solver") and session.run:
         file = json.dumps(str(session.folder.continuation(session.run)))
         command += ["-p", f"continuation_file:={file}"]
@@ -41,13 +43,12 @@ def node_command(session: Session, name: str) -> list[str]:
 def client_command(session: Session) -> list[str]:
     """Return the command line of the client that sends the goal."""
     file = json.dumps(str(session.folder.configuration))
-    command = [*_start(session, CLIENT), "-p", f"configuration_file:={file}"]
+    command = [*_start(session, f"rotcal_ros.nodes.{CLIENT}"), "-p", f"configuration_file:={file}"]
     if session.continuation is not None:
         command += ["-p", f"start_index:={session.continuation.start_index}"]
     return command
 
 
-def _start(session: Session, name: str) -> list[str]:
+def _start(session: Session, module: str) -> list[str]:
     namespace = session.configuration.cell.namespace
-    module = f"rotcal_ros.nodes.{name}"
     return [sys.executable, "-m", module, "--ros-args", "-r", f"__ns:={namespace}"]

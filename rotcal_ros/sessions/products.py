@@ -24,7 +24,7 @@ from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.recordings.result_sources import Source, read_source
 from rotcal_ros.report.terminal.console import say
 from rotcal_ros.sessions.session import Session
-from rotcal_ros.simulation import SimulatedCell
+from rotcal_ros.simulation.table import true_deviations
 
 FORMATS: Final = ("csv", "linuxcnc")
 """Controller files that need no settings of the user's machine."""
@@ -78,12 +78,15 @@ def write_truth(session: Session) -> None:
     """
     calibration = session.calibration
     angles = np.array(calibration.plan.distinct_angles)
-    cell = SimulatedCell(session.configuration.simulation)
-    truth = cell.truth_dict(angles)
-    truth["injected"] = truth["deviations"]
-    seen = calibration.method.gauge(angles, cell.truth(angles))
-    truth["deviations"] = {name: values.tolist() for name, values in seen.items()}
-    write_atomically(session.folder.truth, json.dumps(truth, indent=1, allow_nan=False) + "\n")
+    injected = true_deviations(session.configuration.simulation.table, angles)
+    seen = calibration.method.gauge(angles, injected)
+    document = {
+        "schema": 1,
+        "angles_rad": angles.tolist(),
+        "deviations": {name: values.tolist() for name, values in seen.items()},
+        "injected": {name: values.tolist() for name, values in injected.items()},
+    }
+    write_atomically(session.folder.truth, json.dumps(document, indent=1, allow_nan=False) + "\n")
 
 
 def write_report(folder: SessionFolder, extra: Sequence[tuple[str, str]] = ()) -> None:

@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
 
-import numpy as np
-
-from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.observations import (
     Command,
     HumiditySample,
@@ -21,9 +16,9 @@ from rotcal_ros.foundation.observations import (
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.simulation.air import SimulatedAir
 from rotcal_ros.simulation.external_table import ExternalTable
-from rotcal_ros.simulation.instrument import Table
+from rotcal_ros.simulation.instrument import MakeInstrument, Table
 from rotcal_ros.simulation.settings import SimulationSettings
-from rotcal_ros.simulation.table import SimulatedTable, truth
+from rotcal_ros.simulation.table import SimulatedTable
 from rotcal_ros.simulation.temperature import SimulatedTemperature
 from rotcal_ros.simulation.ticks import Ticks
 
@@ -56,14 +51,16 @@ class SimulatedCell:
     machine times of the orders, not on how the time between them is cut into pieces.
     """
 
-    def __init__(self, settings: SimulationSettings, start_ns: int = 0) -> None:
+    def __init__(
+        self, settings: SimulationSettings, make_instrument: MakeInstrument, start_ns: int = 0
+    ) -> None:
         self.settings, self.now_ns = settings, start_ns
         seed, table = settings.seed, settings.table
         self._external = ExternalTable(table, start_ns) if table.external else None
         self.table: Table = self._external or SimulatedTable(table, seed, start_ns)
         self._temperature = SimulatedTemperature(settings.temperature, seed, start_ns)
         self._air = SimulatedAir(settings.air, self._temperature, seed, start_ns)
-        self.instrument = settings.make_instrument(self.table, self._temperature, start_ns)
+        self.instrument = make_instrument(settings, self.table, self._temperature, start_ns)
         self._table_ticks = Ticks(start_ns, table.feedback_rate_hz)
         self._temperature_ticks = Ticks(start_ns, settings.temperature.rate_hz)
         self._table_order: tuple[int, int] | None = None
@@ -115,18 +112,6 @@ class SimulatedCell:
     def unasked_point(self) -> ProbeSample:
         """Return a point of kind UNKNOWN that nobody ordered: where the probe stands now."""
         return self.instrument.unasked(self.now_ns)
-
-    def truth(self, angles: Sequence[float] | Floats) -> dict[str, Floats]:
-        """Return the injected deviations at ``angles`` (rad); ECC relative to the first one."""
-        return dict(truth(self.settings.table, np.asarray(angles, dtype=np.float64)))
-
-    def truth_dict(self, angles: Sequence[float] | Floats) -> dict[str, Any]:
-        """Return the truth in the form of ``result.json`` (SI)."""
-        return {
-            "schema": 1,
-            "angles_rad": [float(angle) for angle in angles],
-            "deviations": {name: v.tolist() for name, v in self.truth(angles).items()},
-        }
 
     def _table_rest_ns(self) -> int:
         """Return when the table is at rest for the probe's order; far away: not ordered yet."""

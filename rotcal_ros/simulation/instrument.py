@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Final
+from collections.abc import Callable
+from typing import Any, Final
 
 import numpy as np
 
@@ -18,12 +19,13 @@ from rotcal_ros.foundation.observations import (
 )
 from rotcal_ros.simulation.external_table import ExternalTable
 from rotcal_ros.simulation.table import SimulatedTable
+from rotcal_ros.simulation.temperature import SimulatedTemperature
 
 Table = SimulatedTable | ExternalTable
 _NO_ORDER: Final = Command(0, 0, 0.0, Approach.UNKNOWN, PointKind.UNKNOWN, 0, (0.0, 0.0, 0.0))
 
 
-class Instrument(ABC):
+class SimulatedInstrument(ABC):
     """The machine beside the table with what it carries, on the cell's clock (ns).
 
     ``frame`` is that of its points, ``streams_lengths`` says whether it delivers lengths besides.
@@ -93,3 +95,7 @@ class Instrument(ABC):
         return order.answered(
             stamp_ns, self._sequence - 1, (x, y, z), (sx, sy, sz), number, tip_radius
         )
+
+
+MakeInstrument = Callable[[Any, Table, SimulatedTemperature, int], SimulatedInstrument]
+"""Makes the instrument of a method by its settings, beside a table, from ``start_ns`` on."""

@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.settings import group, setting
-
-if TYPE_CHECKING:
-    from rotcal_ros.simulation.instrument import Instrument, Table
-    from rotcal_ros.simulation.temperature import SimulatedTemperature
 
 
 @dataclass(frozen=True)
@@ -155,7 +149,7 @@ class SimulatedAirSettings:
 
 
 @dataclass(frozen=True)
-class SimulationSettings(ABC):
+class SimulationSettings:
     """The simulated cell: a table, a temperature, and the instrument of a method."""
 
     seed: int = setting(1, doc="seed of all random numbers", minimum=0, maximum=2**31 - 1)
@@ -178,9 +172,3 @@ class SimulationSettings(ABC):
                 f"an external table moves at life speed, time_scale is "
                 f"{self.time_scale:g}: set it to 1"
             )
-
-    @abstractmethod
-    def make_instrument(
-        self, table: Table, temperature: SimulatedTemperature, start_ns: int
-    ) -> Instrument:
-        """Return the machine and its instrument, which stand beside ``table``."""

@@ -92,7 +92,7 @@ def correction(settings: TableSettings, angles: Floats, approach: Approach) -> F
     return table.correction(angles, approach)
 
 
-def truth(
+def true_deviations(
     settings: TableSettings, angles: Floats, approach: Approach = Approach.POSITIVE
 ) -> Mapping[str, Floats]:
     """Return the true deviations at commanded ``angles`` (n,) as a result states them.

@@ -24,7 +24,6 @@ from rotcal_ros.foundation.observations import (
     TracerSample,
 )
 from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
-from rotcal_ros.simulation.cell import SimulatedCell
 
 MSG_DEFS = Path(__file__).parents[2] / "msg_defs"
 START_NS = 1_700_000_000_000_000_000
@@ -188,7 +187,7 @@ def simulate(configuration_text: str = CONFIGURATION) -> Run:
     configuration = parse_configuration(configuration_text)
     calibration = methods.prepare(configuration)
     plan, capture = calibration.plan, calibration.capture()
-    cell = SimulatedCell(configuration.simulation, START_NS)
+    cell = configuration.method.simulated_cell(configuration.simulation, START_NS)
     run = Run()
 
     def arrive(record: Any) -> None:

@@ -12,7 +12,7 @@ from bag_samples import CONFIGURATION, STORE, TYPES, Run, encode
 from click.testing import CliRunner
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
-from sqlite_mutations import payloads, write_bag
+from sqlite_bags import payloads, write_bag
 
 from rotcal_ros.bags.reader import bag_files, check_files
 from rotcal_ros.bags.reindex import reindex

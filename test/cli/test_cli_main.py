@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import click
 import pytest
@@ -11,7 +12,9 @@ from click.testing import CliRunner
 
 import rotcal_ros
 from rotcal_ros.cli import main
+from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, ObservabilityError
+from rotcal_ros.foundation.plugins import Verb
 
 
 def run(*arguments):
@@ -28,6 +31,24 @@ def verb(monkeypatch):
     return replace
 
 
+@pytest.fixture
+def foreign(monkeypatch):
+    """Return a function that installs a verb of another package, or one that fails to load."""
+    found = dict(plugins._found(plugins.VERBS))
+    monkeypatch.setattr(plugins, "_found", lambda _group: found)
+    caches = (main.verbs, plugins.load)
+
+    def install(name, verb):
+        load = raising(verb) if isinstance(verb, Exception) else lambda: verb
+        found[name] = SimpleNamespace(load=load, module="nowhere", dist=None)
+        for cached in caches:
+            cached.cache_clear()
+
+    yield install
+    for cached in caches:
+        cached.cache_clear()
+
+
 def raising(error):
     def action():
         raise error
@@ -35,7 +56,7 @@ def raising(error):
     return action
 
 
-@pytest.mark.parametrize("name", main.VERBS)
+@pytest.mark.parametrize("name", main.verbs())
 def test_every_verb_has_help(name):
     result = run(name, "--help")
     assert result.exit_code == 0
@@ -49,12 +70,13 @@ def test_help_lists_every_verb_and_loads_none():
         "except SystemExit: pass\n"
         "heavy = {'numpy', 'scipy', 'rich', 'matplotlib', 'mcap', 'rclpy', 'yaml'}\n"
         "verbs = {m for m in sys.modules if m.startswith('rotcal_ros.cli.')} \n"
+        "verbs |= {m for m in sys.modules if m.endswith('.verbs')}\n"
         "print(sorted(heavy & set(sys.modules)), sorted(verbs))"
     )
     run_ = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     *help_, loaded = run_.stdout.splitlines()
     assert loaded == "[] ['rotcal_ros.cli.console', 'rotcal_ros.cli.main']"
-    for name in main.VERBS:
+    for name in main.verbs():
         assert any(line.startswith(f"  {name} ") for line in help_)
 
 
@@ -155,3 +177,23 @@ def test_a_reader_that_goes_away_is_no_error():
         complaint = process.stderr.read()
     assert complaint == b""
     assert process.returncode in (0, 1, -signal.SIGPIPE)
+
+
+def test_an_extension_adds_a_verb_and_takes_the_place_of_none(foreign):
+    foreign("measure", Verb("Measure.", "nowhere", "bag"))
+    foreign("solve", Verb("Solve otherwise.", "nowhere"))
+    listed = list(main.verbs())
+    assert listed[listed.index("bag") + 1] == "measure"
+    assert main.verbs()["solve"].help == main.OWN_VERBS["solve"]
+
+
+def test_a_verb_that_cannot_be_loaded_harms_no_other(foreign):
+    foreign("broken", ImportError("No module named 'gone'"))
+    listed = run("--help")
+    assert listed.exit_code == 0
+    assert "the verb 'broken'" in listed.stdout
+    assert run("settings", "--help").exit_code == 0
+    result = run("broken")
+    assert result.exit_code == 2
+    assert result.stderr.startswith("rotcal: the verb 'broken'")
+    assert "No module named 'gone'" in result.stderr

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from rotcal_ros.cli.main import VERBS, rotcal
+from rotcal_ros.cli.main import rotcal, verbs
 
 ROOT = Path(__file__).parents[2]
 HEAVY = {"numpy", "scipy", "rich", "matplotlib", "mcap", "rclpy", "yaml", "rotcal_ros.methods"}
@@ -47,7 +47,7 @@ def offered(line, folder=ROOT):
 
 
 def test_it_knows_the_verbs():
-    assert offered("rotcal ") == list(VERBS)
+    assert offered("rotcal ") == list(verbs())
     assert offered("rotcal rep") == ["reprocess", "report", "replay"]
     assert offered("rotcal --d") == ["--debug"]
 

@@ -256,9 +256,21 @@ _STATEMENTS: Final = (
     "DELETE FROM messages WHERE ?",
     "DELETE FROM topics WHERE ?",
 )
-_SCHEMA: Final = ("DROP TABLE schema", "DROP TABLE topics", "DROP TABLE messages",
-                  "DROP INDEX timestamp_idx", "ALTER TABLE messages ADD COLUMN more TEXT",
-                  "CREATE VIEW v AS SELECT 1", "PRAGMA user_version = 7")  # fmt: skip
+_SCHEMA: Final = (
+    "DROP TABLE schema", "DROP TABLE topics", "DROP TABLE messages", "DROP INDEX timestamp_idx",
+    "ALTER TABLE messages ADD COLUMN more TEXT", "CREATE VIEW v AS SELECT 1",
+    "PRAGMA user_version = 7", "ALTER TABLE topics DROP COLUMN type",
+    "ALTER TABLE messages RENAME COLUMN data TO content",
+    "ALTER TABLE messages RENAME TO m; CREATE VIEW messages AS SELECT * FROM m",
+    "ALTER TABLE messages RENAME TO m; CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id,"
+    " timestamp, data GENERATED ALWAYS AS (zeroblob(50000000)));"
+    "INSERT INTO messages(topic_id, timestamp) SELECT topic_id, timestamp FROM m LIMIT 3",
+    "ALTER TABLE messages RENAME TO m; CREATE TABLE messages(id INT PRIMARY KEY, topic_id,"
+    " timestamp, data) WITHOUT ROWID; INSERT INTO messages SELECT * FROM m; DROP TABLE m",
+    "CREATE TRIGGER t AFTER INSERT ON messages BEGIN DELETE FROM topics; END",
+    "UPDATE messages SET id = 9223372036854775807 WHERE id = 4",
+    "UPDATE messages SET id = -9223372036854775808 WHERE id = 4",
+)  # fmt: skip
 _CELLS: Final = (None, 0, -1, 1 << 62, -(1 << 63), 1.5, float("inf"), "", "text", "\x00", b"",
                  b"\xff" * 9, b"\0\1\0\0", "string data\n" * 50, "std_msgs/msg/String",
                  "a\x1b[31m\nb", "- history: [&a [*a]]", "= = =\nMSG: x/y\n")  # fmt: skip
@@ -273,7 +285,7 @@ def _harmed_values(rng: Random, data: bytes) -> bytes:
             statement = rng.choice(_STATEMENTS)
             try:
                 if rng.random() < 0.2:
-                    connection.execute(rng.choice(_SCHEMA))
+                    connection.executescript(rng.choice(_SCHEMA))
                 elif rng.random() < 0.2:  # bytes that are no text, in the place of one
                     invalid = statement.replace("?", "CAST(x'ff80' AS TEXT)")
                     connection.execute(invalid)

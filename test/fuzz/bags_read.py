@@ -7,6 +7,7 @@ import json
 import shutil
 import sqlite3
 from collections.abc import Mapping
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import IO
 
@@ -25,6 +26,8 @@ def read_bag(path: Path) -> None:
         read_recording(path)
     (verdict,) = check_files(bag_files(path))
     verdict.sentence()
+    if path.suffix == ".db3" and verdict.messages < _first_rows(path):
+        raise LieError(f"{verdict.messages} messages read, sqlite3 reads {_first_rows(path)}")
     if verdict.state == "complete":
         _compare(path, {n: t.messages for n, t in verdict.topics.items() if t.messages})
 
@@ -84,6 +87,23 @@ def _by_sqlite(path: Path) -> dict[str, int]:
         return dict(rows.fetchall())
     finally:
         connection.close()
+
+
+def _first_rows(path: Path) -> int:
+    """Return how many messages sqlite3 reads until its first complaint or a row out of order."""
+    good = (
+        "typeof(timestamp) = 'integer' AND typeof(topic_id) = 'integer' AND typeof(data) = 'blob'"
+    )
+    query = f"SELECT id, {good}, data FROM messages NOT INDEXED WHERE id > 0 ORDER BY id"
+    last = count = 0
+    connection = sqlite3.connect(f"file:{path}?mode=ro&immutable=1", uri=True)
+    connection.execute("PRAGMA cell_size_check = ON")
+    with closing(connection), suppress(sqlite3.Error, UnicodeDecodeError):
+        for number, is_good, _ in connection.execute(query):
+            if number <= last:
+                break
+            last, count = number, count + is_good
+    return count
 
 
 def repair_bag(path: Path) -> None:

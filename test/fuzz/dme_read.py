@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import socket
 import threading
+import time
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
@@ -72,8 +73,8 @@ def harmed(rng: Random, data: bytes) -> bytes:
 
 def read_answers(path: Path) -> None:
     """Let the client begin a session, ask and touch; its threads must not break either."""
-    from rotcal_ros.dme.client import DmeClient
-    from rotcal_ros.dme.settings import DmeSettings
+    from rotcal_ros.extensions.ipp_dme.client import DmeClient
+    from rotcal_ros.extensions.ipp_dme.settings import DmeSettings
 
     broken: list[threading.ExceptHookArgs] = []
     before, threading.excepthook = threading.excepthook, broken.append
@@ -115,16 +116,16 @@ def _serve(listener: socket.socket, script: bytes) -> None:
 
 
 @cache
-def _simulation() -> Any:
+def _configuration() -> Any:
     from rotcal_ros.methods.configuration import changed, read_configuration
 
     configuration = read_configuration(ROOT / "config" / "ball_plate_dme.yaml")
-    return changed(configuration, ("simulation.time_scale=1000.0",)).simulation
+    return changed(configuration, ("simulation.time_scale=1000.0",))
 
 
 def read_orders(path: Path) -> None:
     """Let the server hear a client; every line that it says must be one of the protocol."""
-    from rotcal_ros.dme.lines import LineBuffer, parse_response
+    from rotcal_ros.extensions.ipp_dme.lines import LineBuffer, parse_response
 
     said = asyncio.run(_converse(path.read_bytes()))
     for line in LineBuffer().feed(b"".join(said)):
@@ -132,14 +133,16 @@ def read_orders(path: Path) -> None:
 
 
 async def _converse(data: bytes) -> list[bytes]:
-    from rotcal_ros.dme.machine import SimulatedMachine
-    from rotcal_ros.dme.methods import Methods
-    from rotcal_ros.dme.server import Conversation
+    from rotcal_ros.extensions.ipp_dme.machine import SimulatedMachine
+    from rotcal_ros.extensions.ipp_dme.methods import Methods
+    from rotcal_ros.extensions.ipp_dme.server import Conversation
 
     said: list[bytes] = []
     failed: list[dict[str, Any]] = []
     asyncio.get_running_loop().set_exception_handler(lambda _, context: failed.append(context))
-    conversation = Conversation(Methods(SimulatedMachine(_simulation()), "1.4.3"), said.append)
+    method, settings = _configuration().method, _configuration().simulation
+    machine = SimulatedMachine(method.simulated_cell(settings, time.time_ns()))
+    conversation = Conversation(Methods(machine, "1.4.3"), said.append)
     try:
         conversation.take(data)
         await asyncio.sleep(IDLE_S)

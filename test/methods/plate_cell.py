@@ -4,7 +4,6 @@ from pathlib import Path
 
 from rotcal_ros.methods import changed, prepare
 from rotcal_ros.methods.configuration import read_configuration
-from rotcal_ros.simulation import SimulatedCell
 
 DEMO = Path(__file__).parents[2] / "config" / "ball_plate_demo.yaml"
 SMALL = (
@@ -22,7 +21,7 @@ def small(*changes):
 
 
 def simulated_cell(calibration):
-    return SimulatedCell(calibration.configuration.simulation)
+    return calibration.method.simulated_cell(calibration.configuration.simulation)
 
 
 def measure(calibration, *, steps=None, order=iter, turn_s=0.5):

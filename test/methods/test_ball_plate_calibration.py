@@ -18,6 +18,7 @@ from rotcal_ros.foundation.errors import (
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.methods import changed
 from rotcal_ros.methods.ball_plate.calibration import problem
+from rotcal_ros.simulation.table import true_deviations
 
 
 @dataclass(frozen=True)
@@ -27,9 +28,8 @@ class Data:
 
 
 def errors_in_std(calibration, result):
-    truth = calibration.method.gauge(
-        result.angles, simulated_cell(calibration).truth(result.angles)
-    )
+    injected = true_deviations(calibration.configuration.simulation.table, result.angles)
+    truth = calibration.method.gauge(result.angles, injected)
     return {n: (result.deviations[n] - truth[n]) / result.std[n] for n in COMPONENTS}
 
 

@@ -16,7 +16,7 @@ from rotcal_ros.methods.continuation import ATTEMPTS_PER_RUN, continued
 from rotcal_ros.methods.measurements import read_measurements
 from rotcal_ros.methods.plane_mirror.solver import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.solver.problem import problem_from_observations
-from rotcal_ros.simulation import SimulatedCell
+from rotcal_ros.simulation.table import true_deviations
 
 CONFIG = Path(__file__).parents[2] / "config"
 SHORT = ("plan.table_positions=9", "plan.table_step_deg=15.0", "plan.reflectors=2",
@@ -30,7 +30,7 @@ def configured(*changes):
 def measured(configuration):
     """Return the calibration, its accepted observations, and the true ECC."""
     calibration = prepare(configuration)
-    cell = SimulatedCell(configuration.simulation)
+    cell = configuration.method.simulated_cell(configuration.simulation)
     capture = calibration.capture()
     observations = []
     for step in calibration.plan.steps:
@@ -43,7 +43,7 @@ def measured(configuration):
             for record in (*out.table, *out.probe, *out.temperature):
                 found += capture.feed(record)
         observations += found
-    truth = cell.truth(calibration.plan.table_angles)["ECC"]
+    truth = true_deviations(cell.table.settings, np.array(calibration.plan.table_angles))["ECC"]
     return calibration, observations, truth
 
 
@@ -253,8 +253,8 @@ def test_both_directions_show_the_play_of_the_table(way):
     errors = (both.reversal + 6.0 * ARCSEC) / both.reversal_std
     assert np.all(np.abs(errors) < 4.0)
     assert np.all(both.reversal_std < 2.0 * ARCSEC)
-    cell = SimulatedCell(calibration.configuration.simulation)
-    truth = cell.truth(result.angles)["ECC"]
+    settings = calibration.configuration.simulation.table
+    truth = true_deviations(settings, result.angles)["ECC"]
     forward = both.forward - both.forward[0] - truth + truth[0]
     assert np.all(np.abs(forward) < 4.0 * ARCSEC)
     values = calibration.trials(observations)(np.random.default_rng(1), 400)

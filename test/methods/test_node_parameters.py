@@ -23,7 +23,7 @@ def test_the_parameters_say_the_same_as_the_configuration(path):
     given = read_configuration(path)
     again = parse_configuration(node_parameters(given))
     for group in ("cell", "plan", "capture", "solver", "planner", "recorder", "simulation"):
-        assert getattr(again, group) == getattr(given, group)
+        assert again.group(group) == given.group(group)
     assert again.simulated == given.simulated
 
 

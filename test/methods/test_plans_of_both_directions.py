@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from chances import LONG, share
-from plate_cell import measure, simulated_cell, small
+from plate_cell import measure, small
 
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
@@ -18,6 +18,7 @@ from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods import changed, prepare, read_configuration
 from rotcal_ros.methods.calibration import Calibration
+from rotcal_ros.simulation.table import true_deviations
 
 SIX = Path(__file__).parents[2] / "config" / "tracer_six_demo.yaml"
 PLAY = 6.0 * ARCSEC
@@ -122,7 +123,7 @@ def test_the_plate_shows_the_play_of_the_simulated_table(touched):
     assert result.verdict == "ok", result.warnings
     assert len(result.angles) == 12
     reversal_of_play(result)
-    truth = simulated_cell(calibration).truth(result.angles)
+    truth = true_deviations(calibration.configuration.simulation.table, result.angles)
     within(result, calibration.method.gauge(result.angles, truth))
     up, down = result.runs.forward[:, 0], result.runs.reverse[:, 0]
     np.testing.assert_array_equal(up - down, result.directions["ECC"].reversal)

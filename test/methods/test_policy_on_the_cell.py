@@ -8,7 +8,6 @@ import pytest
 
 from rotcal_ros.methods import changed, prepare, read_configuration
 from rotcal_ros.planning.choices import Outcome
-from rotcal_ros.simulation.cell import SimulatedCell
 
 PAPER = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"
 SHORT = (
@@ -44,7 +43,8 @@ def observed(cell, capture, step, attempt):
 @pytest.mark.slow
 def test_the_reasons_name_a_wrong_length_a_drift_and_the_noise():
     calibration = prepare(changed(read_configuration(PAPER), SHORT))
-    cell, capture = SimulatedCell(calibration.configuration.simulation), calibration.capture()
+    cell = calibration.method.simulated_cell(calibration.configuration.simulation)
+    capture = calibration.capture()
     policy, choices = calibration.policy(calibration.from_the_start()), []
     while len(choices) < MOST:
         choices.append(policy.choose())

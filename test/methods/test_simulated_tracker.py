@@ -7,12 +7,12 @@ import pytest
 
 from rotcal_ros.foundation.observations import Approach, Command, PointKind
 from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.methods.plane_mirror.method import METHOD
 from rotcal_ros.methods.plane_mirror.simulation_settings import (
     MirrorSimulationSettings,
     SimulatedMirrorSettings,
     TrackerSettings,
 )
-from rotcal_ros.simulation import SimulatedCell
 from rotcal_ros.simulation.settings import AngularHarmonics, TableSettings
 
 EXACT = TrackerSettings(
@@ -58,7 +58,7 @@ def distance(a, b):
 
 def test_a_nest_is_seen_from_where_the_tracker_stands():
     """The frame is turned as the tracker happens to be, so distances are what can be compared."""
-    cell = SimulatedCell(SETTINGS)
+    cell = METHOD.simulated_cell(SETTINGS)
     places = [(1.0, 1.5, 0.2), (-1.0, 0.7, 0.9), (0.4, -1.2, 0.1)]
     points = [
         measure(cell, order(PointKind.NEST, place, step=n, target=n + 1))
@@ -77,7 +77,7 @@ def test_a_nest_is_seen_from_where_the_tracker_stands():
 @pytest.mark.parametrize("angle_deg", [0.0, 2.0])
 def test_the_image_is_the_reflector_mirrored_in_the_actual_plane(angle_deg):
     """Closed form: the chord from reflector to image is along the normal, turned by ECC too."""
-    cell = SimulatedCell(SETTINGS)
+    cell = METHOD.simulated_cell(SETTINGS)
     angle = angle_deg * DEGREE
     place = (1.2, 0.02, 0.33)
     kinds = (PointKind.DIRECT, PointKind.MIRRORED)
@@ -94,14 +94,14 @@ def test_the_image_is_the_reflector_mirrored_in_the_actual_plane(angle_deg):
 
 
 def test_a_beam_that_misses_the_mirror_gives_no_number():
-    cell = SimulatedCell(SETTINGS)
+    cell = METHOD.simulated_cell(SETTINGS)
     sample = measure(cell, order(PointKind.MIRRORED, (1.2, 1.0, 0.3)))
     assert np.all(np.isnan(sample.position))
 
 
 def test_a_reflector_stays_between_direct_and_mirrored_and_is_put_up_anew_elsewhere():
     tracker = replace(EXACT, reflector_placing_mm=2.0)
-    cell = SimulatedCell(replace(SETTINGS, tracker=tracker))
+    cell = METHOD.simulated_cell(replace(SETTINGS, tracker=tracker))
     place, other = (1.2, 0.02, 0.33), (1.2, 0.04, 0.33)
     first = measure(cell, order(PointKind.DIRECT, place))
     measure(cell, order(PointKind.MIRRORED, place, step=1))
@@ -116,7 +116,7 @@ def test_a_displaced_nest_is_seated_well_at_a_later_attempt():
     tracker = replace(
         EXACT, displaced_nest=2, displaced_at_stations=(0,), displaced_mm=1.5, displaced_attempts=1
     )
-    cell = SimulatedCell(replace(SETTINGS, tracker=tracker))
+    cell = METHOD.simulated_cell(replace(SETTINGS, tracker=tracker))
     place = (1.0, 1.5, 0.2)
     wrong = measure(cell, order(PointKind.NEST, place, target=2))
     right = measure(cell, order(PointKind.NEST, place, target=2, attempt=1))
@@ -125,7 +125,7 @@ def test_a_displaced_nest_is_seated_well_at_a_later_attempt():
 
 def test_reflectors_on_the_table_turn_by_the_actual_angle():
     tracker = replace(EXACT, reflectors_on_table=True)
-    cell = SimulatedCell(replace(SETTINGS, tracker=tracker))
+    cell = METHOD.simulated_cell(replace(SETTINGS, tracker=tracker))
     first = measure(cell, order(PointKind.DIRECT, (0.3, 0.0, 0.1)))
     turned = measure(cell, order(PointKind.DIRECT, (0.0, 0.3, 0.1), step=1, angle=np.pi / 2))
     ecc = 20.0 / 3600 * DEGREE * np.cos(np.array([30.0, 120.0]) * DEGREE)
@@ -138,7 +138,7 @@ def test_points_scatter_as_stated_and_do_not_depend_on_the_cuts():
     place = (0.0, 1.5, 0.2)
 
     def run(cut_s):
-        cell = SimulatedCell(replace(SETTINGS, tracker=noisy))
+        cell = METHOD.simulated_cell(replace(SETTINGS, tracker=noisy))
         orders = [order(PointKind.NEST, place, step=n) for n in range(300)]
         return np.array([measure(cell, command, cut_s).position for command in orders])
 

@@ -9,7 +9,7 @@ from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods import changed, prepare, read_configuration
-from rotcal_ros.simulation import SimulatedCell
+from rotcal_ros.methods.tracer_six.method import METHOD
 from rotcal_ros.simulation.table import SimulatedTable, table_poses
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_six_demo.yaml"
@@ -43,7 +43,7 @@ def read(cell, step, attempt=0):
 def test_lengths_are_those_of_the_place_on_a_table_with_six_deviations():
     configuration = configured(*STILL)
     plan, settings = prepare(configuration).plan, configuration.simulation
-    cell = SimulatedCell(settings)
+    cell = METHOD.simulated_cell(settings)
     for step in (plan.steps[0], plan.steps[13], plan.steps[30], plan.steps[65]):
         place = np.reshape(settings.tracer.places_m, (-1, 3))[step.station]
         rotation, shift = table_poses(settings.table, np.array([step.table_angle]))
@@ -62,8 +62,8 @@ def test_a_tracer_that_is_fixed_anew_stands_elsewhere_and_counts_from_elsewhere(
         "simulation.tracer.misplaced_mm=50",
     )  # fmt: skip
     plan = prepare(configuration).plan
-    cell = SimulatedCell(configuration.simulation)
-    still = SimulatedCell(configured(*STILL).simulation)
+    cell = METHOD.simulated_cell(configuration.simulation)
+    still = METHOD.simulated_cell(configured(*STILL).simulation)
     first, second = plan.steps[24], plan.steps[25]
     away = read(cell, first) - read(still, first)
     assert 1e-3 < abs(away) < 0.051  # the mistake, along the beam
@@ -78,7 +78,7 @@ def test_a_tracer_that_is_fixed_anew_stands_elsewhere_and_counts_from_elsewhere(
 def test_a_place_that_the_cell_does_not_have_is_refused():
     configuration = configured(*SMALL, "plan.places=4")
     plan = prepare(configuration).plan
-    cell = SimulatedCell(configuration.simulation)
+    cell = METHOD.simulated_cell(configuration.simulation)
     with pytest.raises(ConfigurationError, match=r"places_m has 3 places, the plan asks for.* 3"):
         read(cell, plan.steps[-1])
 

@@ -8,6 +8,7 @@ import pytest
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.foundation.observations import Approach, Command, PointKind
 from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods.ball_plate.method import METHOD
 from rotcal_ros.methods.ball_plate.simulated_probe import (
     MachineError,
     plate_balls,
@@ -21,7 +22,6 @@ from rotcal_ros.methods.ball_plate.simulation_settings import (
 )
 from rotcal_ros.methods.ball_plate.touched_ball import fitted_centre
 from rotcal_ros.planning.plan import Step
-from rotcal_ros.simulation import SimulatedCell
 from rotcal_ros.simulation.settings import LinearHarmonics, TableSettings
 
 EXACT = PlateSimulationSettings(
@@ -34,7 +34,7 @@ ORDER = Command(0, 0, np.pi / 2, Approach.POSITIVE, PointKind.SURFACE, 0, (0.0, 
 
 
 def touches(settings, order=ORDER, cut_s=100.0):
-    cell = SimulatedCell(settings)
+    cell = METHOD.simulated_cell(settings)
     cell.order_table(order)
     cell.order_probe(order)
     found = []

@@ -1,6 +1,7 @@
 """Live cells: real nodes as processes, talking over DDS in a domain of their own."""
 
 import json
+import os
 import signal
 import sys
 import time
@@ -10,9 +11,12 @@ from queue import Empty, SimpleQueue
 from threading import Thread
 
 import pytest
+import warm
 
-from rotcal_ros.foundation.machine_load import Patience, in_words
-from rotcal_ros.foundation.node_names import NODES
+from rotcal_ros.foundation.machine_load import Patience, in_words, patient
+from rotcal_ros.foundation.node_names import EXECUTABLES, NODES
+from rotcal_ros.foundation.plugins import node_module
+from rotcal_ros.methods.configuration import changed, read_configuration
 from rotcal_ros.sessions.environment import node_environment
 from rotcal_ros.sessions.processes import Processes
 
@@ -102,7 +106,7 @@ class LiveCell:
         wait_until(lambda: text in self.log(name), f"{name} logs {text!r}")
 
     def _python(self, node):
-        module = f"rotcal_ros.nodes.{node}"
+        module = node_module(node) if node in EXECUTABLES else f"rotcal_ros.nodes.{node}"
         return [sys.executable, "-m", module, "--ros-args", "-r", "__ns:=/cell"]
 
 
@@ -164,3 +168,42 @@ def process_of(parent, node):
         if int(state[1]) == parent and name == node[:NAME_LENGTH]:
             return int(folder.name)
     pytest.fail(f"no process of {node}")
+
+
+@pytest.fixture
+def cell(tmp_path, monkeypatch):
+    """Return a function that makes a live cell with a short plan; all of it ends with the test."""
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
+    cells = []
+
+    def make(*changes):
+        made = LiveCell(tmp_path, changed(read_configuration(DEMO), (*SHORT, *changes)))
+        cells.append(made)
+        return made
+
+    yield make
+    for made in cells:
+        made.processes.end()
+
+
+@pytest.fixture
+def rotcal(monkeypatch):
+    """Return a function that starts ``rotcal run``; what still runs at the end is ended."""
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
+    started = []
+
+    def start(*arguments, log, changes=()):
+        parts = [part for change in (*SHORT, *changes) for part in ("--set", change)]
+        command = [sys.executable, "-m", "rotcal_ros.cli.main", "run", str(DEMO), *parts]
+        process = warm.popen(
+            [*command, *map(str, arguments)],
+            stdout=log.with_suffix(".json").open("w"), stderr=log.open("w"),
+        )  # fmt: skip
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            process.terminate()
+            process.wait(patient(60))

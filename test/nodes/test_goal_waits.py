@@ -116,6 +116,17 @@ def test_who_has_not_been_found_for_long_is_published_anew_once(cell, joined_s, 
     assert cell.published_anew == pytest.approx(anew, abs=2 * TURN_S)
 
 
+def test_who_publishes_is_known_when_nobody_new_has_been_found_for_a_while(cell):
+    cell.script = {0.3: lambda: cell.publishers.append("second tracer")}
+    asyncio.run(cell.watch.stands_still(lambda: [*cell.publishers]))
+    assert cell.now_s - 100.0 == pytest.approx(0.3 + goal_watch.SETTLED_S, abs=3 * TURN_S)
+
+
+def test_a_graph_that_never_stands_still_holds_no_goal_up_for_ever(cell):
+    asyncio.run(cell.watch.stands_still(lambda: cell.now_s))
+    assert cell.now_s - 100.0 == pytest.approx(cell.watch.patience_s, abs=1.0)
+
+
 def test_an_instrument_that_is_silent_and_there_is_waited_for(cell):
     cell.values = {f"{SILENT}tracer_length": "2.50"}
     cell.script = {6.0: cell.values.clear}

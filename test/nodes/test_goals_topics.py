@@ -13,7 +13,7 @@ from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.nodes.instruments import topics as instrument_topics
 from rotcal_ros.nodes.instruments.topics import InstrumentTopics
 from rotcal_ros.nodes.runtime.latest import REFUSED
-from rotcal_ros.nodes.runtime.topic_names import TOPICS
+from rotcal_ros.nodes.runtime.topic_names import TOPICS, at_odds
 
 
 def heard(own, goal):
@@ -83,3 +83,8 @@ def test_the_time_of_sending_is_refused_under_a_simulated_clock(
     text = topics.values().get(f"{REFUSED}{names.TRACER_LENGTH}", "")
     assert bool(text) == (refused and simulated)
     assert not text or ("/cell/tracer_length" in text and "use_sim_time" in text)
+
+
+def test_names_that_the_planner_and_a_node_do_not_share_are_told():
+    odd = list(at_odds(lambda _: {}, "/cell", lambda role: f"/other/{role}"))
+    assert odd[0].startswith("topic plan is /other/plan for the planner and /cell/plan for node")

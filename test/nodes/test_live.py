@@ -14,7 +14,7 @@ from rotcal_ros.bags.verdict import FileVerdict
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.configuration import parse_configuration
 from rotcal_ros.recordings.replay import read_recording
-from rotcal_ros.simulation import SimulatedCell
+from rotcal_ros.simulation.table import true_deviations
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -44,6 +44,14 @@ def action_of(live):
     return found.values()
 
 
+def check_goal(asked, told):
+    """The goal that was asked for is the one that was followed; told from Kilted on."""
+    if hasattr(ActionServer, "configure_introspection"):
+        (request,) = [message.request[0] for message in asked if len(message.request)]
+        assert bytes(request.goal_id.uuid) == bytes(told[-1].goal_id.uuid)
+        assert request.goal.start_index == 0
+
+
 def test_a_calibration_ends_with_a_true_result_that_the_bag_repeats_bit_for_bit(cell):
     live = cell()
     outcome = live.calibrate()
@@ -65,7 +73,7 @@ def test_a_calibration_ends_with_a_true_result_that_the_bag_repeats_bit_for_bit(
 
     result = Result.from_dict(json.loads(text))
     settings = parse_configuration(live.file.read_text()).simulation
-    truth = SimulatedCell(settings).truth(result.angles)["ECC"]
+    truth = true_deviations(settings.table, result.angles)["ECC"]
     error = result.deviations["ECC"] - truth
     assert np.all(np.abs(error - error[0]) <= 5 * result.std["ECC"] + 1e-12)
 
@@ -77,10 +85,7 @@ def test_a_calibration_ends_with_a_true_result_that_the_bag_repeats_bit_for_bit(
     asked, told, stood = action_of(live)
     assert told[-1].feedback.total == 60
     assert GoalStatus.STATUS_EXECUTING in {s.status for m in stood for s in m.status_list}
-    if hasattr(ActionServer, "configure_introspection"):  # from Kilted on
-        request = next(message.request[0] for message in asked if len(message.request))
-        assert bytes(request.goal_id.uuid) == bytes(told[-1].goal_id.uuid)
-        assert request.goal.start_index == 0
+    check_goal(asked, told)
     assert {
         "configuration.yaml",
         "versions.json",
@@ -149,6 +154,19 @@ def test_without_a_cell_the_reason_is_named_a_wrong_configuration_or_what_is_mis
     assert not live.session.exists()
 
 
+def test_a_recorder_that_finds_the_action_after_its_goal_has_the_goal_in_its_bag(cell):
+    live = cell()
+    live.start("planner", "capture", "solver", "simulated_cell")
+    client = live.client()
+    client.wait_for("started")
+    live.start("recorder")
+    client.wait_for_step(1)
+    client.cancel()
+    assert client.result()["error_code"] == CANCELED
+    asked, told, _ = action_of(live)
+    check_goal(asked, told)
+
+
 def test_a_missing_node_is_named(cell):
     live = cell("planner.preflight_timeout_s=1.5")
     live.start("planner", "capture", "recorder", "simulated_cell")
@@ -160,9 +178,10 @@ def test_a_missing_node_is_named(cell):
 def test_two_publishers_on_one_instrument_topic_are_found_and_named(cell):
     live = cell("planner.preflight_timeout_s=2.0")
     live.start("simulated_cell", name="other_cell")
-    live.start(*SUITE, "simulated_cell")
+    live.start("simulated_cell")
     with StateClient() as states:  # who comes after the start of a goal is not believed in it
         assert [states.state(n) for n in ("other_cell", "simulated_cell")] == ["active"] * 2
+    live.start(*SUITE)
     outcome = live.client().result()
     assert outcome["error_code"] == TOPIC_MISSING
     assert (

@@ -15,7 +15,7 @@ from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import changed, read_configuration
 from rotcal_ros.recordings.replay import read_recording
-from rotcal_ros.simulation import SimulatedCell
+from rotcal_ros.simulation.table import true_deviations
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -64,7 +64,7 @@ def test_six_curves_live_and_the_bag_repeats_them_bit_for_bit(plate_cell):
     result = Result.from_dict(json.loads(text))
     calibration = prepare(read_configuration(live.file))
     settings = calibration.configuration.simulation
-    truth = calibration.method.gauge(result.angles, SimulatedCell(settings).truth(result.angles))
+    truth = calibration.method.gauge(result.angles, true_deviations(settings.table, result.angles))
     for name in COMPONENTS:
         error = (result.deviations[name] - truth[name]) / result.std[name]
         assert np.abs(error).max() < 5.0, name
@@ -103,7 +103,7 @@ def test_who_joins_a_run_is_named_and_left_alone_live_and_in_the_bag(plate_cell)
     result = Result.from_dict(json.loads(text))
     calibration = prepare(read_configuration(live.file))
     settings = calibration.configuration.simulation
-    truth = calibration.method.gauge(result.angles, SimulatedCell(settings).truth(result.angles))
+    truth = calibration.method.gauge(result.angles, true_deviations(settings.table, result.angles))
     error = (result.deviations["EXC"] - truth["EXC"]) / result.std["EXC"]
     assert np.abs(error).max() < 5.0
     beside = recording.verdicts[0].topics

@@ -12,7 +12,7 @@ from live_cell import SUITE, LiveCell
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.configuration import changed, parse_configuration, read_configuration
 from rotcal_ros.recordings.replay import read_recording
-from rotcal_ros.simulation import SimulatedCell
+from rotcal_ros.simulation.table import true_deviations
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -90,7 +90,7 @@ def test_the_planner_waits_for_the_tracker_and_asks_again_for_a_displaced_nest(c
 
     result = Result.from_dict(json.loads(text))
     settings = parse_configuration(live.file.read_text()).simulation
-    truth = SimulatedCell(settings).truth(result.angles)["ECC"]
+    truth = true_deviations(settings.table, result.angles)["ECC"]
     error = (result.deviations["ECC"] - truth)[1:]
     assert error @ np.linalg.solve(result.covariance["ECC"][1:, 1:], error) < 23.5  # 99.99 %
     assert [way["way"] for way in result.details["ways"]] == ["stitching", "registration"]

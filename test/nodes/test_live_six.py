@@ -14,7 +14,7 @@ from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.configuration import changed, parse_configuration, read_configuration
 from rotcal_ros.recordings.replay import read_recording
-from rotcal_ros.simulation import SimulatedCell
+from rotcal_ros.simulation.table import true_deviations
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -68,7 +68,7 @@ def test_the_planner_waits_for_the_tracer_at_every_place_and_sees_a_wrong_one(
     assert result.components == COMPONENTS
     settings = parse_configuration(live.file.read_text()).simulation
     method = recording.calibration.method
-    truth = method.gauge(result.angles, SimulatedCell(settings).truth(result.angles))
+    truth = method.gauge(result.angles, true_deviations(settings.table, result.angles))
     for name in COMPONENTS:
         error = result.deviations[name] - truth[name]
         assert np.abs(error / result.std[name]).max() < 5.0, name

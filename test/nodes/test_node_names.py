@@ -21,20 +21,21 @@ from rotcal_ros.foundation.node_names import (
     VIEWERS,
     further_nodes,
 )
+from rotcal_ros.foundation.plugins import node_module
 from rotcal_ros.methods.configuration import GROUPS
 from rotcal_ros.sessions import commands
 
 ROOT = Path(__file__).parents[2]
 MODULES = {
-    path.stem
-    for path in (ROOT / "rotcal_ros" / "nodes").glob("*.py")
+    ".".join(path.relative_to(ROOT).with_suffix("").parts)
+    for place in ("nodes/*.py", "extensions/**/*.py")
+    for path in (ROOT / "rotcal_ros").glob(place)
     if 'if __name__ == "__main__"' in path.read_text()
 }
 NO_NODES = {
     "cell_check",
     "client",
     "linuxcnc_agent",
-    "player",
     "rate_trial",
     "readiness",
     "selftest",
@@ -45,9 +46,11 @@ NO_NODES = {
 
 
 def test_every_node_is_a_module_with_a_main_and_every_such_module_is_listed():
-    assert set(EXECUTABLES) == MODULES - NO_NODES
-    for name in EXECUTABLES:
-        tree = ast.parse((ROOT / "rotcal_ros" / "nodes" / f"{name}.py").read_text())
+    modules = {node_module(name) for name in EXECUTABLES}
+    others = {f"rotcal_ros.nodes.{name}" for name in NO_NODES}
+    assert modules == MODULES - others - {"rotcal_ros.extensions.replay.node"}
+    for module in modules:
+        tree = ast.parse((ROOT / module.replace(".", "/")).with_suffix(".py").read_text())
         assert "main" in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
 
 
@@ -55,7 +58,7 @@ def test_every_node_is_a_module_with_a_main_and_every_such_module_is_listed():
 def test_every_node_reports_its_state(name):
     pytest.importorskip("rclpy")
     pytest.importorskip("rotcal_msgs")
-    module = import_module(f"rotcal_ros.nodes.{name}")
+    module = import_module(node_module(name))
     base = import_module("rotcal_ros.nodes.runtime.cell_node").CellNode
     classes = [c for c in vars(module).values() if isclass(c) and issubclass(c, base)]
     (node,) = (c for c in classes if c is not base)
@@ -77,7 +80,7 @@ def test_the_package_installs_a_command_for_every_node(monkeypatch):
     runpy.run_path("setup.py")
     commands = dict(c.split(" = ") for c in setup["entry_points"]["console_scripts"])
     commands.pop("rotcal")
-    assert commands == {name: f"rotcal_ros.nodes.{name}:main" for name in EXECUTABLES}
+    assert commands == {name: f"{node_module(name)}:main" for name in EXECUTABLES}
 
 
 def test_sessions_and_preflight_use_the_same_lists():

@@ -12,7 +12,7 @@ from live_cell import SUITE
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.configuration import parse_configuration
 from rotcal_ros.recordings.replay import read_recording
-from rotcal_ros.simulation import SimulatedCell
+from rotcal_ros.simulation.table import true_deviations
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -64,5 +64,5 @@ def test_a_set_clock_hinders_no_calibration(cell, tmp_path, by_s, where):
 
     result = Result.from_dict(json.loads(text))
     settings = parse_configuration(live.file.read_text()).simulation
-    error = result.deviations["ECC"] - SimulatedCell(settings).truth(result.angles)["ECC"]
+    error = result.deviations["ECC"] - true_deviations(settings.table, result.angles)["ECC"]
     assert np.all(np.abs(error - error[0]) <= 5 * result.std["ECC"] + 1e-12)

@@ -14,7 +14,7 @@ from test_slow_nodes import stand_still
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.configuration import parse_configuration
 from rotcal_ros.recordings.replay import read_recording
-from rotcal_ros.simulation import SimulatedCell
+from rotcal_ros.simulation.table import true_deviations
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -68,7 +68,7 @@ def test_a_calibration_through_the_controller_finds_the_truth(adapted, interface
     assert outcome["n_used"] == 32
     result = Result.from_dict(json.loads((live.session / "result.json").read_text()))
     settings = parse_configuration(live.file.read_text()).simulation
-    truth = SimulatedCell(settings).truth(result.angles)["ECC"]
+    truth = true_deviations(settings.table, result.angles)["ECC"]
     error = result.deviations["ECC"] - truth
     assert np.all(np.abs(error - error[0]) <= 5 * result.std["ECC"] + 1e-12)
     recording = read_recording(live.bag)

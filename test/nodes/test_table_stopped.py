@@ -17,9 +17,9 @@ from rotcal_ros.foundation.machine_load import AwakeClock
 from rotcal_ros.foundation.observations import Approach, TableSample
 from rotcal_ros.nodes.instruments import joint_controllers
 from rotcal_ros.nodes.instruments.joint_controllers import (
+    ControllerReport,
     PositionController,
     TrajectoryController,
-    Word,
 )
 from rotcal_ros.nodes.table_adapter import TableAdapter
 from rotcal_ros.ros2_control.obeyed import JointWatch
@@ -36,9 +36,9 @@ class Controller:
     """A controller that takes ways; without a place it does what it says."""
 
     def __init__(self):
-        self.sent, self.halted, self.said = [], 0, Word()
+        self.sent, self.halted, self.said = [], 0, ControllerReport()
         self.setpoint, self.send, self.forget = lambda: None, self.sent.append, lambda: None
-        self.word = lambda: self.said
+        self.report = lambda: self.said
 
     def halt(self):
         self.halted += 1
@@ -102,7 +102,7 @@ def test_a_hold_that_the_controller_refuses_is_told(adapter):
     adapter.order()
     adapter.hear(30.0, 10.0)
     adapter.halt()
-    adapter._controller.said = Word("/drive rejected the goal of 32.5000 deg")
+    adapter._controller.said = ControllerReport("/drive rejected the goal of 32.5000 deg")
     assert adapter._wrong() == (
         "joint 'rotary' of /drive: /drive rejected the goal of 32.5000 deg"
     )
@@ -226,7 +226,7 @@ def test_a_goal_is_canceled_also_where_it_is_accepted_only_behind_the_stop(goals
         futures[0].set_result(goal)
     assert goal.canceled == 1
     goal.result.set_result(SimpleNamespace(status=5))  # canceled
-    assert controller.word() == Word()
+    assert controller.report() == ControllerReport()
 
 
 def test_a_trajectory_by_topic_is_not_followed_by_an_empty_one(topic):

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.methods.continuation import Continuation
 from rotcal_ros.sessions.commands import client_command, node_command, node_names
 from rotcal_ros.sessions.session import prepare_session
@@ -67,3 +68,8 @@ def test_the_nodes_of_a_later_run_know_what_is_left(session):
     assert parameters(node_command(later, "capture")) == {}
     assert parameters(client_command(later))["start_index"] == 7
     assert later.log_folder == later.folder.log(2)
+
+
+def test_a_node_whose_extension_is_missing_says_what_to_install(session):
+    with pytest.raises(ConfigurationError, match=r"'hologram' is not .*pip install 'rotcal_ros\["):
+        node_command(session, "hologram")

@@ -11,9 +11,10 @@ import pytest
 from rotcal_ros.capture import Capture
 from rotcal_ros.methods import find_method, prepare
 from rotcal_ros.methods.configuration import read_configuration
+from rotcal_ros.methods.tracer.method import METHOD
 from rotcal_ros.methods.tracer.plan import tracer_plan
 from rotcal_ros.methods.tracer.settings import TracerPlanSettings
-from rotcal_ros.simulation import SimulatedCell
+from rotcal_ros.simulation.table import true_deviations
 
 pytestmark = pytest.mark.slow
 
@@ -64,7 +65,7 @@ def demo():
     plan, simulation, capture_settings, _ = load("tracer_paper.yaml")
     steps = (s for s in plan.steps if s.table_position >= 5)
     plan = replace(plan, steps=tuple(replace(s, index=k) for k, s in enumerate(steps)))
-    cell, capture = SimulatedCell(simulation), Capture(plan, capture_settings, RULES)
+    cell, capture = METHOD.simulated_cell(simulation), Capture(plan, capture_settings, RULES)
     return plan, cell, capture, list(measure(plan, cell, capture))
 
 
@@ -74,12 +75,13 @@ def test_the_demonstration_is_the_experiment_of_the_paper():
     assert np.ptp(plan.targets, axis=0) == pytest.approx([0.45, 0.6, 0.45])
     assert np.rad2deg(plan.table_angles) == pytest.approx(-145 + 30 * np.arange(11))
     assert (len(plan.targets), len(plan.steps)) == (64, 704)
-    cell = SimulatedCell(simulation)
+    cell = METHOD.simulated_cell(simulation)
     assert np.hypot(*simulation.tracer.mount_m[:2]) == pytest.approx(0.0652, abs=1e-4)
     cell.order_probe(plan.steps[0].command(0))
     cell.advance(5.0)
     assert cell.instrument.distances(np.array([cell.now_ns]))[0] == pytest.approx(1.1285, abs=1e-3)
-    assert all(np.abs(v).max() > 0 for v in cell.truth(plan.table_angles).values())
+    injected = true_deviations(simulation.table, np.array(plan.table_angles))
+    assert all(np.abs(v).max() > 0 for v in injected.values())
 
 
 def test_all_steps_but_the_blocked_ones_are_accepted(demo):
@@ -130,7 +132,7 @@ def test_spikes_and_gaps_were_met(demo):
 def test_both_orders_of_measuring_give_true_lengths(order):
     plan = tracer_plan(TracerPlanSettings(table_positions=3, box_points=(2, 2, 1), order=order))
     _, simulation, settings, _ = load("tracer_paper.yaml")
-    cell = SimulatedCell(replace(simulation, seed=3))
+    cell = METHOD.simulated_cell(replace(simulation, seed=3))
     settings = replace(settings, window_samples=50)
     seen = list(measure(plan, cell, Capture(plan, settings, RULES)))
     assert [o.step for o, *_ in seen if o.accepted] == list(range(12))
@@ -143,6 +145,6 @@ def test_a_real_machine_needs_no_more_than_its_settings():
     assert simulation.time_scale == 1.0
     assert solver.variant == "joint"
     plan = replace(plan, steps=plan.steps[:2])
-    seen = list(measure(plan, SimulatedCell(simulation), Capture(plan, settings, RULES)))
+    seen = list(measure(plan, METHOD.simulated_cell(simulation), Capture(plan, settings, RULES)))
     assert [o.accepted for o, *_ in seen] == [True, True]
     assert all(o.n_samples == 500 for o, *_ in seen)

@@ -10,14 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rotcal_ros.foundation.observations import Approach, Command, LengthStatus, PointKind
+from rotcal_ros.methods.tracer.method import METHOD
 from rotcal_ros.methods.tracer.simulation_settings import (
     FaultSettings,
     SimulatedProbeSettings,
     SimulatedTracerSettings,
     TracerSimulationSettings,
 )
-from rotcal_ros.simulation import SimulatedCell
 from rotcal_ros.simulation.settings import AngularHarmonics, TableSettings, TemperatureSettings
+from rotcal_ros.simulation.table import true_deviations
 
 SECOND = 1_000_000_000
 QUIET_PROBE = SimulatedProbeSettings(
@@ -45,7 +46,7 @@ def command(step=0, angle=0.3, position=(0.1, 0.2, 0.8), **changes):
 
 def run(cell_settings, cuts_ns, orders, start_ns=0):
     """Return repr of all samples: NaN equals NaN there, and every bit counts."""
-    cell = SimulatedCell(cell_settings, start_ns)
+    cell = METHOD.simulated_cell(cell_settings, start_ns)
     streams = ([], [], [], [])
     for cut in sorted({*cuts_ns, *orders}):
         out = cell.advance((cut + start_ns - cell.now_ns) * 1e-9)
@@ -137,7 +138,7 @@ def test_a_probe_that_is_there_answers_at_once():
 def test_other_kinds_are_measured_with_the_table_at_rest():
     slow = replace(FAULTY, table=TableSettings(speed_deg_s=1.0))
     orders = {0: command(0, angle=0.2, kind=PointKind.CENTRE)}
-    cell = SimulatedCell(slow)
+    cell = METHOD.simulated_cell(slow)
     cell.order_probe(orders[0])
     assert cell.advance(5.0).probe == ()  # the table has not even been ordered
     cell.order_table(orders[0])
@@ -152,7 +153,7 @@ def test_probe_errors():
         tracer=SimulatedTracerSettings(rate_hz=1.0),
         probe=SimulatedProbeSettings(systematic_um=3.0, repeatability_um=0.1, speed_m_s=10.0),
     )
-    cell = SimulatedCell(cell_settings)
+    cell = METHOD.simulated_cell(cell_settings)
     missed, follows = [], []
     for number in range(300):
         target = number // 3
@@ -175,7 +176,7 @@ def test_blocked_beam_is_broken_in_the_sector_only():
         FAULTY, faults=FaultSettings(blocked_from_deg=350.0, blocked_to_deg=10.0)
     )
     for angle, dark in [(0.0, True), (-0.17, True), (0.18, False), (6.3, True), (3.0, False)]:
-        cell = SimulatedCell(cell_settings)
+        cell = METHOD.simulated_cell(cell_settings)
         cell.order_table(command(angle=angle))
         cell.advance(60.0)
         last = cell.advance(0.1).tracer[-1]
@@ -185,7 +186,7 @@ def test_blocked_beam_is_broken_in_the_sector_only():
 
 def test_blocked_targets_only():
     faults = FaultSettings(blocked_from_deg=350.0, blocked_to_deg=10.0, blocked_targets=(3, 5))
-    cell = SimulatedCell(replace(FAULTY, faults=faults))
+    cell = METHOD.simulated_cell(replace(FAULTY, faults=faults))
     seen = {}
     for target in range(6):
         cell.order_probe(command(target, target=target, position=(0.1 * target, 0.0, 1.0)))
@@ -236,7 +237,7 @@ def test_temperature_and_its_effect():
 
 
 def test_busy_while_moving_settling_and_a_little_longer():
-    cell = SimulatedCell(TracerSimulationSettings(hold_s=1.0))
+    cell = METHOD.simulated_cell(TracerSimulationSettings(hold_s=1.0))
     cell.advance(5.0)
     assert not cell.busy
     cell.order_table(command(angle=np.deg2rad(20.0)))  # 0.5 s up, 0.5 s cruise, 0.5 s down
@@ -249,11 +250,9 @@ def test_busy_while_moving_settling_and_a_little_longer():
     assert cell.busy
 
 
-def test_truth_has_the_form_of_a_result():
-    cell = SimulatedCell(FAULTY)
-    angles = [0.0, 0.5, 1.0]
-    true = cell.truth_dict(angles)
-    assert true["angles_rad"] == angles
+def test_the_true_deviations_are_those_of_the_settings():
+    angles = np.array([0.0, 0.5, 1.0])
+    true = true_deviations(FAULTY.table, angles)
     arcsec = np.pi / 180 / 3600
-    assert true["deviations"]["ECC"] == pytest.approx(4 * arcsec * (np.cos(angles) - 1))
-    assert set(true["deviations"]) == {"EXC", "EYC", "EZC", "EAC", "EBC", "ECC"}
+    assert true["ECC"] == pytest.approx(4 * arcsec * (np.cos(angles) - 1))
+    assert set(true) == {"EXC", "EYC", "EZC", "EAC", "EBC", "ECC"}

@@ -7,11 +7,11 @@ from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.settings import load
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.methods.tracer.method import METHOD
 from rotcal_ros.methods.tracer.simulation_settings import TracerSimulationSettings
-from rotcal_ros.simulation import SimulatedCell
 from rotcal_ros.simulation.positioning import true_runs
 from rotcal_ros.simulation.settings import TableSettings
-from rotcal_ros.simulation.table import SimulatedTable, correction, truth
+from rotcal_ros.simulation.table import SimulatedTable, correction, true_deviations
 
 ECC = {"amplitudes_arcsec": [20.0], "phases_deg": [0.0]}
 
@@ -58,7 +58,7 @@ def test_the_truth_includes_what_the_control_corrects():
     settings = table_settings(compensation=rows([0.0, 20.0, 40.0, 20.0, 0.0]))
     angles = np.arange(0, 360, 90) * DEGREE
     # Of second order stays what the curve rises over the correction: 20 arcsec x 20 arcsec.
-    left = truth(settings, angles)["ECC"]
+    left = true_deviations(settings, angles)["ECC"]
     np.testing.assert_allclose(
         left, [0.0, -1.0, 0.0, 1.0] * np.array((20 * ARCSEC) ** 2), atol=2e-12
     )
@@ -101,7 +101,7 @@ def test_an_external_table_moves_at_life_speed_only():
 
 
 def test_the_cell_follows_a_table_that_others_move_and_never_gets_ahead_of_it():
-    cell = SimulatedCell(external(), start_ns=0)
+    cell = METHOD.simulated_cell(external(), start_ns=0)
     still = cell.follow_table(1_000_000_000, 0.0)
     assert still.table == ()
     assert len(still.tracer) == 1001

@@ -15,7 +15,7 @@ from rotcal_ros.simulation.table import (
     harmonics,
     rotations,
     table_poses,
-    truth,
+    true_deviations,
 )
 
 ARCSEC = np.pi / 180 / 3600
@@ -75,7 +75,7 @@ def test_axis_offset_and_tilt_move_the_whole_table():
 
 
 def test_truth_is_relative_to_the_first_angle_only_for_the_angle():
-    true, raw = truth(SETTINGS, ANGLES), deviations(SETTINGS, ANGLES)
+    true, raw = true_deviations(SETTINGS, ANGLES), deviations(SETTINGS, ANGLES)
     assert set(true) == set(COMPONENTS)
     assert true["ECC"][0] == 0
     assert true["ECC"] == pytest.approx(raw["ECC"] - raw["ECC"][0])

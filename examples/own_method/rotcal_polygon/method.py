@@ -8,7 +8,7 @@ from rotcal_polygon import calibration, table
 from rotcal_polygon.figures import figures
 from rotcal_polygon.plan import NAME, plan
 from rotcal_polygon.settings import PolygonPlanSettings, PolygonSolverSettings
-from rotcal_polygon.simulation import PolygonSimulationSettings
+from rotcal_polygon.simulation import PolygonSimulationSettings, SimulatedAutocollimator
 from rotcal_ros.capture.points import mean_point, points
 from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.foundation.observations import PointKind
@@ -30,6 +30,7 @@ METHOD: Final = Method(
     plan_settings=PolygonPlanSettings,
     solver_settings=PolygonSolverSettings,
     simulation_settings=PolygonSimulationSettings,
+    simulated_instrument=SimulatedAutocollimator,
     plan=plan,
     capture=CaptureRules({PointKind.READING: points(mean_point)}),
     solve=calibration.solve,

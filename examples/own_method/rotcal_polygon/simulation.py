@@ -10,7 +10,7 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.observations import Command, ProbeSample
 from rotcal_ros.foundation.settings import group, setting
 from rotcal_ros.foundation.units import ARCSEC, NANOSECOND
-from rotcal_ros.simulation.instrument import Instrument, Table
+from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
 from rotcal_ros.simulation.noise import IndexedNoise
 from rotcal_ros.simulation.settings import SimulationSettings
 from rotcal_ros.simulation.temperature import SimulatedTemperature
@@ -52,14 +52,8 @@ class PolygonSimulationSettings(SimulationSettings):
     polygon: SimulatedPolygonSettings = group(SimulatedPolygonSettings)
     autocollimator: AutocollimatorSettings = group(AutocollimatorSettings)
 
-    def make_instrument(
-        self, table: Table, temperature: SimulatedTemperature, start_ns: int
-    ) -> SimulatedAutocollimator:
-        """Return the autocollimator that looks at the polygon on ``table``."""
-        return SimulatedAutocollimator(self, table, start_ns)
 
-
-class SimulatedAutocollimator(Instrument):
+class SimulatedAutocollimator(SimulatedInstrument):
     """Reads the direction of the face before it: horizontal and vertical angle, rad.
 
     Everything follows from the true pose of the table, its tilts included. Reading k of a run
@@ -68,7 +62,13 @@ class SimulatedAutocollimator(Instrument):
 
     frame = "autocollimator"
 
-    def __init__(self, settings: PolygonSimulationSettings, table: Table, start_ns: int) -> None:
+    def __init__(
+        self,
+        settings: PolygonSimulationSettings,
+        table: Table,
+        _temperature: SimulatedTemperature,
+        start_ns: int,
+    ) -> None:
         super().__init__(start_ns)
         self._polygon, self._own, self._table = settings.polygon, settings.autocollimator, table
         seed, count = settings.seed, settings.polygon.faces

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from rotcal_ros.capture.points import points
 from rotcal_ros.capture.rules import CaptureRules
@@ -21,10 +21,28 @@ from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Method, See, TableReader
 from rotcal_ros.planning.plan import Plan
 
+if TYPE_CHECKING:
+    from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
+    from rotcal_ros.simulation.temperature import SimulatedTemperature
+
 
 def nominal(_configuration: Configuration, _plan: Plan) -> See:
     """Return the planned places of the balls."""
     return lambda step: step.position
+
+
+def simulated_instrument(
+    settings: PlateSimulationSettings,
+    table: Table,
+    _temperature: SimulatedTemperature,
+    start_ns: int,
+) -> SimulatedInstrument:
+    """Return the machine that touches the plate on ``table``."""
+    from rotcal_ros.methods.ball_plate.simulated_probe import SimulatedTouchProbe
+
+    return SimulatedTouchProbe(
+        settings.touch_probe, settings.plate, table, settings.seed, start_ns
+    )
 
 
 METHOD: Final = Method(
@@ -35,6 +53,7 @@ METHOD: Final = Method(
     plan_settings=BallPlatePlanSettings,
     solver_settings=BallPlateSolverSettings,
     simulation_settings=PlateSimulationSettings,
+    simulated_instrument=simulated_instrument,
     plan=plan,
     check_plan=check_plan,
     capture=CaptureRules(

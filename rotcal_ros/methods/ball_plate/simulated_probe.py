@@ -13,7 +13,7 @@ from rotcal_ros.methods.ball_plate.simulation_settings import (
     SimulatedPlateSettings,
     TouchProbeSettings,
 )
-from rotcal_ros.simulation.instrument import Instrument, Table
+from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
 from rotcal_ros.simulation.motion import Limits, Motion
 from rotcal_ros.simulation.noise import IndexedNoise, Source
 from rotcal_ros.simulation.table import rotations
@@ -65,7 +65,7 @@ class MachineError:
         return error
 
 
-class SimulatedTouchProbe(Instrument):
+class SimulatedTouchProbe(SimulatedInstrument):
     """A probe that travels to the ball at the ordered place and touches its upper half.
 
     It touches whatever ball is nearest to the order, once table and probe are at rest. Touch k

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from rotcal_ros.foundation.settings import group, setting
 from rotcal_ros.methods.ball_plate.plate import grid_setting, points_setting
 from rotcal_ros.simulation.settings import SimulationSettings
-
-if TYPE_CHECKING:
-    from rotcal_ros.simulation.instrument import Instrument, Table
-    from rotcal_ros.simulation.temperature import SimulatedTemperature
 
 TOUCH_PROBE: Final = "touch_probe"
 
@@ -82,11 +78,3 @@ class PlateSimulationSettings(SimulationSettings):
     )
     plate: SimulatedPlateSettings = group(SimulatedPlateSettings)
     touch_probe: TouchProbeSettings = group(TouchProbeSettings)
-
-    def make_instrument(
-        self, table: Table, temperature: SimulatedTemperature, start_ns: int
-    ) -> Instrument:
-        """Return the machine that touches the plate on ``table``."""
-        from rotcal_ros.methods.ball_plate.simulated_probe import SimulatedTouchProbe
-
-        return SimulatedTouchProbe(self.touch_probe, self.plate, table, self.seed, start_ns)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -35,6 +35,10 @@ from rotcal_ros.methods.plane_mirror.solver_settings import MirrorSolverSettings
 from rotcal_ros.methods.stations import Stations
 from rotcal_ros.planning.plan import Plan, Step
 from rotcal_ros.planning.table_angles import table_angles
+
+if TYPE_CHECKING:
+    from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
+    from rotcal_ros.simulation.temperature import SimulatedTemperature
 
 
 def zero(result: Result) -> tuple[str, ...]:
@@ -71,6 +75,18 @@ def stations(configuration: Configuration) -> Stations:
     return Stations(tuple(stand.place for stand in stands))
 
 
+def simulated_instrument(
+    settings: MirrorSimulationSettings,
+    table: Table,
+    _temperature: SimulatedTemperature,
+    start_ns: int,
+) -> SimulatedInstrument:
+    """Return the tracker that looks at the mirror on ``table``."""
+    from rotcal_ros.methods.plane_mirror.simulated_tracker import SimulatedTracker
+
+    return SimulatedTracker(settings.tracker, settings.mirror, table, settings.seed, start_ns)
+
+
 METHOD: Final = Method(
     name=NAME,
     title="Laser tracker and plane mirror",
@@ -79,6 +95,7 @@ METHOD: Final = Method(
     plan_settings=MirrorPlanSettings,
     solver_settings=MirrorSolverSettings,
     simulation_settings=MirrorSimulationSettings,
+    simulated_instrument=simulated_instrument,
     plan=plan,
     check_plan=check_plan,
     capture=CaptureRules(

@@ -19,13 +19,13 @@ from rotcal_ros.methods.plane_mirror.simulation_settings import (
     TrackerSettings,
 )
 from rotcal_ros.methods.plane_mirror.solver.problem import TrackerNoise
-from rotcal_ros.simulation.instrument import Instrument, Table
+from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
 from rotcal_ros.simulation.noise import IndexedNoise, Source
 
 _HOUR_S: Final = 3600.0
 
 
-class SimulatedTracker(Instrument):
+class SimulatedTracker(SimulatedInstrument):
     """A laser tracker and the person who moves it, its nests and its reflectors.
 
     The person puts everything up a little beside the plan: the tracker at each station, each nest

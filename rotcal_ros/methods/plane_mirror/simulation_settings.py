@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from rotcal_ros.foundation.settings import group, setting
 from rotcal_ros.simulation.settings import SimulationSettings
-
-if TYPE_CHECKING:
-    from rotcal_ros.simulation.instrument import Instrument, Table
-    from rotcal_ros.simulation.temperature import SimulatedTemperature
 
 TRACKER: Final = "tracker"
 
@@ -86,11 +82,3 @@ class MirrorSimulationSettings(SimulationSettings):
     instrument: str = setting(TRACKER, doc="a laser tracker with a mirror", choices=(TRACKER,))
     tracker: TrackerSettings = group(TrackerSettings)
     mirror: SimulatedMirrorSettings = group(SimulatedMirrorSettings)
-
-    def make_instrument(
-        self, table: Table, temperature: SimulatedTemperature, start_ns: int
-    ) -> Instrument:
-        """Return the tracker that looks at the mirror on ``table``."""
-        from rotcal_ros.methods.plane_mirror.simulated_tracker import SimulatedTracker
-
-        return SimulatedTracker(self.tracker, self.mirror, table, self.seed, start_ns)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from math import dist
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -27,6 +27,10 @@ from rotcal_ros.methods.tracer.solver.solve import METHOD as NAME
 from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
 from rotcal_ros.planning.plan import Plan, Step
 from rotcal_ros.planning.plan_figures import Compared
+
+if TYPE_CHECKING:
+    from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
+    from rotcal_ros.simulation.temperature import SimulatedTemperature
 
 
 def nominal(configuration: Configuration, _plan: Plan) -> See:
@@ -64,6 +68,18 @@ def until_goal(configuration: Configuration, plan: Plan) -> Adaptive:
     return policy.until_goal(configuration, plan)
 
 
+def simulated_instrument(
+    settings: TracerSimulationSettings,
+    table: Table,
+    temperature: SimulatedTemperature,
+    start_ns: int,
+) -> SimulatedInstrument:
+    """Return the tracer on the table and the reflector that the machine carries."""
+    from rotcal_ros.methods.tracer.simulated_cell import TracerAndReflector
+
+    return TracerAndReflector(settings, settings.tracer.mount_m, table, temperature, start_ns)
+
+
 METHOD: Final = Method(
     name=NAME,
     title="Laser tracer, multi-station",
@@ -72,6 +88,7 @@ METHOD: Final = Method(
     plan_settings=TracerPlanSettings,
     solver_settings=TracerSolverSettings,
     simulation_settings=TracerSimulationSettings,
+    simulated_instrument=simulated_instrument,
     plan=lambda configuration: tracer_plan(configuration.plan),
     check_plan=lambda configuration, plan: check_plan(configuration.solver, plan),
     adaptive=until_goal,

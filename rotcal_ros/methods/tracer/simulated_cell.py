@@ -12,14 +12,14 @@ from rotcal_ros.foundation.units import DEGREE, MICROMETRE, NANOSECOND
 from rotcal_ros.methods.tracer.simulated_tracer import SimulatedTracer
 from rotcal_ros.methods.tracer.simulation_settings import LengthsSimulationSettings
 from rotcal_ros.simulation.air import SimulatedAir
-from rotcal_ros.simulation.instrument import Instrument, Table
+from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
 from rotcal_ros.simulation.motion import Limits, Motion
 from rotcal_ros.simulation.noise import IndexedNoise, Source
 from rotcal_ros.simulation.temperature import SimulatedTemperature
 from rotcal_ros.simulation.ticks import Ticks
 
 
-class TracerAndReflector(Instrument):
+class TracerAndReflector(SimulatedInstrument):
     """A reflector on a probe that moves on straight lines, and the tracer that measures to it.
 
     The tracer rides on the table. The machine reports where it believes the probe to be: the

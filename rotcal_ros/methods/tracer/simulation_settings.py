@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from rotcal_ros.foundation.settings import group, setting
 from rotcal_ros.simulation.settings import SimulationSettings
-
-if TYPE_CHECKING:
-    from rotcal_ros.simulation.instrument import Instrument, Table
-    from rotcal_ros.simulation.temperature import SimulatedTemperature
 
 TRACER: Final = "tracer"
 
@@ -129,11 +125,3 @@ class TracerSimulationSettings(LengthsSimulationSettings):
     """The simulated cell of the laser-tracer method."""
 
     tracer: SimulatedTracerSettings = group(SimulatedTracerSettings)
-
-    def make_instrument(
-        self, table: Table, temperature: SimulatedTemperature, start_ns: int
-    ) -> Instrument:
-        """Return the tracer on the table and the reflector that the machine carries."""
-        from rotcal_ros.methods.tracer.simulated_cell import TracerAndReflector
-
-        return TracerAndReflector(self, self.tracer.mount_m, table, temperature, start_ns)

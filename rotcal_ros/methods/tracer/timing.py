@@ -68,7 +68,8 @@ def cell_run(calibration: Calibration, tick_s: float = 0.01) -> CellRun:
     Every step is ordered as soon as the one before is decided, up to ATTEMPTS times; the cell's
     time is cut into ticks. Raises DataError for a length that never comes.
     """
-    cell, capture = SimulatedCell(calibration.configuration.simulation), calibration.capture()
+    cell = calibration.method.simulated_cell(calibration.configuration.simulation)
+    capture = calibration.capture()
     observations, ends = [], []
     for step in calibration.plan.steps:
         for attempt in range(ATTEMPTS):

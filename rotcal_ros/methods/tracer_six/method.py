@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import dist
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -26,6 +26,10 @@ from rotcal_ros.methods.tracer_six.solver import METHOD as NAME
 from rotcal_ros.methods.tracer_six.solver import TracerSixSolverSettings
 from rotcal_ros.planning.plan import Plan, Step
 
+if TYPE_CHECKING:
+    from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
+    from rotcal_ros.simulation.temperature import SimulatedTemperature
+
 
 def nominal(configuration: Configuration, _plan: Plan) -> See:
     """Return what a tracer reads that stands exactly at its places."""
@@ -39,6 +43,15 @@ def nominal(configuration: Configuration, _plan: Plan) -> See:
     return see
 
 
+def simulated_instrument(
+    settings: SixSimulationSettings, table: Table, temperature: SimulatedTemperature, start_ns: int
+) -> SimulatedInstrument:
+    """Return the tracer at its places and the reflector that the machine carries."""
+    from rotcal_ros.methods.tracer_six.simulated_cell import CarriedTracer
+
+    return CarriedTracer(settings, table, temperature, start_ns)
+
+
 METHOD: Final = Method(
     name=NAME,
     title="Laser tracer at several places: six deviations",
@@ -47,6 +60,7 @@ METHOD: Final = Method(
     plan_settings=SixPlanSettings,
     solver_settings=TracerSixSolverSettings,
     simulation_settings=SixSimulationSettings,
+    simulated_instrument=simulated_instrument,
     plan=plan,
     check_plan=check_plan,
     capture=CaptureRules({PointKind.REFLECTOR: decide_length}, lambda plan: (PlaceLengths(plan),)),

@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from rotcal_ros.foundation.settings import group, setting
 from rotcal_ros.methods.tracer.simulation_settings import (
     LengthsSimulationSettings,
     SimulatedReadingsSettings,
 )
-
-if TYPE_CHECKING:
-    from rotcal_ros.simulation.instrument import Instrument, Table
-    from rotcal_ros.simulation.temperature import SimulatedTemperature
 
 
 @dataclass(frozen=True)
@@ -46,11 +41,3 @@ class SixSimulationSettings(LengthsSimulationSettings):
     """The simulated cell of the six-deviations method."""
 
     tracer: CarriedTracerSettings = group(CarriedTracerSettings)
-
-    def make_instrument(
-        self, table: Table, temperature: SimulatedTemperature, start_ns: int
-    ) -> Instrument:
-        """Return the tracer at its places and the reflector that the machine carries."""
-        from rotcal_ros.methods.tracer_six.simulated_cell import CarriedTracer
-
-        return CarriedTracer(self, table, temperature, start_ns)

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Final
 
 from rotcal_ros.bags import names
+from rotcal_ros.bags.topic_roles import TOPIC
 from rotcal_ros.foundation.node_names import FURTHER_NODES, further_nodes
 from rotcal_ros.instruments.conventions import single_shots
 from rotcal_ros.methods import Calibration, Configuration
@@ -17,7 +18,6 @@ from rotcal_ros.nodes.check.header_watch import HeaderWatch
 from rotcal_ros.nodes.goal.preflight import Values
 from rotcal_ros.nodes.instruments.table_feedback import joint_faults
 from rotcal_ros.nodes.runtime.cell_graph import CellGraph
-from rotcal_ros.nodes.runtime.topic_names import TOPIC
 
 SIMULATION: Final = FURTHER_NODES["simulation"]
 

@@ -20,6 +20,7 @@ from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
 from std_srvs.srv import Trigger
 
 from rotcal_ros.bags import names
+from rotcal_ros.bags.topic_roles import TOPIC, plain_name
 from rotcal_ros.capture import messages
 from rotcal_ros.capture.heard import Believed, Offers, publisher_of
 from rotcal_ros.evaluation.withheld import withheld_by
@@ -35,7 +36,6 @@ from rotcal_ros.nodes.runtime.identity import IDENTITY
 from rotcal_ros.nodes.runtime.managed_node import not_active
 from rotcal_ros.nodes.runtime.plans import RUN
 from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED
-from rotcal_ros.nodes.runtime.topic_names import TOPIC, plain_name
 
 
 class CellServices:

@@ -11,7 +11,7 @@ from typing import Any, Final
 from rotcal_ros.bags import names
 from rotcal_ros.capture.heard import Offers, started_anew
 from rotcal_ros.foundation import machine_load
-from rotcal_ros.foundation.machine_load import Patience
+from rotcal_ros.foundation.machine_load import AwakeClock, Patience
 from rotcal_ros.nodes.goal.cell_links import CellLinks
 from rotcal_ros.nodes.goal.crew import Codes, Crew, GoalError
 from rotcal_ros.nodes.goal.pauses import Pauses
@@ -32,6 +32,8 @@ ASTRAY_TIMEOUT_S: Final = 5.0
 """Capture and solver may be without the plan of the goal for so long."""
 FOUND_S: Final = 5.0
 """Two ends may take so long to find each other: lost packets of discovery are repaired in 3 s."""
+SETTLED_S: Final = 0.5
+"""So long nobody new may have been found before a goal believes that it knows all who publish."""
 HOPELESS_S: Final = 0.5
 """The capture has to call it hopeless for so long: late readings may look so for a moment."""
 
@@ -144,6 +146,20 @@ class GoalWatch:
         """Wait until nothing is missing; after the preflight time raise what still is."""
         if not await self.wait(lambda: not missing(), self.patience_s):
             raise GoalError(code, "; ".join(missing()) or "preflight timed out")
+
+    async def stands_still(self, look: Callable[[], object]) -> None:
+        """Wait until what ``look`` returns stays as it is, at most the preflight's time."""
+        clock, known = AwakeClock(time.monotonic), look()
+        since_s = clock.now_s()
+
+        def settled() -> bool:
+            nonlocal known, since_s
+            now, now_s = look(), clock.now_s()
+            if now != known:
+                known, since_s = now, now_s
+            return now_s - since_s >= SETTLED_S
+
+        await self.wait(settled, self.patience_s)
 
     async def is_found(self, missing: Callable[[], list[str]]) -> bool:
         """Return whether nothing is missing soon; otherwise publish with new publishers.

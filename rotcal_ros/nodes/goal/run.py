@@ -201,7 +201,7 @@ class GoalRun:
         )
         answer = None
         while answer is None:
-            # without an end of its own: the watch knows how long a solver may be away
+            # without a limit of its own: the watch knows how long a solver may be away
             await watch.wait(lambda: not watch.links.missing_plan(watch.run), math.inf)
             answer = await watch.call(
                 watch.links.services.finish_calibration,
@@ -340,8 +340,11 @@ async def _have_topics(
 
     Instruments may be silent meanwhile, and a restarted capture has heard nothing.
     """
-    missing = partial(_missing, calibration, watch.links)
-    # What is missing may be there and not have been found; what is not there is waited for below.
+    missing, links = partial(_missing, calibration, watch.links), watch.links
+    if watch.preflight:  # a second publisher that is found only in the run would be a stranger
+        roles = calibration.method.topics
+        await watch.stands_still(lambda: [links.publishers(links.instrument(r)) for r in roles])
+    # What is missing may be there but undiscovered; what is not there is waited for below.
     await watch.is_found(lambda: [] if _halted(watch) else missing())
     while True:
         await watch.have(lambda: [] if _halted(watch) else missing(), Codes.TOPIC_MISSING)

@@ -24,7 +24,7 @@ LATEST_S: Final = 1.5 * SETPOINT_PERIOD_S
 
 
 @dataclass(frozen=True, slots=True)
-class Word:
+class ControllerReport:
     """What a controller says: ``trouble`` why it does not go, ``done`` that it has arrived."""
 
     trouble: str = ""
@@ -49,21 +49,8 @@ class JointController(Protocol):
     def halt(self) -> str:
         """End the present way though the position is not known; return what was done."""
 
-    def word(self) -> Word:
+    def report(self) -> ControllerReport:
         """Return what the controller says of the latest way."""
-
-
-def joint_controller(
-    node: CellNode, settings: TableAdapterSettings, joint: str
-) -> JointController:
-    """Return the controller that the settings name; ConfigurationError as :func:`interface_of`."""
-    interface = interface_of(settings)
-    if interface == "goals":
-        from rotcal_ros.nodes.instruments.joint_goals import GoalController
-
-        return GoalController(node, settings.controller, joint)
-    kind = PositionController if interface == "positions" else TrajectoryController
-    return kind(node, settings.controller, joint)
 
 
 def interface_of(settings: TableAdapterSettings) -> str:
@@ -111,9 +98,9 @@ class TrajectoryController:
         """Publish it."""
         self._publisher.publish(trajectory_message(self._joint, way))
 
-    def word(self) -> Word:
+    def report(self) -> ControllerReport:
         """Return nothing: a topic has no answer."""
-        return Word()
+        return ControllerReport()
 
     def forget(self) -> None:
         """Do nothing: the controller has the whole trajectory, and ends it by itself."""
@@ -153,9 +140,9 @@ class PositionController:
         self.forget()
         return "it is sent no more positions"
 
-    def word(self) -> Word:
+    def report(self) -> ControllerReport:
         """Return nothing: a topic has no answer."""
-        return Word()
+        return ControllerReport()
 
     def _step(self) -> None:
         """Publish where the joint shall be now; the last position once."""

@@ -11,7 +11,7 @@ from rclpy.action import ActionClient
 
 from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.units import DEGREE
-from rotcal_ros.nodes.instruments.joint_controllers import Word, trajectory_message
+from rotcal_ros.nodes.instruments.joint_controllers import ControllerReport, trajectory_message
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.ros2_control.travel import Way
 
@@ -38,7 +38,7 @@ class GoalController:
         )
         self._latest: Way | None = None
         self._handle: Any = None
-        self._word = Word()
+        self._report = ControllerReport()
 
     def heard(self) -> bool:
         """Return whether the action is offered."""
@@ -49,7 +49,7 @@ class GoalController:
 
     def send(self, way: Way) -> None:
         """Send a goal; the controller gives up the previous one by itself."""
-        self._latest, self._handle, self._word = way, None, Word()
+        self._latest, self._handle, self._report = way, None, ControllerReport()
         goal = FollowJointTrajectory.Goal(trajectory=trajectory_message(self._joint, way))
         answer = self._client.send_goal_async(goal)
         answer.add_done_callback(self._guarded(partial(self._answered, way)))
@@ -64,9 +64,9 @@ class GoalController:
         self._latest = self._handle = None
         return "its goal is canceled"
 
-    def word(self) -> Word:
+    def report(self) -> ControllerReport:
         """Return what the controller says of the latest goal."""
-        return self._word
+        return self._report
 
     def _answered(self, way: Way, answer: Any) -> None:
         """Hear whether a goal was accepted."""
@@ -93,9 +93,9 @@ class GoalController:
             why = f"{ERRORS.get(code, 'unknown reason')} (error {code})"
             self._say("gave the goal up", f"{why}, {printable(own)}" if own else why)
         else:
-            self._word = Word(done=True)
+            self._report = ControllerReport(done=True)
 
     def _say(self, what: str, why: str) -> None:
         assert self._latest is not None
         goal_deg = self._latest.goal / DEGREE
-        self._word = Word(f"{self._controller} {what} of {goal_deg:.4f} deg: {why}")
+        self._report = ControllerReport(f"{self._controller} {what} of {goal_deg:.4f} deg: {why}")

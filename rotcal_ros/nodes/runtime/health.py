@@ -18,11 +18,12 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+from rotcal_ros.bags import names
 from rotcal_ros.foundation.machine_load import AwakeClock
 from rotcal_ros.foundation.plugins import culprit
 from rotcal_ros.nodes.runtime.clock_news import ClockNews
 from rotcal_ros.nodes.runtime.draining import Batch, DrainedSubscription
-from rotcal_ros.nodes.runtime.heartbeat import BEAT_PERIOD_S, BUSY, HEARTBEAT, LEAVING, Heartbeat
+from rotcal_ros.nodes.runtime.heartbeat import BEAT_PERIOD_S, BUSY, LEAVING, Heartbeat
 from rotcal_ros.nodes.runtime.identity import IDENTITY, Identity, NameHolders, refusal
 from rotcal_ros.nodes.runtime.memory import end_without_memory
 from rotcal_ros.nodes.runtime.processes_here import PROCESS, is_of_here, why_gone
@@ -80,8 +81,8 @@ class Health:
         self._beats = Heartbeat(node, self.identity) if report is not None else None
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 1)
         self._heard = DrainedSubscription(
-            node, DiagnosticStatus, HEARTBEAT, QoSProfile(depth=100), self.guarded(self._hear),
-            group=UNWAITED,
+            node, DiagnosticStatus, names.HEARTBEAT, QoSProfile(depth=100),
+            self.guarded(self._hear), group=UNWAITED,
         )  # fmt: skip
         steady_timer(node, HEAR_PERIOD_S, self._heard.drain)
         steady_timer(node, BEAT_PERIOD_S, self.guarded(self._turn))
@@ -210,7 +211,7 @@ class Health:
         silent_s = self.awake.now_s() - self._roll.seen[name]
         if silent_s <= self.settings.slow_after_s:
             return ""
-        topic = self._node.resolve_topic_name(HEARTBEAT)
+        topic = self._node.resolve_topic_name(names.HEARTBEAT)
         here = {info.node_name for info in self._node.get_publishers_info_by_topic(topic)}
         return "" if name in here else "it has left the graph"
 

@@ -13,10 +13,10 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+from rotcal_ros.bags import names
 from rotcal_ros.nodes.runtime.identity import IDENTITY, Identity
 from rotcal_ros.nodes.runtime.processes_here import PROCESS, own_process
 
-HEARTBEAT: Final = "heartbeat"
 BEAT_PERIOD_S: Final = 0.2
 BUSY: Final = "busy_s"
 """Value in a beat: how long ago the node took its last turn, where that is long."""
@@ -32,7 +32,9 @@ class Heartbeat:
     def __init__(self, node: Node, identity: Identity) -> None:
         self._context, self._identity = node.context, identity
         self._process = own_process()
-        self._publisher = node.create_publisher(DiagnosticStatus, HEARTBEAT, QoSProfile(depth=20))
+        self._publisher = node.create_publisher(
+            DiagnosticStatus, names.HEARTBEAT, QoSProfile(depth=20)
+        )
         self._lock, self._ended = Lock(), Event()
         self._thread: Thread | None = None
         self._latest = DiagnosticStatus()

@@ -79,7 +79,7 @@ class PlannerParameters:
             text, source = dump_configuration(method, groups), "parameters of the planner"
         configuration = parse_configuration(text, source)
         for group, own in self._fixed.items():
-            if group in configuration.given and getattr(configuration, group) != own:
+            if group in configuration.given and configuration.group(group) != own:
                 raise ConfigurationError(
                     f"{source}: its group {group} is not the one that the planner was started "
                     "with: start the nodes with this configuration"

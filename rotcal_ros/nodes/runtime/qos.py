@@ -15,6 +15,13 @@ LATCHED: Final = QoSProfile(
 EVENT: Final = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 """Orders, observations, receipts: none may be lost."""
 
+GOAL: Final = QoSProfile(
+    depth=10,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+"""Request and answer of a goal: a recorder that finds the action only then still gets both."""
+
 STREAM: Final = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 """Readings at kilohertz rates, published reliably by our own nodes."""
 

@@ -11,81 +11,26 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final
 
 from rotcal_ros.bags import names
+from rotcal_ros.bags.topic_roles import TOPIC, Values, plain_name
 from rotcal_ros.methods import Configuration
-from rotcal_ros.nodes.writing.recording import Recording
 
-TOPIC: Final = "topic."
-"""Beginning of the values of a beat with the absolute name of a role that has another name."""
 TOPICS: Final = "topics"
 """Value of the planner while it has a goal: what its group ``topics`` gives, as JSON; of the
 capture: what it follows."""
-_TELLERS: Final[Mapping[str, str]] = {
-    names.PLAN: "planner",
-    names.TABLE_ANGLE: "planner",
-    names.PROBE_TARGET: "planner",
-    names.STEP_CHOICE: "planner",
-    names.TABLE_IN_FORCE: "solver",
-}
-"""Which node decides the name of a role; the capture for all others."""
 _HEARD_OF_THE_PLANNER: Final = {
     "capture": (names.PLAN, names.OBSERVATION, names.TABLE_ANGLE, names.PROBE_TARGET),
     "solver": (names.PLAN, names.OBSERVATION),
 }
 """Roles whose names a node must share with the planner."""
 
-Values = Callable[[str], Mapping[str, str]]
-"""The values of the last beat of a node."""
 Resolve = Callable[[str], str]
 """The absolute name of a topic for this node."""
-
-
-def plain_name(namespace: str, role: str) -> str:
-    """Return the default name of the topic of a role."""
-    return f"{namespace.rstrip('/')}/{role}"
 
 
 def other_names(namespace: str, resolve: Resolve) -> dict[str, str]:
     """Return the values of a beat for roles that have another name in a node."""
     called = {role: resolve(role) for role in sorted(names.ROLES)}
     return {f"{TOPIC}{r}": n for r, n in called.items() if n != plain_name(namespace, r)}
-
-
-class CalledOtherwise:
-    """Which topics play which role, by the latest beats of the nodes that decide it."""
-
-    def __init__(self, namespace: str) -> None:
-        self._namespace = namespace
-        self.topics: dict[str, str] = {}
-
-    def look(self, values: Values) -> None:
-        """Take the beats of the nodes that are there; what a node said before it left stays."""
-        for role in names.ROLES:
-            if beat := values(_TELLERS.get(role, "capture")):
-                self.topics.pop(role, None)
-                if other := beat.get(TOPIC + role):
-                    self.topics[role] = other
-
-    def topic(self, role: str) -> str:
-        """Return the absolute name of the topic of a role."""
-        return self.topics.get(role, plain_name(self._namespace, role))
-
-    def role(self, topic: str) -> str:
-        """Return the role of a topic by its absolute name; its last name where it has none."""
-        for role, other in self.topics.items():
-            if topic == other:
-                return role
-        last = topic.rpartition("/")[2]
-        return "" if last in self.topics else last
-
-    def lost(self, losses: Mapping[str, int]) -> int:
-        """Return how many messages that a replay needs were lost, of ``losses`` by counter."""
-        topics = ((counter.rpartition(" ")[2], count) for counter, count in losses.items())
-        return sum(count for topic, count in topics if self.role(topic) in names.ROLES)
-
-    def keep_in(self, recording: Recording) -> None:
-        """Note in a bag which topics have other names."""
-        if self.topics:
-            recording.note(names.TOPICS, self.topics)
 
 
 def name_in(values: Mapping[str, str], role: str) -> str:

@@ -9,12 +9,12 @@ from rclpy.serialization import deserialize_message
 from rotcal_msgs.msg import ProbePoint, RecordedObservation
 
 from rotcal_ros.bags import names
+from rotcal_ros.bags.topic_roles import CalledOtherwise
 from rotcal_ros.capture.messages import stamp_ns
 from rotcal_ros.instruments.forms import OWN
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.draining import Batch
 from rotcal_ros.nodes.runtime.qos import EVENT
-from rotcal_ros.nodes.runtime.topic_names import CalledOtherwise
 from rotcal_ros.nodes.writing.bookkeeping import NEEDED, PendingReceipts
 from rotcal_ros.nodes.writing.heard_topic import HeardTopic
 from rotcal_ros.nodes.writing.recorded_session import RecordedSession

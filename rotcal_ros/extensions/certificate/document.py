@@ -1,0 +1,416 @@
+"""A whole certificate: the parts in order, the result itself, and a signature on request.
+
+Second part of a certificate: methods, instruments, conditions, and the curves.
+
+What a certificate has to say, and which settings say it.
+
+First part of a certificate: who calibrated what for whom, with which software.
+"""
+
+from __future__ import annotations
+
+import gzip
+from base64 import b64encode
+from collections.abc import Iterator
+from datetime import date, datetime, timezone
+from hashlib import sha256
+from math import sqrt
+from typing import Any, Final
+
+import numpy as np
+from lxml import etree
+
+from rotcal_ros import __version__
+from rotcal_ros.extensions.certificate.elements import (
+    DCC,
+    DCC_NAMESPACE,
+    LANGUAGE,
+    SI,
+    contact,
+    identification,
+    leaf,
+    numbers,
+    present,
+    text,
+)
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.circumstances import SIMULATED, Circumstances, Range
+from rotcal_ros.foundation.components import COVERAGE_FACTOR, TRANSLATIONS
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.identity import Identity, Instrument
+from rotcal_ros.foundation.in_force import in_words
+from rotcal_ros.foundation.results import Result
+
+SCHEMA: Final = "3.3.0"
+LARGEST_TEXT: Final = 9_900_000
+"""Characters in one text: parsers of XML refuse more than 10 million."""
+_LOCATION: Final = "{http://www.w3.org/2001/XMLSchema-instance}schemaLocation"
+
+
+def certificate(result: Result, method_title: str, issued: date) -> bytes:
+    """Return the digital calibration certificate of a result as XML, UTF-8.
+
+    Raises ConfigurationError that lists what the result does not tell, DataError where its
+    verdict is not ok.
+    """
+    require(result)
+    root = DCC.digitalCalibrationCertificate(
+        administrative_data(result, issued),
+        measurement_results(result, method_title),
+        _result_file(result),
+        schemaVersion=SCHEMA,
+    )
+    root.set(_LOCATION, f"{DCC_NAMESPACE} {DCC_NAMESPACE}/v{SCHEMA}/dcc.xsd")
+    etree.indent(root)
+    return as_bytes(root)
+
+
+def as_bytes(root: Any) -> bytes:
+    """Return a document as it is written."""
+    data: bytes = etree.tostring(root, encoding="UTF-8", xml_declaration=True)
+    return data
+
+
+def _result_file(result: Result) -> Any:
+    """Return result.json, from which all of it can be computed again.
+
+    A large one is compressed; of one that is too large even so only its SHA-256 is here.
+    """
+    name, mime, data = "result.json", "application/json", result.to_json().encode()
+    digest = sha256(data).hexdigest()
+    if _too_large(data):
+        name, mime, data = f"{name}.gz", "application/gzip", gzip.compress(data, mtime=0)
+    if _too_large(data):
+        name, mime = "result.json.sha256", "text/plain"
+        data = f"{digest}  result.json\n".encode()
+    return DCC.document(
+        text("name", "The result in the machine-readable form of rotcal_ros"),
+        leaf("fileName", name),
+        leaf("mimeType", mime),
+        leaf("dataBase64", b64encode(data).decode()),
+    )
+
+
+def _too_large(data: bytes) -> bool:
+    return 4 * len(data) > 3 * LARGEST_TEXT
+
+
+PROBABILITY: Final = "0.95"
+_RADIAN: Final = "\\radian"
+_METRE: Final = "\\metre"
+_NORMAL: Final = "normal"
+
+
+def measurement_results(result: Result, method_title: str) -> Any:
+    """Return the element ``measurementResults``."""
+    circumstances = result.circumstances
+    paragraphs = [NOT_MEASURED] if circumstances.simulated else []
+    paragraphs.append("Deviation = actual - commanded, names after ISO 230-1, SI units.")
+    return DCC.measurementResults(
+        DCC.measurementResult(
+            *present(
+                text("name", marked("Deviations of a rotary table", circumstances)),
+                text("description", *paragraphs),
+                DCC.usedMethods(*_methods(result, method_title)),
+                DCC.usedSoftware(software()),
+                _instruments(circumstances),
+                _conditions(circumstances),
+                DCC.results(*(_curve(result, name) for name in result.components)),
+            )
+        )
+    )
+
+
+def _methods(result: Result, title: str) -> Iterator[Any]:
+    yield DCC.usedMethod(
+        text("name", title),
+        text(
+            "description",
+            f"Method {result.method} of rotcal_ros; {result.n_observations} observations, of "
+            f"these {len(result.rejected)} rejected; degrees of freedom {result.dof}, "
+            f"sigma0 {result.sigma0:.4g}.",
+            f"Compensation table in force meanwhile: {in_words(result.measured_on)}.",
+        ),
+    )
+    refraction = result.circumstances.refraction
+    if refraction:
+        yield DCC.usedMethod(
+            text("name", "Index of refraction of the air"), text("description", f"{refraction}.")
+        )
+
+
+def _instruments(circumstances: Circumstances) -> Any:
+    known = circumstances.identity.instruments.known
+    return DCC.measuringEquipments(
+        *(_instrument(name, instrument) for name, instrument in known.items())
+    )
+
+
+def _instrument(name: str, instrument: Instrument) -> Any:
+    history = []
+    if instrument.calibrated:
+        history.append(f"Calibrated on {instrument.calibrated}.")
+    if instrument.certificate:
+        history.append(f"Certificate {instrument.certificate}.")
+    serial = None
+    if instrument.serial:
+        known = identification("manufacturer", instrument.serial, "serial number")
+        serial = DCC.identifications(known)
+    return DCC.measuringEquipment(
+        *present(
+            text("name", name.replace("_", " ")),
+            text("description", *history) if history else None,
+            contact("manufacturer", instrument.maker) if instrument.maker else None,
+            leaf("model", instrument.model) if instrument.model else None,
+            serial,
+        )
+    )
+
+
+def _conditions(circumstances: Circumstances) -> Any:
+    """Return what was known of the air; None: nothing."""
+    ranges = (
+        ("Temperature", circumstances.temperature_c, "\\degreecelsius"),
+        ("Air pressure", circumstances.pressure_pa, "\\pascal"),
+        ("Relative humidity", circumstances.humidity, "\\one"),
+    )
+    known = [_condition(name, found, unit) for name, found, unit in ranges if found is not None]
+    return DCC.influenceConditions(*known) if known else None
+
+
+def _condition(name: str, found: Range, unit: str) -> Any:
+    values = (("mean", found.mean), ("lowest", found.lowest), ("highest", found.highest))
+    quantities = (
+        DCC.quantity(text("name", what), SI.real(SI.value(repr(float(value))), SI.unit(unit)))
+        for what, value in values
+    )
+    return DCC.influenceCondition(text("name", name), DCC.data(*quantities))
+
+
+def _curve(result: Result, component: str) -> Any:
+    """Return one deviation over the angles, with expanded uncertainties and covariance."""
+    unit = _METRE if component in TRANSLATIONS else _RADIAN
+    angles = SI.realListXMLList(SI.valueXMLList(numbers(result.angles)), SI.unitXMLList(_RADIAN))
+    deviations = SI.realListXMLList(
+        SI.valueXMLList(numbers(result.deviations[component])),
+        SI.unitXMLList(unit),
+        _expanded(result.std[component]),
+    )
+    if component in result.covariance:
+        deviations.append(_covariance(result.covariance[component], unit))
+    return DCC.result(
+        text("name", component),
+        DCC.data(
+            DCC.quantity(text("name", "Commanded angle"), angles, refType="basic_nominalValue"),
+            DCC.quantity(
+                text("name", f"{component}: actual - commanded"),
+                deviations,
+                refType="basic_measurementError",
+            ),
+        ),
+        refType=f"rotcal_{component}",
+    )
+
+
+def _expanded(std: Floats) -> Any:
+    """Return U = k u; k is a power of two, so that no bit of u is lost."""
+    return SI.measurementUncertaintyUnivariateXMLList(
+        SI.expandedMUXMLList(
+            SI.valueExpandedMUXMLList(numbers(COVERAGE_FACTOR * std)),
+            SI.coverageFactorXMLList(f"{COVERAGE_FACTOR:g}"),
+            SI.coverageProbabilityXMLList(PROBABILITY),
+            SI.distributionXMLList(_NORMAL),
+        )
+    )
+
+
+def _covariance(covariance: Floats, unit: str) -> Any:
+    """Return the covariance matrix, column by column.
+
+    The schema knows it as part of a hyper-ellipsoidal region, whose coverage factor is that of
+    the chi-squared distribution in as many dimensions.
+    """
+    from scipy.stats import chi2
+
+    squared = f"{unit}\\tothe{{2}}"
+    columns = (
+        SI.columnXMLList(
+            SI.covarianceXMLList(SI.valueXMLList(numbers(column)), SI.unitXMLList(squared))
+        )
+        for column in np.asarray(covariance).T
+    )
+    factor = sqrt(float(chi2.ppf(float(PROBABILITY), len(covariance))))
+    return SI.measurementUncertaintyMultivariateXMLList(
+        SI.ellipsoidalRegionMUXMLList(
+            SI.covarianceMatrixXMLList(*columns),
+            SI.coverageFactorXMLList(repr(factor)),
+            SI.coverageProbabilityXMLList(PROBABILITY),
+            SI.distributionXMLList(_NORMAL),
+        )
+    )
+
+
+REQUIRED: Final = {
+    "item": "what was calibrated",
+    "serial": "the serial number that the item is known by",
+    "place": "where it was calibrated",
+    "operator": "the person who is responsible",
+    "laboratory": "who is responsible for the calibration",
+    "laboratory_address": "where the laboratory is",
+    "laboratory_country": "in which country, two letters of ISO 3166",
+    "customer": "for whom it was calibrated",
+    "customer_address": "where the customer is",
+    "certificate_number": "the unique number of the certificate",
+}
+"""Settings of the group ``identity`` that no certificate can do without, and why."""
+
+
+def require(result: Result) -> None:
+    """Refuse what cannot be certified.
+
+    Raises ConfigurationError that lists everything that is missing, by the names of the settings,
+    and DataError for a result that is not ok: a certificate vouches for its uncertainties.
+    """
+    missing = missing_settings(result)
+    if missing:
+        lines = "\n".join(f"  {name}: {why}" for name, why in missing.items())
+        raise ConfigurationError(
+            "a calibration certificate needs more than this result tells, see below: give it in "
+            "the configuration, or with --setup or --set for a bag (the "
+            "group identity changes no number)",
+            lines,
+        )
+    if result.verdict != "ok":
+        raise DataError(
+            f"the verdict is {result.verdict}: no certificate is written about uncertainties that "
+            "the data contradict; the report says why"
+        )
+
+
+def missing_settings(result: Result) -> dict[str, str]:
+    """Return the settings that are missing for a certificate, with what they are for."""
+    circumstances = result.circumstances
+    identity = circumstances.identity
+    missing = {
+        f"identity.{name}": why for name, why in REQUIRED.items() if not getattr(identity, name)
+    }
+    traced = [i for i in identity.instruments.known.values() if i.serial and i.calibrated]
+    if not traced:
+        missing["identity.instruments.*"] = (
+            "serial and date of calibration (calibrated) of one instrument or more: traceability"
+        )
+    if circumstances.begun_ns is None:
+        missing["time"] = "when it was measured: the result of a table does not know, a bag does"
+    return missing
+
+
+NOT_MEASURED: Final = f"{SIMULATED}: a simulation, no item was measured."
+_SECOND_NS: Final = 1_000_000_000
+
+
+def administrative_data(result: Result, issued: date) -> Any:
+    """Return the element ``administrativeData``."""
+    circumstances = result.circumstances
+    identity = circumstances.identity
+    return DCC.administrativeData(
+        DCC.dccSoftware(software()),
+        _core_data(circumstances, issued),
+        DCC.items(_item(circumstances)),
+        DCC.calibrationLaboratory(
+            contact(
+                "contact",
+                identity.laboratory,
+                identity.laboratory_address,
+                identity.laboratory_email,
+                identity.laboratory_country,
+            )
+        ),
+        DCC.respPersons(
+            DCC.respPerson(contact("person", identity.operator), leaf("mainSigner", "true"))
+        ),
+        contact("customer", identity.customer, identity.customer_address),
+        DCC.statements(*(DCC.statement(*parts) for parts in _statements(result))),
+    )
+
+
+def marked(name: str, circumstances: Circumstances) -> str:
+    """Return a name that says where a simulation was measured instead."""
+    return f"{SIMULATED}: {name}" if circumstances.simulated else name
+
+
+def software() -> Any:
+    """Return this software as an element."""
+    return DCC.software(
+        text("name", "rotcal_ros"), leaf("release", __version__), leaf("type", "application")
+    )
+
+
+def day(stamp_ns: int) -> str:
+    """Return the date (UTC) of a stamp."""
+    return datetime.fromtimestamp(stamp_ns // _SECOND_NS, timezone.utc).date().isoformat()
+
+
+def _core_data(circumstances: Circumstances, issued: date) -> Any:
+    identity = circumstances.identity
+    begun, ended = circumstances.begun_ns, circumstances.ended_ns
+    assert begun is not None
+    number = f"{SIMULATED}-" * circumstances.simulated + identity.certificate_number
+    ordered = None
+    if identity.customer_number:
+        known = identification("customer", identity.customer_number, "customer's number")
+        ordered = DCC.identifications(known)
+    return DCC.coreData(
+        *present(
+            leaf("countryCodeISO3166_1", identity.laboratory_country),
+            leaf("usedLangCodeISO639_1", LANGUAGE),
+            leaf("mandatoryLangCodeISO639_1", LANGUAGE),
+            leaf("uniqueIdentifier", number),
+            ordered,
+            leaf("receiptDate", identity.received) if identity.received else None,
+            leaf("beginPerformanceDate", day(begun)),
+            leaf("endPerformanceDate", day(begun if ended is None else ended)),
+            leaf("performanceLocation", "other"),
+            leaf("issueDate", issued.isoformat()),
+        )
+    )
+
+
+def _item(circumstances: Circumstances) -> Any:
+    identity: Identity = circumstances.identity
+    axis = f"Rotary axis {circumstances.axis}." if circumstances.axis else "Rotary axis."
+    paragraphs = [axis, NOT_MEASURED] if circumstances.simulated else [axis]
+    return DCC.item(
+        *present(
+            text("name", marked(identity.item, circumstances)),
+            text("description", *paragraphs),
+            contact("manufacturer", identity.maker) if identity.maker else None,
+            leaf("model", identity.model) if identity.model else None,
+            DCC.identifications(identification("manufacturer", identity.serial, "serial number")),
+        )
+    )
+
+
+def _statements(result: Result) -> Iterator[list[Any]]:
+    """Yield name and declaration of what a reader has to know."""
+    circumstances = result.circumstances
+    if circumstances.simulated:
+        yield _statement(SIMULATED, NOT_MEASURED)
+    yield _statement("Place of calibration", circumstances.identity.place)
+    yield _statement(
+        "Uncertainty",
+        "The expanded uncertainties are standard uncertainties times the coverage factor k = 2, "
+        "which for a normal distribution is a coverage of about 95 %. The covariance matrices are "
+        "those of the standard uncertainties (JCGM 100).",
+    )
+    yield _statement(
+        "Traceability",
+        "The results are traced through the instruments named with the results and the "
+        "certificates of their calibrations.",
+    )
+    yield _statement("Verdict of the evaluation", f"{result.verdict_line}.")
+    if result.warnings:
+        yield _statement("Remarks", *result.warnings)
+
+
+def _statement(name: str, *paragraphs: str) -> list[Any]:
+    return [text("name", name), text("declaration", *paragraphs)]

@@ -1,0 +1,186 @@
+"""The thread that drives an instrument: connects, reads or measures, and begins anew when lost."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from math import isfinite
+from threading import Event, Thread
+from typing import Final
+
+from rotcal_ros.extensions.instrument_plugins.instrument import (
+    Instrument,
+    InstrumentError,
+    Length,
+    Make,
+    Place,
+    Tracer,
+    Tracker,
+)
+from rotcal_ros.extensions.instrument_plugins.settings import InstrumentSettings
+from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
+from rotcal_ros.foundation.observations import Command, LengthStatus, ProbeSample, TracerSample
+from rotcal_ros.foundation.plugins import INSTRUMENTS, load
+
+READ_TIMEOUT_S: Final = 0.1
+PATIENCE_S: Final = 10.0
+"""An order may wait for the table so long before people are told why it does."""
+
+
+def instrument_of(settings: InstrumentSettings) -> Instrument:
+    """Return the instrument that the settings name; ConfigurationError when there is none."""
+    make: Make = load(INSTRUMENTS, settings.plugin, "instrument (instrument.plugin)")
+    options = settings.by_name()
+    try:
+        instrument = make(settings.address, options)
+    except RotcalError:
+        raise
+    except Exception as error:  # of somebody else's code
+        raise ConfigurationError(
+            f"instrument.plugin: {settings.plugin} cannot be made: {type(error).__name__}: {error}"
+        ) from error
+    if not isinstance(instrument, Tracer | Tracker):
+        raise ConfigurationError(
+            f"instrument.plugin: {settings.plugin} makes neither a Tracer nor a Tracker of "
+            "rotcal_ros.extensions.instrument_plugins.instrument"
+        )
+    return instrument
+
+
+@dataclass(frozen=True)
+class Listeners:
+    """Who is told of what, all of them from the thread of the driver."""
+
+    length: Callable[[TracerSample], None]
+    place: Callable[[ProbeSample], None]
+    complain: Callable[[str], None]
+
+
+class InstrumentDriver:
+    """Drives one instrument from :meth:`begin` to :meth:`stop`.
+
+    ``why_not(order)`` says why a place may not be measured now (the table is not at rest), empty:
+    it may. ``state`` says what is done, ``trouble`` why nothing comes (empty: it does), ``waits``
+    what an order has been waiting for longer than usual, ``connections`` counts.
+    """
+
+    def __init__(
+        self,
+        instrument: Instrument,
+        settings: InstrumentSettings,
+        listeners: Listeners,
+        why_not: Callable[[Command], str] = lambda _: "",
+        now_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self.state, self.trouble, self.waits, self.connections = "starting", "", "", 0
+        self._instrument, self._settings, self._tell = instrument, settings, listeners
+        self._tracer = instrument if isinstance(instrument, Tracer) else None
+        self._tracker = instrument if isinstance(instrument, Tracker) else None
+        self._why_not, self._now_ns = why_not, now_ns
+        self._order: Command | None = None
+        self._ordered_s = 0.0
+        self._lengths = self._places = 0
+        self._end = Event()
+        self._thread = Thread(target=self._work, name="instrument", daemon=True)
+
+    @property
+    def alive(self) -> bool:
+        """Whether the thread still works."""
+        return self._thread.is_alive()
+
+    def begin(self) -> None:
+        """Connect, and measure from now on."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End with the reading or measurement under way, and let go of the instrument."""
+        self._end.set()
+
+    def order(self, command: Command) -> None:
+        """Measure the place of ``command`` as soon as that may be; it replaces one that waits."""
+        self._order, self._ordered_s = command, time.monotonic()
+
+    def forget(self) -> None:
+        """Measure no place that was ordered and waits."""
+        self._order = None
+
+    def _work(self) -> None:
+        """Begin anew after every error, for as long as it takes: instruments come back."""
+        while not self._end.is_set():
+            try:
+                self.state = "connecting"
+                self._instrument.connect()
+                self.connections += 1
+                self.state, self.trouble = "measuring", ""
+                self._serve()
+            except Exception as error:  # whatever a foreign plug-in does, people hear of it
+                self._note(error)
+            with suppress(Exception):
+                self._instrument.close()
+            self._end.wait(self._settings.reconnect_s)
+        self.state = "closed"
+
+    def _note(self, error: Exception) -> None:
+        """Say what went wrong, once for each kind; readings behind it begin at another zero."""
+        known = isinstance(error, InstrumentError | OSError)
+        words = str(error) if known else f"error of the plug-in: {type(error).__name__}: {error}"
+        text = f"instrument {self._settings.plugin} at {self._settings.address}: {words}"
+        if text != self.trouble:
+            self._tell.complain(f"{text}; tried again every {self._settings.reconnect_s:g} s")
+        if self.state == "measuring" and self._tracer is not None:
+            self._pass_on(Length(0.0, valid=False))
+        self.state, self.trouble = "connection lost", text
+
+    def _serve(self) -> None:
+        heard_s = time.monotonic()
+        while not self._end.is_set():
+            before_s = time.monotonic()
+            self._measure()
+            heard_s += time.monotonic() - before_s  # no silence: nobody listened
+            if self._tracer is None:
+                self._end.wait(READ_TIMEOUT_S / 10)
+                continue
+            readings = self._tracer.read(READ_TIMEOUT_S)
+            for reading in readings:
+                self._pass_on(reading)
+            now_s = time.monotonic()
+            heard_s = now_s if readings else heard_s
+            if now_s - heard_s > self._settings.silence_s:
+                raise InstrumentError(f"no reading for {self._settings.silence_s:g} s")
+
+    def _pass_on(self, reading: Length) -> None:
+        whole = reading.valid and isfinite(reading.length)
+        status = LengthStatus.OK if reading.stable else LengthStatus.UNSTABLE
+        self._tell.length(
+            TracerSample(
+                stamp_ns=self._now_ns() if reading.stamp_ns is None else reading.stamp_ns,
+                sequence=self._lengths,
+                length=reading.length if whole else 0.0,
+                length_std=reading.std,
+                status=status if whole else LengthStatus.BEAM_BROKEN,
+            )
+        )
+        self._lengths += 1
+
+    def _measure(self) -> None:
+        """Measure the place that was ordered, if it may be; none there is told, not an end."""
+        order = self._order
+        why = "" if order is None else self._why_not(order)
+        late = time.monotonic() - self._ordered_s > PATIENCE_S
+        self.waits = f"step {order.step} is not measured: {why}" if order and why and late else ""
+        if order is None or why or self._tracker is None:
+            return
+        self._order = None
+        try:
+            place = self._tracker.measure(order.position, self._settings.measure_timeout_s)
+        except InstrumentError as error:
+            self._tell.complain(f"step {order.step}, attempt {order.attempt}: {error}")
+            return
+        self._tell.place(self._sample(order, place))
+
+    def _sample(self, order: Command, place: Place) -> ProbeSample:
+        self._places += 1
+        stamp_ns = self._now_ns() if place.stamp_ns is None else place.stamp_ns
+        return order.answered(stamp_ns, self._places - 1, place.position, place.std)

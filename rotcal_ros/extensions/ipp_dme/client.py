@@ -1,0 +1,398 @@
+"""A measuring machine with a rotary table behind I++ DME, in SI.
+
+After an error nothing more is sent until a person has it cleared: neither ClearAllErrors nor a new
+session, which clears errors too, is ordered by a program.
+
+Where a machine says it stands: readings of its reports.
+
+The rotary table of a DME server: its angle R, and the call that turns it.
+
+1.4 knows one way for every machine, AlignPart: a vector of the part is turned to a vector of the
+machine (12.1). Later versions take R in a GoTo. Which side the table comes from, neither says:
+that is done by two turns.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from math import cos, pi, radians, remainder, sin
+from threading import Lock
+from typing import Final, NoReturn
+
+from rotcal_ros.extensions.ipp_dme.faults import (
+    AnswerMissingError,
+    DmeError,
+    Fault,
+    NotClearedError,
+    ProtocolError,
+)
+from rotcal_ros.extensions.ipp_dme.grammar import Call, Word, call, calls_by_name, parse_values
+from rotcal_ros.extensions.ipp_dme.link import DmeLink
+from rotcal_ros.extensions.ipp_dme.settings import ALIGN_PART, AUTO, GOTO_R, DmeSettings
+from rotcal_ros.foundation.observations import Approach, TableSample
+from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
+from rotcal_ros.planning.plan import Point
+from rotcal_ros.planning.table_motion import TableSpeed, approached
+
+NOT_STARTED: Final = "no session was started"
+FIRST_DISTANCE_MM: Final = 1000.0
+"""Way between reports of a moving machine: so long that the time alone counts."""
+SHORTEST_PERIOD_S: Final = 0.1
+"""More reports in a second than ten the specification forbids."""
+RADIUS: Final = "Tool.AvrRadius"
+POLLS: Final = 4
+"""Questions where the machine stands while it settles."""
+
+
+class DmeClient:
+    """One session with a DME server.
+
+    ``blocked`` says why nothing is sent, empty: all is well. ``hear(feedback, position)`` is told
+    of every report, by several threads: the table's feedback (None: not known yet) and the tip's
+    position (m); ``warn(fault)`` of errors that stop nothing and errors that nobody asked for.
+    All methods but :meth:`abort` and :meth:`close` are called by one thread.
+    """
+
+    def __init__(
+        self,
+        settings: DmeSettings,
+        hear: Callable[[TableSample | None, Point], None],
+        warn: Callable[[Fault], None],
+        now_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self.settings = settings
+        self.blocked = NOT_STARTED
+        self.version, self.tip_radius = "", settings.tip_radius_m
+        self._hear, self._warn, self._now_ns = hear, warn, now_ns
+        self._link: DmeLink | None = None
+        self._axis = TableAxis(settings, settings.turn_by)
+        self._speed, self._telling = TableSpeed(settings.settle_s), Lock()
+        self._angle, self._begun = 0.0, False
+        self._turned: tuple[float, Approach] | None = None
+
+    def start(self) -> None:
+        """Connect and begin a session; whoever calls this speaks for a person.
+
+        Raises DmeError, after which the session is blocked.
+        """
+        self._drop()
+        self.blocked, self._begun, self._turned = "", False, None
+        try:
+            self._begin()
+        except DmeError as error:
+            self._fail(error)
+        self._begun = True
+
+    def close(self) -> None:
+        """End the session in good order; what goes wrong with that harms nobody."""
+        if self._link is not None and not self.blocked:
+            with suppress(DmeError):
+                self._do(call("EndSession"))
+        self.blocked = self.blocked or NOT_STARTED
+        self._drop()
+
+    def where(self) -> Standing:
+        """Ask where the machine stands."""
+        return self._standing(call("Get", *REPORTED), self.settings.reply_timeout_s)
+
+    def go(self, x: float | None, y: float | None, z: float | None) -> None:
+        """Move the tip in a straight line, m; what is None stays as it is."""
+        axes = (("X", x), ("Y", y), ("Z", z))
+        ways = [Call(name, (to / MILLIMETRE,)) for name, to in axes if to is not None]
+        self._do(call("GoTo", *ways), self.settings.motion_timeout_s)
+
+    def turn(self, angle: float, approach: Approach, given_up: Callable[[], bool]) -> bool:
+        """Turn the table to ``angle`` (rad) from a side, unless it stands there already.
+
+        False: somebody has ``given_up`` before one of its motions, and it stands elsewhere.
+        """
+        if self._turned == (angle, approach):
+            return True
+        self._turned = None
+        here = self._axis.angle(self.where().r_deg, self._angle)
+        for stop in self._axis.stops(here, angle, approach):
+            if given_up():
+                return False
+            self._angle = stop
+            self._do(self._axis.turn(stop), self.settings.motion_timeout_s)
+        with self._telling:
+            self._speed.restart()
+        arrived = self._axis.angle(self.where().r_deg, angle)
+        try:
+            self._axis.check_arrival(arrived, angle)
+        except DmeError as error:
+            self._fail(error)
+        self._turned = (angle, approach)
+        return True
+
+    def settle(self) -> None:
+        """Wait until machine and table have come to rest, and hear where they stand meanwhile."""
+        for _ in range(POLLS):
+            time.sleep(self.settings.settle_s / POLLS)
+            self.where()
+
+    def touch(self, nominal: Point, direction: Point) -> tuple[int, Point]:
+        """Touch a surface; return when that was reported and the centre of the tip (m)."""
+        axes = zip(("X", "Y", "Z"), nominal, strict=True)
+        place = [Call(name, (value / MILLIMETRE,)) for name, value in axes]
+        order = call("PtMeas", *place, Call("IJK", direction))
+        standing = self._standing(order, self.settings.motion_timeout_s)
+        return self._now_ns(), standing.position
+
+    def abort(self, why: str) -> None:
+        """Stop all motion with AbortE, from any thread; a person goes on with :meth:`clear`.
+
+        A session that is blocked is told too: what blocked it need not have stopped a motion.
+        """
+        link = self._link
+        self.blocked = self.blocked or why
+        if link is not None and not link.broken:
+            link.run(call("AbortE"), link.reply_timeout_s, event=True)
+
+    def clear(self) -> None:
+        """Go on after an error; whoever calls this speaks for a person who has seen why.
+
+        A session that lives is told ClearAllErrors, else a new one is begun: also where the start
+        failed. Raises DmeError when that fails; the next call then begins a new session.
+        """
+        link, self._turned = self._link, None
+        if link is None or link.broken or not self._begun:
+            self.start()
+            return
+        self.blocked = ""
+        try:
+            self._do(call("ClearAllErrors"))
+            self.where()
+        except DmeError:
+            self._drop()
+            raise
+
+    def _begin(self) -> None:
+        """Connect, and say all that a session needs; DmeError leaves it begun by half."""
+        s = self.settings
+        self._link = DmeLink(s.host, s.port, s.reply_timeout_s, self._report, self._concern)
+        self._do(call("EndSession"))  # what a lost connection left open, see 6.3.1 of 1.4.3
+        self._do(call("StartSession"))
+        self._axis = TableAxis(s, self._way_to_turn())
+        if not self._is_homed():
+            if not s.home:
+                raise DmeError("the machine is not homed: home it, or set dme.home")
+            self._do(call("Home"), s.motion_timeout_s)
+        self._take_tool()
+        self._do(call("SetCoordSystem", Word(s.coordinate_system)))
+        self._do(call("OnPtMeasReport", *REPORTED))
+        if s.report_period_s:
+            period_s = max(s.report_period_s, SHORTEST_PERIOD_S)
+            period = (call("Time", period_s), call("Dis", FIRST_DISTANCE_MM))
+            self._do(call("OnMoveReportE", *period, *REPORTED), event=True)
+        self.where()
+
+    def _way_to_turn(self) -> str:
+        """Return how the table is turned; the server is asked for its version if it matters."""
+        if self.settings.turn_by != AUTO:
+            return self.settings.turn_by
+        answer = self._properties(call("GetDMEVersion")).get("DMEVersion", Call(""))
+        self.version = "".join(str(argument) for argument in answer.arguments)
+        return way_to_turn(AUTO, self.version)
+
+    def _take_tool(self) -> None:
+        """Change to the tool, set how it probes where it can be set, learn its radius."""
+        s = self.settings
+        if s.tool:
+            tools = [line.strip().strip('"') for line in self._do(call("EnumTools"))]
+            if s.tool not in tools:
+                raise DmeError(f"no tool {s.tool!r}; the machine has {', '.join(tools) or 'none'}")
+            self._do(call("ChangeTool", s.tool), s.motion_timeout_s)
+        known = "\n".join(self._do(call("EnumAllProp", Call("Tool"))))
+        wanted = {"Approach": s.approach_m, "Search": s.search_m}
+        given = [
+            Call(f"Tool.PtMeasPar.{name}", (value / MILLIMETRE,))
+            for name, value in wanted.items()
+            if name in known
+        ]
+        if given:
+            self._do(call("SetProp", *given))
+        if not s.tip_radius_m:
+            properties = self._properties(call("GetProp", Call(RADIUS)))
+            if RADIUS not in properties:
+                raise DmeError(f"the server tells no {RADIUS}: set dme.tip_radius_m")
+            self.tip_radius = properties[RADIUS].number() * MILLIMETRE
+            if self.tip_radius <= 0.0:
+                raise DmeError(f"the server tells {properties[RADIUS]}: set dme.tip_radius_m")
+
+    def _is_homed(self) -> bool:
+        answer = self._properties(call("IsHomed")).get("IsHomed")
+        return answer is None or answer.number() != 0.0
+
+    def _properties(self, question: Call) -> dict[str, Call]:
+        """Return what the server answers, by name."""
+        data = self._do(question)
+        try:
+            return calls_by_name(value for line in data for value in parse_values(line))
+        except DmeError as error:
+            self._fail(error)
+
+    def _standing(self, order: Call, limit_s: float) -> Standing:
+        """Run a call that reports where the machine stands."""
+        data = self._do(order, limit_s)
+        try:
+            standing = parse_standing(data, str(order))
+        except DmeError as error:
+            self._fail(error)
+        self._tell(standing)
+        return standing
+
+    def _do(self, order: Call, limit_s: float | None = None, *, event: bool = False) -> list[str]:
+        """Run a call; whatever goes wrong blocks the session."""
+        if self.blocked or self._link is None:
+            raise NotClearedError(
+                f"{order.name} is not sent before a person clears: {self.blocked}"
+            )
+        try:
+            limit_s = self.settings.reply_timeout_s if limit_s is None else limit_s
+            return self._link.run(order, limit_s, event=event)
+        except AnswerMissingError as error:
+            self._fail(AnswerMissingError(f"{error}; {self._stopped(self._link)}"))
+        except DmeError as error:
+            self._fail(error)
+
+    def _stopped(self, link: DmeLink) -> str:
+        """Stop a machine that does not answer; return in words what became of that."""
+        try:
+            link.run(call("AbortE"), link.reply_timeout_s, event=True)
+        except DmeError:
+            return "AbortE was not answered either"
+        return "AbortE was obeyed"
+
+    def _fail(self, error: DmeError) -> NoReturn:
+        """Block the session for the reason that came first."""
+        self.blocked = self.blocked or str(error)
+        raise error
+
+    def _drop(self) -> None:
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
+
+    def _report(self, tag: str, text: str) -> None:
+        """Take what a daemon reports; other events (keys, points by hand) mean nothing here."""
+        if tag != "E0000":
+            self._tell(standing_of(text, "OnMoveReportE"))
+
+    def _concern(self, fault: Fault) -> None:
+        """Take an error that nobody asked for, or that stops nothing."""
+        if fault.stops:
+            self.blocked = self.blocked or f"the server tells by itself: {fault}"
+        self._warn(fault)
+
+    def _tell(self, standing: Standing) -> None:
+        with self._telling:
+            angle = self._axis.angle(standing.r_deg, self._angle)
+            feedback = self._speed.feed(self._now_ns(), angle)
+        self._hear(feedback, standing.position)
+
+
+REPORTED: Final = tuple(Call(name) for name in ("X", "Y", "Z", "R"))
+"""What the machine is asked to report, of itself and with every point."""
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """Where the tip is (m, machine frame), and the table's R in degrees."""
+
+    position: Point
+    r_deg: float
+
+
+def parse_standing(data: Sequence[str], asked_by: str) -> Standing:
+    """Return the one report among the data lines; ProtocolError when it is not there."""
+    if len(data) != 1:
+        raise ProtocolError(f"{asked_by}: expected one line of data, found {len(data)}")
+    return standing_of(data[0], asked_by)
+
+
+def standing_of(text: str, asked_by: str) -> Standing:
+    """Return the report in a data line; ProtocolError when it lacks X, Y, Z or R."""
+    found = calls_by_name(parse_values(text))
+    missing = [asked.name for asked in REPORTED if asked.name not in found]
+    if missing:
+        raise ProtocolError(f"{asked_by}: no {', '.join(missing)} in {text!r:.200}")
+    x, y, z, r_deg = (found[asked.name].number() for asked in REPORTED)
+    return Standing((x * MILLIMETRE, y * MILLIMETRE, z * MILLIMETRE), r_deg)
+
+
+FIRST_WITH_R: Final = 2
+"""Major version from which R is an ordinary argument of GoTo."""
+FAR_OFF_DEG: Final = 1.0
+"""A table that is farther from its order than this has understood it otherwise."""
+
+
+def way_to_turn(setting: str, version: str) -> str:
+    """Return how a server of this version wants its table to be turned.
+
+    Raises DmeError when ``setting`` leaves it to a version that cannot be read.
+    """
+    if setting != AUTO:
+        return setting
+    found = re.match(r"\s*(\d+)(\.|$)", version)
+    if found is None:
+        raise DmeError(
+            f"the server states its version as {version!r:.40}: set dme.turn_by to {GOTO_R} or "
+            f"{ALIGN_PART}"
+        )
+    return GOTO_R if int(found[1]) >= FIRST_WITH_R else ALIGN_PART
+
+
+@dataclass(frozen=True)
+class TableAxis:
+    """How angles of the table (rad, counter-clockwise about +z) become calls, and R angles."""
+
+    settings: DmeSettings
+    turn_by: str
+
+    @property
+    def _sign(self) -> float:
+        return -1.0 if self.settings.table_reversed else 1.0
+
+    def angle(self, r_deg: float, near: float) -> float:
+        """Return the angle (rad) of the table at R, of all turns the one nearest to ``near``."""
+        found = radians(self._sign * (r_deg - self.settings.table_zero_deg))
+        return near + remainder(found - near, 2.0 * pi)
+
+    def turn(self, angle: float) -> Call:
+        """Return the call that turns the table to ``angle`` (rad)."""
+        if self.turn_by == GOTO_R:
+            r_deg = self.settings.table_zero_deg + self._sign * angle / DEGREE
+            return call("GoTo", Call("R", (r_deg,)))
+        turned = self._sign * angle + radians(self.settings.table_zero_deg)
+        return call("AlignPart", 1.0, 0.0, 0.0, cos(turned), sin(turned), 0.0, 0.0)
+
+    def stops(self, here: float, angle: float, approach: Approach) -> Sequence[float]:
+        """Return the angles (rad) to go to, so that ``angle`` is reached from side ``approach``.
+
+        AlignPart goes the shorter way round: none of its turns is longer than a third of a circle.
+        """
+        way = approached(here, angle, approach, self.settings.overshoot_deg * DEGREE)
+        if self.turn_by == ALIGN_PART:
+            return [*_in_thirds(here, way[0]), *way[1:]]
+        return list(way)
+
+    def check_arrival(self, angle: float, ordered: float) -> None:
+        """Raise DmeError when the table is somewhere else than ordered (rad)."""
+        off_deg = remainder(angle - ordered, 2.0 * pi) / DEGREE
+        if abs(off_deg) > FAR_OFF_DEG:
+            raise DmeError(
+                f"the table was sent to {ordered / DEGREE:.3f} deg and stands {off_deg:+.3f} deg "
+                f"from there: see dme.table_zero_deg, dme.table_reversed and dme.turn_by (now "
+                f"{self.turn_by}), and that the part's coordinates are those of the table"
+            )
+
+
+def _in_thirds(here: float, angle: float) -> list[float]:
+    """Return angles on the way that are at most a third of a circle apart."""
+    count = int(abs(angle - here) // (2.0 * pi / 3.0)) + 1
+    return [here + (angle - here) * part / count for part in range(1, count)] + [angle]

@@ -1,0 +1,50 @@
+"""``rotcal dme``: the simulated cell behind I++ DME, for clients of others and for ours."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from pathlib import Path
+
+import click
+
+from rotcal_ros.cli.console import path_type
+from rotcal_ros.extensions.ipp_dme.server import DmeServer
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.methods.configuration import read_configuration
+
+
+@click.group()
+def command() -> None:
+    """Speak I++ DME (VDMA 8722) for a simulated measuring machine with a rotary table."""
+
+
+@command.command()
+@click.argument("configuration", type=path_type)
+@click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen at.")
+@click.option(
+    "--port",
+    default=1294,
+    show_default=True,
+    type=click.IntRange(0, 65_535),
+    help="Port to listen at; 0: any free one.",
+)
+@click.option(
+    "--version", default="1.4.3", show_default=True, help="Version that GetDMEVersion() states."
+)
+def serve(configuration: Path, host: str, port: int, version: str) -> None:
+    """Serve the simulated cell of CONFIGURATION until interrupted, without ROS.
+
+    One client at a time drives the machine and its table by TCP. Nobody is asked for a password:
+    listen at other addresses than this machine's own in a network that you trust only.
+    """
+    read = read_configuration(configuration)
+    if not read.simulated:
+        raise ConfigurationError(f"{configuration} has no group simulation: nothing to serve")
+    cell = read.method.simulated_cell(read.simulation, time.time_ns())
+    server = DmeServer(cell, host, port, version)
+
+    def listening() -> None:
+        click.echo(f"I++ DME {version} at {host}:{server.port}, interrupt with Ctrl-C")
+
+    asyncio.run(server.serve(listening))

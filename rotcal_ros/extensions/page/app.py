@@ -1,0 +1,240 @@
+"""The page as a web application: its files, a stream of events, and what a person may ask for.
+
+Who may ask the page for what: the host by its name, the person by the password, no other site.
+
+A page of another site that a browser shows can send requests to this one. It cannot read the
+token, and the browser tells its origin; a name that it lets point here is no name of ours.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import hmac
+import json
+import socket
+import time
+from collections.abc import AsyncIterator, Collection
+from concurrent.futures import Future
+from dataclasses import dataclass
+from ipaddress import ip_address
+from pathlib import Path
+from secrets import token_urlsafe
+from typing import Any, Final, Protocol
+from urllib.parse import urlsplit
+
+from sse_starlette import EventSourceResponse
+from starlette.applications import Starlette
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from rotcal_ros.compensation.secret import Secret
+from rotcal_ros.extensions.page.board import Board
+from rotcal_ros.extensions.page.state import State, changes
+from rotcal_ros.foundation.escapes import printable_data
+
+STATIC: Final = Path(__file__).with_name("static")
+LOOK_PERIOD_S: Final = 0.2
+TICK_PERIOD_S: Final = 1.0
+"""A viewer hears at least this often that the page is alive."""
+ANSWER_TIMEOUT_S: Final = 120.0
+MOST_BYTES: Final = 10_000
+"""Of a request; none needs more."""
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What came of a request, in words."""
+
+    success: bool
+    message: str
+
+
+class Actions(Protocol):
+    """What a person may ask the cell for; each is done in the cell's own time."""
+
+    def resume(self, instruction: str) -> Future[Answer]:
+        """Go on after the work of a person that this instruction asked for, and no other."""
+
+    def stop(self) -> Future[Answer]:
+        """End the calibration with a valid bag."""
+
+    def apply(self, confirmation: str, secret: str) -> Future[Answer]:
+        """Feed the table with this confirmation to the controller."""
+
+
+def make_app(board: Board, actions: Actions, host: str, password: Secret | None = None) -> Guard:
+    """Return the application, guarded; ``host`` is the interface that it is served on."""
+
+    async def index(_request: Request) -> Response:
+        return FileResponse(STATIC / "index.html")
+
+    async def events(_request: Request) -> Response:
+        return EventSourceResponse(_events(board, guard.token), ping=15, send_timeout=30, sep="\n")
+
+    async def resume(request: Request) -> Response:
+        asked = await _asked(request, "instruction")
+        if asked is None:
+            return _response(Answer(False, "expected the instruction that was followed"), 400)
+        return await _answered(actions.resume(*asked))
+
+    async def stop(_request: Request) -> Response:
+        return await _answered(actions.stop())
+
+    async def apply(request: Request) -> Response:
+        asked = await _asked(request, "confirmation", "secret")
+        if asked is None:
+            return _response(Answer(False, "expected a confirmation and a secret"), 400)
+        return await _answered(actions.apply(*asked))
+
+    guard = Guard(
+        Starlette(
+            routes=[
+                Route("/", index),
+                Route("/events", events),
+                Route("/resume", resume, methods=["POST"]),
+                Route("/stop", stop, methods=["POST"]),
+                Route("/apply", apply, methods=["POST"]),
+                Mount("/static", StaticFiles(directory=STATIC)),
+            ]
+        ),
+        password,
+        host,
+    )
+    return guard
+
+
+async def _events(board: Board, token: str) -> AsyncIterator[dict[str, str]]:
+    """Yield the whole state, then what changes; a tick where nothing does."""
+    seen: State | None = None
+    sent_s = 0.0
+    while seen is None or not seen.ended:
+        state = board.state
+        if state is not seen:
+            data = {**changes(seen, state), "time_s": time.time()}
+            yield _event("change" if seen else "state", data if seen else {**data, "token": token})
+            seen, sent_s = state, time.monotonic()
+        elif time.monotonic() - sent_s >= TICK_PERIOD_S:
+            yield _event("tick", {"time_s": time.time()})
+            sent_s = time.monotonic()
+        await asyncio.sleep(LOOK_PERIOD_S)
+
+
+def _event(name: str, data: dict[str, Any]) -> dict[str, str]:
+    return {"event": name, "data": json.dumps(printable_data(data), allow_nan=False)}
+
+
+async def _asked(request: Request, *names: str) -> tuple[str, ...] | None:
+    """Return the texts that a request carries as JSON, None when it is another one."""
+    body = b""
+    async for part in request.stream():
+        body += part
+        if len(body) > MOST_BYTES:
+            return None
+    try:
+        found = json.loads(body)
+        texts = tuple(found[name] for name in names)
+    except (ValueError, TypeError, KeyError):
+        return None
+    return texts if all(isinstance(text, str) for text in texts) else None
+
+
+async def _answered(future: Future[Answer]) -> Response:
+    try:
+        # Shielded: the cell could not give its late answer to a future that was canceled.
+        waiting = asyncio.shield(asyncio.wrap_future(future))
+        answer = await asyncio.wait_for(waiting, ANSWER_TIMEOUT_S)
+    except asyncio.TimeoutError:
+        return _response(Answer(False, "no answer from the cell"), 504)
+    return _response(answer, 200 if answer.success else 409)
+
+
+def _response(answer: Answer, status: int) -> Response:
+    return JSONResponse({"success": answer.success, "message": answer.message}, status)
+
+
+TOKEN_HEADER: Final = "x-rotcal-token"
+HEADERS: Final = {
+    "content-security-policy": "default-src 'self'; base-uri 'none'; form-action 'self'; "
+    "frame-ancestors 'none'; object-src 'none'",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "referrer-policy": "no-referrer",
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+    "cache-control": "no-store",
+}
+SAFE: Final = ("GET", "HEAD")
+
+
+class Guard:
+    """Lets through what comes from the page itself; every answer carries HEADERS.
+
+    ``password`` None: whoever reaches the page may see and use it. ``token`` is new with every
+    start; only the page's own stream of events tells it.
+    """
+
+    def __init__(self, app: ASGIApp, password: Secret | None, host: str) -> None:
+        self._app = app
+        self._password = password
+        self._names = {"localhost", host, socket.gethostname().lower()}
+        self.token = token_urlsafe()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request, or say why not."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+
+        async def send_guarded(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                MutableHeaders(scope=message).update(HEADERS)
+            await send(message)
+
+        headers = Headers(scope=scope)
+        refusal = self._refusal(scope["method"], headers)
+        await (refusal or self._app)(scope, receive, send_guarded)
+
+    def _refusal(self, method: str, headers: Headers) -> PlainTextResponse | None:
+        """Return the answer to a request that is not let through."""
+        host = headers.get("host", "")
+        if not _is_ours(host, self._names):
+            return PlainTextResponse("this page is not served under that name", 421)
+        if self._password is not None and not _carries(headers, self._password):
+            challenge = {"WWW-Authenticate": 'Basic realm="rotcal", charset="UTF-8"'}
+            return PlainTextResponse("the password, please", 401, challenge)
+        if method in SAFE:
+            return None
+        if headers.get("origin", "") != f"http://{host}":
+            return PlainTextResponse("the request comes from another page", 403)
+        if headers.get("sec-fetch-site", "same-origin") != "same-origin":
+            return PlainTextResponse("the request comes from another site", 403)
+        if not hmac.compare_digest(headers.get(TOKEN_HEADER, "").encode(), self.token.encode()):
+            return PlainTextResponse("the page is an old one: load it again", 403)
+        return None
+
+
+def _is_ours(host: str, names: Collection[str]) -> bool:
+    """Return whether a Host header names us: an address cannot be let point elsewhere."""
+    try:
+        name = urlsplit(f"//{host}").hostname or ""
+        if name in names:
+            return True
+        ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def _carries(headers: Headers, password: Secret) -> bool:
+    """Return whether a request carries the password, under any name of a user."""
+    scheme, _, text = headers.get("authorization", "").partition(" ")
+    try:
+        _user, _, given = base64.b64decode(text, validate=True).decode().partition(":")
+    except ValueError:  # no base64, no UTF-8, or not even ASCII
+        return False
+    return scheme.lower() == "basic" and password.is_in(given)

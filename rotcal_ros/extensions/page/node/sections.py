@@ -1,0 +1,155 @@
+"""Sections of the page from what nodes say of themselves and from messages."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from rotcal_msgs.msg import DeviationArray
+
+from rotcal_ros.evaluation.marks import measurement, tolerance
+from rotcal_ros.evaluation.withheld import withheld_by
+from rotcal_ros.extensions.page.state import (
+    Cell,
+    Curve,
+    Deviations,
+    Mark,
+    NodeState,
+    PlanView,
+    Recording,
+)
+from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
+from rotcal_ros.foundation.identity import Identity
+from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.methods import Calibration
+from rotcal_ros.nodes.runtime.health import Health
+from rotcal_ros.planning.plan import Point
+
+SILENT: Final = 3
+MOST_TARGETS: Final = 400
+OF_THE_BAG: Final = ("file", "messages", "topics")
+
+
+def cell(calibration: Calibration, namespace: str) -> Cell:
+    """Return what is calibrated."""
+    configuration = calibration.configuration
+    return Cell(
+        namespace=namespace,
+        method=calibration.method.title,
+        axis=configuration.cell.axis,
+        simulated=configuration.simulated,
+        item=configuration.identity.item,
+        serial=configuration.identity.serial,
+        plan_id=configuration.plan_id,
+    )
+
+
+def plan_view(calibration: Calibration) -> PlanView:
+    """Return targets and stands as they are seen from above."""
+    plan = calibration.plan
+    targets = dict.fromkeys(above(step.position) for step in plan.steps)
+    places = (calibration.stand_at(step) for step in plan.steps)
+    stands = dict.fromkeys(above(place) for place in places if place is not None)
+    every = max(1, math.ceil(len(targets) / MOST_TARGETS))
+    return PlanView(
+        angles_deg=tuple(
+            dict.fromkeys(round(a / DEGREE, 3) % 360.0 for a in plan.distinct_angles)
+        ),
+        targets=tuple(targets)[::every],
+        stands=tuple(stands),
+    )
+
+
+def above(place: Point) -> tuple[float, float]:
+    """Return a place as it is seen from above."""
+    return round(place[0], 4), round(place[1], 4)
+
+
+def deviations(message: DeviationArray, identity: Identity) -> Deviations:
+    """Return the curves of a solution, in the units of people; without U where it is withheld."""
+    why = withheld_by(message.verdict, message.warnings) if message.final else ""
+    curves = []
+    for name in COMPONENTS:
+        values = getattr(message, name.lower())
+        std = getattr(message, f"{name.lower()}_std")
+        if len(values):
+            factor, unit = unit_of(name)
+            expanded = [] if why else [COVERAGE_FACTOR * s / factor for s in std]
+            curves.append(Curve(name, unit, _rounded(v / factor for v in values),
+                                _rounded(expanded)))  # fmt: skip
+    return Deviations(
+        angles_deg=_rounded(a / DEGREE for a in message.angles),
+        curves=tuple(curves),
+        observations=message.n_observations,
+        final=message.final,
+        marks=_marks(message, identity, why) if message.final else (),
+        warnings=tuple(message.warnings),
+        withheld=why,
+    )
+
+
+def _marks(message: DeviationArray, identity: Identity, why: str) -> tuple[Mark, ...]:
+    """Return the marks of a final solution, as its report has them."""
+    values, std = (
+        {n: np.array(found) for n in COMPONENTS if len(found := getattr(message, n.lower() + end))}
+        for end in ("", "_std")
+    )
+    line = message.verdict_line or message.verdict
+    covered = bool(message.verdict_line) and "," not in line  # what is not covered follows
+    about = measurement(message.verdict, line, covered=covered)
+    against = tolerance(values, std, identity, why)
+    return tuple(Mark(m.name, m.kind, m.line) for m in (about, against) if m is not None)
+
+
+def _rounded(values: Iterable[float]) -> tuple[float | None, ...]:
+    return tuple(round(float(v), 5) if math.isfinite(v) else None for v in values)
+
+
+def nodes(health: Health) -> tuple[NodeState, ...]:
+    """Return the nodes that are there, or were until they were lost."""
+    found = []
+    for name, status in sorted(health.others.items()):
+        level = SILENT if name in health.lost else int.from_bytes(status.level, "little")
+        words = "silent" if level == SILENT else _words(status)
+        if (seconds := health.slow.get(name)) is not None:
+            words, level = f"slow: no sign for {seconds:.0f} s; {words}", max(level, 1)
+        found.append(NodeState(name, words, level))
+    return tuple(found)
+
+
+def _words(status: DiagnosticStatus) -> str:
+    """Return the state of a node with what troubles it."""
+    trouble = [v.value for v in status.values if v.key in ("lost_nodes", "unfinished")]
+    return "; ".join([str(status.message), *(f"without {t}" for t in trouble)])
+
+
+def recording(values: Mapping[str, str]) -> Recording | None:
+    """Return the state of the bag, from the recorder's values; None before there is one."""
+    if "file" not in values:
+        return None
+    losses = {k: int(n) for k, n in values.items() if k not in OF_THE_BAG and n.isdigit()}
+    return Recording(
+        file=values["file"],
+        messages=int(values.get("messages", 0)),
+        lost=sum(n for name, n in losses.items() if not name.startswith("silent")),
+        losses=tuple(f"{name}: {n}" for name, n in losses.items()),
+        free_gb=_free_gb(Path(values["file"]).parent),
+    )
+
+
+def _free_gb(folder: Path) -> float | None:
+    """Return the free space beside a bag, None for one on another machine."""
+    try:
+        return round(shutil.disk_usage(folder).free / 1e9, 1)
+    except OSError:
+        return None
+
+
+def number(value: Any) -> float | None:
+    """Return a number, or None where it is not known."""
+    return float(value) if value is not None and math.isfinite(value) else None

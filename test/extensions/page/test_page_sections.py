@@ -1,0 +1,76 @@
+"""Sections of the page from messages: no uncertainty is shown that may not be stated."""
+
+import math
+
+import pytest
+
+from rotcal_ros.foundation.units import ARCSEC
+
+pytest.importorskip("rclpy")
+pytest.importorskip("rotcal_msgs")
+pytest.importorskip("starlette")
+
+
+def solution(**changes):
+    from rotcal_msgs.msg import DeviationArray
+
+    values = {"angles": [0.0, math.pi], "ecc": [0.0, 3 * ARCSEC], "ecc_std": [0.0, 0.5 * ARCSEC],
+              "final": True, "verdict": "ok"}  # fmt: skip
+    return DeviationArray(**(values | changes))
+
+
+def shown(message, tolerance_arcsec=0.0):
+    from rotcal_ros.extensions.page.node import sections as page_sections
+    from rotcal_ros.foundation.identity import Identity
+
+    return page_sections.deviations(message, Identity(tolerance_arcsec=tolerance_arcsec))
+
+
+@pytest.mark.parametrize(
+    ("tolerance_arcsec", "kind"), [(4.1, "within"), (3.5, "undecided"), (1.9, "beyond")]
+)
+def test_a_final_solution_has_two_marks(tolerance_arcsec, kind):
+    about, against = shown(solution(), tolerance_arcsec).marks
+    assert about.line == "measurement: ok"
+    assert (against.kind, against.line) == (
+        kind, f"tolerance: {kind} ±{tolerance_arcsec:g} arcsec (ECC)"
+    )  # fmt: skip
+    assert shown(solution(final=False), tolerance_arcsec).marks == ()
+
+
+@pytest.mark.parametrize(
+    ("line", "kind"),
+    [("ok (SIMULATED)", "ok"), ("ok, not protected against knock", "partly"), ("", "partly")],
+)
+def test_the_mark_of_the_measurement_says_what_it_does_not_cover(line, kind):
+    (about,) = shown(solution(verdict_line=line)).marks
+    assert (about.kind, about.line) == (kind, f"measurement: {line or 'ok'}")
+
+
+def test_where_u_may_not_be_stated_the_tolerance_is_undecided():
+    about, against = shown(solution(verdict="suspect", warnings=["it drifted"]), 1.9).marks
+    assert (about.kind, against.kind) == ("suspect", "undecided")
+
+
+def test_a_good_solution_shows_its_band_in_arcsec():
+    found = shown(solution())
+    assert found.withheld == ""
+    assert found.curves[0].values == (0.0, 3.0)
+    assert found.curves[0].expanded == (0.0, 1.0)  # k = 2
+
+
+@pytest.mark.parametrize("verdict", ["suspect", "failed"])
+def test_a_bad_verdict_shows_the_curve_and_the_reason_in_the_place_of_the_band(verdict):
+    found = shown(solution(verdict=verdict, warnings=["it drifted"]))
+    assert found.curves[0].values == (0.0, 3.0)
+    assert found.curves[0].expanded == ()
+    assert found.withheld == f"the verdict is {verdict}: it drifted"
+
+
+def test_before_the_end_no_verdict_counts():
+    assert shown(solution(final=False, verdict="suspect")).curves[0].expanded == (0.0, 1.0)
+
+
+def test_an_uncertainty_that_is_not_known_is_not_shown_as_zero():
+    assert shown(solution(ecc_std=[0.0, math.nan])).curves[0].expanded == (0.0, None)
+    assert shown(solution(ecc_std=[0.0, math.inf])).curves[0].expanded == (0.0, None)
