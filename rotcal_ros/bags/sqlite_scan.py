@@ -22,7 +22,7 @@ from urllib.parse import quote_from_bytes
 
 import numpy as np
 
-from rotcal_ros.bags import file_compression as whole_file
+from rotcal_ros.bags import file_compression
 from rotcal_ros.bags.blocks import HEADER_TYPE, Block
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.message_compression import (
@@ -154,7 +154,7 @@ def opened(path: Path, limits: ReadingLimits = DEFAULT_LIMITS) -> Iterator[Datab
     means to write: that happens in a temporary copy.
     """
     try:
-        with whole_file.unpacked(path, limits) as (plain, fault):
+        with file_compression.unpacked(path, limits) as (plain, fault):
             if not plain.is_file() or not plain.stat().st_size:
                 what = "is empty" if plain.is_file() else "is no file"
                 raise BagError(f"cannot read {path}: it {what}; there is nothing in it to be read")

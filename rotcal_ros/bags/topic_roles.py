@@ -8,7 +8,7 @@ from typing import Final
 from rotcal_ros.bags import names
 
 TOPIC: Final = "topic."
-"""How the values of a beat begin that tell the absolute name of a role with another name."""
+"""Beginning of the values of a beat with the absolute name of a role that has another name."""
 _TELLERS: Final[Mapping[str, str]] = {
     names.PLAN: "planner",
     names.TABLE_ANGLE: "planner",
@@ -16,25 +16,25 @@ _TELLERS: Final[Mapping[str, str]] = {
     names.STEP_CHOICE: "planner",
     names.TABLE_IN_FORCE: "solver",
 }
-"""Whose word counts for a role; that of the capture for all others."""
+"""Which node decides the name of a role; the capture for all others."""
 Values = Callable[[str], Mapping[str, str]]
 """The values of the last beat of a node."""
 
 
 def plain_name(namespace: str, role: str) -> str:
-    """Return what the topic of a role is called where nobody says otherwise."""
+    """Return the default name of the topic of a role."""
     return f"{namespace.rstrip('/')}/{role}"
 
 
 class CalledOtherwise:
-    """Which topics play which role, by the latest word of the nodes that know."""
+    """Which topics play which role, by the latest beats of the nodes that decide it."""
 
     def __init__(self, namespace: str) -> None:
         self._namespace = namespace
         self.topics: dict[str, str] = {}
 
     def look(self, values: Values) -> None:
-        """Hear the nodes that are there; what one has told that is gone stays."""
+        """Take the beats of the nodes that are there; what a node said before it left stays."""
         for role in names.ROLES:
             if beat := values(_TELLERS.get(role, "capture")):
                 self.topics.pop(role, None)
@@ -59,6 +59,6 @@ class CalledOtherwise:
         return sum(count for topic, count in topics if self.role(topic) in names.ROLES)
 
     def keep(self, note: Callable[[str, dict[str, str]], object]) -> None:
-        """Note in a bag what is called otherwise."""
+        """Note in a bag which topics have other names."""
         if self.topics:
             note(names.TOPICS, self.topics)

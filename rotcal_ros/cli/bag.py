@@ -143,7 +143,7 @@ def choices(bag: Path, as_json: bool) -> int:
         recording = read_recording(bag, "observations", progress=shown)
     differing = recording.choices_that_differ()
     if differing:
-        # Nodes that were killed had readings on disk before they could tell what they are.
+        # Nodes that were killed had readings on disk before they could publish the observation.
         with progress("reading the streams") as shown:
             differing = read_recording(bag, progress=shown).choices_that_differ()
     rows = [

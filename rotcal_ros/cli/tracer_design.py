@@ -157,7 +157,9 @@ def _counted_on(settings: TracerDesignSettings, pattern: Configuration | None) -
         "rejection_significance": settings.rejection_significance,
     }
     if pattern is not None and settings.length_std_m == pattern.planner.expected_std_m:
-        known["length_std_m"] = pattern.solver.length_std_m  # the readings' scatter joins it
+        known["length_std_m"] = (
+            pattern.solver.length_std_m
+        )  # the scatter of the readings adds to it
     if settings.zero == SHARED:
         known["zero"] = "per_segment"
         known["slip_m"] = settings.slip_m

@@ -115,7 +115,7 @@ class ControllerFolder:
 
     def _make(self, state: Path) -> None:
         if not self._owner:
-            self.folder.stat()  # a folder that is gone is not made anew
+            self.folder.stat()  # a folder that is gone is not created again
         with suppress(FileExistsError):
             make_folder(state)
 

@@ -101,7 +101,7 @@ class OpcUaLink:
             SecurityPolicyBasic256Sha256,
             certificate=settings.certificate,
             private_key=settings.private_key,
-            # A server that has not the key of this very certificate gets no channel.
+            # A server that does not hold the key of this very certificate gets no channel.
             server_certificate=settings.server_certificate,
         )
         try:
@@ -188,7 +188,7 @@ class ServerFolder:
         """Put the file that was sent in the place of the old one."""
         try:
             await self._move(NEW + name, name)
-        except BadBrowseNameDuplicated:  # as the standard has it: a move replaces nothing
+        except BadBrowseNameDuplicated:  # by the standard a move replaces nothing
             await self._delete(OLD + name)
             await self._move(name, OLD + name)
             await self._move(NEW + name, name)

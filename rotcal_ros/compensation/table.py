@@ -372,7 +372,7 @@ def _lines(result: Result, reverse: Result | None) -> str:
 def _left_out(curve: DirectionalCurve, order: int) -> str:
     fit = _harmonic_weights(curve, curve.angles, order)
     left = np.stack([side - fit @ side for side in (curve.forward, curve.reverse)])
-    left -= np.mean(left)  # the constant is nobody's: the table is zero at its reference
+    left -= np.mean(left)  # the constant does not count: the table is zero at its reference
     noise = float(np.sqrt(np.trace(curve.forward_covariance) / len(curve.angles)))
     return (
         f"harmonics up to order {order} leave out {np.sqrt(np.mean(left**2)) / ARCSEC:.3g} arcsec "

@@ -297,7 +297,7 @@ class ControllerAccess:
                 self._note(f"{what} not {end}: {error}")
                 raise
             finally:
-                with suppress(RotcalError, OSError):  # the outcome counts, not this look at it
+                with suppress(RotcalError, OSError):  # the outcome counts, not this inspection
                     self._warn_of(self._feed.unfinished())
             self._note(f"{what} {end}, read back and equal")
             return done

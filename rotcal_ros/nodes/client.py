@@ -75,7 +75,7 @@ class Client:
         while True:
             self._calibrator.listen(PERIOD_S)
             ready = self._calibrator.is_ready(0.0) and time.monotonic() >= listen_until
-            self._live()  # whose planner it is shows in the beat that made it ready
+            self._live()  # the beat that made it ready shows whose planner it is
             if text := other_session(self._calibrator.health, os.environ):
                 raise GoalRefusedError(text)
             if ready or self._end:

@@ -139,7 +139,7 @@ class RecorderNode(CellNode):
             if not await until(self.stopped, CLOSE_TIMEOUT_S):
                 raise BagError("the recorder is still closing the bag of the previous run")
             self._reading, self._unwanted = True, False
-            self.health.beat()  # before the reading can hold it up
+            self.health.beat()  # before the reading can delay it
             bag = await done_aside(self._bags.go_on, request.plan_id, topic)
             if self._unwanted:
                 bag.writer.close()

@@ -114,7 +114,7 @@ class SolverNode(CellNode):
             kept = {(o.run, o.step): o for o in known.observations}
         self._run_number, self._solved_count = message.run, 0
         if message.run == 0:
-            # what was in force before is of no concern
+            # what was in force earlier does not matter
             self._in_force = list(dict(self._in_force).items())
         self._earlier.ask(message, kept, partial(self._begin_run, message))
 
@@ -151,7 +151,7 @@ class SolverNode(CellNode):
         announced = of_axis(self._in_force, calibration.configuration.cell.axis)
         known = tuple(self._observations.values()), announced, self._frames.frames
         self._solving = self._worker.submit(calibration.solve, *known)
-        self.health.beat()  # before the numerics can hold it up
+        self.health.beat()  # before the computation can delay it
         return self._solving
 
     def _is_solving(self) -> bool:
@@ -193,7 +193,7 @@ class SolverNode(CellNode):
         if calibration is None or calibration.configuration.plan_id != request.plan_id:
             raise DataError(f"the solver has no plan {request.plan_id}: announce the plan first")
         steps = {(self._run_number, step) for step in request.steps}
-        if not steps <= self._observations.keys():  # a newcomer may not hear the first ones
+        if not steps <= self._observations.keys():  # a restarted solver may miss the first ones
             self._earlier.ask_again(self._know)
         await until(lambda: steps <= self._observations.keys(), ARRIVAL_TIMEOUT_S)
         missing = sorted(steps - self._observations.keys())
@@ -203,7 +203,7 @@ class SolverNode(CellNode):
                 f"(first: {missing[0][1]}); solve the bag instead, it holds them all"
             )
         self._state = SOLVING  # beyond the solution: until it is published
-        self._solved_count = len(self._observations)  # nothing preliminary follows what is final
+        self._solved_count = len(self._observations)  # no preliminary result follows the final one
         return await self.answer_of(self._begin(calibration), SOLVE_TIMEOUT_S)
 
     def _publish(self, result: Result, *, final: bool) -> None:

@@ -103,7 +103,7 @@ def _windows(files: tuple[Path, ...], limits: ReadingLimits) -> Iterator[Window]
             ):
                 continue
             assert block is not None
-            # Whose definition is nobody's observation tells no steps; solving says why.
+            # A topic that is not defined as our observation names no steps; solving says why.
             with suppress(BagError, AttributeError, IndexError, TypeError, ValueError):
                 decoder = decoders.get(channel) or Decoder(channel)
                 decoders[channel] = decoder

@@ -29,7 +29,7 @@ def remote_bags(source: str) -> Iterator[str]:
     """
     filesystem, path = _filesystem(source)
     try:
-        filesystem.info(_fixed(path))  # patterns keep quiet about a place that does not answer
+        filesystem.info(_fixed(path))  # a pattern does not report a place that does not answer
         places = sorted(filesystem.glob(path)) if glob.has_magic(path) else [path]
         for place in places:
             for bag in _below(filesystem, place):

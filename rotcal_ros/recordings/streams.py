@@ -146,7 +146,9 @@ class StreamFeeder:
                     others.extend(found)
                     if part.role == names.PROBE_POINT:
                         self._hold_points(found, block)
-        if self._finding:  # a foreign position is the step at which the table stood just then
+        if (
+            self._finding
+        ):  # a foreign position belongs to the step at which the table stood just then
             others.extend(_samples(feedback))
             feedback = feedback[:0]
         others.sort(key=lambda numbered: numbered[0])
@@ -188,7 +190,7 @@ class StreamFeeder:
         self.observations += self._capture.feed_table(
             feedback["stamp_ns"], feedback["angle"], feedback["velocity"]
         )
-        if self._finder is not None:  # so that it knows where the table is, should points come
+        if self._finder is not None:  # so that it knows where the table is when points come
             self._finder.table(*table_samples(feedback[-1:]))
 
     def _understood(self, record: Any) -> Iterator[Any]:

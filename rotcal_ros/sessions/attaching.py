@@ -46,7 +46,7 @@ class Attachment:
         self._order(event="stop")
 
     def _order(self, **order: str) -> None:
-        with suppress(OSError):  # that it is gone will be read
+        with suppress(OSError):  # the reader will notice that it is gone
             self._connection.sendall((json.dumps(order) + "\n").encode())
 
     def _read(self) -> None:

@@ -33,7 +33,7 @@ def node_command(session: Session, name: str) -> list[str]:
         if session.run:
             command += ["-p", f"recorder.run:={session.run}"]
     if name == "planner":
-        command += ["-p", "restart_wait_s:=0.0"]  # nobody starts these nodes again
+        command += ["-p", "restart_wait_s:=0.0"]  # these nodes are not started again
     if name in ("planner", "solver") and session.run:
         file = json.dumps(str(session.folder.continuation(session.run)))
         command += ["-p", f"continuation_file:={file}"]

@@ -55,7 +55,7 @@ def _hold(domain: int) -> bool:
     try:
         held = os.open(file, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
     except OSError:
-        return True  # nowhere to lock: that its port is free must do
+        return True  # nowhere to lock: the free port has to be enough
     try:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:

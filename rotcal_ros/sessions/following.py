@@ -59,7 +59,7 @@ def calibrate(session: Session, viewers: Viewers, *, at_once: bool = False) -> d
     previous = signal.signal(signal.SIGTERM, _interrupt)
     try:
         outcome = _solve_bag(session) if session.finished else _run(session, viewers, at_once)
-    except KeyboardInterrupt:  # while the first one was still being obeyed
+    except KeyboardInterrupt:  # while the first one was still being handled
         viewers.say("interrupted again: the nodes were ended without waiting for the bag")
         viewers.say(_how_to_go_on(session))
         raise
@@ -145,7 +145,7 @@ def _follow(nodes: RunningSession, person: Person, viewers: Viewers) -> dict[str
 
     Raises KeyboardInterrupt when a viewer stops it, as Ctrl-C would.
     """
-    with progress_bar(time_left=False) as bar:  # the planner knows it better
+    with progress_bar(time_left=False) as bar:  # the planner knows better
         display = Display(bar)
         heard, begun, address = time.monotonic(), False, ""
         while True:
@@ -223,7 +223,7 @@ def _ending(nodes: RunningSession, event: dict[str, Any], begun: bool) -> dict[s
 def _fail(session: Session, outcome: Event) -> NoReturn:
     """Raise the error that ended the calibration, with what is left to use."""
     text = str(outcome["error_msg"])
-    bag = session.folder.bag  # a lost planner cannot tell of it
+    bag = session.folder.bag  # a lost planner cannot report it
     if outcome.get("bag_folder") or (bag.is_dir() and any(bag.iterdir())):
         text += f"; everything up to there is in {outcome.get('bag_folder') or bag}"
         text += f"; go on with: {session.resume_command}"

@@ -36,13 +36,13 @@ class Person:
         if event["event"] == "paused":
             self._asked, self._confirmed = True, False
             self._paused = True
-            _enter_pressed()  # what was typed before is no answer
+            _enter_pressed()  # what was typed earlier is not an answer
             self.instruction = event["instruction"]
             return f"{self.instruction}{self._what_then()}"
         if event["event"] == "resumed" and not event["success"]:
-            self._asked = self._paused  # refused: it is still to be answered
+            self._asked = self._paused  # refused: the request is still open
             return str(event["reason"])
-        if event["event"] == "feedback":  # the service may have been called by anybody
+        if event["event"] == "feedback":  # anybody may have called the service
             self._paused = event["activity"].startswith(PAUSED)
             self._asked = self._asked and self._paused
         return ""

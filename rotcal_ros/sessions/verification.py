@@ -83,7 +83,7 @@ class Request:
     def files(self, source: ResultSource, cell: Configuration) -> dict[str, ExportFiles]:
         """Return the files of all controllers for ``source``, by controller."""
         table = combined(table_from_result(source.result, axis=cell.cell.axis), lambda: None)
-        # An arc is nothing for a control that repeats its table every turn.
+        # A control that repeats its table every turn cannot take an arc.
         usual = [n for n in CONTROLLERS if table.closed or n != "sinumerik"]
         names = (*(usual if cell.simulated else [self.applied(cell)]), *self.controllers)
         return self._export(source, table, cell, *dict.fromkeys(names))

@@ -95,7 +95,7 @@ class Viewers:
                 yield self._orders.get_nowait()
 
     def __enter__(self) -> Viewers:
-        # Not before: 'rotcal run --detach' forks in between, which no loop survives.
+        # Not earlier: 'rotcal run --detach' forks in between, which no event loop survives.
         self._loop = asyncio.new_event_loop()
         self._thread = Thread(target=self._loop.run_forever, name="viewers", daemon=True)
         self._thread.start()
@@ -143,7 +143,7 @@ class Viewers:
         for event in self._history.events():
             writer.write(_line(event))
         self._writers.add(writer)
-        with suppress(OSError, ValueError, TypeError):  # gone in the middle, or not one of ours
+        with suppress(OSError, ValueError, TypeError):  # gone meanwhile, or not a viewer of ours
             while line := await reader.readline():
                 self._orders.put(dict(json.loads(line)))
         self._writers.discard(writer)

@@ -15,7 +15,7 @@ def brings(_settings: DmeSettings) -> tuple[str, ...]:
 
 
 def look(settings: DmeSettings, here: bool, simulated: bool) -> CheckLine:
-    """Say whether the address takes connections; beside an adapter of this cell none is tried."""
+    """Say whether the address takes connections; not tried while an adapter of this cell runs."""
     place = f"{settings.host}:{settings.port}"
     if here:
         return CheckLine(
@@ -23,7 +23,7 @@ def look(settings: DmeSettings, here: bool, simulated: bool) -> CheckLine:
         )
     try:
         with socket.create_connection((settings.host, settings.port), settings.reply_timeout_s):
-            found = f"{place} takes connections; nothing was said there, rotcal run begins"
+            found = f"{place} takes connections; no session was begun, rotcal run will do so"
     except (OSError, UnicodeError) as error:  # the latter for a name that no host can have
         todo = "start the machine's server, or correct dme.host and dme.port"
         if simulated:

@@ -191,7 +191,7 @@ class Player:
 
     def _publish(self, channel: ChannelDefinition, data: bytes) -> None:
         role = self._bag.called.role(channel.topic)
-        if role in ORDERS:  # a machine may have come since the last look around
+        if role in ORDERS:  # a machine may have appeared since the last look
             self._guard.look(channel.topic)
         self._publishers[channel.topic].publish(data)
         if role == names.PLAN:

@@ -153,7 +153,7 @@ def _followed(processes: Processes) -> dict[str, Any]:
     if code := child.wait():
         text = processes.log_tail(PLAYER, 1)
         if not text:
-            raise DataError(f"the player ended (exit code {code}) without a word")
+            raise DataError(f"the player ended (exit code {code}) without a message")
         raise _ERRORS.get(code, BagError)(text)
     return outcome
 

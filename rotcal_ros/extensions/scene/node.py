@@ -105,7 +105,7 @@ def _colour(colour: Colour) -> ColorRGBA:
 
 try:
     from tf2_msgs.msg import TFMessage
-except ImportError:  # no wheel of it exists; a ROS installation has it
+except ImportError:  # there is no wheel of it; a ROS installation has it
     TFMessage = None
 
 MOTION_PERIOD_S: Final = 0.5

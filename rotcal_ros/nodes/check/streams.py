@@ -161,7 +161,7 @@ def _doubt(snapshot: CellSnapshot, topic: str, watch: HeaderWatch) -> tuple[str,
     text = next(air_doubts(snapshot.values, topic), "") if topic in _IN_WORDS else ""
     if text:
         return text, f"publish {snapshot.name(topic)} in {_IN_WORDS[topic]}"
-    fast = snapshot.configuration.simulated  # a simulation may run by a time of its own
+    fast = snapshot.configuration.simulated  # a simulation may run on a time of its own
     if watch.ahead_s is not None and abs(watch.ahead_s) > limit_s and not fast:
         way = "ahead of" if watch.ahead_s > 0 else "behind"
         text = f"stamps {abs(watch.ahead_s):.2f} s {way} this machine's clock"

@@ -201,7 +201,7 @@ class GoalRun:
         )
         answer = None
         while answer is None:
-            # without an end of its own: the watch knows how long a solver may be away
+            # without a limit of its own: the watch knows how long a solver may be away
             await watch.wait(lambda: not watch.links.missing_plan(watch.run), math.inf)
             answer = await watch.call(
                 watch.links.services.finish_calibration,
@@ -344,7 +344,7 @@ async def _have_topics(
     if watch.preflight:  # a second publisher that is found only in the run would be a stranger
         roles = calibration.method.topics
         await watch.stands_still(lambda: [links.publishers(links.instrument(r)) for r in roles])
-    # What is missing may be there and not have been found; what is not there is waited for below.
+    # What is missing may be there but undiscovered; what is not there is waited for below.
     await watch.is_found(lambda: [] if _halted(watch) else missing())
     while True:
         await watch.have(lambda: [] if _halted(watch) else missing(), Codes.TOPIC_MISSING)

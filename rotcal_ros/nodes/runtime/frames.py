@@ -14,7 +14,7 @@ from rotcal_ros.geometry.frames import StaticFrame
 
 try:
     from tf2_msgs.msg import TFMessage
-except ImportError:  # no wheel of it exists; a ROS installation has it
+except ImportError:  # there is no wheel of it; a ROS installation has it
     TFMessage = None
 
 _QOS = QoSProfile(

@@ -111,7 +111,9 @@ async def _parameters_of(node: Node, remote: str) -> dict[str, Any] | None:
         if len(values) == len(wanted):
             return dict(zip(wanted, map(_value, values), strict=True))
         found: dict[str, Any] = {}
-        for name in wanted:  # asked for many, a node answers nothing if one of them has no value
+        for (
+            name
+        ) in wanted:  # asked for several, a node answers with none if one of them has no value
             answer = await _ask(getter, GetParameters.Request(names=[name]))
             if answer is not None and answer.values:
                 found[name] = _value(answer.values[0])

@@ -137,7 +137,7 @@ class TopicListener:
                 continue
             qos = adapted_qos([info.qos_profile for info in infos])
             self._subscribe(topic, kind, qos)
-            self.topics[name] = topic  # not before: a subscription that fails is tried again
+            self.topics[name] = topic  # only now: a subscription that fails is tried again
 
     def _subscribe(self, topic: HeardTopic, kind: type, qos: QoSProfile) -> None:
         name = topic.channel.topic
@@ -149,7 +149,7 @@ class TopicListener:
 
         def handle(batch: Batch) -> None:
             ours, others = self._node.hearing.split(name, batch)
-            if others:  # kept beside, so that whoever reads the bag hears whom the run believed
+            if others:  # kept on a topic of their own, apart from the run's publishers
                 self._hand_over(_left_alone(self._node, topic), others)
             if ours:
                 self._heard(topic, ours, missed)
@@ -189,7 +189,7 @@ class TopicListener:
         if topic.channel.topic == names.TF_STATIC:
             topic.latched.append(Messages.taken(topic.channel, batch))
         elif topic.channel.topic.endswith((f"/{names.GOAL}", f"/{names.GOAL_STATUS}")):
-            # told before the bag begins: request and answer, and how it stands
+            # published before the bag begins: request and answer, and the status
             topic.latched.append(Messages.taken(topic.channel, batch))
             while len(topic.latched) > 2:
                 topic.latched.popleft()

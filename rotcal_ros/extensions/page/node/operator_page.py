@@ -131,7 +131,7 @@ class OperatorPage(CellNode):
             temperatures=self._streams.temperatures(),
             nodes=page_sections.nodes(health),
             streams=self._streams.streams(),
-            # An idle recorder tells no more of the bag that it closed.
+            # An idle recorder says nothing more about the bag that it closed.
             recording=page_sections.recording(health.values("recorder"))
             or self.board.state.recording,
             offer=offer,

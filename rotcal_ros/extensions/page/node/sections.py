@@ -100,7 +100,7 @@ def _marks(message: DeviationArray, identity: Identity, why: str) -> tuple[PageM
         for end in ("", "_std")
     )
     line = message.verdict_line or message.verdict
-    covered = bool(message.verdict_line) and "," not in line  # what is not covered stands behind
+    covered = bool(message.verdict_line) and "," not in line  # what is not covered follows
     about = measurement(message.verdict, line, covered=covered)
     against = tolerance(values, std, identity, why)
     return tuple(PageMark(m.name, m.kind, m.line) for m in (about, against) if m is not None)

@@ -219,7 +219,7 @@ class CapturedValues:
         sensor, now_s = " ".join(words[1:]), round(time.time(), 1)
         course = self._courses.setdefault(sensor, Course())
         if now_s - self._offered_s.get(sensor, -math.inf) >= TEMPERATURE_PERIOD_S:
-            self._offered_s[sensor] = now_s  # the course may have left it out
+            self._offered_s[sensor] = now_s  # the history may have left it out
             course.add(now_s, value)
         low, high = self._ranges.get(sensor, (value, value))
         self._ranges[sensor] = min(low, value), max(high, value)
