@@ -1,1 +1,1 @@
-"""What the operator's page shows."""
+"""The node of the page: what it hears, made into sections, and what a person asks, passed on."""
