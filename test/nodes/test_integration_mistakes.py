@@ -64,7 +64,7 @@ TOLD = {
     "adapter, 5 Hz": ("joint_states", "doubt", "comes at 5 Hz"),
     "adapter, second table": ("joint", "missing", "2 publishers publish the joint 'rotary'"),
     "adapter, positions": ("controller", "missing", "hw/table takes positions"),
-    "adapter, not active": ("controller", "missing", "nobody takes"),
+    "adapter, not active": ("controller", "missing", "no node takes"),
 }
 """Mistake -> name of the line that tells it, its state, and what it says; empty: there is none."""
 MOVED = {

@@ -89,7 +89,7 @@ class AdapterEars:
         there = offered(node, settings)
         name, who = asked_for(settings, interface), there.get(interface, "")
         if not who:
-            found = f"nobody takes {interface} on {name}"
+            found = f"no node takes {interface} on {name}"
             todo = "start and activate the controller, or correct table_adapter.controller"
             if there:
                 found += f"; {settings.controller} takes {' and '.join(there)}"

@@ -41,7 +41,7 @@ MAX_ITERATIONS: Final = 60
 
 
 @dataclass(frozen=True, eq=False)
-class RigState:
+class NetworkState:
     """Poses ``rotation`` (m, 3, 3), ``translation`` (m, 3), ``places`` (p, 3), ``zeros`` (s,).
 
     ``targets`` (n, 3). ``lean`` (4,), rad: mean tilt of the table in the machine, and in the
@@ -64,11 +64,11 @@ class RigState:
         turned = self.rotation[layout.position] @ self.places[layout.place][:, :, None]
         return np.asarray(turned[:, :, 0], dtype=np.float64)
 
-    def moved(self, kept: Floats, poses: Floats) -> RigState:
+    def moved(self, kept: Floats, poses: Floats) -> NetworkState:
         """Return the state after a step: ``kept`` (K,) unknowns, ``poses`` (m, 6)."""
         a, b = self.targets.size, self.targets.size + self.places.size
         c = b + len(self.zeros)
-        return RigState(
+        return NetworkState(
             rotation=rotation_from_vector(poses[:, :3]) @ self.rotation,
             translation=self.translation + poses[:, 3:],
             places=self.places + kept[a:b].reshape(-1, 3),
@@ -106,7 +106,7 @@ class LengthNetwork:
     grid: Grid
     layout: StationLayout
     scatter: Floats | None
-    state: RigState
+    state: NetworkState
     slopes: ChiSquaredSlope
     motion: Floats
     pull: Floats
@@ -116,7 +116,7 @@ class LengthNetwork:
 
 
 def slopes(
-    grid: Grid, layout: StationLayout, scatter: Floats | None, state: RigState
+    grid: Grid, layout: StationLayout, scatter: Floats | None, state: NetworkState
 ) -> ChiSquaredSlope:
     """Return errors and slopes at ``state``.
 
@@ -167,7 +167,7 @@ def linearise(
     grid: Grid,
     layout: StationLayout,
     scatter: Floats | None,
-    state: RigState,
+    state: NetworkState,
     here: ChiSquaredSlope,
 ) -> LengthNetwork:
     """Return the network at ``state``, with its slopes ``here`` and the reduced normal matrix."""
@@ -211,7 +211,7 @@ def _across(layout: StationLayout, unit: Floats, pull: Floats, turned: Floats) -
 
 
 def _kept_matrix(
-    grid: Grid, layout: StationLayout, state: RigState, here: ChiSquaredSlope, across: Floats
+    grid: Grid, layout: StationLayout, state: NetworkState, here: ChiSquaredSlope, across: Floats
 ) -> Floats:
     """Return the normal matrix (K, K) of targets, places, zeros and lean."""
     v, n, _ = here.unit.shape
@@ -267,7 +267,7 @@ def _reduced(poses: Floats, cross: Floats, matrix: Floats, gauge: Floats) -> Sch
 
 
 def relax(
-    grid: Grid, layout: StationLayout, scatter: Floats | None, state: RigState
+    grid: Grid, layout: StationLayout, scatter: Floats | None, state: NetworkState
 ) -> LengthNetwork:
     """Return the least-squares network near ``state``.
 
@@ -298,7 +298,7 @@ FLAT: Final = 1e-4
 tell then about the flex is below any noise."""
 
 
-def constraints(layout: StationLayout, state: RigState, *, free: bool) -> Floats:
+def constraints(layout: StationLayout, state: NetworkState, *, free: bool) -> Floats:
     """Return the kept part (K, c) of all motions that no length feels.
 
     Poses follow by the lengths; what moves no kept unknown cannot be open.
@@ -319,7 +319,7 @@ def constraints(layout: StationLayout, state: RigState, *, free: bool) -> Floats
     return np.concatenate([right, left, *([] if flex is None else [flex[:, None]])], axis=1)
 
 
-def _flex(layout: StationLayout, state: RigState) -> Floats | None:
+def _flex(layout: StationLayout, state: NetworkState) -> Floats | None:
     """Return the kept part (K,) of the seventh motion, None where the places do not leave it."""
     curves = table_curves(state.rotation, state.translation, layout.angles)
     places = (state.places - curves.table_origin) @ curves.table_turn

@@ -66,7 +66,7 @@ from rotcal_ros.methods.tracer_six.solver.layout import (
     renamed,
 )
 from rotcal_ros.methods.tracer_six.solver.movement_tests import Moves, moves
-from rotcal_ros.methods.tracer_six.solver.network import LengthNetwork, RigState, relax
+from rotcal_ros.methods.tracer_six.solver.network import LengthNetwork, NetworkState, relax
 from rotcal_ros.methods.tracer_six.solver.observability import check_curves, check_determined
 from rotcal_ros.methods.tracer_six.solver.patterns import pattern_gradient
 from rotcal_ros.methods.tracer_six.solver.posterior import (
@@ -270,7 +270,7 @@ def _unbroken(
 
 
 def _without_gross(
-    layout: StationLayout, state: RigState, significance: float
+    layout: StationLayout, state: NetworkState, significance: float
 ) -> tuple[Grid, Floats, dict[int, str]]:
     """Return the grid without gross errors, start values (V, 4), and why lengths were rejected.
 
@@ -392,8 +392,8 @@ def find(fit: RigidAdjustment, shifts: Shifts, significance: float) -> Jump | No
 
 
 def split(
-    layout: StationLayout, state: RigState, grid: Grid, jump: Jump, order: Ints
-) -> tuple[StationLayout, RigState]:
+    layout: StationLayout, state: NetworkState, grid: Grid, jump: Jump, order: Ints
+) -> tuple[StationLayout, NetworkState]:
     """Return ``layout`` and ``state`` with a new zero from ``jump`` on."""
     filled = grid.row >= 0
     time = np.where(filled, order[grid.row], order.max())
@@ -443,7 +443,7 @@ ROUNDS: Final = 2
 """Poses from places, then places from poses: each round takes nearly all that nominals lack."""
 
 
-def find_start(layout: StationLayout) -> RigState:
+def find_start(layout: StationLayout) -> NetworkState:
     """Return start values for ``layout``; raises DataError when places and lengths contradict."""
     grid = layout.grid
     about = rotation_about_z(layout.angles)
@@ -463,7 +463,7 @@ def find_start(layout: StationLayout) -> RigState:
         weight = layout.by_place * np.where(near, 1.0, 1e-9)
         places = (weight / weight.sum(axis=1, keepdims=True)) @ back[:, 0]
     tilts = np.zeros(0 if layout.tilt_std is None else 4)
-    state = RigState(
+    state = NetworkState(
         rotation, translation, places, np.zeros(layout.n_zeros), grid.targets.copy(), tilts
     )
     distance = np.linalg.norm(state.stations(layout)[:, None] - grid.targets, axis=2)
@@ -518,7 +518,7 @@ class RigidAdjuster:
     """
 
     layout: StationLayout
-    state: RigState
+    state: NetworkState
     stated: tuple[float | None, float | None]
     significance: float
 
@@ -535,7 +535,7 @@ class RigidAdjuster:
 def solve_network(
     grid: Grid,
     layout: StationLayout,
-    state: RigState,
+    state: NetworkState,
     known: tuple[float | None, float | None],
     significance: float,
 ) -> tuple[LengthNetwork, Scatter]:
@@ -580,7 +580,7 @@ def _adjustment(network: LengthNetwork, scatter: Scatter) -> RigidAdjustment:
 
 
 def _felt_by_targets(
-    grid: Grid, state: RigState, after: Posterior
+    grid: Grid, state: NetworkState, after: Posterior
 ) -> tuple[Floats, Floats, Floats]:
     """Return corrections (n, 3), redundancy (n, 3, 3), coupling (3, 3) as Adjustment has them."""
     n = len(grid.targets)

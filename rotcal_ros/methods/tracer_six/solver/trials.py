@@ -15,7 +15,7 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.methods.tracer.solver.grid import Grid
 from rotcal_ros.methods.tracer_six.solver.curves import table_curves
 from rotcal_ros.methods.tracer_six.solver.layout import StationLayout
-from rotcal_ros.methods.tracer_six.solver.network import LengthNetwork, RigState, relax, slopes
+from rotcal_ros.methods.tracer_six.solver.network import LengthNetwork, NetworkState, relax, slopes
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
 from rotcal_ros.methods.tracer_six.solver.scatter import roots_of
 from rotcal_ros.methods.tracer_six.solver.solution import SixSolution, adjust
@@ -69,7 +69,7 @@ class SixTrials:
         curves = table_curves(state.rotation, state.translation, self.network.layout.angles)
         return np.concatenate([curves.translation.T.ravel(), curves.rotation.T.ravel()])
 
-    def _settled(self, grid: Grid, layout: StationLayout) -> RigState:
+    def _settled(self, grid: Grid, layout: StationLayout) -> NetworkState:
         state = self.network.state
         for _ in range(MOST_STEPS):
             here = slopes(grid, layout, self.network.scatter, state)
