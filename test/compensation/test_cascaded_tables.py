@@ -164,7 +164,7 @@ def held_small():
 @pytest.mark.parametrize(
     ("measured_on", "word", "there", "reason"),
     [
-        ("unknown", "as_measured", True, "not known which table was in force.*Say it"),
+        ("unknown", "as_measured", True, "not known which table was in force.*Say which"),
         ("none", "add", True, "not added: measured with no table in force"),
         ("held", "replace", True, "not replaced.*lose what it corrects"),
         ("held", "as_measured", False, "there is no table to add to"),
