@@ -17,7 +17,7 @@ from rotcal_ros.evaluation.compare import compare as compare_curves
 from rotcal_ros.evaluation.component_groups import Enlargement
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230
 from rotcal_ros.evaluation.iso230 import iso230 as evaluate_runs
-from rotcal_ros.evaluation.propagated import Propagated, propagated
+from rotcal_ros.evaluation.monte_carlo import Propagated, propagated
 from rotcal_ros.evaluation.quick_check import QuickCheck, quick_check
 from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.results import Result

@@ -88,7 +88,7 @@ def checks(output: Path) -> Iterator[Check]:
 
 def tables(machine_ini: Path) -> Iterator[Check]:
     """Check whether the ini file of a LinuxCNC puts its tables into force as they are meant."""
-    from rotcal_ros.compensation.linuxcnc_hookup import hook_up
+    from rotcal_ros.compensation.linuxcnc import hook_up
 
     advice = "the copy that 'rotcal export --machine-ini' writes has the lines where they belong"
     try:

@@ -56,7 +56,7 @@ def command(
     figures, not the workers. The exit code is 1 when the trials contradict the solver's
     uncertainty.
     """
-    from rotcal_ros.evaluation.propagated import propagated
+    from rotcal_ros.evaluation.monte_carlo import propagated
     from rotcal_ros.recordings.inputs import Input
     from rotcal_ros.recordings.workers import usable_cores
 

@@ -1,23 +1,21 @@
 """LinuxCNC: ``[JOINT_n] COMP_FILE``, read by usrmotLoadComp, applied by the motion controller.
 
 Lines ``nominal forward reverse`` in degrees. Type 0 holds the measured actual angle, type 1 the
-trim that is added to the motor command. The real program stops silently at the first line that is
-not three numbers, takes 256 rows, and does not know that an axis is round: the rows are repeated
-for every turn of the travel. Source: LinuxCNC 2.9, src/emc/motion (usrmotintf.cc, command.c,
-control.c) and docs/src/config/ini-config.adoc.
+trim that is added to the motor command. The real program stops in silence at the first line
+that is not three numbers, takes 256 rows, and does not know that an axis is round: the rows
+are repeated for every turn of the travel. Source: LinuxCNC 2.9, src/emc/motion (usrmotintf.cc,
+command.c, control.c) and docs/src/config/ini-config.adoc.
 
-How LinuxCNC's trim follows its table: once in a servo period, with limits of its own.
-
-Half of the joint's velocity and acceleration is left to the trim. A trim at rest makes a small
-change at once and ramps to a far one, and between the two lies a dead band in which it stands:
-from a quarter to half of MAX_ACCELERATION times the square of the servo period. Source:
-compute_screw_comp in src/emc/motion/control.c of LinuxCNC 2.9.
+The trim follows its table once in a servo period and has half of the joint's velocity and
+acceleration. At rest it makes a small change at once and ramps to a far one, and between the two
+lies a dead band in which it stands: from a quarter to half of MAX_ACCELERATION times the square of
+the servo period (compute_screw_comp in control.c).
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -26,8 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.compensation.controller import Controller, Facts, Lag, Rule
-from rotcal_ros.compensation.linuxcnc_ini import Ini
-from rotcal_ros.compensation.linuxcnc_machine import AGENT, SERVO_PERIOD_NS, Joint
+from rotcal_ros.compensation.linuxcnc_ini import ENCODING, Ini
+from rotcal_ros.compensation.linuxcnc_machine import (
+    AGENT,
+    SERVO_PERIOD_NS,
+    Joint,
+    joints_with_tables,
+)
 from rotcal_ros.compensation.parsing import only_file
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
 from rotcal_ros.compensation.table_rows import (
@@ -43,6 +46,7 @@ from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.settings import setting
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
+from rotcal_ros.foundation.untrusted import read_bytes
 
 MAX_ROWS: Final = 256
 POINTS_PER_ROW: Final = 24
@@ -463,3 +467,44 @@ def _behind_note(following: Following, steepest: float, feed: float, behind: flo
         f"and at {feed / DEGREE:.4g} deg/s it is {how} behind while the axis moves; what is in "
         "the dead band when it stops stays"
     )
+
+
+LARGEST_TRIM_DEG = 1.0
+"""Nobody compensates more; trims read as positions give angles of the whole travel."""
+
+
+def hook_up(path: Path) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Yield every table that the machine of the ini file ``path`` loads, with what is wrong.
+
+    Nothing for a machine without a table. Raises ConfigurationError when the ini file cannot be
+    read or makes no sense.
+    """
+    ini = Ini.read(path)
+    for joint in joints_with_tables(ini):
+        assert joint.table_path is not None
+        about = f"[{joint.section}] {joint.table_path.name}, type {joint.table_type}"
+        yield about, tuple(_complaints(joint, joint.table_path))
+
+
+def _complaints(joint: Joint, table: Path) -> Iterator[str]:
+    if (count := joint.ini.count(joint.section)) > 1:
+        yield f"{count} sections [{joint.section}]: LinuxCNC ignores all but the first"
+    try:
+        text = read_bytes(table).decode(ENCODING)
+    except OSError as error:
+        yield f"{table}: {error.strerror}: LinuxCNC does not start"
+        return
+    loaded = load(text, joint.table_type)
+    lines = len(text.splitlines())
+    if loaded.messages or lines != len(loaded.nominal_deg) or lines == 0:
+        yield f"of {lines} lines LinuxCNC uses {len(loaded.nominal_deg)}"
+    if len(loaded.nominal_deg) == 0:
+        return
+    largest = float(np.max(np.abs([loaded.forward_deg, loaded.reverse_deg])))
+    if largest > LARGEST_TRIM_DEG:
+        yield (
+            f"read as type {joint.table_type} the largest trim is {largest:.4g} deg: "
+            f"COMP_FILE_TYPE is {joint.table_type} and the table of another type"
+        )
+    if beyond := joint.beyond(float(loaded.nominal_deg[0]), float(loaded.nominal_deg[-1])):
+        yield beyond

@@ -1,4 +1,4 @@
-"""Propagation of distributions by Monte Carlo: JCGM 101:2008, adaptive (7.9), for any method.
+"""Propagation of distributions by Monte Carlo, beside the solver's covariance: JCGM 101:2008, 7.9.
 
 A *model* draws trials: ``model(rng, count)`` returns (count, n) output quantities. The trials come
 in blocks, and block h always uses the same counter-based random stream, so a result depends on the
@@ -12,15 +12,20 @@ from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from math import exp, pi, sqrt
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from rotcal_ros.adjust.distributions import normal_isf
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.results import Result, plain_fields
+from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.methods.method import Measurements
 
 Model = Callable[[np.random.Generator, int], Floats]
 Progress = Callable[[int, int], None]
@@ -183,3 +188,99 @@ def _keep_model(model: Model) -> None:
 def _run_block(seed: int, index: int, block: int) -> Floats:
     assert _worker_model is not None
     return _worker_model(_stream(seed, index), block)
+
+
+@dataclass(frozen=True, eq=False)
+class PropagatedComponent:
+    """One component at all angles (n,), rad or m; ``value`` and ``linear_std`` of the solver."""
+
+    value: Floats
+    linear_std: Floats
+    mean: Floats
+    std: Floats
+    low: Floats
+    high: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Propagated:
+    """A result and the trials about it; ``seed`` makes them again."""
+
+    result: Result
+    spread: Propagation
+    seed: int
+
+    @cached_property
+    def components(self) -> dict[str, PropagatedComponent]:
+        """What solver and trials say about each component."""
+        names = self.result.components
+        columns = (self.spread.mean, self.spread.std, self.spread.low, self.spread.high)
+        split = [np.split(column, len(names)) for column in columns]
+        return {
+            name: PropagatedComponent(
+                self.result.deviations[name], self.result.std[name], *(part[k] for part in split)
+            )
+            for k, name in enumerate(names)
+        }
+
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """Where the trials contradict the solver, in units that people read."""
+        texts: list[str] = []
+        for name, part in self.components.items():
+            unit, label = unit_of(name)
+            shown = {n: getattr(part, n) / unit for n in ("mean", "std", "low", "high")}
+            texts += compare_with_linear(
+                replace(self.spread, **shown),
+                part.value / unit,
+                part.linear_std / unit,
+                [f"{name} at {a / DEGREE:.6g} deg ({label})" for a in self.result.angles],
+            )
+        return tuple(texts)
+
+    def in_words(self) -> str:
+        """Return the verdict in one line."""
+        verdict = "CONTRADICT" if self.warnings else "confirm"
+        open_zeros = self.result.zeros.in_words()
+        within = f"; {open_zeros}: no trial tells it" if open_zeros else ""
+        stable = "stable to" if self.spread.stable else "not yet stable to"
+        return (
+            f"{self.spread.trials} trials {verdict} the solver's uncertainty; {stable} "
+            f"{self.spread.digits} digits, seed {self.seed}{within}"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain types for JSON, SI."""
+        facts = ("trials", "stable", "digits", "probability")
+        return {
+            "schema": 1,
+            "method": self.result.method,
+            **{name: getattr(self.spread, name) for name in facts},
+            "seed": self.seed,
+            "angles_rad": self.result.angles.tolist(),
+            "components": {name: plain_fields(p) for name, p in self.components.items()},
+            "warnings": list(self.warnings),
+            "open_zeros": self.result.zeros.in_words(),
+        }
+
+
+def propagated(
+    measured: Measurements,
+    *,
+    trials: int,
+    digits: int,
+    seed: int,
+    workers: int,
+    progress: Progress | None = None,
+) -> Propagated:
+    """Solve what was measured and run at most ``trials`` about it, see :func:`propagate`."""
+    spread = propagate(
+        measured.trials(),
+        seed=seed,
+        max_trials=trials,
+        digits=digits,
+        workers=workers,
+        block=min(BLOCK, trials),
+        progress=progress,
+    )
+    return Propagated(measured.solve(), spread, seed)

@@ -11,9 +11,8 @@ from compensation_examples import TAU, d4_table, even, result_of, wavy
 
 from rotcal_ros.compensation import export as export_module
 from rotcal_ros.compensation.controllers import controller_names, make_controller
-from rotcal_ros.compensation.export import prepare_export
+from rotcal_ros.compensation.export import ResidualBudget, prepare_export
 from rotcal_ros.compensation.linuxcnc import UNKNOWN_LIMITS
-from rotcal_ros.compensation.quality import ResidualBudget
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.compensation.volumetric import volumetric_files
 from rotcal_ros.foundation.errors import ConfigurationError, DataError

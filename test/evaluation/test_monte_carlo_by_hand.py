@@ -12,12 +12,13 @@ from scipy.stats.mstats import mquantiles
 
 from rotcal_ros.evaluation import monte_carlo
 from rotcal_ros.evaluation.monte_carlo import (
+    Propagated,
     Propagation,
     compare_with_linear,
     numerical_tolerance,
     propagate,
+    propagated,
 )
-from rotcal_ros.evaluation.propagated import Propagated, propagated
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC

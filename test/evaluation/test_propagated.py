@@ -7,8 +7,7 @@ import one_table
 import pytest
 from two_groups import plate_problem
 
-from rotcal_ros.evaluation.monte_carlo import propagate
-from rotcal_ros.evaluation.propagated import Propagated
+from rotcal_ros.evaluation.monte_carlo import Propagated, propagate
 from rotcal_ros.methods.ball_plate import solver as ball_plate
 from rotcal_ros.methods.plane_mirror import solver as plane_mirror
 from rotcal_ros.methods.tracer import solver as tracer

@@ -108,7 +108,7 @@ def machines() -> Iterable[bytes]:
 
 
 def read_machine(path: Path) -> None:
-    from rotcal_ros.compensation.linuxcnc_hookup import hook_up
+    from rotcal_ros.compensation.linuxcnc import hook_up
     from rotcal_ros.compensation.linuxcnc_ini import Ini
     from rotcal_ros.compensation.linuxcnc_machine import Joint
 

@@ -134,8 +134,7 @@ def read_orders(path: Path) -> None:
 
 async def _converse(data: bytes) -> list[bytes]:
     from rotcal_ros.extensions.ipp_dme.machine import SimulatedMachine
-    from rotcal_ros.extensions.ipp_dme.methods import Methods
-    from rotcal_ros.extensions.ipp_dme.server import Conversation
+    from rotcal_ros.extensions.ipp_dme.server import Conversation, Methods
 
     said: list[bytes] = []
     failed: list[dict[str, Any]] = []

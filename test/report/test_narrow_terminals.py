@@ -17,8 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotcal_ros.evaluation.monte_carlo import Propagation
-from rotcal_ros.evaluation.propagated import Propagated
+from rotcal_ros.evaluation.monte_carlo import Propagated, Propagation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.report.terminal.columns import Column, stacked
 from rotcal_ros.report.terminal.tables import print_result, print_uncertainty

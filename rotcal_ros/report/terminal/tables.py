@@ -26,7 +26,7 @@ from rotcal_ros.report.terminal.columns import (
 if TYPE_CHECKING:  # a result is printed without what compares and combines
     from rotcal_ros.evaluation.compare import Comparison
     from rotcal_ros.evaluation.component_groups import ComponentGroup
-    from rotcal_ros.evaluation.propagated import Propagated
+    from rotcal_ros.evaluation.monte_carlo import Propagated
     from rotcal_ros.evaluation.quick_check import QuickCheck
 
 

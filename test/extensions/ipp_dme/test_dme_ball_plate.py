@@ -68,7 +68,7 @@ def test_both_ways_give_the_same_curves_to_the_noise(solved):
 def test_a_table_turned_by_goto_measures_too(version, others, monkeypatch):
     calibration = small()
     if others:  # a machine whose R counts the other way round
-        monkeypatch.setattr("rotcal_ros.extensions.ipp_dme.methods.DEGREE", -np.pi / 180.0)
+        monkeypatch.setattr("rotcal_ros.extensions.ipp_dme.server.DEGREE", -np.pi / 180.0)
     with serving(DmeServer(simulated_cell(calibration), "127.0.0.1", 0, version)) as server:
         observations = measure(calibration, server.port, steps=4, **others)
     assert [o.reason for o in observations] == [""] * 4

@@ -11,7 +11,7 @@ import pytest
 from aids import nist_suite
 from dme_plates import measure, simulated_cell, small
 
-from rotcal_ros.extensions.ipp_dme.link import DmeLink
+from rotcal_ros.extensions.ipp_dme.client import DmeLink
 from rotcal_ros.extensions.ipp_dme.server import DmeServer, serving
 from rotcal_ros.foundation.machine_load import patient
 
