@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from enum import IntEnum
+from enum import IntEnum, unique
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from rotcal_ros.foundation.arrays import Floats
 _BLOCK = 512
 
 
+@unique
 class NoiseSource(IntEnum):
     """What a stream of random numbers is for; methods of other packages count from 1000."""
 
@@ -30,13 +31,13 @@ class NoiseSource(IntEnum):
     BREAK_SHIFT = 12
     SLIP = 13
     ARRIVAL_MOTION = 14
+    PRESSURE = 15
     MOUNTING = 20
     MOUNTED_ZERO = 21
     TRACKER = 30
     STAND = 31
     NEST = 32
     REFLECTOR = 33
-    PRESSURE = 40
     MACHINE = 40
     TOUCH = 41
     BALL = 42
