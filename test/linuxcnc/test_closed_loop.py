@@ -71,9 +71,9 @@ def with_driver(axis, monkeypatch):
     """Let every session start the driver too, which starts LinuxCNC."""
     start = commands._start
 
-    def command(described, name):
-        found = start(described, name)
-        if name == "linuxcnc_driver":
+    def command(described, module):
+        found = start(described, module)
+        if module == "rotcal_ros.nodes.linuxcnc_driver":
             found += ["-p", f"agent_command:={json.dumps(axis.command())}"]
         return found
 
