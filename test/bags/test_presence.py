@@ -5,10 +5,10 @@ import shutil
 
 import pytest
 
-from rotcal_ros import disk
 from rotcal_ros.bags.reader import check_files, session_files
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
+from rotcal_ros.foundation import disk
 from rotcal_ros.foundation.errors import BagError
 
 SETTINGS = WriterSettings(min_free_bytes=0, split_bytes=1)
