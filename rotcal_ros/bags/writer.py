@@ -372,6 +372,8 @@ class Presence:
 
     def fault(self) -> str:
         """Return what is wrong, empty where nothing is."""
+        # Asked first: nobody may write into a folder that is gone, which the files tell below.
+        may_write = disk.may_write(self._folder)
         for path, known in self._known.items():
             try:
                 found = _known(path)
@@ -386,7 +388,7 @@ class Presence:
                 return f"{path} is not the file that was recorded: somebody put another there"
             if found[2] != known[2]:
                 return f"{path} has {found[2]} bytes, {known[2]} were written: somebody changed it"
-        if not disk.may_write(self._folder):
+        if not may_write:
             return f"{self._folder} was made read-only"
         return ""
 

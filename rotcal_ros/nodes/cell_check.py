@@ -4,11 +4,9 @@ Prints what was found as JSON, see :class:`~rotcal_ros.methods.check_lines.CellR
 own capture listens, under a hidden name and without publishing, and the planner's preflight
 judges: what passes here passes there.
 
-The frames of a cell: what headers name, and what /tf_static says.
-
-Who stops the cell, as far as the graph shows it; the preflight says whether a stop is on.
-
-The machine of a cell: the joint of its table, and who obeys the two orders.
+Lines on streams, drivers and other nodes are made in ``check`` beside it; here are those on the
+frames (what headers name, what /tf_static says), on who may stop the cell, and on the machine: the
+joint of its table, and who obeys the two orders.
 """
 
 from __future__ import annotations
@@ -23,7 +21,7 @@ from dataclasses import asdict
 from functools import partial
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -70,10 +68,6 @@ from rotcal_ros.nodes.runtime.running import EndRequest, leave_with
 from rotcal_ros.nodes.runtime.timers_and_events import steady_timer
 from rotcal_ros.planning.table_motion import PUBLISH_VELOCITY
 from rotcal_ros.sessions.domains import domains_in_use
-
-if TYPE_CHECKING:
-    from rotcal_ros.nodes.check.cell_snapshot import CellSnapshot
-
 
 NAME: Final = "cell_check"
 EARS: Final = "_cell_check_ears"

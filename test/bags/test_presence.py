@@ -8,6 +8,7 @@ import pytest
 from rotcal_ros.bags.reader import check_files, session_files
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
+from rotcal_ros.foundation import disk
 from rotcal_ros.foundation.errors import BagError
 
 SETTINGS = WriterSettings(min_free_bytes=0, split_bytes=1)
@@ -99,4 +100,17 @@ def test_the_files_of_the_earlier_run_are_watched_too(tmp_path):
     writer = BagWriter(folder, SETTINGS, earlier=session_files(folder))
     (folder / "bag_0.mcap").unlink()
     with pytest.raises(BagError, match=r"bag_0\.mcap is no longer there"):
+        writer.sync()
+
+
+def test_a_folder_that_goes_while_it_is_looked_at_is_gone_and_not_read_only(tmp_path, monkeypatch):
+    writer = BagWriter(tmp_path / "bag", SETTINGS)
+    ask = disk.may_write
+
+    def gone_before(path):
+        shutil.rmtree(path)
+        return ask(path)
+
+    monkeypatch.setattr(disk, "may_write", gone_before)
+    with pytest.raises(BagError, match="no longer there"):
         writer.sync()

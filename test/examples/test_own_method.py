@@ -111,7 +111,8 @@ def test_the_live_run_finds_the_faces_of_the_simulated_polygon(session):
     details = json.loads((session / "result.json").read_text())["details"]
     text = yaml.safe_load(DEMO.read_text())["/**"]["ros__parameters"]["simulation"]
     settings = load(PolygonSimulationSettings, text, "simulation")
-    true = SimulatedAutocollimator(settings, SimulatedTable(settings.table, 1, 0), 0).face_errors
+    table = SimulatedTable(settings.table, 1, 0)
+    true = SimulatedAutocollimator(settings, table, None, 0).face_errors
     error = np.array(details["face_error_rad"]) - (true - true.mean())
     assert np.abs(error / details["face_error_std_rad"]).max() < 4.5
 
