@@ -15,7 +15,8 @@ FURTHER_NODES: Final[Mapping[str, str]] = {
     "simulation": "simulated_cell",
 }
 """Nodes that are started when the configuration has a group: group -> node."""
-VIEWERS: Final[Mapping[str, str]] = {"page": "operator_page", "scene": "scene"}
+PAGE: Final = "page"
+VIEWERS: Final[Mapping[str, str]] = {PAGE: "operator_page", "scene": "scene"}
 """Nodes for people: how they are asked for -> node. No calibration needs one or ends with it."""
 DRIVERS: Final = ("linuxcnc_driver",)
 """Nodes that are started by hand, for the machine that the user has."""

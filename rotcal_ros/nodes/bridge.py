@@ -29,11 +29,11 @@ from rotcal_ros.foundation.errors import ControllerError, DataError, RotcalError
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.in_force import UNKNOWN
 from rotcal_ros.foundation.middleware import LOCALHOST
+from rotcal_ros.foundation.node_state import NodeState, Reason, State, Why
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode, until
-from rotcal_ros.nodes.runtime.health import CALIBRATING
 from rotcal_ros.nodes.runtime.qos import LATCHED
 from rotcal_ros.nodes.runtime.running import run
 from rotcal_ros.nodes.runtime.timers_and_events import steady_timer
@@ -60,7 +60,7 @@ class BridgeNode(CellNode):
             stated=cell.table_in_force,
         )
         self._correction: Correction | None = None
-        self._state = "waiting for a table"
+        self._state = NodeState.of(State.WAITING, Why.NO_TABLE)
         self._own: dict[str, Any] = {"controller": settings.controller, "axis": cell.axis}
         self._facts: dict[str, Any] = {}
         self.listen(CompensationTableMsg, "compensation_table", self._take, LATCHED)
@@ -80,7 +80,7 @@ class BridgeNode(CellNode):
             table = conversions.compensation_table(message)
             files = self._feed.take(table, messages.stamp_ns(message.header.stamp))
         except (RotcalError, OSError) as error:
-            self._note(f"table refused: {error}")
+            self._note(State.FAILED, Why.TABLE_REFUSED, error)
             return
         offer = self._feed.offer
         assert offer is not None
@@ -92,15 +92,16 @@ class BridgeNode(CellNode):
             "residual": offer.export.residual.in_words(),
         }
         if never := self._feed.never():
-            self._facts["never"] = never
-        self._note(f"table {table.table_hash[:12]} written, not applied")
+            self._facts[NEVER] = never
+        self._note(State.READY, Why.TABLE_WRITTEN, table.table_hash[:12])
 
     def _look_up(
         self, request: GetCorrection.Request, response: GetCorrection.Response
     ) -> GetCorrection.Response:
         try:
             if self._correction is None:
-                raise DataError(f"there is no table to look up the correction in: {self._state}")
+                state = self._state.in_words()
+                raise DataError(f"there is no table to look up the correction in: {state}")
             approach = Approach(request.approach)
             response.correction = float(self._correction(request.angle, approach))
             response.std = float(self._correction.std(request.angle, approach))
@@ -110,11 +111,11 @@ class BridgeNode(CellNode):
             response.message = str(error)
         return response
 
-    def _note(self, state: str) -> None:
-        self._state = state
-        self.get_logger().info(state)
+    def _note(self, state: State, code: Why, *arguments: object) -> None:
+        self._state = NodeState.of(state, code, *arguments)
+        self.get_logger().info(self._state.in_words())
 
-    def _report(self) -> tuple[str, dict[str, Any]]:
+    def _report(self) -> tuple[NodeState, dict[str, Any]]:
         return self._state, {**self._own, **self._facts, **self._access.facts}
 
 
@@ -170,6 +171,14 @@ DISCOVERY_S: Final = 2.0
 AWARE_TIMEOUT_S: Final = 10.0
 """How long a call waits at most for this node to catch up after a standstill."""
 SERVICES: Final = ("apply", "restore")
+APPLYING: Final = Why.TABLE_APPLIED, Why.TABLE_NOT_APPLIED
+RESTORING: Final = Why.TABLE_RESTORED, Why.TABLE_NOT_RESTORED
+OFFERED: Final = "apply_offered"
+"""Value in the bridge's beat: a table may be applied."""
+WITHHELD: Final = "apply_withheld"
+"""Instead: why not."""
+NEVER: Final = "never"
+"""Value in the bridge's beat: why the present table can never be applied."""
 UNFINISHED: Final = "unfinished"
 CONTRADICTION: Final = "contradiction"
 
@@ -178,10 +187,11 @@ class ControllerAccess:
     """Talks to the controller in a thread of its own, so that the node beats meanwhile.
 
     The services are there only while this node alone may change the controller: with its lock, a
-    secret, and no other node that offers the same. ``facts`` are for the node's report.
+    secret, and no other node that offers the same. ``facts`` are for the node's report; ``note``
+    takes a state, a code and its arguments.
     """
 
-    def __init__(self, node: CellNode, feed: Feed, note: Callable[[str], None]) -> None:
+    def __init__(self, node: CellNode, feed: Feed, note: Callable[..., None]) -> None:
         self._node, self._feed, self._note = node, feed, note
         file = feed.settings.secret_file
         self._secret = Secret(Path(file)) if file else None
@@ -220,13 +230,13 @@ class ControllerAccess:
             self._offer(unfinished)
 
     def _offer_nothing(self, why: str) -> None:
-        if self.facts.get("apply") != (text := f"not offered: {why}"):
-            self.facts = {"apply": text}
-            self._node.get_logger().warning(f"apply and restore are {text}")
+        if self.facts.get(WITHHELD) != why:
+            self.facts = {WITHHELD: why}
+            self._node.get_logger().warning(f"apply and restore are not offered: {why}")
 
     def _offer(self, unfinished: str) -> None:
         self._opening.cancel()
-        self.facts = {"apply": "offered"}
+        self.facts = {OFFERED: True}
         self._warn_of(unfinished)
         self._node.offer(ApplyTable, "apply", self._apply)
         self._node.offer(RestoreTable, "restore", self._restore)
@@ -248,7 +258,7 @@ class ControllerAccess:
     ) -> ApplyTable.Response:
         confirmation = request.confirmation
         if await self._may(request.secret, response):
-            await self._do(lambda: self._feed.apply(confirmation), response, "table", "applied")
+            await self._do(lambda: self._feed.apply(confirmation), response, APPLYING)
             offer = self._feed.offer
             response.confirmation = "" if offer is None else offer.confirmation
         return response
@@ -258,9 +268,7 @@ class ControllerAccess:
     ) -> RestoreTable.Response:
         kept_hash, limit = request.kept_hash, request.max_change_arcsec
         if await self._may(request.secret, response):
-            await self._do(
-                lambda: self._feed.restore(kept_hash, limit), response, "old table", "restored"
-            )
+            await self._do(lambda: self._feed.restore(kept_hash, limit), response, RESTORING)
             try:
                 response.kept_hash = await self._answer(self._feed.next_restore)
             except (RotcalError, OSError) as error:
@@ -278,28 +286,34 @@ class ControllerAccess:
             response.message = (
                 "more than one node offers apply and restore here: end the other one"
             )
-        elif "planner" in health.present() and health.state("planner").startswith(CALIBRATING):
+        elif "planner" in health.present() and health.is_calibrating():
             response.message = (
                 "a calibration runs with what the controller holds now: end it first"
             )
         else:
             return True
-        self._note(f"request refused: {response.message}")
+        self._note(State.READY, Why.REQUEST_REFUSED, response.message)
         return False
 
-    async def _do(self, action: Callable[[], Applied], response: Any, what: str, end: str) -> None:
-        """Change the table of the controller and say in the response what came of it."""
+    async def _do(
+        self, action: Callable[[], Applied], response: Any, codes: tuple[Why, Why]
+    ) -> None:
+        """Change the table of the controller and say in the response what came of it.
+
+        ``codes`` are those of success and of failure.
+        """
+        good, bad = codes
 
         def work() -> Applied:
             try:
                 done = action()
             except (RotcalError, OSError) as error:
-                self._note(f"{what} not {end}: {error}")
+                self._note(State.FAILED, bad, error)
                 raise
             finally:
                 with suppress(RotcalError, OSError):  # the outcome counts, not this inspection
                     self._warn_of(self._feed.unfinished())
-            self._note(f"{what} {end}, read back and equal")
+            self._note(State.READY, good)
             return done
 
         try:
@@ -313,7 +327,7 @@ class ControllerAccess:
         response.success = True
         before = f"; before this, {done.unfinished}" if done.unfinished else ""
         response.message = (
-            f"{what} {end}, read back and equal; largest change "
+            f"{Reason(good).in_words()}; largest change "
             f"{done.largest_change / ARCSEC:.4g} arcsec; most controllers use it from their next "
             f"start on{before}"
         )

@@ -25,9 +25,10 @@ from std_srvs.srv import Trigger
 
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.node_state import NodeState
 from rotcal_ros.methods import Configuration
 from rotcal_ros.nodes.goal.outcome import Feedback, Outcome, planner_lost, text_of
-from rotcal_ros.nodes.runtime.health import Health
+from rotcal_ros.nodes.runtime.health import PLANNER, Health
 from rotcal_ros.nodes.runtime.peer import Peer
 from rotcal_ros.nodes.runtime.running import use_middleware
 
@@ -71,14 +72,14 @@ class Calibrator:
         self._deadline_s = math.inf
 
     @property
-    def planner_state(self) -> str:
-        """What the planner says it is doing; empty when it was never heard."""
-        return self.health.state("planner")
+    def planner_state(self) -> NodeState:
+        """How the planner stands; UNKNOWN when it was never heard."""
+        return self.health.node_state(PLANNER)
 
     def is_ready(self, timeout_s: float = 0.1) -> bool:
         """Wait for the planner; return whether it is there."""
         return self._peer.work_until(
-            lambda: self._action.server_is_ready() and bool(self.planner_state), timeout_s
+            lambda: self._action.server_is_ready() and PLANNER in self.health.others, timeout_s
         )
 
     def listen(self, seconds: float) -> None:
@@ -110,7 +111,7 @@ class Calibrator:
         self._handle = self._answer = None
         handle = self._wait(self._action.send_goal_async(goal, feedback_callback=self._hear))
         if not handle.accepted:
-            raise GoalRefusedError(f"the planner is {self.planner_state}")
+            raise GoalRefusedError(f"the planner is {self.health.in_words(PLANNER)}")
         self._handle, self._answer = handle, handle.get_result_async()
 
     def is_done(self, timeout_s: float = 0.1) -> bool:
@@ -144,7 +145,7 @@ class Calibrator:
         """Wait for the end of the calibration and return how it ended."""
         if not self._peer.work_until(self._ended, timeout_s):
             raise CalibratorError(
-                f"no result within {timeout_s:g} s: the planner is {self.planner_state}"
+                f"no result within {timeout_s:g} s: the planner is {self.health.in_words(PLANNER)}"
             )
         assert self._outcome is not None
         return self._outcome
@@ -176,7 +177,7 @@ class Calibrator:
 
     def _found(self) -> Outcome | None:
         """Return how the goal ended, also where its planner was lost."""
-        silent = bool(self.health.missing(["planner"]))
+        silent = bool(self.health.missing([PLANNER]))
         if silent:
             self._peer.work_until(self._answer.done, _GRACE_S)
         if self._answer.done():
@@ -185,11 +186,12 @@ class Calibrator:
         if silent:
             return Outcome(error_code=lost, error_msg=planner_lost(self._feedback))
         if time.monotonic() > self._deadline_s:
-            return Outcome(error_code=lost, error_msg=self._no_answer())
+            return Outcome(error_code=lost, error_msg=self.no_answer())
         return None
 
-    def _no_answer(self) -> str:
-        return f"no answer from the planner; it is {self.planner_state or 'silent'}"
+    def no_answer(self) -> str:
+        """Say that the planner gives no answer, and how it stands."""
+        return f"no answer from the planner; it is {self.health.in_words(PLANNER)}"
 
     def _hear(self, message: Any) -> None:
         self._feedback = Feedback.of(message.feedback)
@@ -197,5 +199,5 @@ class Calibrator:
     def _wait(self, future: Any) -> Any:
         """Return the answer of the planner to a request."""
         if not self._peer.work_until(future.done, patient(ANSWER_TIMEOUT_S)):
-            raise CalibratorError(self._no_answer())
+            raise CalibratorError(self.no_answer())
         return future.result()

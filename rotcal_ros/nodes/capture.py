@@ -17,6 +17,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.capture import Capture, Record
 from rotcal_ros.capture.rejections import Rejections, kind_of
 from rotcal_ros.capture.stamp_offsets import StampOffsets
+from rotcal_ros.foundation.node_state import LOADING, NO_PLAN, NodeState, State, Why
 from rotcal_ros.foundation.observations import Command, Observation
 from rotcal_ros.instruments.steps import Order, StepFinder
 from rotcal_ros.nodes.instruments.streams import InstrumentStreams
@@ -31,9 +32,8 @@ from rotcal_ros.nodes.runtime.diagnostic_warnings import (
 )
 from rotcal_ros.nodes.runtime.latest import HOPELESS, WAITING_FOR
 from rotcal_ros.nodes.runtime.planners_plans import PlannersPlans
-from rotcal_ros.nodes.runtime.plans import REFUSED, RUN, calibration_of, load_method, run_name
+from rotcal_ros.nodes.runtime.plans import RUN, calibration_of, load_method, run_name
 from rotcal_ros.nodes.runtime.qos import EVENT
-from rotcal_ros.nodes.runtime.roll_call import LOADING
 from rotcal_ros.nodes.runtime.running import run
 
 READINGS_S: Final = 0.01
@@ -51,7 +51,7 @@ class CaptureNews:
         """Forget what belongs to an earlier plan."""
         self._rejections, self._kinds = Rejections(), dict[str, str]()
         for key in (REJECTED, COMPLAINT):
-            show(self._health, key, "")
+            show(self._health, key, None)
 
     def observed(self, observation: Observation) -> None:
         """Take an observation: three rejected in a row are an error, fewer a warning."""
@@ -88,8 +88,7 @@ class CaptureNode(CellNode):
         load_method(self)
         self._capture: Capture | None = None
         self._finder: StepFinder | None = None
-        self._run = ""
-        self._state = "waiting for a plan"
+        self._run, self._state = "", NO_PLAN
         self._needed: tuple[str, ...] = ()
         self._verdicts: Counter[str] = Counter()
         self._trigger = LengthTrigger(self)
@@ -107,7 +106,7 @@ class CaptureNode(CellNode):
     def deactivated(self) -> None:
         """Feed nothing more: what an instrument says meanwhile is missing from every window."""
         self._capture, self._finder, self._run = None, None, ""
-        self._state = "waiting for a plan"
+        self._state = NO_PLAN
         self._orders.clear()
 
     def _take_order(self, command: Command) -> None:
@@ -153,14 +152,14 @@ class CaptureNode(CellNode):
             self._trigger.serve(topics.length_trigger)
             self._capture = calibration.capture(message.run)
         except Exception as error:
-            self._state = f"{REFUSED}: {error}"
+            self._state = NodeState.of(State.FAILED, Why.PLAN_REFUSED, error)
             raise
         self._run, self._needed = run_name(message), calibration.method.topics
         self._instruments.not_silent()
         self._verdicts.clear()
-        self._state = f"capturing {calibration.method.name}"
+        self._state = NodeState.of(State.WORKING, Why.CAPTURING, calibration.method.name)
 
-    def _report(self) -> tuple[str, dict[str, Any]]:
+    def _report(self) -> tuple[NodeState, dict[str, Any]]:
         values: dict[str, Any] = {RUN: self._run, **self._verdicts}
         values |= self._instruments.values(self._needed)
         self._news.offset(self._instruments.offsets)

@@ -353,9 +353,8 @@ def _order_lines(snapshot: CellSnapshot, order: str) -> Iterator[CheckLine]:
 def _adapter_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
     """Yield what the adapter would report of its joint, and whether its controller is there."""
     assert snapshot.adapter is not None
-    wrong, todo = snapshot.adapter.wrong()
-    if wrong:
-        yield CheckLine("table", "joint", "missing", wrong, todo)
+    if wrong := snapshot.adapter.wrong():
+        yield CheckLine("table", "joint", "missing", wrong.found, wrong.todo)
     elif outside := snapshot.adapter.outside():
         todo = "publish the joint in rad, or correct table_adapter.lower_deg and upper_deg"
         yield CheckLine("table", "joint", "doubt", outside, todo)

@@ -1,8 +1,8 @@
 """A client of the action ``calibrate`` that speaks JSON lines, for programs without ROS.
 
 It reads the configuration from a file, sends one goal and prints one JSON object per line:
-``waiting``, ``alive``, ``refused``, ``started``, ``feedback``, ``paused``, ``resumed``,
-``warning``, ``result``. SIGINT or SIGTERM cancels the goal; the result is waited for.
+``waiting``, ``alive``, ``page``, ``refused``, ``started``, ``feedback``, ``paused``,
+``resumed``, ``warning``, ``result``. SIGINT or SIGTERM cancels the goal; the result is waited for.
 
 ``paused`` comes once for every piece of work that a person has to do; a line ``resume`` on
 standard input, or the planner's service of that name, continues.
@@ -22,11 +22,12 @@ from rotcal_msgs.action import Calibrate
 
 from rotcal_ros.capture.rejections import kind_of
 from rotcal_ros.foundation.machine_load import Patience, in_words
+from rotcal_ros.foundation.node_names import PAGE, VIEWERS
 from rotcal_ros.nodes.calibrator import Calibrator, CalibratorError, GoalRefusedError
 from rotcal_ros.nodes.goal.outcome import Feedback, Outcome
 from rotcal_ros.nodes.runtime.clock_news import jumps_in_words
 from rotcal_ros.nodes.runtime.diagnostic_warnings import concerns_told
-from rotcal_ros.nodes.runtime.identity import other_session
+from rotcal_ros.nodes.runtime.identity import OtherSessionError, require_own_session
 from rotcal_ros.nodes.runtime.json_lines import say
 from rotcal_ros.nodes.runtime.running import EndRequest, leave_with
 
@@ -46,6 +47,7 @@ class Client:
         self._end = end
         self._spoken_s = time.monotonic()
         self._listening = True
+        self._page = ""
         self._shown: Feedback | None = None
         self._warned: set[str] = set()
 
@@ -61,7 +63,7 @@ class Client:
                 outcome = self._followed()
             else:
                 outcome = Outcome(error_code=Calibrate.Result.CANCELED, error_msg="canceled")
-        except GoalRefusedError as error:
+        except (GoalRefusedError, OtherSessionError) as error:
             say("refused", reason=str(error))
             return
         except CalibratorError as error:
@@ -76,13 +78,11 @@ class Client:
             self._calibrator.listen(PERIOD_S)
             ready = self._calibrator.is_ready(0.0) and time.monotonic() >= listen_until
             self._live()  # the beat that made it ready shows whose planner it is
-            if text := other_session(self._calibrator.health, os.environ):
-                raise GoalRefusedError(text)
+            require_own_session(self._calibrator.health, os.environ)
             if ready or self._end:
                 return not self._end
             if patience.is_over():
-                state = self._calibrator.planner_state or "silent"
-                raise CalibratorError(f"no answer from the planner; it is {state}")
+                raise CalibratorError(self._calibrator.no_answer())
 
     def _followed(self) -> Outcome:
         """Report on the goal until it ends."""
@@ -100,9 +100,14 @@ class Client:
         return self._calibrator.result()
 
     def _live(self) -> None:
+        """Tell that this client lives, and once where the page is."""
         if time.monotonic() - self._spoken_s > ALIVE_PERIOD_S:
             self._spoken_s = time.monotonic()
-            say("alive", planner=self._calibrator.planner_state)
+            say("alive", planner=self._calibrator.planner_state.in_words())
+        page = self._calibrator.health.node_state(VIEWERS[PAGE]).page
+        if page and page != self._page:
+            self._page = page
+            say("page", address=page)
 
     def _warn(self) -> None:
         """Report a jump of the clock once, though all nodes do, and each kind of warning."""
@@ -126,7 +131,7 @@ class Client:
         say("feedback", **asdict(feedback))
         instruction = feedback.instruction
         if instruction and (before is None or instruction != before.instruction):
-            say("paused", instruction=instruction)
+            say("paused", instruction=instruction, doing=feedback.doing)
 
     def _listen(self) -> None:
         """Handle the lines on standard input; after its end nothing more is expected."""

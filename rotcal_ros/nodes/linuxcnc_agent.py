@@ -113,8 +113,8 @@ class LinuxCncMachine:
             time.sleep(0.002)
 
 
-def work_of(linuxcnc: Any) -> str:
-    """Return what the machine is doing; empty: nothing, or LinuxCNC does not run."""
+def work_of(linuxcnc: Any) -> str | None:
+    """Return what the machine is doing; None: nothing, or LinuxCNC does not run."""
     try:
         stat = linuxcnc.stat()
         stat.poll()
@@ -168,7 +168,7 @@ def main() -> None:
 
     if arguments.busy:
         work = work_of(linuxcnc)
-        sys.stdout.write(f"{work}\n")
+        sys.stdout.write(f"{work or ''}\n")
         sys.exit(1 if work else 0)
     import hal
 

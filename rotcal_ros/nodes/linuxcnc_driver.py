@@ -21,6 +21,7 @@ from sensor_msgs.msg import JointState
 
 from rotcal_ros.bags import names
 from rotcal_ros.compensation.linuxcnc_machine import agent_command
+from rotcal_ros.foundation.node_state import NodeState, State, Why
 from rotcal_ros.foundation.observations import Approach, TableSample
 from rotcal_ros.foundation.units import DEGREE, NANOSECOND
 from rotcal_ros.nodes.runtime import conversions
@@ -56,7 +57,7 @@ class LinuxCncDriver(CellNode):
         self._joint = cell.joint or "table"
         if command == [""]:
             command = agent_command(ini, cell.axis, number)
-        self._state = "starting LinuxCNC's agent"
+        self._state = NodeState.of(State.PREPARING, Why.STARTING_AGENT)
         self._complaints = 0
         self._ending_s: float | None = None
         self._last: TableSample | None = None
@@ -101,7 +102,7 @@ class LinuxCncDriver(CellNode):
         assert self._agent.stdin is not None
         self._agent.stdin.write(json.dumps(order) + "\n")
         self._agent.stdin.flush()
-        self._state = f"step {message.step}, attempt {message.attempt}"
+        self._state = NodeState.of(State.MOVING, Why.ORDERED, message.step, message.attempt)
 
     def _read(self) -> None:
         """Publish what the agent reports; publishing is safe from any thread."""
@@ -109,7 +110,7 @@ class LinuxCncDriver(CellNode):
         for line in self._agent.stdout:
             reading = json.loads(line)
             if "event" in reading:
-                self._state = str(reading["event"])
+                self._state = NodeState(State.READY)
                 continue
             for error in reading["errors"]:
                 self._complaints += 1
@@ -135,7 +136,7 @@ class LinuxCncDriver(CellNode):
             actual = TableSample(stamp_ns, reading["actual_deg"] * DEGREE, speed)
             self._actual.publish(conversions.table_message(actual, self._joint))
 
-    def _report(self) -> tuple[str, dict[str, Any]]:
+    def _report(self) -> tuple[NodeState, dict[str, Any]]:
         return self._state, {"complaints": self._complaints}
 
 

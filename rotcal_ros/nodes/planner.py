@@ -16,19 +16,19 @@ from rclpy.service_introspection import ServiceIntrospectionState
 from rotcal_msgs.action import Calibrate
 
 from rotcal_ros.foundation.errors import RotcalError
+from rotcal_ros.foundation.node_state import NodeState, State
 from rotcal_ros.foundation.plugins import in_words
 from rotcal_ros.methods import prepare_to_measure
 from rotcal_ros.nodes.goal.cell_links import CellLinks
 from rotcal_ros.nodes.goal.crew import Codes, Crew
 from rotcal_ros.nodes.goal.goal_watch import GoalWatch
-from rotcal_ros.nodes.goal.operator_requests import obstacle
+from rotcal_ros.nodes.goal.operator_requests import require_free
 from rotcal_ros.nodes.goal.pauses import Pauses
 from rotcal_ros.nodes.goal.progress import GoalProgress
 from rotcal_ros.nodes.goal.run import GoalRun
 from rotcal_ros.nodes.runtime.cell_node import IDLE_S, CellNode
 from rotcal_ros.nodes.runtime.conversions import feedback_message
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
-from rotcal_ros.nodes.runtime.health import CALIBRATING
 from rotcal_ros.nodes.runtime.plans import PlannerParameters, read_continuation
 from rotcal_ros.nodes.runtime.qos import GOAL
 from rotcal_ros.nodes.runtime.running import done_aside, run
@@ -50,14 +50,15 @@ class Planner(CellNode):
         """Read the configuration, and offer to calibrate."""
         self._run: GoalRun | None = None
         self._preparing, self._shown_s = False, -math.inf
-        self._giving_up = self._given_up = ""
+        self._giving_up: str | None = None
+        self._given_up: str | None = None
         self._configured = PlannerParameters(self)
         self._continuation = read_continuation(self)
         text = "s, how long a goal waits for lost nodes of the suite"
         self._restart_wait_s = self.parameter("restart_wait_s", RESTART_WAIT_S, text)
         self._links = CellLinks(self)
         self._stop = EmergencyStop(self, self._configured.safety, NO_ORDERS)
-        self._pauses = Pauses(self, self._obstacle, lambda: self._beat_values()[0])
+        self._pauses = Pauses(self, self._require_free, self._in_words)
         self._server = ActionServer(
             self,
             Calibrate,
@@ -73,15 +74,16 @@ class Planner(CellNode):
 
     def activated(self) -> None:
         """Take goals."""
-        self._giving_up = ""
+        self._giving_up = None
 
     def deactivated(self) -> None:
         """Give up the running goal; no other is accepted."""
         self._give_up("the planner was deactivated")
 
-    def why_unchanged(self, changes: Mapping[str, Any]) -> str:
-        """Return why the next goal could not be measured with these parameters."""
-        return self._configured.why_not(changes) if self.configured else ""
+    def judge_parameters(self, changes: Mapping[str, Any]) -> None:
+        """Raise ConfigurationError where no goal could be measured with these parameters."""
+        if self.configured:
+            self._configured.judge(changes)
 
     def begin_stop(self) -> None:
         """End the running goal with a valid bag."""
@@ -104,14 +106,19 @@ class Planner(CellNode):
         """Refuse a goal while another runs; the heartbeat tells the reason to the client."""
         free = self._run is None and not self._preparing
         if self.active and not self._giving_up and free:
-            self._given_up = ""
+            self._given_up = None
             return GoalResponse.ACCEPT
-        self.get_logger().warning(f"goal refused: the planner is {self._beat_values()[0]}")
+        self.get_logger().warning(f"goal refused: the planner is {self._in_words()}")
         return GoalResponse.REJECT
 
-    def _obstacle(self) -> str:
-        """Return why the running goal cannot be resumed yet."""
-        return obstacle(self._run.watch) if self._run is not None else ""
+    def _in_words(self) -> str:
+        """Return how the planner stands, for a person to read."""
+        return self._beat_values()[0].in_words()
+
+    def _require_free(self) -> None:
+        """Raise NotFreeError where the running goal cannot be resumed yet."""
+        if self._run is not None:
+            require_free(self._run.watch)
 
     async def _execute(self, handle: ServerGoalHandle) -> Codes:
         try:
@@ -192,12 +199,13 @@ class Planner(CellNode):
         self._shown_s = now
         handle.publish_feedback(feedback_message(progress, self._links.current_std))
 
-    def _report(self) -> tuple[str, dict[str, Any]]:
+    def _report(self) -> tuple[NodeState, dict[str, Any]]:
         if self._run is None:
-            return "preparing" if self._preparing else "ready", {}
+            return NodeState(State.PREPARING if self._preparing else State.READY), {}
         progress = self._run.watch.progress
-        words = f"{CALIBRATING}: step {progress.step} of {progress.total}, {progress.activity}"
-        return words, self._run.values()
+        doing = (progress.doing,)
+        state = NodeState(State.CALIBRATING, doing, progress.step, progress.total)
+        return state, self._run.values()
 
 
 def main() -> None:

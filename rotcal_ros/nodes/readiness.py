@@ -32,7 +32,7 @@ take a node out:      ros2 lifecycle set {place}/capture deactivate
 def waiting_for(health: Health, names: Collection[str]) -> list[str]:
     """Return which nodes are not active, in words that say what to do."""
     absent = health.missing(names)
-    idle = not_active(health.state, [name for name in names if name not in absent])
+    idle = not_active(health, [name for name in names if name not in absent])
     return idle + [f"node {name} is not there (yet)" for name in absent]
 
 

@@ -14,11 +14,10 @@ from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.bags.topic_roles import CalledOtherwise
 from rotcal_ros.foundation.clock_jumps import noted
 from rotcal_ros.foundation.errors import BagError, RotcalError
+from rotcal_ros.foundation.node_state import LOADING, NodeState, State, Why
 from rotcal_ros.instruments.interpreter import FAST
 from rotcal_ros.nodes.runtime.cell_node import IDLE_S, CellNode, until
 from rotcal_ros.nodes.runtime.draining import GRAPH_PERIOD_S, Batch
-from rotcal_ros.nodes.runtime.health import RECORDING_FAILED
-from rotcal_ros.nodes.runtime.roll_call import LOADING
 from rotcal_ros.nodes.runtime.running import done_aside, run
 from rotcal_ros.nodes.runtime.timers_and_events import handle_events
 from rotcal_ros.nodes.writing.bookkeeping import LogTimes, Silences
@@ -200,15 +199,17 @@ class RecorderNode(CellNode):
             self.get_logger().error("the planner is lost: closing the bag")
             self._close()
 
-    def _report(self) -> tuple[str, dict[str, Any]]:
+    def _report(self) -> tuple[NodeState, dict[str, Any]]:
         values = {"topics": len(self._listener.topics), **self._listener.refused}
         values |= self._all_losses() + self._silences.counts
         recording = self._recording
         if recording is not None and recording.error:
-            return f"{RECORDING_FAILED}: {recording.error}", values
+            failed = NodeState.of(State.FAILED, Why.RECORDING_FAILED, recording.error)
+            return failed, values
         if recording is None or recording.finished:
-            return LOADING if self._reading else "idle", values
-        return "recording", values | {"file": recording.file, "messages": recording.messages}
+            return LOADING if self._reading else NodeState(State.IDLE), values
+        values |= {"file": recording.file, "messages": recording.messages}
+        return NodeState(State.RECORDING), values
 
 
 def main() -> None:

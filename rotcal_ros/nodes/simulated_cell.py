@@ -13,6 +13,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.capture import messages
 from rotcal_ros.foundation.in_force import NONE, UNKNOWN
+from rotcal_ros.foundation.node_state import NodeState, Reason, State, Why
 from rotcal_ros.foundation.observations import Command, HumiditySample, PressureSample
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.methods.method import DEFAULT, find_method
@@ -55,7 +56,7 @@ class SimulatedCellNode(CellNode):
         self._scale = settings.time_scale
         self._cell = method.simulated_cell(settings, self.now_ns())
         self._turned_ns, self._set_ahead_ns = self._steady_ns(), 0
-        self._order_text = "no order yet"
+        self._order = Reason(Why.NO_ORDER_YET)
         self._stop = EmergencyStop(
             self, self.settings("safety", SafetySettings), "the machine stands still", self._halt
         )
@@ -93,7 +94,7 @@ class SimulatedCellNode(CellNode):
             return
         self._cell.order_table(command)
         self._cell.order_probe(command)
-        self._order_text = f"step {command.step}, attempt {command.attempt}"
+        self._order = Reason.of(Why.ORDERED, command.step, command.attempt)
 
     def _halt(self, _why: str) -> None:
         self._cell.stop()
@@ -158,9 +159,9 @@ class SimulatedCellNode(CellNode):
             return self._set_ahead_ns
         return self.health.clock.watch.ahead_ns
 
-    def _report(self) -> tuple[str, dict[str, Any]]:
-        state = "busy" if self._cell.busy else "idle"
-        return f"{state}: {self._order_text}", {"machine_time_ns": self._cell.now_ns}
+    def _report(self) -> tuple[NodeState, dict[str, Any]]:
+        state = State.MOVING if self._cell.busy else State.IDLE
+        return NodeState(state, (self._order,)), {"machine_time_ns": self._cell.now_ns}
 
 
 def main() -> None:

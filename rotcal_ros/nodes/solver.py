@@ -27,6 +27,7 @@ from rotcal_ros.capture import messages
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.foundation.errors import DataError, RotcalError
 from rotcal_ros.foundation.in_force import of_axis
+from rotcal_ros.foundation.node_state import LOADING, NO_PLAN, SOLVING, NodeState, State, Why
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.plugins import in_words
 from rotcal_ros.foundation.results import Result
@@ -39,7 +40,6 @@ from rotcal_ros.nodes.runtime.frames import StaticFrames
 from rotcal_ros.nodes.runtime.heartbeat import BEAT_PERIOD_S
 from rotcal_ros.nodes.runtime.planners_plans import PlannersPlans
 from rotcal_ros.nodes.runtime.plans import (
-    REFUSED,
     RUN,
     calibration_of,
     load_method,
@@ -47,7 +47,6 @@ from rotcal_ros.nodes.runtime.plans import (
     run_name,
 )
 from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED
-from rotcal_ros.nodes.runtime.roll_call import LOADING, SOLVING
 from rotcal_ros.nodes.runtime.running import run
 
 ARRIVAL_TIMEOUT_S = 10.0
@@ -68,7 +67,7 @@ class SolverNode(CellNode):
         period_s = self.parameter("preliminary_period_s", 3.0, "s, between preliminary results")
         self._continuation = read_continuation(self)
         self._calibration: Calibration | None = None
-        self._run, self._state = "", "waiting for a plan"
+        self._run, self._state = "", NO_PLAN
         self._observations: dict[RunStep, Observation] = {}
         self._in_force: list[tuple[str, str]] = []  # axis and state, as announced
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="solve")
@@ -105,7 +104,7 @@ class SolverNode(CellNode):
         try:
             self._calibration = calibration_of(message)
         except RotcalError as error:
-            self._state = f"{REFUSED}: {error}"
+            self._state = NodeState.of(State.FAILED, Why.PLAN_REFUSED, error)
             raise
         same = old is not None and old.configuration.plan_id == message.plan_id
         kept = own if same and message.run > self._run_number else {}
@@ -121,7 +120,8 @@ class SolverNode(CellNode):
     def _begin_run(self, message: CalibrationPlan, known: Mapping[RunStep, Observation]) -> None:
         """Take part from now on; ``known`` is what came before this node, or this run."""
         self._know(known)
-        self._run, self._state = run_name(message), f"collecting for {message.method}"
+        self._run = run_name(message)
+        self._state = NodeState.of(State.WORKING, Why.COLLECTING, message.method)
         self.health.beat()
 
     def _know(self, known: Mapping[RunStep, Observation]) -> None:
@@ -163,9 +163,10 @@ class SolverNode(CellNode):
             return
         try:
             self._publish(future.result(), final=False)
-            self._state = f"preliminary result from {self._solved_count} observations"
+            count = self._solved_count
+            self._state = NodeState.of(State.WORKING, Why.PRELIMINARY_RESULT, count)
         except DataError as error:
-            self._state = f"not enough observations yet: {error}"
+            self._state = NodeState.of(State.WORKING, Why.TOO_FEW_OBSERVATIONS, error)
         except Exception as error:
             self.health.note_error("preliminary solution", error)
 
@@ -179,13 +180,13 @@ class SolverNode(CellNode):
             self._publish(result, final=True)
             response.result_json, response.verdict = result.to_json(), result.verdict
             response.success = True
-            self._state = f"final result, verdict {result.verdict_line}"
+            self._state = NodeState.of(State.READY, Why.FINAL_RESULT, result.verdict_line)
         except Exception as error:
             response.message = str(error)
             if not isinstance(error, RotcalError):
                 self.health.note_error("final solution", error)
                 response.message = in_words(error)
-            self._state = f"no final result: {response.message}"
+            self._state = NodeState.of(State.FAILED, Why.NO_RESULT, response.message)
         return response
 
     async def _final(self, request: FinishCalibration.Request) -> Result:
@@ -225,7 +226,7 @@ class SolverNode(CellNode):
             return
         self._tables.publish(conversions.compensation_message(table, plan_id, now_ns))
 
-    def _report(self) -> tuple[str, dict[str, Any]]:
+    def _report(self) -> tuple[NodeState, dict[str, Any]]:
         state = SOLVING if self._is_solving() else self._state
         return state, {RUN: self._run, "observations": len(self._observations), **self._values}
 
@@ -289,7 +290,7 @@ class EarlierObservations:
     def _is_foreign(self, message: CalibrationPlan, waited_s: float) -> bool:
         """Return whether the plan is not that of the planner's goal: there is nothing to ask."""
         health = self._node.health
-        if not health.state("planner") or "planner" in health.lost:
+        if "planner" not in health.present():
             return True
         goals_run = health.values("planner").get(RUN, "")
         return goals_run != run_name(message) if goals_run else waited_s > NO_GOAL_S

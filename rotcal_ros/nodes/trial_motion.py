@@ -17,6 +17,7 @@ import numpy as np
 from rotcal_msgs.msg import TableAngle
 
 from rotcal_ros.bags import names
+from rotcal_ros.foundation.node_state import NodeState, State, Why
 from rotcal_ros.foundation.observations import ProbeSample, TableSample, TracerSample
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods.calibration import prepare_to_measure
@@ -26,7 +27,6 @@ from rotcal_ros.nodes.instruments.streams import InstrumentStreams
 from rotcal_ros.nodes.runtime.cell_graph import CellGraph
 from rotcal_ros.nodes.runtime.cell_node import CellNode, until
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
-from rotcal_ros.nodes.runtime.health import CALIBRATING
 from rotcal_ros.nodes.runtime.qos import EVENT
 from rotcal_ros.nodes.runtime.running import run
 from rotcal_ros.planning.safety_settings import SafetySettings
@@ -95,7 +95,8 @@ class TrialMotionNode(CellNode):
         begun_s = time.monotonic()
         if ready:
             await until(lambda: time.monotonic() > begun_s + BEFORE_S, 2.0 * BEFORE_S)
-        if fault := self._why_not() or ("" if ready else "the table or its feedback is not there"):
+        absent = None if ready else "the table or its feedback is not there"
+        if fault := self._why_not() or absent:
             return TrialMotion(0.0, 0.0, 0.0, 0.0, np.empty((0, 3)), np.empty((0, 2)), fault=fault)
         start = self._table[-1][1]
         way = self._way(start)
@@ -140,15 +141,15 @@ class TrialMotionNode(CellNode):
     def _ready(self) -> bool:
         """Return whether the table is heard and a machine will obey; or nothing can be done."""
         obeys = CellGraph(self).machines(names.TABLE_ANGLE)
-        return bool(self._why_not()) or bool(self._table and set(obeys) - {self.get_name()})
+        return self._why_not() is not None or bool(self._table and set(obeys) - {self.get_name()})
 
-    def _why_not(self) -> str:
-        """Return why nothing may be ordered; empty: it may."""
-        if self.health.state("planner").startswith(CALIBRATING):
+    def _why_not(self) -> str | None:
+        """Return why nothing may be ordered; None: it may."""
+        if self.health.is_calibrating():
             return "a calibration is running: its planner alone gives orders"
         if reason := self._stop.why or self._stop.heed():
             return f"emergency stop: {reason}"
-        return ""
+        return None
 
     def _order(self, angle: float) -> None:
         message = TableAngle(angle=angle, approach=TableAngle.APPROACH_UNKNOWN)
@@ -165,8 +166,8 @@ class TrialMotionNode(CellNode):
             case ProbeSample():
                 self._probe = record.position
 
-    def _report(self) -> tuple[str, dict[str, Any]]:
-        return "trial motion", {}
+    def _report(self) -> tuple[NodeState, dict[str, Any]]:
+        return NodeState.of(State.WORKING, Why.TRIAL_MOTION), {}
 
 
 def main() -> None:

@@ -15,12 +15,13 @@ import sys
 import tempfile
 import time
 from contextlib import ExitStack
-from typing import Any, Final
+from typing import Final
 
-from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import QoSProfile
+from rotcal_msgs.msg import NodeState as NodeStateMsg
 
 from rotcal_ros.bags import names
+from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.foundation.node_names import NODES
 from rotcal_ros.nodes.runtime.peer import Peer
@@ -29,6 +30,10 @@ from rotcal_ros.nodes.runtime.running import SUPERVISOR_VARIABLE
 START_S: Final = 40.0
 END_S: Final = 5.0
 _NAMESPACE: Final = "/doctor"
+
+
+class NodeError(RotcalError):
+    """A node did not start, beat or end as it should."""
 
 
 class TrialNode:
@@ -53,13 +58,13 @@ class TrialNode:
         """Tell it to end, as Ctrl-C does."""
         self._process.send_signal(signal.SIGINT)
 
-    def end(self) -> str:
-        """Wait until it ended; return what went wrong, empty: nothing."""
+    def end(self) -> NodeError | None:
+        """Wait until it ended; return what went wrong, if anything."""
         try:
             code = self._process.wait(patient(END_S))
         except subprocess.TimeoutExpired as late:
-            return f"{self.name} did not end within {late.timeout:.0f} s"
-        return self.last_words() if code else ""
+            return NodeError(f"{self.name} did not end within {late.timeout:.0f} s")
+        return NodeError(self.last_words()) if code else None
 
     def last_words(self) -> str:
         """Return how a process ended that has ended."""
@@ -74,19 +79,17 @@ class TrialNode:
         self._output.close()
 
 
-def trial() -> tuple[float, str]:
-    """Start all; return the seconds until all beat, and what went wrong, empty: nothing."""
+def trial() -> float:
+    """Start all and end them; return the seconds until all beat. NodeError: what went wrong."""
     beating: set[str] = set()
 
-    def hear(status: Any) -> None:
-        beating.add(status.name)
+    def hear(beat: NodeStateMsg) -> None:
+        beating.add(beat.node)
 
     with ExitStack() as stack:
         peer = Peer("doctor", _NAMESPACE)
         stack.callback(peer.close)
-        peer.node.create_subscription(
-            DiagnosticStatus, names.HEARTBEAT, hear, QoSProfile(depth=100)
-        )
+        peer.node.create_subscription(NodeStateMsg, names.HEARTBEAT, hear, QoSProfile(depth=100))
         start = time.monotonic()
         nodes = []
         for name in NODES:
@@ -97,20 +100,24 @@ def trial() -> tuple[float, str]:
             patient(START_S),
         )
         took = time.monotonic() - start
-        dead = [node.last_words() for node in nodes if not node.running()]
-        silent = [name for name in NODES if name not in beating]
-        if silent and not dead:
-            return took, f"no sign of life within {START_S:g} s: {', '.join(silent)}"
+        if dead := [node.last_words() for node in nodes if not node.running()]:
+            raise NodeError("; ".join(dead))
+        if silent := [name for name in NODES if name not in beating]:
+            raise NodeError(f"no sign of life within {START_S:g} s: {', '.join(silent)}")
         for node in nodes:
             node.interrupt()
-        return took, "; ".join(dead or filter(None, [node.end() for node in nodes]))
+        wrong = [str(error) for node in nodes if (error := node.end()) is not None]
+        if wrong:
+            raise NodeError("; ".join(wrong))
+        return took
 
 
 def main() -> int:
     """Run the trial and print the outcome in one line."""
-    took, wrong = trial()
-    if wrong:
-        sys.stdout.write(f"{wrong}\n")
+    try:
+        took = trial()
+    except NodeError as error:
+        sys.stdout.write(f"{error}\n")
         return 1
     sys.stdout.write(f"{', '.join(NODES)} started and beat after {took:.1f} s, and ended well\n")
     return 0

@@ -16,12 +16,6 @@ from rotcal_ros.foundation.observations import (
 
 Point = tuple[float, float, float]
 
-PAUSED: Final = "paused: "
-"""What a planner says it does begins with this while it waits for a person."""
-STOPPED: Final = "emergency stop: "
-"""What it then waits for begins with this while safety has stopped the cell."""
-RELEASED: Final = f"{STOPPED}released"
-"""And with this when only a person's word is missing."""
 MACHINE_FRAME: Final = "machine"
 """Stands still, at the foot of the table axis, +z along it."""
 TABLE_FRAME: Final = "table"

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from rotcal_ros.foundation.circumstances import SIMULATED
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.node_state import PAUSES, STOPS
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.planning.plan import PAUSED, STOPPED
 from rotcal_ros.report.terminal.console import say
 
 if TYPE_CHECKING:
@@ -46,10 +46,9 @@ class Display:
 
 def describe(feedback: Event) -> str:
     """Return a feedback in words: activity, goal, largest U of the curve so far, time left."""
-    activity = str(feedback["activity"])
-    stopped = activity.startswith(PAUSED + STOPPED)
-    waiting = "stopped by an emergency stop" if stopped else "waiting for a person"
-    words = [waiting if activity.startswith(PAUSED) else activity]
+    doing = feedback["doing"]
+    waiting = "stopped by an emergency stop" if doing in STOPS else "waiting for a person"
+    words = [waiting if doing in PAUSES else str(feedback["activity"])]
     if feedback.get("goal_rad") is not None:
         words.append(_standing(feedback["uncertainty_rad"], feedback["goal_rad"]))
     if feedback["current_std_rad"] is not None:

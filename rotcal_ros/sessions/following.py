@@ -6,7 +6,6 @@ The running processes of a session: its nodes, and the client that reports on th
 from __future__ import annotations
 
 import json
-import re
 import signal
 import time
 from collections.abc import Iterator
@@ -22,7 +21,7 @@ from rotcal_ros.evaluation.marks import marks
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.files import FolderLock, write_atomically
 from rotcal_ros.foundation.machine_load import patient
-from rotcal_ros.foundation.node_names import VIEWERS
+from rotcal_ros.foundation.node_names import PAGE, VIEWERS
 from rotcal_ros.methods.configuration import node_parameters
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.recordings.result_sources import read_source
@@ -147,12 +146,12 @@ def _follow(nodes: RunningSession, person: Person, viewers: Viewers) -> dict[str
     """
     with progress_bar(time_left=False) as bar:  # the planner knows better
         display = Display(bar)
-        heard, begun, address = time.monotonic(), False, ""
+        heard, begun, page_told = time.monotonic(), False, False
         while True:
             _obey(viewers, person)
-            if not address:
-                address = nodes.page()
-                _tell_page(address, display, viewers)
+            if not page_told and (failure := nodes.page_failure()) is not None:
+                page_told = True
+                _tell_page(f"no page: {failure}", display, viewers)
             if person.is_done():
                 nodes.resume()
             try:
@@ -167,6 +166,10 @@ def _follow(nodes: RunningSession, person: Person, viewers: Viewers) -> dict[str
             if event["event"] == "warning":
                 _warn(event["text"], display, viewers)
                 continue
+            if event["event"] == "page":
+                page_told = True
+                _tell_page(f"page: {event['address']}", display, viewers)
+                continue
             viewers.publish(event)
             display.line(person.hear(event))
             if event["event"] == "feedback":
@@ -179,11 +182,10 @@ def _warn(text: str, display: Display, viewers: Viewers) -> None:
     viewers.publish({"event": "line", "text": f"warning: {text}"})
 
 
-def _tell_page(address: str, display: Display, viewers: Viewers) -> None:
-    """Say where the page is, as soon as it is known, here and to viewers."""
-    if address:
-        display.line(address)
-        viewers.publish({"event": "page", "text": address})
+def _tell_page(text: str, display: Display, viewers: Viewers) -> None:
+    """Say where the page is, or why there is none, here and to viewers."""
+    display.line(text)
+    viewers.publish({"event": "page", "text": text})
 
 
 def _obey(viewers: Viewers, person: Person) -> None:
@@ -231,9 +233,7 @@ def _fail(session: Session, outcome: Event) -> NoReturn:
     raise (ConfigurationError if outcome["error_code"] in _USAGE_ERRORS else DataError)(text)
 
 
-PAGE: Final = "page"
 _LINES: Final = 200
-_ADDRESS: Final = re.compile(r"page: http://\S+")
 
 
 class RunningSession:
@@ -269,15 +269,11 @@ class RunningSession:
         """Return the last lines of a process's log."""
         return self._processes.log_tail(name)
 
-    def page(self) -> str:
-        """Return where the operator's page is, or why there is none; empty: not known yet."""
-        for name in self._processes.children.keys() & {VIEWERS[PAGE]}:
-            log = self._processes.log_tail(name, _LINES)
-            if found := _ADDRESS.search(log):
-                return found[0]
-            if name in self._processes.ended():
-                return f"no page: {log}"
-        return ""
+    def page_failure(self) -> str | None:
+        """Return what the operator's page said last where it has ended, else None."""
+        name = VIEWERS[PAGE]
+        ended = name in self._processes.ended()
+        return self._processes.log_tail(name, _LINES) if ended else None
 
     def _read(self) -> None:
         stream = self._processes.children[CLIENT].stdout

@@ -7,8 +7,8 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
+from rotcal_ros.foundation.node_state import PAUSES, RELEASED, STOPS, Why
 from rotcal_ros.methods import Configuration
-from rotcal_ros.planning.plan import PAUSED, RELEASED, STOPPED
 
 
 class Person:
@@ -29,6 +29,7 @@ class Person:
         self._as_done = at_once or configuration.simulated
         self._at_once = self._as_done and not watching
         self._asked = self._confirmed = self._paused = False
+        self._code = int(Why.UNKNOWN)
         self.instruction = ""
 
     def hear(self, event: Mapping[str, Any]) -> str:
@@ -37,13 +38,13 @@ class Person:
             self._asked, self._confirmed = True, False
             self._paused = True
             _enter_pressed()  # what was typed earlier is not an answer
-            self.instruction = event["instruction"]
+            self.instruction, self._code = event["instruction"], event["doing"]
             return f"{self.instruction}{self._what_then()}"
         if event["event"] == "resumed" and not event["success"]:
             self._asked = self._paused  # refused: the request is still open
             return str(event["reason"])
         if event["event"] == "feedback":  # anybody may have called the service
-            self._paused = event["activity"].startswith(PAUSED)
+            self._paused = event["doing"] in PAUSES
             self._asked = self._asked and self._paused
         return ""
 
@@ -53,14 +54,14 @@ class Person:
 
     def is_done(self) -> bool:
         """Return True once for every work that is done."""
-        at_once = self._at_once and not self.instruction.startswith(STOPPED)
+        at_once = self._at_once and self._code not in STOPS
         done = self._asked and (at_once or self._confirmed or _enter_pressed())
         self._asked = self._asked and not done
         return done
 
     def _what_then(self) -> str:
-        stopped = self.instruction.startswith(STOPPED)
-        if stopped and not self.instruction.startswith(RELEASED):
+        stopped = self._code in STOPS
+        if stopped and self._code not in RELEASED:
             return ""
         if self._simulated and not stopped:
             return ": done by the simulated person"

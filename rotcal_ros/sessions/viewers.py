@@ -22,7 +22,7 @@ from typing import Any, Final
 
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.files import write_atomically
-from rotcal_ros.planning.plan import PAUSED
+from rotcal_ros.foundation.node_state import PAUSES
 from rotcal_ros.report.terminal.console import say
 from rotcal_ros.sessions.session import Session
 
@@ -45,7 +45,7 @@ class History:
     def remember(self, event: Event) -> None:
         """Note an event; it replaces those that it outdates."""
         kind = event["event"]
-        if kind == "feedback" and not event["activity"].startswith(PAUSED):
+        if kind == "feedback" and event["doing"] not in PAUSES:
             self._now.pop("paused", None)
         self._now[kind] = event
 

@@ -18,7 +18,9 @@ NAMES = sorted(f"rotcal_msgs/msg/{p.stem}" for p in (MSG_DEFS / "msg").glob("*.m
 def share(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return share folders with the ROS messages that ours contain."""
     root = tmp_path_factory.mktemp("share")
-    for name in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time"):
+    for name in (
+        "std_msgs/msg/Header", "builtin_interfaces/msg/Time", "diagnostic_msgs/msg/KeyValue"
+    ):  # fmt: skip
         text, _ = STORE.generate_msgdef(name, ros_version=2)
         path = root / f"{name}.msg"
         path.parent.mkdir(parents=True)

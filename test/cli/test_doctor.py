@@ -133,9 +133,10 @@ def test_the_nodes_start():
 def test_a_node_that_cannot_start_is_seen(monkeypatch):
     trial_start = pytest.importorskip("rotcal_ros.nodes.trial_start")
     monkeypatch.setattr(trial_start, "NODES", ("no_such_node",))
-    _, wrong = trial_start.trial()
-    assert wrong.startswith("no_such_node ended with 1: ")
-    assert "No module named rotcal_ros.nodes.no_such_node" in wrong
+    with pytest.raises(trial_start.NodeError) as wrong:
+        trial_start.trial()
+    assert str(wrong.value).startswith("no_such_node ended with 1: ")
+    assert "No module named rotcal_ros.nodes.no_such_node" in str(wrong.value)
 
 
 @pytest.mark.ros
@@ -150,7 +151,7 @@ def test_on_a_busy_machine_a_node_is_given_more_time_to_end(monkeypatch):
             raise subprocess.TimeoutExpired("planner", timeout)
 
     monkeypatch.setattr(trial_start.subprocess, "Popen", lambda *_, **__: Process())
-    assert trial_start.TrialNode("planner").end() == "planner did not end within 20 s"
+    assert str(trial_start.TrialNode("planner").end()) == "planner did not end within 20 s"
     assert waited == [20.0]
 
 

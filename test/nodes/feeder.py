@@ -19,16 +19,16 @@ from queue import Empty, SimpleQueue
 from threading import Thread
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
+from rotcal_msgs.msg import NodeState as NodeStateMsg
 from rotcal_msgs.msg import Observation, RecordedObservation, TracerLength
 from rotcal_msgs.srv import StartRecording
 from std_msgs.msg import String
 
-from rotcal_ros.nodes.runtime.conversions import time_message
-from rotcal_ros.nodes.runtime.health import RECORDING_FAILED
+from rotcal_ros.foundation.node_state import Why
+from rotcal_ros.nodes.runtime.conversions import node_state, time_message
 from rotcal_ros.nodes.runtime.qos import EVENT, STREAM, VIEW
 
 PERIOD_S = 0.005
@@ -50,7 +50,7 @@ class Feeder(Node):
         self._filling = depth and self.create_publisher(String, "filling", VIEW)
         self._large = serialize_message(String(data=" " * FILLING_BYTES))
         self._failed = set()
-        self.create_subscription(DiagnosticStatus, "heartbeat", self._hear, QoSProfile(depth=100))
+        self.create_subscription(NodeStateMsg, "heartbeat", self._hear, QoSProfile(depth=100))
         self.create_timer(PERIOD_S, self._feed)
         self.create_timer(0.1, self._open)
 
@@ -90,9 +90,10 @@ class Feeder(Node):
         self._say(name, step=receipt.step)
 
     def _hear(self, beat):
-        if beat.message.startswith(RECORDING_FAILED) and beat.name not in self._failed:
-            self._failed.add(beat.name)
-            self._say(beat.name, failure=beat.message)
+        state = node_state(beat)
+        if state.has(Why.RECORDING_FAILED) and beat.node not in self._failed:
+            self._failed.add(beat.node)
+            self._say(beat.node, failure=state.in_words())
 
     def _say(self, name, **what):
         sys.stdout.write(json.dumps({"recorder": name, **what}) + "\n")

@@ -249,7 +249,7 @@ def test_a_foreign_node_can_neither_apply_nor_restore(bench):
 )
 def test_without_a_secret_or_a_controller_nothing_is_offered(bench, without, words):
     bench.start(**{without: ""})
-    bench.wait(lambda: words in bench.status.get("apply", ""), words)
+    bench.wait(lambda: words in bench.status.get("apply_withheld", ""), words)
     assert bench.node.count_services("/cell/get_correction") == 1
     assert [bench.node.count_services(f"/cell/{name}") for name in ("apply", "restore")] == [0, 0]
 
@@ -293,7 +293,7 @@ def test_of_two_bridges_one_offers_to_apply(bench):
     bench.publish(table())
     bench.start()
     bench.wait_for_state("written")
-    bench.wait(lambda: bench.status.get("apply") == "offered", "the services")
+    bench.wait(lambda: "apply_offered" in bench.status, "the services")
     bench.start(name="second")
     bench.wait_for_log("second", "apply and restore are not offered: the controller in")
     assert bench.node.count_services("/cell/apply") == 1
@@ -302,9 +302,7 @@ def test_of_two_bridges_one_offers_to_apply(bench):
         assert answer.success, answer.message
     assert bench.restore().success
     bench.live.processes.signal("bridge", signal.SIGTERM)
-    bench.wait(
-        lambda: bench.others.get("second", {}).get("apply") == "offered", "the second takes over"
-    )
+    bench.wait(lambda: "apply_offered" in bench.others.get("second", {}), "the second takes over")
 
 
 @pytest.mark.long  # above two bridges meet at one controller
@@ -312,11 +310,12 @@ def test_a_second_controller_in_the_same_cell_is_not_confused_with_the_first(ben
     other = bench.controller.with_name("other")
     other.mkdir()
     bench.start()
-    bench.wait(lambda: bench.status.get("apply") == "offered", "the services")
+    bench.wait(lambda: "apply_offered" in bench.status, "the services")
     bench.publish(table())
     bench.start(name="second", controller_folder=str(other))
-    bench.wait(lambda: "apply" in bench.others.get("second", {}), "the second one has decided")
-    if bench.others["second"]["apply"] == "offered":  # it had not yet heard of the first
+    decided = {"apply_offered", "apply_withheld"}
+    bench.wait(lambda: decided & bench.others.get("second", {}).keys(), "the second has decided")
+    if "apply_offered" in bench.others["second"]:  # it had not yet heard of the first
         bench.wait(lambda: bench.node.count_services("/cell/apply") == 2, "both are known")
         bench.wait(lambda: "more than one node" in bench.apply().message, "the refusal")
         assert bench.files() == set()
@@ -375,10 +374,10 @@ def test_a_change_that_was_never_finished_is_reported_and_undone(bench):
 
 
 def test_nothing_is_changed_while_a_calibration_runs(bench):
-    from diagnostic_msgs.msg import DiagnosticStatus
+    from rotcal_msgs.msg import NodeState
 
-    beats = bench.node.create_publisher(DiagnosticStatus, "heartbeat", 10)
-    beat = DiagnosticStatus(name="planner", message="calibrating: step 1 of 9, moving")
+    beats = bench.node.create_publisher(NodeState, "heartbeat", 10)
+    beat = NodeState(node="planner", state=NodeState.STATE_CALIBRATING)
     bench.node.create_timer(0.1, lambda: beats.publish(beat))
     bench.publish(table())
     bench.start()
@@ -387,6 +386,6 @@ def test_nothing_is_changed_while_a_calibration_runs(bench):
     held = bench.files()
     bench.wait(lambda: "a calibration runs" in bench.apply().message, "the refusal")
     assert bench.files() == held
-    beat.message = "ready"
+    beat.state = NodeState.STATE_READY
     bench.wait(lambda: bench.apply().success, "the table")
     assert bench.files() > held

@@ -9,7 +9,6 @@ pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros.nodes.goal import crew
 from rotcal_ros.nodes.goal.crew import Crew, GoalError
-from rotcal_ros.nodes.runtime.identity import IDENTITY
 
 SUITE = ("capture", "recorder", "solver")
 
@@ -21,8 +20,8 @@ class Health:
         self.processes = dict.fromkeys((*SUITE, "machine"), "first")
         self.gone, self.lost = set(), {}
 
-    def values(self, name):
-        return {IDENTITY: f"session {self.processes[name]} 1"}
+    def process(self, name):
+        return self.processes[name]
 
     def missing(self, names):
         return sorted(set(names) & self.gone)

@@ -24,11 +24,11 @@ class Node(SimpleNamespace):
 
     def __init__(self):
         health = SimpleNamespace(
-            lost={}, guarded=lambda work: work, state=lambda _: self.planner,
+            guarded=lambda work: work, present=lambda: {"planner"} if self.planner else set(),
             values=lambda _: {RUN: self.goal} if self.goal else {},
         )  # fmt: skip
         super().__init__(
-            health=health, planner="ready", goal="", ready=False, answer="", asked=0, warnings=[]
+            health=health, planner=True, goal="", ready=False, answer="", asked=0, warnings=[]
         )
 
     def create_client(self, _kind, _name):

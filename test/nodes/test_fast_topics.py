@@ -13,6 +13,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rotcal_msgs.msg import TracerLength
 
 from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.node_state import NodeState, State
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.qos import STREAM
 from rotcal_ros.nodes.writing.topic_listener import TOGETHER_S, TopicListener
@@ -37,7 +38,7 @@ class Hearer(CellNode):
         self.batches.get(topic.channel.topic.rpartition("/")[2], []).append(len(batch))
 
     def _report(self):
-        return "hearing", {}
+        return NodeState(State.WORKING), {}
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros.foundation import machine_load
+from rotcal_ros.foundation.node_state import Reason, State, Why
 from rotcal_ros.nodes.goal import goal_watch
 from rotcal_ros.nodes.goal.crew import Codes, Crew, GoalError
 from rotcal_ros.nodes.goal.goal_watch import GoalWatch
@@ -20,6 +21,7 @@ from rotcal_ros.planning.health_settings import HealthSettings
 from rotcal_ros.planning.planner_settings import PlannerSettings
 
 TURN_S = 0.2
+STEP = Reason.of(Why.MEASURING, "step 3")
 LENGTHS = "/cell/tracer_length"
 
 
@@ -32,7 +34,7 @@ class Cell:
         health = SimpleNamespace(
             slow=self.slow, lost={}, settings=HealthSettings(lost_after_s=30.0), concerns={},
             alarms={}, others={}, missing=lambda _: [],
-            sim=SimpleNamespace(is_settled=lambda: True), state=lambda _: "recording",
+            sim=SimpleNamespace(is_settled=lambda: True), state=lambda _: State.RECORDING,
             values=lambda _: self.values,
         )  # fmt: skip
         logger = SimpleNamespace(warning=self.logged.append)
@@ -46,9 +48,9 @@ class Cell:
         crew.nodes = {"capture", "recorder"}
         self.watch = GoalWatch(
             PlannerSettings(), links, SimpleNamespace(heed=lambda: "", latched=""),
-            SimpleNamespace(waiting=False), GoalProgress(60, activity="step 3"),
-            lambda progress: self.shown.append(progress.activity), lambda: False, crew, 15.0,
-            preflight=False, recording=True,
+            SimpleNamespace(waiting=False), GoalProgress(60, doing=STEP),
+            lambda progress: self.shown.append(progress.doing.in_words()), lambda: False, crew,
+            15.0, preflight=False, recording=True,
         )  # fmt: skip
 
         def patience(seconds):

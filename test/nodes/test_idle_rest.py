@@ -12,7 +12,6 @@ pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.nodes.runtime import running
-from rotcal_ros.nodes.runtime.health import CALIBRATING
 
 TURN_S = 0.001
 
@@ -48,8 +47,8 @@ def test_capture_and_solver_take_their_time_until_the_planner_measures():
     from rotcal_ros.nodes.solver import SolverNode
 
     for kind, at_work_s in ((CaptureNode, 0.01), (SolverNode, 0.04)):
-        for state, gather_s in (("", 0.1), ("ready", 0.1), (f"{CALIBRATING}: step 3", at_work_s)):
-            health = SimpleNamespace(state={"planner": state}.__getitem__)
+        for measures, gather_s in ((False, 0.1), (True, at_work_s)):
+            health = SimpleNamespace(is_calibrating=lambda measures=measures: measures)
             node = SimpleNamespace(health=health, _answering=0)
             node.idle_s = partial(CellNode.idle_s, node)
             assert kind.gather_s(node) == gather_s

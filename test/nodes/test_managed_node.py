@@ -12,6 +12,7 @@ from std_msgs.msg import String  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 from rotcal_ros.foundation.errors import ConfigurationError  # noqa: E402
+from rotcal_ros.foundation.node_state import NodeState, State  # noqa: E402
 from rotcal_ros.nodes.runtime.cell_node import CellNode  # noqa: E402
 from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED  # noqa: E402
 
@@ -48,7 +49,7 @@ class Fragile(CellNode):
         return self.trouble != "clean up"
 
     def _report(self):
-        return "at work", {}
+        return NodeState(State.WORKING), {}
 
 
 @pytest.fixture
@@ -70,17 +71,17 @@ def test_what_could_not_be_configured_leaves_nothing_and_is_tried_again(node):
     before = parts(node)
     node.trouble = "configure"
     assert node.trigger_configure() == FAILURE
-    assert (parts(node), node._beat_values()[0].partition(":")[0]) == (before, "unconfigured")
+    assert (parts(node), node._beat_values()[0].state) == (before, State.UNCONFIGURED)
     node.trouble = ""
     assert node.trigger_configure() == SUCCESS
     assert parts(node) == [n + more for n, more in zip(before, (2, 2, 1, 1), strict=True)]
     assert node.why_not() == "node fragile is inactive: ros2 lifecycle set /fragile activate"
     node.trouble = "activate"
     assert node.trigger_activate() == FAILURE
-    assert node.why_not()
+    assert not node.active
     node.trouble = ""
     assert node.trigger_activate() == SUCCESS
-    assert node._beat_values()[0] == "at work"
+    assert node._beat_values()[0].state is State.WORKING
     node.trouble = "deactivate"  # it must be off, whatever happens
     assert node.trigger_deactivate() == SUCCESS
     assert (node.given_up, node.active) == (1, False)

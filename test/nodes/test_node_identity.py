@@ -1,24 +1,36 @@
 """A name can be taken twice: the first holder keeps it, and a stranger's farewell says nothing."""
 
+from types import SimpleNamespace
+
 import pytest
 
-from rotcal_ros.nodes.runtime.identity import NameHolders, ProcessIdentity, other_session, refusal
+from rotcal_ros.nodes.runtime.identity import (
+    NameHolders,
+    OtherSessionError,
+    ProcessIdentity,
+    require_own_session,
+    second_of_its_name,
+)
 
 FIRST = ProcessIdentity("one", "a", -100.0)
 SECOND = ProcessIdentity("two", "b", -50.0)
 
 
 def held(*beats):
-    """Return which of the beats (identity or None, s) are those of the node."""
+    """Return which of the beats (identity, s) are those of the node."""
     holders = NameHolders()
-    return [holders.is_holder("capture", who.in_a_beat(s) if who else "", s) for who, s in beats]
+    return [holders.is_holder("capture", who, s) for who, s in beats]
+
+
+def beat_of(identity, now_s):
+    """Return who sent it, as a beat tells it."""
+    age_ns = identity.age_ns(now_s)
+    return SimpleNamespace(session=identity.session, process=identity.process, age=age_ns)
 
 
 def test_an_identity_goes_through_a_beat_by_its_age():
-    heard = ProcessIdentity.read(FIRST.in_a_beat(7.0), 1007.0)  # another machine's monotonic clock
+    heard = ProcessIdentity.of(beat_of(FIRST, 7.0), 1007.0)  # another machine's monotonic clock
     assert heard == ProcessIdentity("one", "a", pytest.approx(900.0))
-    for text in ("", "1 2", "one a x", "one a -5", "one a " + "9" * 30):
-        assert ProcessIdentity.read(text, 0.0) is None
 
 
 def test_processes_of_a_session_are_as_old_as_it_and_never_equal():
@@ -46,43 +58,35 @@ def test_a_silent_holder_gives_its_name_to_the_one_that_beats():
     assert held(*beats) == [True, False, True, True]
 
 
-def test_nodes_without_an_identity_are_known_by_their_name_alone():
-    assert held((None, 0.0), (None, 0.2), (FIRST, 0.3), (None, 0.4)) == [True, True, True, False]
-
-
 def test_only_the_farewell_of_the_holder_counts():
     holders = NameHolders()
-    holders.is_holder("capture", FIRST.in_a_beat(0.0), 0.0)
-    assert not holders.leave("capture", SECOND.in_a_beat(0.1), 0.1)
-    assert not holders.leave("capture", "", 0.1)
-    assert holders.leave("capture", FIRST.in_a_beat(0.1), 0.1)
-    assert holders.is_holder("capture", SECOND.in_a_beat(0.2), 0.2)
-    assert holders.leave("never heard", SECOND.in_a_beat(0.3), 0.3)
+    holders.is_holder("capture", FIRST, 0.0)
+    assert not holders.leave("capture", SECOND)
+    assert holders.leave("capture", FIRST)
+    assert holders.is_holder("capture", SECOND, 0.2)
+    assert holders.leave("never heard", SECOND)
 
 
 def test_the_younger_of_two_ends_with_a_sentence():
-    text = refusal("capture", "/cell", SECOND, FIRST, "7")
+    text = second_of_its_name("capture", "/cell", "7")
     assert "node capture runs already in /cell of ROS domain 7" in text
     assert "another ROS_DOMAIN_ID" in text
-    assert "ROS domain 0" in refusal("capture", "/cell", SECOND, FIRST, "")
-    assert refusal("capture", "/cell", FIRST, SECOND, "7") == ""
+    assert "ROS domain 0" in second_of_its_name("capture", "/cell", "")
 
 
 class Heard:
     """Beats of the planner alone."""
 
     def __init__(self, identity):
-        self._identity = identity
+        self.others = {"planner": beat_of(identity, 0.0)}
 
-    def values(self, name):
-        return {"identity": self._identity.in_a_beat(0.0)} if name == "planner" else {}
-
-    def state(self, _name):
+    def in_words(self, _name):
         return "calibrating: step 3 of 60"
 
 
 def test_a_session_hears_that_the_cell_is_of_another_one():
     mine = {"ROTCAL_SESSION": "two"}
-    assert "planner: calibrating: step 3" in other_session(Heard(FIRST), mine)
-    assert other_session(Heard(SECOND), mine) == ""
-    assert other_session(Heard(FIRST), {}) == ""
+    with pytest.raises(OtherSessionError, match="planner: calibrating: step 3"):
+        require_own_session(Heard(FIRST), mine)
+    require_own_session(Heard(SECOND), mine)
+    require_own_session(Heard(FIRST), {})

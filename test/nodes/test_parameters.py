@@ -10,6 +10,7 @@ pytest.importorskip("rclpy")
 from rclpy.parameter import Parameter
 
 from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.node_state import NodeState, State
 from rotcal_ros.foundation.settings import group, setting
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.parameters import read_settings
@@ -35,7 +36,7 @@ class Example:
 
 class ExampleNode(CellNode):
     def _report(self):
-        return "idle", {}
+        return NodeState(State.IDLE), {}
 
 
 @pytest.fixture(scope="module")

@@ -23,10 +23,10 @@ class Node(SimpleNamespace):
 
     def __init__(self):
         health = SimpleNamespace(
-            lost={}, concerns={}, alarms={}, state=lambda _: self.planner,
+            lost={}, concerns={}, alarms={}, others={"planner": object()},
             values=lambda _: {RUN: self.goal} if self.goal else {},
         )  # fmt: skip
-        super().__init__(goal="another run", planner="ready", health=health, warnings=[])
+        super().__init__(goal="another run", health=health, warnings=[])
 
     def listen(self, _kind, _topic, handle, _qos):
         self.offer = handle

@@ -7,10 +7,13 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
+from rotcal_ros.foundation.node_state import NodeState, State, Why
 from rotcal_ros.nodes.goal.cell_links import CellLinks
 from rotcal_ros.nodes.readiness import waiting_for, what_next
 
-IDLE = "inactive: ros2 lifecycle set /cell/capture activate"
+IDLE = NodeState.of(State.INACTIVE, Why.TO_ACTIVATE, "/cell/capture")
+READY, WAITING = NodeState(State.READY), NodeState(State.WAITING)
+TOLD = "node capture is inactive: ros2 lifecycle set /cell/capture activate"
 
 
 class Heard:
@@ -20,7 +23,10 @@ class Heard:
         self._states = states
 
     def state(self, name):
-        return self._states.get(name, "")
+        return self._states[name].state
+
+    def in_words(self, name):
+        return self._states[name].in_words()
 
     def present(self):
         return self._states.keys()
@@ -30,17 +36,17 @@ class Heard:
 
 
 def test_each_node_that_is_not_active_is_named_with_what_to_do():
-    heard = Heard(planner="ready", capture=IDLE)
+    heard = Heard(planner=READY, capture=IDLE)
     assert waiting_for(heard, ["planner", "capture", "solver"]) == [
-        f"node capture is {IDLE}",
+        TOLD,
         "node solver is not there (yet)",
     ]
-    assert waiting_for(Heard(planner="ready"), ["planner"]) == []
+    assert waiting_for(Heard(planner=READY), ["planner"]) == []
 
 
 def test_a_goal_waits_for_every_node_but_those_it_does_not_need():
-    heard = Heard(capture=IDLE, dme_adapter="waiting", bridge=IDLE, scene=IDLE)
-    assert CellLinks.idle_nodes(SimpleNamespace(health=heard)) == [f"node capture is {IDLE}"]
+    heard = Heard(capture=IDLE, dme_adapter=WAITING, bridge=IDLE, scene=IDLE)
+    assert CellLinks.idle_nodes(SimpleNamespace(health=heard)) == [TOLD]
 
 
 def test_the_goal_is_sent_to_this_cell_in_this_domain():

@@ -23,7 +23,7 @@ class Cell:
             self.now_s += TURN_S
             for name in self.beating:
                 self.roll.hear(name, self.now_s)
-            self.told += self.roll.look(self.now_s, lambda name: self.gone.get(name, ""))
+            self.told += self.roll.look(self.now_s, self.gone.get)
 
 
 def test_who_beats_is_neither_slow_nor_lost():
@@ -83,7 +83,7 @@ def test_who_beats_without_taking_turns_is_slow():
     for turn in range(20):
         cell.now_s += TURN_S
         cell.roll.hear("a", cell.now_s - TURN_S * turn)  # its executor has stood since the first
-        cell.roll.look(cell.now_s, lambda _: "")
+        cell.roll.look(cell.now_s, lambda _: None)
     assert cell.roll.slow == {"a": pytest.approx(3.8)}
 
 
@@ -116,4 +116,4 @@ def test_an_overload_says_who_is_waited_for_as_long_as_it_is():
     overload.look({"recorder": 3.0}, 0.0, lambda: "load 9.0 on 1 core")
     assert overload.text == "waiting for recorder (3.0 s): slow, not lost; load 9.0 on 1 core"
     overload.look({}, 1.0, lambda: "")
-    assert overload.text == ""
+    assert overload.text is None

@@ -10,8 +10,8 @@ from live_cell import SUITE, Client, wait_until
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
+from rotcal_ros.foundation.node_state import UNHEARD
 from rotcal_ros.nodes import client as client_module
-from rotcal_ros.nodes.runtime.identity import ProcessIdentity
 
 pytestmark = pytest.mark.ros
 
@@ -69,21 +69,19 @@ class PlannerOfOthers:
         self.node = SimpleNamespace(
             declare_parameter=lambda _name, value: SimpleNamespace(value=value)
         )
-        self.planner_state, self.health = "", self
-        self.goals = []
+        self.health, self.others, self.goals = self, {}, []
 
     def listen(self, _seconds):
-        self.planner_state = "calibrating: step 3 of 60"
+        self.others["planner"] = SimpleNamespace(session="one")
 
     def is_ready(self, _timeout_s):
-        return bool(self.planner_state)
+        return bool(self.others)
 
-    def values(self, name):
-        whose = ProcessIdentity("one", "anybody", 0.0).in_a_beat(1.0)
-        return {"identity": whose} if name == "planner" and self.planner_state else {}
+    def node_state(self, _name):
+        return UNHEARD
 
-    def state(self, _name):
-        return self.planner_state
+    def in_words(self, _name):
+        return "calibrating: step 3 of 60"
 
     def start(self, *goal):
         self.goals.append(goal)

@@ -43,13 +43,13 @@ class Clocks:
 def test_a_clock_that_never_comes_is_named_and_one_that_nobody_follows_is_not():
     clocks = Clocks()
     clocks.live(1.0, 0.0)
-    assert clocks.sim.in_words() == ""
+    assert clocks.sim.standstill() is None
     clocks.live(2.0, 0.0)
-    assert "no time came on /clock" in clocks.sim.in_words()
+    assert "no time came on /clock" in clocks.sim.standstill()
     assert "no time came on /clock" in clocks.sim.remark()
     unused = Clocks(used=False)
     unused.live(9.0, 0.0)
-    assert (unused.sim.in_words(), unused.sim.remark(), unused.sim.values()) == ("", "", {})
+    assert (unused.sim.standstill(), unused.sim.remark(), unused.sim.values()) == (None, "", {})
 
 
 @pytest.mark.parametrize("pace", [0.1, 1.0, 7.0])
@@ -60,11 +60,11 @@ def test_pace_and_pause_are_told(pace):
     assert clocks.sim.remark() == f"; time-outs are wall time, /clock runs at {pace:.2g} of it"
     stood_s = clocks.sim_s
     clocks.live(3.0, 0.0)
-    assert clocks.sim.in_words() == (
+    assert clocks.sim.standstill() == (
         f"/clock stands still at {stood_s:.3f} s: is the simulation paused?"
     )
     clocks.live(1.0, pace)
-    assert clocks.sim.in_words() == ""
+    assert clocks.sim.standstill() is None
     clocks.live(5.0, 2 * pace)
     assert f"runs at {2 * pace:.2g} of it" in clocks.sim.remark()
 

@@ -12,6 +12,7 @@ from live_cell import wait_until
 from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import Trigger
 
+from rotcal_ros.foundation.node_state import NodeState, State
 from rotcal_ros.nodes.planner import Planner
 from rotcal_ros.nodes.recorder import RecorderNode
 from rotcal_ros.nodes.runtime.cell_node import CellNode, until
@@ -42,7 +43,7 @@ class Waiting(CellNode):
         return response
 
     def _report(self):
-        return "waiting", {}
+        return NodeState(State.WAITING), {}
 
 
 @pytest.fixture

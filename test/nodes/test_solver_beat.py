@@ -14,7 +14,7 @@ from live_cell import wait_until
 from rclpy.executors import SingleThreadedExecutor
 
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.nodes.runtime.roll_call import SOLVING
+from rotcal_ros.foundation.node_state import SOLVING
 from rotcal_ros.nodes.runtime.running import default_context
 from rotcal_ros.nodes.solver import SolverNode
 

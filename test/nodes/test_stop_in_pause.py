@@ -9,7 +9,7 @@ pytest.importorskip("rotcal_msgs")
 
 from std_srvs.srv import Trigger
 
-from rotcal_ros.nodes.goal.operator_requests import obstacle
+from rotcal_ros.nodes.goal.operator_requests import require_free
 from rotcal_ros.nodes.goal.pauses import Pauses
 
 BETWEEN = "not resumed: an emergency stop came in between: look, then resume again"
@@ -31,7 +31,7 @@ def waiting():
         create_publisher=lambda *_: None,
         offer=lambda _kind, name, work: offered.update({name: work}),
     )
-    pauses = Pauses(node, lambda: obstacle(watch), lambda: "idle")
+    pauses = Pauses(node, lambda: require_free(watch), lambda: "idle")
     health = SimpleNamespace(present=list)
     watch = SimpleNamespace(
         stop=stop, pauses=pauses, links=SimpleNamespace(health=health), silent_streams=dict

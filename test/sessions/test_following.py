@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.node_state import Why
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
 from rotcal_ros.sessions import following
@@ -14,7 +15,7 @@ from rotcal_ros.sessions.person import Person
 
 STARTED = {"event": "started"}
 RESULT = {"event": "result", "error_code": 0, "verdict": "ok"}
-PAUSED = {"event": "paused", "instruction": "put the tracker there"}
+PAUSED = {"event": "paused", "instruction": "put the tracker there", "doing": Why.WORK}
 END = {"event": "end"}
 
 
@@ -27,10 +28,10 @@ class Nodes:
             self.events.put(event)
         self._ended = ended or {}
         self.resumed = 0
-        self.address = ""
+        self.failure = None
 
-    def page(self):
-        return self.address
+    def page_failure(self):
+        return self.failure
 
     def ended(self):
         return self._ended
@@ -60,6 +61,7 @@ class Viewers:
 
 def feedback(step, total=20):
     return {"event": "feedback", "step": step, "total": total, "activity": "table position 1",
+            "doing": Why.MEASURING,
             "current_std_rad": None, "time_left_s": 9.0}  # fmt: skip
 
 
@@ -77,12 +79,20 @@ def test_progress_is_a_line_for_every_tenth_of_the_steps(capsys):
 
 
 def test_viewers_are_told_where_the_page_is_once(capsys):
-    nodes, viewers = Nodes(STARTED, feedback(1), RESULT), Viewers()
-    nodes.address = "page: http://127.0.0.1:8000"
+    page, text = {"event": "page", "address": "http://[::1]:80"}, "page: http://[::1]:80"
+    nodes, viewers = Nodes(STARTED, page, feedback(1), RESULT), Viewers()
     follow(nodes, viewers=viewers)
+    assert viewers.heard == [STARTED, {"event": "page", "text": text}, feedback(1)]
+    assert capsys.readouterr().err.count(text) == 1
+
+
+def test_a_page_that_cannot_start_is_told_once_and_ends_nothing(capsys):
+    nodes, viewers = Nodes(STARTED, feedback(1), RESULT), Viewers()
+    nodes.failure = "port 80 is taken"
+    assert follow(nodes, viewers=viewers) == RESULT
     told = [event for event in viewers.heard if event["event"] == "page"]
-    assert told == [{"event": "page", "text": nodes.address}]
-    assert capsys.readouterr().err.count(nodes.address) == 1
+    assert told == [{"event": "page", "text": "no page: port 80 is taken"}]
+    assert capsys.readouterr().err.count("port 80") == 1
 
 
 def test_work_of_a_person_that_counts_as_done_goes_on():

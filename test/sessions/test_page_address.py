@@ -1,4 +1,4 @@
-"""Where the page is, as a session tells it; a session whose page cannot be served goes on."""
+"""A session whose page cannot be served goes on, and says why."""
 
 import sys
 import time
@@ -30,27 +30,19 @@ def started(tmp_path):
         yield start
 
 
-def words(session):
-    deadline = time.monotonic() + patient(DEADLINE_S)
-    while not (found := session.page()):
-        assert time.monotonic() < deadline, "the page is never told"
-        time.sleep(0.02)
-    return found
-
-
-def test_the_address_is_told_as_the_node_logs_it(started):
-    session = started("import time; print('[INFO]: page: http://[::1]:80'); time.sleep(60)")
-    assert words(session) == "page: http://[::1]:80"
-
-
 def test_a_page_that_cannot_start_is_told_and_ends_nothing(started):
     session = started("raise SystemExit('port 80 is taken')")
-    assert words(session) == "no page: port 80 is taken"
+    deadline = time.monotonic() + patient(DEADLINE_S)
+    while (failure := session.page_failure()) is None:
+        assert time.monotonic() < deadline, "the page is never told"
+        time.sleep(0.02)
+    assert failure == "port 80 is taken"
     assert session.ended() == {}
 
 
-def test_without_a_page_nothing_is_told(started):
-    assert started("").page() == ""
+@pytest.mark.parametrize("code", ["", "import time; time.sleep(60)"])
+def test_without_a_page_and_with_one_nothing_has_failed(started, code):
+    assert started(code).page_failure() is None
 
 
 def test_what_the_page_needs_and_is_not_there_is_named(monkeypatch, capsys):

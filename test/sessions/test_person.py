@@ -5,13 +5,14 @@ from types import SimpleNamespace
 
 import pytest
 
+from rotcal_ros.foundation.node_state import Why
 from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
 from rotcal_ros.sessions import person as module
 from rotcal_ros.sessions.person import Person
 
-PAUSED = {"event": "paused", "instruction": "put the tracker there"}
-WAITING = {"event": "feedback", "activity": "paused: put the tracker there"}
-GOING_ON = {"event": "feedback", "activity": "table position 3, target 1"}
+PAUSED = {"event": "paused", "instruction": "put the tracker there", "doing": Why.WORK}
+WAITING = {"event": "feedback", "doing": Why.WORK}
+GOING_ON = {"event": "feedback", "doing": Why.MEASURING}
 
 
 @pytest.fixture
@@ -121,8 +122,8 @@ def test_a_refused_resume_is_told_with_its_reason():
     assert make().hear({"event": "alive", "planner": "ready"}) == ""
 
 
-STOPPED = {"event": "paused", "instruction": "emergency stop: door is true; release it"}
-RELEASED = {"event": "paused", "instruction": "emergency stop: released, it was: door is true"}
+STOPPED = {"event": "paused", "instruction": "the door is open", "doing": Why.STOPPED}
+RELEASED = {"event": "paused", "instruction": "the door was open", "doing": Why.RELEASED}
 
 
 @pytest.mark.parametrize("kind", [{"simulated": True}, {"yes": True}, {}])

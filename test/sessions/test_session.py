@@ -6,6 +6,7 @@ import pytest
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.files import FolderLock
+from rotcal_ros.foundation.node_state import Why
 from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import changed, read_configuration
 from rotcal_ros.sessions.disk_space import expected_bytes
@@ -134,9 +135,13 @@ def test_the_users_domain_stays(monkeypatch):
 
 
 def test_feedback_in_words():
-    feedback = {"activity": "solving", "current_std_rad": None, "time_left_s": None}
+    feedback = {"activity": "solving", "doing": Why.SOLVING, "current_std_rad": None,
+                "time_left_s": None}  # fmt: skip
     assert describe(feedback) == "solving"
-    feedback = {"activity": "target 3", "current_std_rad": 4.8481368e-6, "time_left_s": 12.3}
+    assert describe(feedback | {"doing": Why.WORK}) == "waiting for a person"
+    assert describe(feedback | {"doing": Why.RELEASED}) == "stopped by an emergency stop"
+    feedback = {"activity": "target 3", "doing": Why.MEASURING, "current_std_rad": 4.8481368e-6,
+                "time_left_s": 12.3}  # fmt: skip
     assert describe(feedback) == "target 3, U (k = 2) 2.00 arcsec, 12 s left"
     feedback |= {"goal_rad": 9.6962736e-6, "uncertainty_rad": None}
     words = (

@@ -12,18 +12,19 @@ import pytest
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.files import FolderLock
 from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.node_state import Why
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.sessions import viewers as module
 from rotcal_ros.sessions.attaching import Attachment, running_sessions, watch
 from rotcal_ros.sessions.viewers import History, Viewers
 
 DEADLINE_S = 30.0
-PAUSED = {"event": "paused", "instruction": "put the tracker there"}
+PAUSED = {"event": "paused", "instruction": "put the tracker there", "doing": Why.WORK}
 OUTCOME = {"verdict": "ok", "n_used": 3}
 
 
-def feedback(step, activity="table position 1"):
-    return {"event": "feedback", "step": step, "total": 20, "activity": activity,
+def feedback(step, doing=Why.MEASURING):
+    return {"event": "feedback", "step": step, "total": 20, "activity": "words", "doing": doing,
             "current_std_rad": None, "time_left_s": None}  # fmt: skip
 
 
@@ -64,13 +65,13 @@ def test_who_comes_late_hears_how_it_stands():
     for event in (
         page,
         feedback(1),
-        feedback(2, "paused: put it there"),
+        feedback(2, Why.WORK),
         PAUSED,
         {"event": "alive"},
     ):
         history.remember(event)
     assert [e["event"] for e in history.events()] == ["session", "page", "feedback", "paused"]
-    assert history.events()[1:3] == [page, feedback(2, "paused: put it there")]
+    assert history.events()[1:3] == [page, feedback(2, Why.WORK)]
     history.remember(feedback(3))  # somebody has done it
     assert [e["event"] for e in history.events()] == ["session", "page", "feedback"]
 

@@ -21,6 +21,7 @@ from rotcal_ros.extensions.instrument_plugins.instrument import (
 )
 from rotcal_ros.extensions.instrument_plugins.settings import InstrumentSettings
 from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
+from rotcal_ros.foundation.node_state import NodeState, State, Why
 from rotcal_ros.foundation.observations import Command, LengthStatus, ProbeSample, TracerSample
 from rotcal_ros.foundation.plugins import INSTRUMENTS, load
 
@@ -58,12 +59,15 @@ class Listeners:
     complain: Callable[[str], None]
 
 
+READING: Final = NodeState.of(State.WORKING, Why.READING)
+
+
 class InstrumentDriver:
     """Drives one instrument from :meth:`begin` to :meth:`stop`.
 
-    ``why_not(order)`` says why a place may not be measured now (the table is not at rest), empty:
-    it may. ``state`` says what is done, ``trouble`` why nothing comes (empty: it does), ``waits``
-    what an order has been waiting for longer than usual, ``connections`` counts.
+    ``why_not(order)`` says why a place may not be measured now (the table is not at rest), None:
+    it may. ``state`` says what is done, ``trouble`` why nothing comes (None: it does), ``waits``
+    what an order has been waiting for longer than usual, if any does, ``connections`` counts.
     """
 
     def __init__(
@@ -71,10 +75,13 @@ class InstrumentDriver:
         instrument: Instrument,
         settings: InstrumentSettings,
         listeners: Listeners,
-        why_not: Callable[[Command], str] = lambda _: "",
+        why_not: Callable[[Command], str | None] = lambda _: None,
         now_ns: Callable[[], int] = time.time_ns,
     ) -> None:
-        self.state, self.trouble, self.waits, self.connections = "starting", "", "", 0
+        self.state = NodeState.of(State.PREPARING, Why.STARTING)
+        self.trouble: str | None = None
+        self.waits: str | None = None
+        self.connections = 0
         self._instrument, self._settings, self._tell = instrument, settings, listeners
         self._tracer = instrument if isinstance(instrument, Tracer) else None
         self._tracker = instrument if isinstance(instrument, Tracker) else None
@@ -110,17 +117,17 @@ class InstrumentDriver:
         """Begin anew after every error, for as long as it takes: instruments come back."""
         while not self._end.is_set():
             try:
-                self.state = "connecting"
+                self.state = NodeState.of(State.PREPARING, Why.CONNECTING)
                 self._instrument.connect()
                 self.connections += 1
-                self.state, self.trouble = "measuring", ""
+                self.state, self.trouble = READING, None
                 self._serve()
             except Exception as error:  # whatever a foreign plug-in does, people hear of it
                 self._note(error)
             with suppress(Exception):
                 self._instrument.close()
             self._end.wait(self._settings.reconnect_s)
-        self.state = "closed"
+        self.state = NodeState.of(State.WAITING, Why.CLOSED)
 
     def _note(self, error: Exception) -> None:
         """Say what went wrong, once for each kind; readings behind it begin at another zero."""
@@ -129,9 +136,9 @@ class InstrumentDriver:
         text = f"instrument {self._settings.plugin} at {self._settings.address}: {words}"
         if text != self.trouble:
             self._tell.complain(f"{text}; tried again every {self._settings.reconnect_s:g} s")
-        if self.state == "measuring" and self._tracer is not None:
+        if self.state == READING and self._tracer is not None:
             self._pass_on(Length(0.0, valid=False))
-        self.state, self.trouble = "connection lost", text
+        self.state, self.trouble = NodeState.of(State.FAILED, Why.CONNECTION_LOST), text
 
     def _serve(self) -> None:
         heard_s = time.monotonic()
@@ -167,10 +174,11 @@ class InstrumentDriver:
     def _measure(self) -> None:
         """Measure the place that was ordered, if it may be; none there is told, not an end."""
         order = self._order
-        why = "" if order is None else self._why_not(order)
+        why = None if order is None else self._why_not(order)
         late = time.monotonic() - self._ordered_s > PATIENCE_S
-        self.waits = f"step {order.step} is not measured: {why}" if order and why and late else ""
-        if order is None or why or self._tracker is None:
+        waits = f"step {order.step} is not measured: {why}" if order and why else None
+        self.waits = waits if late else None
+        if order is None or why is not None or self._tracker is None:
             return
         self._order = None
         try:

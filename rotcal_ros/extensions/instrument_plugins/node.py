@@ -20,6 +20,7 @@ from rotcal_ros.extensions.instrument_plugins.driver import (
 from rotcal_ros.extensions.instrument_plugins.instrument import InstrumentError, Tracer, Tracker
 from rotcal_ros.extensions.instrument_plugins.settings import InstrumentSettings
 from rotcal_ros.extensions.instrument_plugins.table_rest import TableRest
+from rotcal_ros.foundation.node_state import NodeState
 from rotcal_ros.foundation.observations import Command, ProbeSample, TracerSample
 from rotcal_ros.instruments.interpreter import Interpreter
 from rotcal_ros.nodes.instruments.topics import InstrumentTopics
@@ -41,8 +42,8 @@ class TableHearing:
         self._interpreter = Interpreter(self._topics.settings, joint)
         self._topics.listen(names.JOINT_STATES, node.health.guarded(self.hear))
 
-    def why_not(self, order: Command) -> str:
-        """Return why the table does not rest where ``order`` has it; empty: it does."""
+    def why_not(self, order: Command) -> str | None:
+        """Return why the table does not rest where ``order`` has it; None: it does."""
         if refused := self._topics.refused.get(names.JOINT_STATES):
             return refused
         why = self._rest.why_not(order)
@@ -108,9 +109,9 @@ class InstrumentDriverNode(CellNode):
             self._instrument, self._settings, listeners, self._why_not, self.now_ns
         )
 
-    def _why_not(self, order: Command) -> str:
-        """Return why the place of ``order`` may not be measured now; empty: it may."""
-        return self._table.why_not(order) if self._table is not None else ""
+    def _why_not(self, order: Command) -> str | None:
+        """Return why the place of ``order`` may not be measured now; None: it may."""
+        return None if self._table is None else self._table.why_not(order)
 
     def _node_lost(self, name: str) -> None:
         """Measure nothing for a planner that is lost."""
@@ -130,7 +131,7 @@ class InstrumentDriverNode(CellNode):
     def _complain(self, text: str) -> None:
         self.get_logger().error(text)
 
-    def _report(self) -> tuple[str, dict[str, Any]]:
+    def _report(self) -> tuple[NodeState, dict[str, Any]]:
         return self._driver.state, {"connections": self._driver.connections}
 
 

@@ -33,8 +33,8 @@ class TableRest:
         """Know nothing: the feedback is another one from now on."""
         self._since = self._latest = None
 
-    def why_not(self, order: Command) -> str:
-        """Return why the table does not rest where ``order`` has it; empty: it does."""
+    def why_not(self, order: Command) -> str | None:
+        """Return why the table does not rest where ``order`` has it; None: it does."""
         since, latest = self._since, self._latest
         if latest is None:
             return "no feedback of the table has come"
@@ -46,7 +46,7 @@ class TableRest:
             here, there = latest.angle / DEGREE, order.table_angle / DEGREE
             return f"the table rests at {here:.4f}° and is ordered to {there:.4f}°"
         settled = latest.stamp_ns - since.stamp_ns >= self._settle_ns
-        return "" if settled else "the table has just come to rest"
+        return None if settled else "the table has just come to rest"
 
     def _off(self, sample: TableSample, angle: float) -> bool:
         return not is_near(sample.angle, angle, self._tolerance)

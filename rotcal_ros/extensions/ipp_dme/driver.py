@@ -23,6 +23,7 @@ from typing import Final
 from rotcal_ros.extensions.ipp_dme.client import DmeClient
 from rotcal_ros.extensions.ipp_dme.faults import DmeError, DmeFault
 from rotcal_ros.extensions.ipp_dme.settings import DmeSettings
+from rotcal_ros.foundation.node_state import NodeState, State, Why
 from rotcal_ros.foundation.observations import (
     Approach,
     Command,
@@ -61,7 +62,8 @@ class Driver:
         now_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self.client = DmeClient(settings, self._heard, self._warned, now_ns)
-        self.state, self.busy, self.refused, self.warnings = "starting a session", False, 0, 0
+        self.state = NodeState.of(State.PREPARING, Why.STARTING_SESSION)
+        self.busy, self.refused, self.warnings = False, 0, 0
         self._publish_table, self._publish_point = publish_table, publish_point
         self._complain = complain
         self._measuring = OrderRunner(self.client, now_ns)
@@ -117,7 +119,7 @@ class Driver:
         if starts:
             self._move(self.client.start)
         while not self._stopping:
-            self.state = self.client.blocked or "ready"
+            self.state = self._at_rest()
             try:
                 job = self._jobs.get(timeout=self.client.settings.idle_period_s)
             except Empty:
@@ -129,6 +131,11 @@ class Driver:
             elif job is not None:
                 self._obey(job)
         self.client.close()
+
+    def _at_rest(self) -> NodeState:
+        if blocked := self.client.blocked:
+            return NodeState.of(State.FAILED, Why.BLOCKED, blocked)
+        return NodeState(State.READY)
 
     def _abort(self, why: str) -> None:
         try:
@@ -152,7 +159,7 @@ class Driver:
             self.refused += 1
             self._complain(f"{name} refused before a person clears: {self.client.blocked}")
             return
-        self.state = name
+        self.state = NodeState.of(State.WORKING, Why.ORDERED, command.step, command.attempt)
 
         def carry_out() -> None:
             for point in self._measuring.carry_out(command, step, given_up):

@@ -19,15 +19,16 @@ from rotcal_ros.extensions.ipp_dme.client import NOT_STARTED
 from rotcal_ros.extensions.ipp_dme.driver import Driver
 from rotcal_ros.extensions.ipp_dme.faults import DmeError
 from rotcal_ros.extensions.ipp_dme.settings import DmeSettings
+from rotcal_ros.foundation.node_state import LOADING, NodeState
 from rotcal_ros.foundation.observations import Command, ProbeSample, TableSample
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.diagnostic_warnings import BLOCKED, show
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
+from rotcal_ros.nodes.runtime.health import PLANNER
 from rotcal_ros.nodes.runtime.planners_plans import PlannersPlans
 from rotcal_ros.nodes.runtime.plans import RUN, calibration_of, load_method, run_name
 from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
-from rotcal_ros.nodes.runtime.roll_call import LOADING
 from rotcal_ros.nodes.runtime.running import run
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.plan import Plan
@@ -36,7 +37,6 @@ from rotcal_ros.planning.safety_settings import SafetySettings
 WATCH_PERIOD_S: Final = 0.1
 LOOKS_FIRST: Final = round(5.0 / WATCH_PERIOD_S)
 """Looks before the machine is contacted: 5 s to find an adapter that was there, and hear it."""
-PLANNER: Final = "planner"
 UNBLOCKED: Final = ("", NOT_STARTED)
 HOW_TO_GO_ON: Final = "; once that is corrected, a person continues with the service clear_errors"
 
@@ -53,8 +53,9 @@ class DmeAdapter(CellNode):
         settings = self.settings("dme", DmeSettings)
         self._joint = self.settings("cell", CellSettings).joint or "table"
         self._plan: Plan | None = None
-        self._early: tuple[str, Command] | None = None
-        self._run = self._served = ""
+        self._early: tuple[str | None, Command] | None = None
+        self._run: str | None = None
+        self._served: str | None = None
         self._looks, self._loading, self._orders = 0, False, Orders()
         self._table = self.create_publisher(JointState, names.JOINT_STATES, STREAM)
         self._points = self.create_publisher(ProbePoint, names.PROBE_POINT, EVENT)
@@ -105,7 +106,7 @@ class DmeAdapter(CellNode):
         if self._stop.refuses(command.step):
             return
         run = self._planners_run()
-        if self._plan is None or run not in ("", self._run):
+        if self._plan is None or run not in (None, self._run):
             self._early = run, command  # of a plan that is on its way
         else:
             self._driver.order(command, self._plan.step(command.step))
@@ -132,18 +133,18 @@ class DmeAdapter(CellNode):
                 self._begin()
         self._follow_planner()
         blocked = self._driver.client.blocked
-        show(self.health, BLOCKED, blocked + HOW_TO_GO_ON if blocked not in UNBLOCKED else "")
+        show(self.health, BLOCKED, None if blocked in UNBLOCKED else blocked + HOW_TO_GO_ON)
 
-    def _planners_run(self) -> str:
-        """Return for which run of a plan the planner works; empty: for none, or unknown."""
+    def _planners_run(self) -> str | None:
+        """Return for which run of a plan the planner works; None: for none, or unknown."""
         if PLANNER in self.health.lost:
-            return ""
-        return self.health.values(PLANNER).get(RUN, "")
+            return None
+        return self.health.values(PLANNER).get(RUN)
 
     def _follow_planner(self) -> None:
         """Drop the plan and its orders when its calibration has ended."""
         run = self._planners_run()
-        if self._served not in ("", run):
+        if self._served not in (None, run):
             self._plan = None
             self._drop("the calibration ended in the middle of a step")
         self._served = run
@@ -159,7 +160,7 @@ class DmeAdapter(CellNode):
 
     def _drop(self, why: str) -> None:
         """Forget all orders, and stop the machine when it carries one out."""
-        self._served, self._early = "", None
+        self._served = self._early = None
         self._orders.clear()
         self._driver.forget()
         if self._driver.busy:
@@ -179,7 +180,7 @@ class DmeAdapter(CellNode):
     def _complain(self, text: str) -> None:
         self.get_logger().error(text)
 
-    def _report(self) -> tuple[str, dict[str, Any]]:
+    def _report(self) -> tuple[NodeState, dict[str, Any]]:
         driver = self._driver
         values = {
             "server": f"{driver.client.settings.host}:{driver.client.settings.port}",

@@ -6,13 +6,16 @@ from dataclasses import dataclass
 from typing import Final
 
 from rotcal_ros.extensions.page.state import Now, ShownOffer
-from rotcal_ros.planning.plan import RELEASED, STOPPED
+from rotcal_ros.foundation.node_state import RELEASED, STOPS, UNHEARD, NodeState, State, Why
 
-_WORDS: Final = {
-    "preflight": "Checking the cell",
-    "opening": "Starting the recording",
-    "solving": "Computing the deviations",
-    "closing": "Closing the recording",
+_HEADLINES: Final = {
+    **dict.fromkeys(
+        (Why.PREFLIGHT, Why.PREFLIGHT_NODES, Why.PREFLIGHT_CLOCKS, Why.PREFLIGHT_TOPICS),
+        "Checking the cell",
+    ),
+    Why.OPENING_BAG: "Starting the recording",
+    Why.SOLVING: "Computing the deviations",
+    Why.CLOSING_BAG: "Closing the recording",
 }
 
 
@@ -20,15 +23,16 @@ _WORDS: Final = {
 class HeardPlanner:
     """What was heard of the planner and its goal.
 
-    ``planner`` is its state in words, empty when it is not there; ``silent`` that it was there
-    and fell silent. ``calibrating`` that a goal runs: ``activity`` is what it does,
-    ``instruction`` what it waits for. ``ended`` holds how the last goal ended, None while there
-    was none or it runs: with a verdict, or with an error.
+    ``planner`` is its state, UNKNOWN when it is not there; ``silent`` that it was there and fell
+    silent. ``calibrating`` that a goal runs: ``doing`` and ``activity`` are what it does, as a
+    code and in words, ``instruction`` what it waits for. ``ended`` that the last goal has: with a
+    verdict, or with an error.
     """
 
-    planner: str = ""
+    planner: NodeState = UNHEARD
     silent: bool = False
     calibrating: bool = False
+    doing: Why = Why.UNKNOWN
     activity: str = ""
     instruction: str = ""
     stopping: bool = False
@@ -42,16 +46,18 @@ def now(heard: HeardPlanner, offer: ShownOffer | None = None) -> Now:
     """Return the large line; ``offer`` is a table that waits for a person."""
     if heard.silent:
         return Now("failed", "The planner fell silent", _sentence(heard.error or "nothing moves"))
-    if heard.planner and heard.calibrating:
+    here = heard.planner.state is not State.UNKNOWN
+    if here and heard.calibrating:
         return _calibrating(heard)
     if offer is not None and not (offer.why_not or offer.applied):
         return Now("confirm", "A table waits for your confirmation",
                    "Look at what it changes, below.")  # fmt: skip
-    return _after_the_end(heard) or (_ready(heard.planner) if heard.planner else Now())
+    return _after_the_end(heard) or (_ready(heard.planner) if here else Now())
 
 
-def _ready(planner: str) -> Now:
-    return Now("ready", "Ready", _sentence(f"the planner is {planner}: no calibration runs"))
+def _ready(planner: NodeState) -> Now:
+    words = f"the planner is {planner.in_words()}: no calibration runs"
+    return Now("ready", "Ready", _sentence(words))
 
 
 def _calibrating(heard: HeardPlanner) -> Now:
@@ -59,16 +65,15 @@ def _calibrating(heard: HeardPlanner) -> Now:
         return Now("stopping", "Stopping", "The bag is being closed.")
     if heard.instruction:
         what, _, more = heard.instruction.partition("; ")
-        if what.startswith(STOPPED):
-            released = what.startswith(RELEASED)
+        if heard.doing in STOPS:
+            released = heard.doing in RELEASED
             return Now("emergency", _sentence(what), _sentence(more), resume=released, stop=True,
                        instruction=heard.instruction)  # fmt: skip
         detail = f"{_sentence(more)} Press Continue when it is done."
         return Now("person", _sentence(what), detail.strip(), resume=True, stop=True,
                    instruction=heard.instruction)  # fmt: skip
-    word = heard.activity.partition(":")[0].partition(" ")[0]
-    if word in _WORDS:
-        return Now("measuring", _WORDS[word], stop=True)
+    if heard.doing in _HEADLINES:
+        return Now("measuring", _HEADLINES[heard.doing], stop=True)
     headline = "Measuring" if heard.activity else "Starting"
     return Now("measuring", headline, _sentence(heard.activity), stop=True)
 

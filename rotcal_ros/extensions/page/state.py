@@ -165,7 +165,7 @@ class RejectedAttempt:
 
 
 @dataclass(frozen=True, slots=True)
-class NodeState:
+class ShownNode:
     """A node of the cell; ``level`` is 0 well, 1 warning, 2 error, 3 silent."""
 
     name: str
@@ -250,7 +250,7 @@ class PageState:
     length_course: Points = ()
     temperatures: tuple[Temperature, ...] = ()
     rejections: tuple[RejectedAttempt, ...] = ()
-    nodes: tuple[NodeState, ...] = ()
+    nodes: tuple[ShownNode, ...] = ()
     streams: tuple[TopicState, ...] = ()
     recording: RecorderState | None = None
     log: tuple[LogLine, ...] = ()

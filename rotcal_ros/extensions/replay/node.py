@@ -39,19 +39,20 @@ from rotcal_ros.bags.unread_data import unread
 from rotcal_ros.capture import messages
 from rotcal_ros.evaluation.marks import marks
 from rotcal_ros.extensions.replay.replayed_bag import CLOCK, ReplayedBag, of_attempts
-from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.middleware import LOCALHOST
 from rotcal_ros.foundation.node_names import NODES, VIEWERS
+from rotcal_ros.foundation.node_state import Why
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.nodes.runtime.channels import importable_type
 from rotcal_ros.nodes.runtime.conversions import time_message
-from rotcal_ros.nodes.runtime.health import CALIBRATING, Health
+from rotcal_ros.nodes.runtime.health import Health
 from rotcal_ros.nodes.runtime.json_lines import say
 from rotcal_ros.nodes.runtime.peer import Peer
-from rotcal_ros.nodes.runtime.plans import REFUSED, RUN, run_name
+from rotcal_ros.nodes.runtime.plans import RUN, run_name
 from rotcal_ros.nodes.runtime.qos import EVENT
 from rotcal_ros.nodes.runtime.running import EndRequest, leave_with
 from rotcal_ros.nodes.writing.bookkeeping import NEVER_PAUSE
@@ -200,9 +201,10 @@ class Player:
     def _make_publishers(self) -> None:
         """Make a publisher for each topic whose type is installed as it was recorded."""
         for topic, channel in self._bag.channels.items():
-            kind, why = importable_type(channel.type_name, channel.type_hash)
-            if kind is None:
-                self._bag.left_out[topic] = why
+            try:
+                kind = importable_type(channel.type_name, channel.type_hash)
+            except BagError as error:
+                self._bag.left_out[topic] = str(error)
                 continue
             qos = offered_qos(channel.offered_qos)
             self._publishers[topic] = self._node.create_publisher(kind, topic, qos)
@@ -220,10 +222,11 @@ class Player:
             return [n for n in nodes if n in here and self._health.values(n).get(RUN) != run]
 
         def settled() -> bool:
-            return not not_yet() or any(self._health.state(n).startswith(REFUSED) for n in nodes)
+            states = map(self._health.node_state, nodes)
+            return not not_yet() or any(state.has(Why.PLAN_REFUSED) for state in states)
 
         if not self._wait(settled, PLAN_TAKEN_S) or not_yet():
-            states = "; ".join(f"{node}: {self._health.state(node)}" for node in nodes)
+            states = "; ".join(f"{node}: {self._health.in_words(node)}" for node in nodes)
             raise ConfigurationError(f"the plan of the bag is not taken ({states})")
         unheard = partial(self._outcome.unheard, self._publishers, with_plan=True)
         if not self._wait(lambda: not unheard(), LISTENERS_S):
@@ -349,7 +352,7 @@ def conflicts(
     node: Node, health: Health, bag: ReplayedBag, topics: Iterable[str], given: Namespace
 ) -> list[str]:
     """Return why these topics must not be published here, in words."""
-    if not given.everything and health.state("planner").startswith(CALIBRATING):
+    if not given.everything and health.is_calibrating():
         return ["a calibration is running here (node planner): nothing is replayed into it"]
     found = [*_moved(node, bag, topics, given.watchers), *_sources(node, bag, topics)]
     if given.clock and (others := _publishers(node, CLOCK)):

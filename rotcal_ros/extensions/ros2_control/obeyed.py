@@ -49,12 +49,12 @@ class JointWatch:
         self.latest: TableSample | None = None
         self.order: ObeyedOrder | None = None
 
-    def doubt(self) -> str:
-        """Return why nothing may move yet, in one sentence; empty where it may."""
+    def doubt(self) -> str | None:
+        """Return why nothing may move yet, in one sentence; None where it may."""
         if self.order is not None or self._settings.many_turns:
-            return ""
+            return None
         if self.latest is None or not abs(self.latest.angle) > _FAR:
-            return ""
+            return None
         angle = self.latest.angle
         return (
             f"the table tells {angle:.6g} rad before its first order, {angle / TURN:.1f} turns: "
@@ -129,20 +129,20 @@ class JointWatch:
         order = self.order
         return order is None or (order.moved and self._off(order.way) <= self._tolerance)
 
-    def complaint(self, now_s: float) -> str:
-        """Return in one sentence what is wrong with the table, empty while all is well."""
+    def complaint(self, now_s: float) -> str | None:
+        """Return in one sentence what is wrong with the table, None while all is well."""
         patience = self._settings.silence_s
         if self.latest is None:
-            return ""
+            return None
         if now_s - self._heard_s > patience:
             return f"no feedback of the table for {now_s - self._heard_s:.1f} s"
         if now_s - self._heard_s > 0.5 * patience:
-            return ""  # soon it is silent, or tells more
+            return None  # soon it is silent, or tells more
         if not isfinite(self.latest.angle):
             return "the feedback of the table is no number"
         order = self.order
         if order is None or self.arrived():
-            return ""
+            return None
         goal, angle = order.way.goal, self.latest.angle
         still_s = now_s - self._moved_s
         if still_s > _REST_S and in_degrees(angle, goal):
@@ -162,7 +162,7 @@ class JointWatch:
                 f"{self._off(order.way) / ARCSEC:.4g} arcsec from where it was sent "
                 f"({goal / DEGREE:.4f} deg)"
             )
-        return ""
+        return None
 
     def _off(self, way: Way) -> float:
         if self.latest is None or not isfinite(self.latest.angle):

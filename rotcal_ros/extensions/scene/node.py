@@ -32,12 +32,12 @@ from rotcal_ros.extensions.scene.drawing import (
 from rotcal_ros.extensions.scene.layout import SceneLayout, SceneProgress, layout_of
 from rotcal_ros.extensions.scene.shapes import Balls, Colour, Disc, Label, Lines, Shape, Transform
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.node_state import LOADING, NO_PLAN, NodeState, State, Why
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.conversions import header
 from rotcal_ros.nodes.runtime.plans import calibration_of
 from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED
-from rotcal_ros.nodes.runtime.roll_call import LOADING
 from rotcal_ros.nodes.runtime.running import run
 
 
@@ -130,7 +130,7 @@ class SceneNode(CellNode):
         self._errors: Errors | None = None
         self._announced = False
         self._joint, self._heard = "", set[str]()
-        self._state = "waiting for a plan"
+        self._state = NO_PLAN
         self._feedback: JointState | None = None
         self._step: int | None = None
         self._changed = False
@@ -157,7 +157,7 @@ class SceneNode(CellNode):
         self._progress = SceneProgress(self._layout)
         self._errors, self._step, self._shown, self._changed = None, None, None, True
         self._announced = False
-        self._state = f"drawing {message.method}"
+        self._state = NodeState.of(State.WORKING, Why.DRAWING, message.method)
 
     def _take_errors(self, message: DeviationArray) -> None:
         columns = [
@@ -226,7 +226,7 @@ class SceneNode(CellNode):
         self._shown = angle, self._step
         self._moving.publish(markers(draw_moving(self._layout, angle, step), now_ns))
 
-    def _report(self) -> tuple[str, dict[str, Any]]:
+    def _report(self) -> tuple[NodeState, dict[str, Any]]:
         return self._state, {"tf": self._frames.published}
 
 

@@ -45,13 +45,14 @@ class CellSnapshot:
         """Return the names of the nodes that publish the topic of a role."""
         return self.graph.publishers(self.name(role))
 
-    def unusable(self, role: str) -> str:
-        """Return in words why the topic of a role is of no use; empty: it is of use."""
+    def unusable(self, role: str) -> str | None:
+        """Return in words why the topic of a role is of no use; None: it is of use."""
         if role == names.JOINT_STATES and self.adapter is not None:
-            return self.adapter.wrong()[0]
+            wrong = self.adapter.wrong()
+            return None if wrong is None else wrong.found
         silent = role in single_shots(self.configuration.topics)
         delivered = silent or self.values.get(f"valid.{role}", "0") != "0"
-        return next(self.graph.without_instrument(self.name(role), delivered), "")
+        return next(self.graph.without_instrument(self.name(role), delivered), None)
 
     def joint_faults(self) -> Iterator[str]:
         """Yield what is wrong with the table's joint; an adapter has its own word about that."""

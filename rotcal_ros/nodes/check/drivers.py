@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from rclpy.node import Node
 
@@ -16,16 +16,23 @@ if TYPE_CHECKING:
     from rotcal_ros.nodes.check.cell_snapshot import CellSnapshot
 
 
+class Finding(NamedTuple):
+    """What is wrong or looks so, and what to do about it."""
+
+    found: str
+    todo: str
+
+
 class TableEars(Protocol):
     """The table behind a driver that is still to come: heard and judged as the driver will."""
 
     topic: str
 
-    def wrong(self) -> tuple[str, str]:
-        """Return why the driver could not go by this feedback, and what to do; empty: it can."""
+    def wrong(self) -> Finding | None:
+        """Return why the driver could not go by this feedback; None: it can."""
 
-    def outside(self) -> str:
-        """Return in words that the joint stands outside of its stated travel; empty: no."""
+    def outside(self) -> str | None:
+        """Return in words that the joint stands outside of its stated travel; None: no."""
 
     def controller_lines(self) -> Iterator[CheckLine]:
         """Yield whether who takes the driver's orders is there."""

@@ -52,15 +52,15 @@ def _nobody(snapshot: CellSnapshot) -> CheckLine:
     return CheckLine("cell", "nodes", "missing", f"nobody at all in domain {domain}", todo)
 
 
-def namesakes(graph: CellGraph, topic: str, own: str, kind: str) -> str:
-    """Return what to do where another topic has the last name or the type; empty: none has."""
+def namesakes(graph: CellGraph, topic: str, own: str, kind: str) -> str | None:
+    """Return what to do where another topic has the last name or the type; None: none has."""
     found = []
     for name, types in graph.node.get_topic_names_and_types():
         alike = name.rpartition("/")[2] == topic or kind in types
         if name != own and alike and graph.node.get_publishers_info_by_topic(name):
             found.append((name.rpartition("/")[2] != topic, name, types[0]))
     if not found:
-        return ""
+        return None
     other, name, of_type = min(found)
     if other:
         return f"is it {name} ({of_type})? Remap it: --ros-args -r {name}:={own}"

@@ -12,7 +12,7 @@ from rotcal_ros.instruments.conventions import single_shots
 from rotcal_ros.instruments.interpreter import FAST
 from rotcal_ros.methods.check_lines import CheckLine, State
 from rotcal_ros.nodes.check.cell_snapshot import CellSnapshot
-from rotcal_ros.nodes.check.drivers import brought_line
+from rotcal_ros.nodes.check.drivers import Finding, brought_line
 from rotcal_ros.nodes.check.header_watch import HeaderWatch
 from rotcal_ros.nodes.check.other_nodes import namesakes
 from rotcal_ros.nodes.goal.preflight import (
@@ -27,7 +27,6 @@ from rotcal_ros.nodes.goal.preflight import (
 )
 from rotcal_ros.nodes.runtime.diagnostic_warnings import CLOCK_DOUBT, OFFSET
 from rotcal_ros.nodes.runtime.latest import NOW, REFUSED
-from rotcal_ros.nodes.runtime.topic_names import name_in
 
 KINDS: Final[Mapping[str, tuple[str, str]]] = {
     names.JOINT_STATES: ("table", "sensor_msgs/msg/JointState"),
@@ -78,13 +77,14 @@ def _line(snapshot: CellSnapshot, topic: str) -> CheckLine:
     )
     if not offers:
         return _absent(snapshot, topic)
-    problem, todo = _problem(snapshot, topic, offers, watch)
-    doubt, advice = _doubt(snapshot, topic, watch)
-    state: State = "missing" if problem else "doubt" if doubt else "good"
-    if problem and topic not in snapshot.topics:
-        state = "doubt"
-    found = "; ".join(filter(None, [problem, doubt, _seen(snapshot, topic, offers)]))
-    return CheckLine(part, topic, state, found, todo or advice, watch.rate_hz, watch.ahead_s)
+    problem = _problem(snapshot, topic, offers, watch)
+    wrong = [w for w in (problem, _doubt(snapshot, topic, watch)) if w is not None]
+    state: State = "doubt" if wrong else "good"
+    if problem is not None and topic in snapshot.topics:
+        state = "missing"
+    found = "; ".join([*(w.found for w in wrong), _seen(snapshot, topic, offers)])
+    todo = wrong[0].todo if wrong else ""
+    return CheckLine(part, topic, state, found, todo, watch.rate_hz, watch.ahead_s)
 
 
 def _absent(snapshot: CellSnapshot, topic: str) -> CheckLine:
@@ -98,7 +98,7 @@ def _absent(snapshot: CellSnapshot, topic: str) -> CheckLine:
     air = ([], []) if snapshot.calibration is None else expected_air(snapshot.calibration)
     required, wished = air
     if topic in snapshot.topics or topic in required:
-        why = snapshot.unusable(topic)
+        why = snapshot.unusable(topic) or ""
         todo = namesakes(snapshot.graph, topic, name, kind) or f"publish {kind} on {name}"
         return CheckLine(part, topic, "missing", why, todo)
     if topic in wished:
@@ -109,28 +109,30 @@ def _absent(snapshot: CellSnapshot, topic: str) -> CheckLine:
 
 def _problem(
     snapshot: CellSnapshot, topic: str, offers: list[Any], watch: HeaderWatch
-) -> tuple[str, str]:
-    """Return why nothing can be measured with a stream, and what to do; empty: it can be."""
+) -> Finding | None:
+    """Return why nothing can be measured with a stream; None: it can be."""
     _, kind = KINDS[topic]
     name, limit_s = snapshot.name(topic), snapshot.configuration.planner.stream_timeout_s
     if text := snapshot.values.get(REFUSED + topic):
-        return text, f"publish {kind} on {name}"
+        return Finding(text, f"publish {kind} on {name}")
     bad_joint = topic == names.JOINT_STATES and any(snapshot.joint_faults())  # its line tells it
     if not bad_joint and (why := snapshot.unusable(topic)):
-        many = f"stop all publishers of {name} but one" if len(offers) > 1 else ""
         if topic == names.JOINT_STATES and snapshot.adapter is not None:
-            many = snapshot.adapter.wrong()[1]
-        return why, many or _silent(watch, name)
-    if wrong := next(_faults(snapshot, topic), ""):
-        return wrong, f"publish {name} as expected, or set what its line names"
+            return snapshot.adapter.wrong()
+        many = f"stop all publishers of {name} but one"
+        return Finding(why, many if len(offers) > 1 else _silent(watch, name))
+    if wrong := next(_faults(snapshot, topic), None):
+        return Finding(wrong, f"publish {name} as expected, or set what its line names")
     if watch.unstamped and watch.unstamped == watch.count:
-        return "its messages have no stamp", f"fill header.stamp of {name}: when it was measured"
+        todo = f"fill header.stamp of {name}: when it was measured"
+        return Finding("its messages have no stamp", todo)
     silence_s = time.monotonic() - watch.heard_s
     steady = topic in FAST and topic not in single_shots(snapshot.configuration.topics)
     if steady and silence_s > limit_s:
         todo = f"let {name} stream without a pause, or raise planner.stream_timeout_s"
-        return f"silent for {silence_s:.1f} s (planner.stream_timeout_s {limit_s:g})", todo
-    return "", ""
+        found = f"silent for {silence_s:.1f} s (planner.stream_timeout_s {limit_s:g})"
+        return Finding(found, todo)
+    return None
 
 
 def _faults(snapshot: CellSnapshot, topic: str) -> Iterator[str]:
@@ -140,8 +142,7 @@ def _faults(snapshot: CellSnapshot, topic: str) -> Iterator[str]:
         yield from length_faults(values, configuration)
     if topic == names.PROBE_POINT and snapshot.calibration is not None:
         yield from probe_faults(values, configuration, snapshot.calibration.plan)
-    called = name_in(values, topic)
-    yield from (text for text in rate_faults(values, configuration) if text.startswith(called))
+    yield from (text for role, text in rate_faults(values, configuration) if role == topic)
 
 
 def _silent(watch: HeaderWatch, name: str) -> str:
@@ -150,26 +151,23 @@ def _silent(watch: HeaderWatch, name: str) -> str:
     return f"{name} delivers nothing usable: see its status, and whether its numbers are finite"
 
 
-def _doubt(snapshot: CellSnapshot, topic: str, watch: HeaderWatch) -> tuple[str, str]:
-    """Return what looks wrong about a stream though it can be measured with, and what to do."""
-    limit_s = snapshot.configuration.capture.stamp_offset_s
+def _doubt(snapshot: CellSnapshot, topic: str, watch: HeaderWatch) -> Finding | None:
+    """Return what looks wrong about a stream though it can be measured with."""
+    limit_s, name = snapshot.configuration.capture.stamp_offset_s, snapshot.name(topic)
     planned, is_table = snapshot.calibration, topic == names.JOINT_STATES
-    if planned and (small := next(size_doubts(snapshot.values, planned, topic), "")):
-        return small, f"publish {snapshot.name(topic)} in the unit that the group topics states"
-    if is_table and (slow := next(slow_table(snapshot.values, snapshot.configuration), "")):
-        return slow, f"publish {snapshot.name(topic)} more often"
-    text = next(air_doubts(snapshot.values, topic), "") if topic in _IN_WORDS else ""
-    if text:
-        return text, f"publish {snapshot.name(topic)} in {_IN_WORDS[topic]}"
+    if planned and (small := next(size_doubts(snapshot.values, planned, topic), None)):
+        return Finding(small, f"publish {name} in the unit that the group topics states")
+    if is_table and (slow := next(slow_table(snapshot.values, snapshot.configuration), None)):
+        return Finding(slow, f"publish {name} more often")
+    if topic in _IN_WORDS and (odd := next(air_doubts(snapshot.values, topic), None)):
+        return Finding(odd, f"publish {name} in {_IN_WORDS[topic]}")
     fast = snapshot.configuration.simulated  # a simulation may run on a time of its own
     if watch.ahead_s is not None and abs(watch.ahead_s) > limit_s and not fast:
         way = "ahead of" if watch.ahead_s > 0 else "behind"
-        text = f"stamps {abs(watch.ahead_s):.2f} s {way} this machine's clock"
-        return text, _CLOCKS
+        return Finding(f"stamps {abs(watch.ahead_s):.2f} s {way} this machine's clock", _CLOCKS)
     if watch.set_back:
-        text = f"{watch.set_back} stamps go back"
-        return text, f"let the stamps of {snapshot.name(topic)} ascend"
-    return "", ""
+        return Finding(f"{watch.set_back} stamps go back", f"let the stamps of {name} ascend")
+    return None
 
 
 def _seen(snapshot: CellSnapshot, topic: str, offers: list[Any]) -> str:

@@ -32,7 +32,6 @@ from rotcal_ros.nodes.runtime.cell_graph import ORDERS, CellGraph
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.diagnostic_warnings import show
 from rotcal_ros.nodes.runtime.hearing import APART, HEARS, digest
-from rotcal_ros.nodes.runtime.identity import IDENTITY
 from rotcal_ros.nodes.runtime.managed_node import not_active
 from rotcal_ros.nodes.runtime.plans import RUN
 from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED
@@ -164,7 +163,7 @@ class CellLinks:
 
     def idle_nodes(self, but: Collection[str] = ()) -> list[str]:
         """Return which nodes of the calibration are there and not active, in words."""
-        return not_active(self.health.state, sorted(self.health.present() - SPARE - {*but}))
+        return not_active(self.health, sorted(self.health.present() - SPARE - {*but}))
 
     def missing_topics(
         self, topics: Sequence[str], silent: Collection[str] = (), stop: str = ""
@@ -254,8 +253,7 @@ class CellLinks:
     def _own_machines(self) -> list[str]:
         """Return the machines that obey orders and beat as nodes of the suite do."""
         obey = {name for topic in ORDERS for name in self.graph.machines(topic)}
-        here = obey & self.health.present()
-        return sorted(name for name in here if IDENTITY in self.health.values(name))
+        return sorted(obey & self.health.present())
 
     def _missing_machines(self) -> list[str]:
         """Return the orders that are not joined yet with all of those who beat and obey them."""
@@ -275,7 +273,7 @@ class CellLinks:
     def missing_plan(self, run: str, nodes: Sequence[str] = ("capture", "solver")) -> list[str]:
         """Return which nodes have not taken the plan of this run, with their reason."""
         return [
-            f"node {name} has not taken the plan ({self.health.state(name) or 'silent'})"
+            f"node {name} has not taken the plan ({self.health.in_words(name)})"
             for name in nodes
             if self.health.values(name).get(RUN) != run
         ]

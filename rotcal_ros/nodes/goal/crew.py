@@ -10,7 +10,6 @@ from rotcal_msgs.action import Calibrate
 from rotcal_ros.foundation.machine_load import Patience
 from rotcal_ros.foundation.node_names import PREFLIGHT_NODES
 from rotcal_ros.nodes.runtime.health import Health
-from rotcal_ros.nodes.runtime.identity import process_of
 
 Codes = Calibrate.Result
 """The message that holds the error codes of the action."""
@@ -40,13 +39,13 @@ class Crew:
         self.nodes: set[str] = set()
         self.restart_wait_s = restart_wait_s
         self._health = health
-        self._processes: dict[str, str] = {}
+        self._processes: dict[str, str | None] = {}
         self._away: Patience | None = None
 
     def begin_run(self) -> None:
         """Take those that are here now for those of the run."""
         nodes = self.nodes.union(PREFLIGHT_NODES)
-        self._processes = {name: process_of(self._health, name) for name in nodes}
+        self._processes = {name: self._health.process(name) for name in nodes}
 
     def end_run(self) -> None:
         """Let the nodes of the suite come and go: a preflight looks for them."""
@@ -57,7 +56,7 @@ class Crew:
     def newcomers(self) -> list[str]:
         """Return which nodes are other processes than when the run began."""
         began = self._processes.items()
-        return [name for name, process in began if process_of(self._health, name) != process]
+        return [name for name, process in began if self._health.process(name) != process]
 
     def slow(self) -> dict[str, float]:
         """Return who of the crew is slow: name -> seconds without a sign that it answers."""
@@ -65,8 +64,8 @@ class Crew:
 
     def is_another(self, name: str) -> Callable[[], bool]:
         """Return what tells whether a node is another process than now."""
-        now = process_of(self._health, name)
-        return lambda: process_of(self._health, name) != now
+        now = self._health.process(name)
+        return lambda: self._health.process(name) != now
 
     def check(self, place: str) -> None:
         """Raise GoalError where the run cannot go on with the nodes that are here."""

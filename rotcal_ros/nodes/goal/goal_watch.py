@@ -12,6 +12,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.capture.heard import Offers, started_anew
 from rotcal_ros.foundation import machine_load
 from rotcal_ros.foundation.machine_load import AwakeClock, Patience
+from rotcal_ros.foundation.node_state import Reason, State, Why
 from rotcal_ros.nodes.goal.cell_links import CellLinks
 from rotcal_ros.nodes.goal.crew import Codes, Crew, GoalError
 from rotcal_ros.nodes.goal.pauses import Pauses
@@ -21,7 +22,6 @@ from rotcal_ros.nodes.runtime.cell_node import until
 from rotcal_ros.nodes.runtime.clock_news import jumps_told
 from rotcal_ros.nodes.runtime.diagnostic_warnings import SLOW, show
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
-from rotcal_ros.nodes.runtime.health import RECORDING_FAILED
 from rotcal_ros.nodes.runtime.latest import HOPELESS, SILENT
 from rotcal_ros.nodes.runtime.roll_call import Overload
 from rotcal_ros.planning.plan import Pause
@@ -49,11 +49,11 @@ class GoalWatch:
     ``stop`` and ``pauses`` are those of the planner; ``preflight`` is true until the goal may move
     something: a stop ends it, later it waits. ``show`` is called with every progress, ``canceled``
     tells of a cancel request. ``crew`` are the nodes needed, ``patience_s`` a preflight's time.
-    ``stopping`` says why the planner gives up; ``recording`` that a bag is open: from then on the
-    recorder and streams are watched too; ``run`` what capture and solver have to work for;
-    ``owed`` a pause that was broken off, the work still to be done, and the first step to check.
-    ``slow`` are the nodes and instruments that are waited for: name -> seconds. ``heard`` is who
-    published the topics of the ``instruments`` when the run began.
+    ``stopping`` says why the planner gives up, if it does; ``recording`` that a bag is open: from
+    then on the recorder and streams are watched too; ``run`` what capture and solver have to work
+    for; ``owed`` a pause that was broken off, the work still to be done, and the first step to
+    check. ``slow`` are the nodes and instruments that are waited for: name -> seconds. ``heard``
+    is who published the topics of the ``instruments`` when the run began.
     """
 
     settings: PlannerSettings
@@ -65,7 +65,7 @@ class GoalWatch:
     canceled: Callable[[], bool]
     crew: Crew
     patience_s: float
-    stopping: str = ""
+    stopping: str | None = None
     preflight: bool = True
     recording: bool = False
     run: str = ""
@@ -78,12 +78,16 @@ class GoalWatch:
     _overload: Overload = field(default_factory=Overload)
     _stream_beat: object = None
     _silent: dict[str, float] = field(default_factory=dict)
-    _interrupted: str = ""
+    _interrupted: Reason | None = None
     _bag_open: bool = False
 
-    def tell(self, activity: str) -> None:
+    def tell(self, code: Why, *arguments: object) -> None:
         """Show what is done now."""
-        self.progress.activity = activity
+        self.tell_again(Reason.of(code, *arguments))
+
+    def tell_again(self, doing: Reason) -> None:
+        """Show what is done now, as it was shown before."""
+        self.progress.doing = doing
         self.show(self.progress)
 
     def how_to_go_on(self, code: int) -> str:
@@ -210,11 +214,13 @@ class GoalWatch:
         if idle:
             raise GoalError(Codes.NODE_LOST, f"{idle[0]} ({place})")
         if self.recording:
-            state = self.links.health.state("recorder")
-            if state.startswith(RECORDING_FAILED):
-                raise GoalError(Codes.RECORDER_FAILED, f"{state}, {place}")
-            self._bag_open |= state == "recording"
-            if self._bag_open and state == "idle":
+            health = self.links.health
+            state = health.state("recorder")
+            if state is State.FAILED:
+                text = f"{health.in_words('recorder')}, {place}"
+                raise GoalError(Codes.RECORDER_FAILED, text)
+            self._bag_open |= state is State.RECORDING
+            if self._bag_open and state is State.IDLE:
                 raise GoalError(
                     Codes.RECORDER_FAILED,
                     f"the recorder has closed the bag {place}: node planner stood still too long",
@@ -232,11 +238,12 @@ class GoalWatch:
         if bool(overload.text) == bool(before):
             return
         show(self.links.health, SLOW, overload.text)
+        doing = self.progress.doing
         if overload.text and not self.pauses.waiting:
-            self._interrupted = self.progress.activity
-            self.tell(overload.text)
-        elif self.progress.activity == before:
-            self.tell(self._interrupted)
+            self._interrupted = doing
+            self.tell(Why.NODES_SLOW, overload.text)
+        elif self._interrupted is not None and doing.code is Why.NODES_SLOW:
+            self.tell_again(self._interrupted)
 
     def _check_plan(self, place: str) -> None:
         """Raise when capture or solver have worked for another plan for too long."""

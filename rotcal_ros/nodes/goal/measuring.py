@@ -7,6 +7,7 @@ from typing import Final
 
 from rotcal_ros.capture.failed_steps import FailedSteps
 from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.node_state import Why
 from rotcal_ros.methods import Calibration
 from rotcal_ros.methods.continuation import ATTEMPTS_PER_RUN, Continuation
 from rotcal_ros.nodes.goal.cell_links import Attempt
@@ -181,7 +182,7 @@ class GoalMeasurement:
         step = self._calibration.plan.steps[index]
         links = self._watch.links
         await self._watch.have_all_answer()
-        self._watch.tell(step.in_words(number))
+        self._watch.tell(Why.MEASURING, step.in_words(number))
         self._watch.heed_stop()
         links.order(step.command(attempt))
         limit_s = self._watch.settings.step_timeout_s
@@ -193,7 +194,7 @@ class GoalMeasurement:
         receipts = self._watch.links.receipts
         limit_s = self._watch.settings.receipt_timeout_s
         if not await self._watch.wait(lambda: key in receipts, limit_s):
-            reason = self._watch.links.health.state("recorder") or "silent"
+            reason = self._watch.links.health.in_words("recorder")
             place = self._calibration.plan.steps[key[0]].in_words()
             raise GoalError(
                 Codes.RECORDER_FAILED,

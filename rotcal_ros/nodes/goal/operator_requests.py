@@ -5,12 +5,18 @@ from __future__ import annotations
 from functools import partial
 from typing import Final
 
+from rotcal_ros.foundation.errors import RotcalError
+from rotcal_ros.foundation.node_state import Reason, Why
 from rotcal_ros.nodes.goal.goal_watch import GoalWatch
 from rotcal_ros.nodes.runtime.diagnostic_warnings import BLOCKED
-from rotcal_ros.planning.plan import PAUSED, RELEASED, STOPPED, Move
+from rotcal_ros.planning.plan import Move
 
 REPEAT_PERIOD_S: Final = 2.0
 """An instruction is repeated after this time, for clients that join late."""
+
+
+class NotFreeError(RotcalError):
+    """A goal that waits for a person cannot go on yet."""
 
 
 class OperatorRequests:
@@ -30,9 +36,9 @@ class OperatorRequests:
         try:
             while pauses.waiting:
                 seen = stop.why, stop.latched
-                text = stop_text(*seen, work)
-                pauses.show(text, move)
-                watch.tell(PAUSED + text)
+                asked = request(*seen, work)
+                pauses.show(asked, move)
+                watch.tell_again(asked)
                 await watch.wait(partial(self._has_changed, seen), REPEAT_PERIOD_S)
             stop.forget()
         finally:
@@ -45,8 +51,8 @@ class OperatorRequests:
         return not self._watch.pauses.waiting or (stop.why, stop.latched) != seen
 
 
-def obstacle(watch: GoalWatch) -> str:
-    """Return why a goal cannot be resumed yet, in words; empty: it can."""
+def require_free(watch: GoalWatch) -> None:
+    """Raise NotFreeError where a goal cannot be resumed yet."""
     health = watch.links.health
     watch.stop.heed()
     stop = [f"the emergency stop is on: {watch.stop.why}"] if watch.stop.why else []
@@ -56,21 +62,16 @@ def obstacle(watch: GoalWatch) -> str:
         if (text := health.values(name).get(BLOCKED))
     ]
     silent = [f"{t} has been silent for {s:.1f} s" for t, s in watch.silent_streams().items()]
-    lasting = "; ".join([*stop, *blocked, *silent])
-    return lasting or watch.pauses.stop_between(watch.stop.count)
+    if lasting := [*stop, *blocked, *silent]:
+        raise NotFreeError("; ".join(lasting))
+    if watch.pauses.stop_between(watch.stop.count):
+        raise NotFreeError("an emergency stop came in between: look, then resume again")
 
 
-def stop_text(why: str, latched: str, work: str) -> str:
-    """Return what a person reads during a stop ``why``, or once it is over; else the ``work``."""
+def request(why: str, latched: str, work: str) -> Reason:
+    """Return what is asked of a person during a stop ``why``, once it is over, or as ``work``."""
     if why:
-        return (
-            f"{STOPPED}{why}; nothing is ordered, and the present step does not count; the "
-            "recording goes on and the bag is safe; release the stop, then resume"
-        )
-    if latched:
-        after = f" ({work})" if work else ""
-        return (
-            f"{RELEASED}, it was: {latched}; nothing moves before a person resumes: make sure "
-            f"that the cell may move{after}"
-        )
-    return work
+        return Reason.of(Why.STOPPED, why)
+    if latched and work:
+        return Reason.of(Why.RELEASED_AND_WORK, latched, work)
+    return Reason.of(Why.RELEASED, latched) if latched else Reason.of(Why.WORK, work)

@@ -11,17 +11,19 @@ from action_msgs.msg import GoalStatus
 from rotcal_msgs.action import Calibrate
 
 from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.node_state import Why
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.untrusted import load_json, read_text, why
 from rotcal_ros.methods import Configuration
 from rotcal_ros.methods.configuration import configuration_text
-from rotcal_ros.planning.plan import PAUSED
 
 
 @dataclass(frozen=True, slots=True)
 class Feedback:
     """The progress of a calibration; None is what is not known yet.
 
+    ``activity`` says in words what is done now, ``doing`` as a code; ``instruction`` what a person
+    has to do before it goes on, empty: nothing.
     ``accepted`` and ``rejected`` count attempts, ``left`` the steps that are expected to be left.
     ``uncertainty_rad`` (k = 2) now and ``goal_rad`` are those of a policy that has a
     goal.
@@ -34,6 +36,8 @@ class Feedback:
     current_std_rad: float | None
     accepted: int
     rejected: int
+    doing: Why = Why.UNKNOWN
+    instruction: str = ""
     left: int = 0
     uncertainty_rad: float | None = None
     goal_rad: float | None = None
@@ -49,15 +53,12 @@ class Feedback:
             current_std_rad=_known(heard.current_std),
             accepted=heard.n_accepted,
             rejected=heard.n_rejected,
+            doing=Why(heard.doing),
+            instruction=heard.instruction,
             left=heard.left,
             uncertainty_rad=_known(heard.uncertainty),
             goal_rad=_known(heard.goal),
         )
-
-    @property
-    def instruction(self) -> str:
-        """What a person has to do before the calibration goes on; empty: nothing."""
-        return self.activity.removeprefix(PAUSED) if self.activity.startswith(PAUSED) else ""
 
 
 def planner_lost(last: Feedback | None) -> str:

@@ -51,7 +51,7 @@ def faults(values: Values, configuration: Configuration, plan: Plan | None = Non
         *joint_faults(values, configuration.cell.joint),
         *length_faults(values, configuration),
         *(() if plan is None else probe_faults(values, configuration, plan)),
-        *rate_faults(values, configuration),
+        *(text for _, text in rate_faults(values, configuration)),
         *clocks,
     ]
 
@@ -182,35 +182,37 @@ def probe_faults(values: Values, configuration: Configuration, plan: Plan) -> It
         yield f"{name_in(values, names.PROBE_POINT)} {text}"
 
 
-def rate_faults(values: Values, configuration: Configuration) -> Iterator[str]:
-    """Yield which stream is too slow for what waits for it, and what to change."""
+def rate_faults(values: Values, configuration: Configuration) -> Iterator[tuple[str, str]]:
+    """Yield the role of a stream that is too slow for what waits for it, and what to change."""
     capture, planner = configuration.capture, configuration.planner
     lengths, table = names.TRACER_LENGTH, names.JOINT_STATES
     found = {role: number_in(values.get(RATE + role, "")) for role in (lengths, table)}
     for role, owner in ((lengths, "length"), (table, "table")):
         if found[role] == 0.0:
-            yield (
-                f"{name_in(values, role)}: its stamps stand still, is the header filled? "
-                f"topics.{owner}_clock: sent takes the time of sending"
-            )
+            text = "its stamps stand still, is the header filled?"
+            way = f"topics.{owner}_clock: sent takes the time of sending"
+            yield role, f"{name_in(values, role)}: {text} {way}"
     rates = {role: rate for role, rate in found.items() if rate}
     if (rate := rates.get(table)) and 1.0 / rate > capture.table_silence_s:
         yield (
+            table,
             f"{name_in(values, table)} comes every {1.0 / rate:.3g} s: at rest "
-            f"{capture.table_silence_s:g} s are allowed (capture.table_silence_s)"
+            f"{capture.table_silence_s:g} s are allowed (capture.table_silence_s)",
         )
     if configuration.topics.length_single_shot or not (rate := rates.get(lengths)):
         return
     name, window_s = name_in(values, lengths), capture.window_samples / rate
     if capture.settle_time_s + window_s > capture.step_timeout_s:
         yield (
+            lengths,
             f"{name} comes at {rate:.3g} Hz: {capture.window_samples} readings of a window take "
             f"{window_s:.3g} s, more than capture.step_timeout_s = {capture.step_timeout_s:g} s "
-            "leaves: a smaller capture.window_samples, or a longer time-out"
+            "leaves: a smaller capture.window_samples, or a longer time-out",
         )
     if 1.0 / rate > planner.stream_timeout_s:
         yield (
+            lengths,
             f"{name} comes every {1.0 / rate:.3g} s: after planner.stream_timeout_s = "
             f"{planner.stream_timeout_s:g} s it is silent; a longer time, or "
-            "topics.length_single_shot: true for an instrument that is asked"
+            "topics.length_single_shot: true for an instrument that is asked",
         )

@@ -5,18 +5,25 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, field
+from typing import Final
+
+from rotcal_ros.foundation.node_state import Reason, Why
+
+BEGINNING: Final = Reason(Why.PREFLIGHT)
 
 
 @dataclass
 class GoalProgress:
-    """How far a goal has come; ``uncertainty`` and ``goal`` are those of the policy, rad.
+    """How far a goal has come, and what it is ``doing``.
+
+    ``uncertainty`` and ``goal`` are those of the policy, rad.
 
     ``started_s`` and ``paused_s`` are monotonic; None: no pause is on.
     """
 
     total: int
     step: int = 0
-    activity: str = "preflight"
+    doing: Reason = BEGINNING
     accepted: list[int] = field(default_factory=list)
     skipped: list[int] = field(default_factory=list)
     rejected: int = 0

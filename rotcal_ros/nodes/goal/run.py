@@ -22,6 +22,7 @@ from rotcal_ros.capture.rejections import Commonest
 from rotcal_ros.foundation.errors import DataError, RotcalError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.node_names import PREFLIGHT_NODES, VIEWERS
+from rotcal_ros.foundation.node_state import Why
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.instruments.conventions import single_shots
 from rotcal_ros.methods import Calibration, Configuration
@@ -195,7 +196,7 @@ class GoalRun:
     async def _solve(self) -> FinishCalibration.Response:
         """Return the solver's answer, which holds a result; one that comes back is asked again."""
         watch = self.watch
-        watch.tell("solving")
+        watch.tell(Why.SOLVING)
         request = FinishCalibration.Request(
             plan_id=self._calibration.configuration.plan_id, steps=self.measuring.accepted()
         )
@@ -236,7 +237,7 @@ class GoalBag:
 
     async def open(self, *, goes_on: bool) -> None:
         """Have the recorder open a bag, of a new session or of the next run of the last one."""
-        self._watch.tell("opening the bag")
+        self._watch.tell(Why.OPENING_BAG)
         request = StartRecording.Request(
             plan_id=self._configuration.plan_id, configuration=self._configuration.text
         )
@@ -259,7 +260,7 @@ class GoalBag:
 
     async def close(self) -> None:
         """Have the recorder close the bag."""
-        self._watch.tell("closing the bag")
+        self._watch.tell(Why.CLOSING_BAG)
         await self._have_all_recorded()
         self._is_open = self._watch.recording = False
         await self._recorder_did(
@@ -309,12 +310,12 @@ async def be_ready(calibration: Calibration, watch: GoalWatch, operator: Operato
     links.forget()
     if watch.preflight:  # a later one, after a lost node, hears of a stop in between
         watch.stop.forget()
-    watch.tell("preflight: nodes")
+    watch.tell(Why.PREFLIGHT_NODES)
     await watch.have(links.missing_nodes, Codes.NODE_LOST)
     nodes = watch.crew.nodes = watch.crew.nodes | _needed(links)
-    watch.tell("preflight: clocks")
+    watch.tell(Why.PREFLIGHT_CLOCKS)
     await watch.have(lambda: unlike_clocks(links.health, configuration), Codes.TOPIC_MISSING)
-    watch.tell("preflight: topics")
+    watch.tell(Why.PREFLIGHT_TOPICS)
     await _have_topics(calibration, watch, operator)
     _, wished = expected_air(calibration)
     unheard = [

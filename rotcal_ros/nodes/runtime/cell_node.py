@@ -18,8 +18,9 @@ from rotcal_msgs.msg import ProbeTarget, TableAngle
 from rotcal_ros.bags import names
 from rotcal_ros.capture.orders import Orders
 from rotcal_ros.foundation.machine_load import Patience
+from rotcal_ros.foundation.node_state import NodeState
 from rotcal_ros.foundation.observations import Command
-from rotcal_ros.nodes.runtime.health import CALIBRATING, Health, Values
+from rotcal_ros.nodes.runtime.health import Health, Values
 from rotcal_ros.nodes.runtime.hearing import Hearing
 from rotcal_ros.nodes.runtime.managed_node import ManagedNode
 from rotcal_ros.nodes.runtime.parameters import declare_settings, given_parameters
@@ -179,12 +180,11 @@ class CellNode(ManagedNode, ABC):
 
     def idle_s(self) -> float:
         """Return :meth:`gather_s` of a node that works in calibrations only."""
-        measuring = self.health.state("planner").startswith(CALIBRATING)
-        return 0.0 if measuring else IDLE_S
+        return 0.0 if self.health.is_calibrating() else IDLE_S
 
     def why_not(self) -> str:
-        """Return why this node does not do what it is asked; empty: it does."""
-        return "" if self.active else f"node {self.get_name()} is {self.standing()}"
+        """Return why this node, which is not active, does not do what it is asked."""
+        return f"node {self.get_name()} is {self.inactivity().in_words()}"
 
     def over(self) -> bool:
         """Return whether the node has to end: by a transition, its work, or another node."""
@@ -207,16 +207,17 @@ class CellNode(ManagedNode, ABC):
         return future.result(timeout=0.0)
 
     @abstractmethod
-    def _report(self) -> tuple[str, Values]:
-        """Return the state in words and values; asked for every beat."""
+    def _report(self) -> tuple[NodeState, Values]:
+        """Return the state and values; asked for every beat."""
 
     def _node_lost(self, name: str) -> None:
         """Handle the loss of another node."""
 
-    def _beat_values(self) -> tuple[str, Values]:
+    def _beat_values(self) -> tuple[NodeState, Values]:
         """Return what the beat tells in every state: the report, and other names of topics."""
-        words, values = self._report() if self.configured else ("", {})
-        return self.standing() or words, {**self._names, **self.hearing.values(), **values}
+        state, values = self._report() if self.configured else (self.inactivity(), {})
+        known = {**self._names, **self.hearing.values(), **values}
+        return state if self.active else self.inactivity(), known
 
     def _missed(self, name: str) -> None:
         if self.configured:

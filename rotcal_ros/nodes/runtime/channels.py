@@ -41,24 +41,20 @@ def own_channel(topic: str, type_name: str) -> Channel:
         topic=topic,
         type_name=type_name,
         definition=collect_definition(type_name, _share),
-        type_hash=_installed_hash(type_name),
+        type_hash=_installed_hash(type_name) or "",
         offered_qos=qos_text([OfferedQos(depth=1)]),
     )
 
 
-def importable_type(type_name: str, type_hash: str) -> tuple[type | None, str]:
-    """Return the class of a recorded message type; None, and why, where it is not the same here.
+def importable_type(type_name: str, type_hash: str) -> type:
+    """Return the class of a recorded message type; BagError where it is not the same here.
 
     ``type_hash`` is that of the recorded definition, empty where it is not known.
     """
-    try:
-        found = message_type(type_name)
-    except BagError as error:
-        return None, str(error)
-    here = _installed_hash(type_name)
+    found, here = message_type(type_name), _installed_hash(type_name)
     if type_hash and here and type_hash != here:
-        return None, f"message type {type_name} is defined differently here and in the bag"
-    return found, ""
+        raise BagError(f"message type {type_name} is defined differently here and in the bag")
+    return found
 
 
 def message_type(type_name: str) -> type:
@@ -75,15 +71,15 @@ def message_type(type_name: str) -> type:
     return found
 
 
-def _installed_hash(type_name: str) -> str:
-    """Return the hash of a type's definition as it is installed; empty where it is not known."""
+def _installed_hash(type_name: str) -> str | None:
+    """Return the hash of a type's definition as it is installed; None where it is not known."""
     package, kind, name = type_name.split("/")
     try:
         described = _share(package) / kind / f"{name}.json"
         hashes = json.loads(described.read_text())["type_hashes"] if described.exists() else ()
     except LookupError:
-        return ""
-    return next((h["hash_string"] for h in hashes if h["type_name"] == type_name), "")
+        return None
+    return next((h["hash_string"] for h in hashes if h["type_name"] == type_name), None)
 
 
 def _share(package: str) -> Path:

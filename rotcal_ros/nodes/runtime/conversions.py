@@ -14,6 +14,7 @@ from rotcal_msgs.msg import (
     DeviationArray,
     DirectionalCurve,
     FreeDirection,
+    NodeReason,
     ProbePoint,
     ProbeTarget,
     StepChoice,
@@ -22,6 +23,7 @@ from rotcal_msgs.msg import (
     TracerLength,
     VolumetricCorrection,
 )
+from rotcal_msgs.msg import NodeState as NodeStateMsg
 from rotcal_msgs.msg import Observation as ObservationMsg
 from sensor_msgs.msg import FluidPressure, JointState, RelativeHumidity, Temperature
 from std_msgs.msg import Header
@@ -31,6 +33,7 @@ from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.in_force import UNKNOWN
+from rotcal_ros.foundation.node_state import NodeState, Reason, State, Why
 from rotcal_ros.foundation.observations import (
     Command,
     HumiditySample,
@@ -284,7 +287,9 @@ def feedback_message(progress: GoalProgress, current_std: float) -> Calibrate.Fe
     return Calibrate.Feedback(
         step=progress.step,
         total=progress.total,
-        activity=progress.activity,
+        activity=progress.doing.in_words(),
+        doing=progress.doing.code,
+        instruction=progress.doing.instruction,
         time_left=progress.time_left(),
         current_std=current_std,
         n_accepted=len(progress.accepted),
@@ -292,4 +297,23 @@ def feedback_message(progress: GoalProgress, current_std: float) -> Calibrate.Fe
         left=progress.left,
         uncertainty=progress.uncertainty,
         goal=progress.goal,
+    )
+
+
+def node_state_message(state: NodeState) -> NodeStateMsg:
+    """Return how a node stands; who it is, and what it tells besides, is not in it yet."""
+    return NodeStateMsg(
+        state=state.state,
+        step=state.step,
+        total=state.total,
+        reasons=[NodeReason(code=r.code, arguments=list(r.arguments)) for r in state.reasons],
+        page=state.page,
+    )
+
+
+def node_state(message: NodeStateMsg) -> NodeState:
+    """Return how a node stands, from its beat."""
+    reasons = (Reason(Why(r.code), tuple(r.arguments)) for r in message.reasons)
+    return NodeState(
+        State(message.state), tuple(reasons), message.step, message.total, message.page
     )

@@ -36,8 +36,8 @@ OF_MACHINES: Final = (BLOCKED, COMPLAINT)
 """Values in a beat that may be why a calibration cannot go on."""
 
 
-def show(health: Any, key: str, text: str, *, alarm: bool = False) -> None:
-    """Show ``text`` as a warning, or as an error with ``alarm``; empty: it is over."""
+def show(health: Any, key: str, text: str | None, *, alarm: bool = False) -> None:
+    """Show ``text`` as a warning, or as an error with ``alarm``; None: it is over."""
     for book, is_its in ((health.concerns, not alarm), (health.alarms, alarm)):
         book.pop(key, None)
         if text and is_its:

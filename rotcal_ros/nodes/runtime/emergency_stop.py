@@ -55,7 +55,7 @@ class EmergencyStop:
         self.count = 0
         self._heard: list[DrainedSubscription] = []
         self._topic, self._profiles = topic, list[QoSProfile]()
-        show(node.health, EMERGENCY, "")
+        show(node.health, EMERGENCY, None)
         if topic:
             self._subscribe(VIEW)
         if settings.stop_on_diagnostics:

@@ -1,6 +1,6 @@
 """Heartbeats and diagnostics of a node, and watching those of the others.
 
-Every node beats on ``heartbeat`` (diagnostic_msgs/DiagnosticStatus, 5 Hz) and reports on
+Every node beats on ``heartbeat`` (rotcal_msgs/NodeState, 5 Hz) and reports in words on
 ``/diagnostics`` at 1 Hz. A beat tells that the process lives, and how long ago its executor took a
 turn: one that hangs is slow, one whose process is gone is lost.
 """
@@ -17,16 +17,19 @@ from typing import Any, Final
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from rotcal_msgs.msg import NodeState as NodeStateMsg
 
 from rotcal_ros.bags import names
 from rotcal_ros.foundation.machine_load import AwakeClock
+from rotcal_ros.foundation.node_state import UNHEARD, NodeState, State
 from rotcal_ros.foundation.plugins import culprit
+from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.clock_news import ClockNews
 from rotcal_ros.nodes.runtime.draining import Batch, DrainedSubscription
-from rotcal_ros.nodes.runtime.heartbeat import BEAT_PERIOD_S, BUSY, LEAVING, Heartbeat
-from rotcal_ros.nodes.runtime.identity import IDENTITY, NameHolders, ProcessIdentity, refusal
+from rotcal_ros.nodes.runtime.heartbeat import BEAT_PERIOD_S, Heartbeat
+from rotcal_ros.nodes.runtime.identity import NameHolders, ProcessIdentity, second_of_its_name
 from rotcal_ros.nodes.runtime.memory import end_without_memory
-from rotcal_ros.nodes.runtime.processes_here import PROCESS, is_of_here, why_gone
+from rotcal_ros.nodes.runtime.processes_here import HostProcess
 from rotcal_ros.nodes.runtime.roll_call import RollCall
 from rotcal_ros.nodes.runtime.sim_clock import SimClock
 from rotcal_ros.nodes.runtime.timers_and_events import UNWAITED, steady_timer
@@ -37,10 +40,7 @@ HEAR_PERIOD_S: Final = 0.1
 DIAGNOSTICS_PERIOD_S: Final = 1.0
 AWARE_S: Final = 0.7
 """For so long after a standstill a node does not know the present state of the others."""
-RECORDING_FAILED: Final = "recording failed"
-"""Beginning of the state of a recorder that cannot write any more."""
-CALIBRATING: Final = "calibrating"
-"""Beginning of the state of a planner while a goal runs."""
+PLANNER: Final = "planner"
 
 Values = Mapping[str, object]
 
@@ -49,15 +49,15 @@ class Health:
     """The health of one node.
 
     ``concerns`` is what a person should look at, ``alarms`` what a person must look at. ``report``
-    returns (state in words, values) at any time for every beat; without it the node only listens,
-    and is not missed. ``on_lost`` is called with the name of every other node that is lost.
-    ``refused`` says why this node must end: an older one of its name is there; empty: it need not.
+    returns (state, values) at any time for every beat; without it the node only listens, and is
+    not missed. ``on_lost`` is called with the name of every other node that is lost. ``refused``
+    says why this node must end: an older one of its name is there; None: it need not.
     """
 
     def __init__(
         self,
         node: Node,
-        report: Callable[[], tuple[str, Values]] | None,
+        report: Callable[[], tuple[NodeState, Values]] | None,
         on_lost: Callable[[str], None] | None = None,
         *,
         settings: HealthSettings | None = None,
@@ -70,9 +70,9 @@ class Health:
         self._roll = RollCall(self.settings)
         self._holders = NameHolders()
         self.identity = ProcessIdentity.own(os.environ, time.monotonic())
-        self.refused = ""
-        self.others: dict[str, DiagnosticStatus] = {}
-        self._read: dict[str, tuple[DiagnosticStatus, dict[str, str]]] = {}
+        self.refused: str | None = None
+        self.others: dict[str, NodeStateMsg] = {}
+        self._read: dict[str, tuple[NodeStateMsg, dict[str, str]]] = {}
         self.errors: Counter[str] = Counter()
         self.concerns: dict[str, str] = {}
         self.alarms: dict[str, str] = {}
@@ -81,7 +81,7 @@ class Health:
         self._beats = Heartbeat(node, self.identity) if report is not None else None
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 1)
         self._heard = DrainedSubscription(
-            node, DiagnosticStatus, names.HEARTBEAT, QoSProfile(depth=100),
+            node, NodeStateMsg, names.HEARTBEAT, QoSProfile(depth=100),
             self.guarded(self._hear), group=UNWAITED,
         )  # fmt: skip
         steady_timer(node, HEAR_PERIOD_S, self._heard.drain)
@@ -140,52 +140,70 @@ class Health:
             self._read[name] = beat, {v.key: v.value for v in beat.values}
         return self._read[name][1]
 
-    def state(self, name: str) -> str:
-        """Return the state of node ``name`` in words, empty when it was never heard."""
-        return str(self.others[name].message) if name in self.others else ""
+    def node_state(self, name: str) -> NodeState:
+        """Return how node ``name`` stands by its last beat; UNKNOWN where it was never heard."""
+        beat = self.others.get(name)
+        return UNHEARD if beat is None else conversions.node_state(beat)
+
+    def state(self, name: str) -> State:
+        """Return the state of node ``name`` by its last beat; UNKNOWN: it was never heard."""
+        beat = self.others.get(name)
+        return State.UNKNOWN if beat is None else State(beat.state)
+
+    def process(self, name: str) -> str | None:
+        """Return which process node ``name`` is, or was last; None where it was never heard."""
+        beat = self.others.get(name)
+        return None if beat is None else str(beat.process)
+
+    def is_calibrating(self) -> bool:
+        """Return whether the planner carries out a goal, by its last beat."""
+        return self.state(PLANNER) is State.CALIBRATING
+
+    def in_words(self, name: str) -> str:
+        """Return how node ``name`` stands, for a person to read."""
+        return self.node_state(name).in_words() or "silent"
 
     def last_words(self, name: str) -> str:
-        """Return why node ``name`` is lost and what it did before, for a message."""
-        state = self.state(name) or "never heard"
-        return f"{self.lost[name]}; before that: {state}" if name in self.lost else state
+        """Return why a lost node is lost and what it did before, for a person to read."""
+        return f"{self.lost[name]}; before that: {self.in_words(name)}"
 
     def leave(self) -> None:
         """Tell the others that this node ends on purpose, and let the message reach them."""
         if self._beats is not None and not self.refused:
-            self._beats.leave(self._status(LEAVING, {}))
+            self._beats.leave(self._message(NodeState(State.LEAVING), {}))
 
     def beat(self) -> None:
         """Tell the others the state now, before the next beat is due."""
         if self._beats is not None and self._report is not None:
-            self._beats.tell(self._status(*self._report()))
+            self._beats.tell(self._message(*self._report()))
 
     def _hear(self, batch: Batch) -> None:
         now_s, awake_s = time.monotonic(), self.awake.now_s()
-        for status, _ in batch:
-            values = {v.key: v.value for v in status.values if v.key in (IDENTITY, PROCESS, BUSY)}
-            name, identity = status.name, values.get(IDENTITY, "")
-            if status.message == LEAVING:
-                if self._holders.leave(name, identity, now_s):
+        for beat, _ in batch:
+            name, identity = beat.node, ProcessIdentity.of(beat, now_s)
+            if beat.state == State.LEAVING:
+                if self._holders.leave(name, identity):
                     self._roll.forget(name)
                     self.others.pop(name, None)
             elif name == self._node.get_name():
-                self._meet(ProcessIdentity.read(identity, now_s))
-            elif name in self.lost and why_gone(values.get(PROCESS, "")):
+                self._meet(identity)
+            elif name in self.lost and _process(beat).is_gone:
                 continue  # its last beats came late
             elif self._holders.is_holder(name, identity, now_s):
-                self._roll.hear(name, awake_s - _seconds(values.get(BUSY, "")))
-                self.others[name] = status
+                self._roll.hear(name, awake_s - max(0.0, beat.busy))
+                self.others[name] = beat
 
-    def _meet(self, other: ProcessIdentity | None) -> None:
+    def _meet(self, other: ProcessIdentity) -> None:
         """Hear a beat of this node's own name: of two nodes the younger one ends."""
-        if self._report is None or other is None or other.process == self.identity.process:
+        if self._report is None or other.process == self.identity.process:
             return
         name, place = self._node.get_name(), self._node.get_namespace()
-        domain = os.environ.get("ROS_DOMAIN_ID", "")
-        self.refused = refusal(name, place, self.identity, other, domain)
-        if not self.refused:
+        if self.identity.is_older(other):
             text = f"a second node {name} was started in {place}: it is refused"
             self._node.get_logger().warning(text, once=True)
+        else:
+            domain = os.environ.get("ROS_DOMAIN_ID", "")
+            self.refused = second_of_its_name(name, place, domain)
 
     def _turn(self) -> None:
         """Beat, and look at the clocks and at the others."""
@@ -199,50 +217,52 @@ class Health:
             if self._on_lost is not None:
                 self._on_lost(name)
 
-    def _gone(self, name: str) -> str:
-        """Say why a node whose beat is late is gone; empty: it is there, as far as can be told.
+    def _gone(self, name: str) -> str | None:
+        """Say why a node whose beat is late is gone; None: it is there, as far as can be told.
 
         On another machine, or where its process is not known, the graph decides: DDS removes a
         participant that does not renew its lease.
         """
-        process = self.values(name).get(PROCESS, "")
-        if is_of_here(process):
-            return why_gone(process)
+        process = _process(self.others[name])
+        if process.is_of_here:
+            return f"its process {process.pid} is gone" if process.is_gone else None
         silent_s = self.awake.now_s() - self._roll.seen[name]
         if silent_s <= self.settings.slow_after_s:
-            return ""
+            return None
         topic = self._node.resolve_topic_name(names.HEARTBEAT)
         here = {info.node_name for info in self._node.get_publishers_info_by_topic(topic)}
-        return "" if name in here else "it has left the graph"
+        return None if name in here else "it has left the graph"
 
     def _diagnose(self) -> None:
         if self._report is None:
             return
-        status = self._status(*self._report())
-        status.name = self._node.get_fully_qualified_name()  # cells share this topic
+        state, values = self._report()
+        beat = self._message(state, values)
+        status = DiagnosticStatus(
+            level=bytes([beat.level]),
+            name=self._node.get_fully_qualified_name(),  # cells share this topic
+            hardware_id=self._node.get_namespace(),
+            message=state.in_words(),
+            values=beat.values,
+        )
         array = DiagnosticArray(status=[status])
         array.header.stamp = self._node.get_clock().now().to_msg()
         self._diagnostics.publish(array)
 
-    def _status(self, state: str, values: Values) -> DiagnosticStatus:
+    def _message(self, state: NodeState, values: Values) -> NodeStateMsg:
+        """Return a state with what is to be told besides."""
         trouble: dict[str, object] = {**self.errors, **self.alarms}
         if self.lost:
             trouble["lost_nodes"] = ", ".join(sorted(self.lost))
         concerns = self.clock.concerns | self.sim.concerns() | self.concerns
-        rest = DiagnosticStatus.WARN if concerns else DiagnosticStatus.OK
-        beat = {**values, **self.clock.values(), **self.sim.values(), **concerns, **trouble}
-        return DiagnosticStatus(
-            level=DiagnosticStatus.ERROR if trouble else rest,
-            name=self._node.get_name(),
-            hardware_id=self._node.get_namespace(),
-            message=state,
-            values=[KeyValue(key=k, value=str(v)) for k, v in beat.items()],
-        )
+        rest = NodeStateMsg.LEVEL_WARN if concerns else NodeStateMsg.LEVEL_OK
+        known = {**values, **self.clock.values(), **self.sim.values(), **concerns, **trouble}
+        message = conversions.node_state_message(state)
+        message.node = self._node.get_name()
+        message.level = NodeStateMsg.LEVEL_ERROR if trouble else rest
+        message.values = [KeyValue(key=k, value=str(v)) for k, v in known.items()]
+        return message
 
 
-def _seconds(text: str) -> float:
-    """Return a number of seconds from a beat; 0 where it is none."""
-    try:
-        return max(0.0, float(text))
-    except ValueError:
-        return 0.0
+def _process(beat: NodeStateMsg) -> HostProcess:
+    return HostProcess(beat.host, beat.pid, beat.start)

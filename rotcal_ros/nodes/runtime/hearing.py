@@ -106,7 +106,7 @@ class Hearing:
             self._judge.believe(believed)
             self._joined = False
             self._words.clear()
-            self._show("")
+            self._show(None)
 
     def _tell(self) -> None:
         """Name the publishers that are left alone, each once on the console."""
@@ -114,7 +114,7 @@ class Hearing:
         for intruder in self._judge.met():
             known = self._words.get(intruder.publisher)
             words = known or self._in_words(intruder)
-            if not words:
+            if words is None:
                 continue  # its next message names it
             self._words[intruder.publisher] = words
             texts.append(words)
@@ -122,20 +122,20 @@ class Hearing:
                 self._node.get_logger().warning(words)
         self._show("; ".join(texts))
 
-    def _in_words(self, intruder: Intruder) -> str:
-        """Return the name of a publisher; empty while the middleware lacks its node's name."""
+    def _in_words(self, intruder: Intruder) -> str | None:
+        """Return the name of a publisher; None while the middleware lacks its node's name."""
         infos = self._node.get_publishers_info_by_topic(intruder.topic)
         known = self._judge.believed.publishers[intruder.topic]
         there = {publisher_of(i.endpoint_gid): i.node_name for i in infos}
         if UNNAMED in there.values():
-            return ""
+            return None
         heard = [there[gid] for gid in known if gid in there]
         others = sorted(name for gid, name in there.items() if gid not in known)
         name = there.get(intruder.publisher, "") if intruder.publisher else ", ".join(others)
         anew = bool(name) and (not heard or name in heard)
         return intruder.in_words(name, anew=anew)
 
-    def _show(self, text: str) -> None:
+    def _show(self, text: str | None) -> None:
         if not self._quiet:
             show(self._node.health, INTRUDER, text)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 from uuid import uuid4
 
+from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.node_names import NODES
 from rotcal_ros.foundation.units import NANOSECOND
 
@@ -15,8 +16,6 @@ SESSION_VARIABLE: Final = "ROTCAL_SESSION"
 
 It begins with the monotonic time (ns) at which the session began.
 """
-IDENTITY: Final = "identity"
-"""Value in a beat: who beats."""
 _HOW: Final = (
     "end the first ones, or give this one another ROS_DOMAIN_ID or another cell.namespace"
 )
@@ -47,16 +46,13 @@ class ProcessIdentity:
         return cls("".join(session.split()) or process, process, born_s)
 
     @classmethod
-    def read(cls, text: str, now_s: float) -> ProcessIdentity | None:
-        """Return what a beat says; None where it says nothing of the kind."""
-        parts = text.split()
-        if len(parts) != len(cls.__slots__) or not parts[2].isdecimal() or len(parts[2]) > _DIGITS:
-            return None
-        return cls(parts[0], parts[1], now_s - int(parts[2]) * NANOSECOND)
+    def of(cls, beat: Any, now_s: float) -> ProcessIdentity:
+        """Return who sent a beat, a NodeState."""
+        return cls(beat.session, beat.process, now_s - beat.age * NANOSECOND)
 
-    def in_a_beat(self, now_s: float) -> str:
-        """Return the identity as a beat holds it, with the age in ns."""
-        return f"{self.session} {self.process} {round(max(0.0, now_s - self.born_s) / NANOSECOND)}"
+    def age_ns(self, now_s: float) -> int:
+        """Return how long ago it began, as a beat tells it."""
+        return round(max(0.0, now_s - self.born_s) / NANOSECOND)
 
     def is_older(self, other: ProcessIdentity) -> bool:
         """Return whether this process was there first; of two at once there is one order too."""
@@ -64,64 +60,49 @@ class ProcessIdentity:
         return self.process < other.process if abs(earlier_s) < _AT_ONCE_S else earlier_s > 0.0
 
 
-def process_of(health: Any, name: str) -> str:
-    """Return which process node ``name`` is, or was last; empty where that is not known."""
-    identity = ProcessIdentity.read(health.values(name).get(IDENTITY, ""), 0.0)
-    return "" if identity is None else identity.process
-
-
 @dataclass
 class NameHolders:
     """Who holds the name of each node: the oldest that beats under it."""
 
-    _held: dict[str, tuple[ProcessIdentity | None, float]] = field(default_factory=dict)
+    _held: dict[str, tuple[ProcessIdentity, float]] = field(default_factory=dict)
 
-    def is_holder(self, name: str, text: str, now_s: float) -> bool:
-        """Take a beat with the identity ``text``; return whether it is that of the node."""
-        identity = ProcessIdentity.read(text, now_s)
+    def is_holder(self, name: str, identity: ProcessIdentity, now_s: float) -> bool:
+        """Take a beat under a name; return whether it is that of the node."""
         holder, heard_s = self._held.get(name, (identity, now_s))
-        older = identity is not None and (holder is None or identity.is_older(holder))
-        if not _same(identity, holder) and not older and now_s - heard_s <= TAKE_OVER_S:
+        stays = identity.process == holder.process or identity.is_older(holder)
+        if not stays and now_s - heard_s <= TAKE_OVER_S:
             return False
         self._held[name] = identity, now_s
         return True
 
-    def leave(self, name: str, text: str, now_s: float) -> bool:
+    def leave(self, name: str, identity: ProcessIdentity) -> bool:
         """Take a farewell; return whether it is that of the node."""
-        holder, _ = self._held.get(name, (None, 0.0))
-        if holder is not None and not _same(holder, ProcessIdentity.read(text, now_s)):
+        holder, _ = self._held.get(name, (identity, 0.0))
+        if holder.process != identity.process:
             return False
         self._held.pop(name, None)
         return True
 
 
-def _same(first: ProcessIdentity | None, second: ProcessIdentity | None) -> bool:
-    return (first and first.process) == (second and second.process)
-
-
-def refusal(
-    name: str, place: str, own: ProcessIdentity, other: ProcessIdentity, domain: str
-) -> str:
-    """Say why a node ends that hears a beat of its own ``name``; empty: it does not.
-
-    ``place`` is the namespace. The older of the two stays.
-    """
-    if own.is_older(other):
-        return ""
+def second_of_its_name(name: str, place: str, domain: str) -> str:
+    """Say why a node ends whose ``name`` in the namespace ``place`` an older one has."""
     where = f"{place} of ROS domain {domain or '0'}"
     return f"node {name} runs already in {where}: this second one ends, the first goes on; {_HOW}"
 
 
-def other_session(health: Any, environment: Mapping[str, str]) -> str:
-    """Say which node of the cell is of another session; empty: none, or this process has none."""
+class OtherSessionError(RotcalError):
+    """The nodes of the cell belong to another session than this process."""
+
+
+def require_own_session(health: Any, environment: Mapping[str, str]) -> None:
+    """Raise OtherSessionError where a node of the cell is of another session than this process."""
     if SESSION_VARIABLE not in environment:
-        return ""
+        return
     own = ProcessIdentity.own(environment, 0.0).session
     for name in NODES:
-        identity = ProcessIdentity.read(health.values(name).get(IDENTITY, ""), 0.0)
-        if identity is not None and identity.session != own:
-            return (
+        beat = health.others.get(name)
+        if beat is not None and beat.session != own:
+            raise OtherSessionError(
                 f"another calibration's nodes are at work here (node {name}: "
-                f"{health.state(name)}); they go on, this second start ends; {_HOW}"
+                f"{health.in_words(name)}); they go on, this second start ends; {_HOW}"
             )
-    return ""

@@ -11,7 +11,8 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from rotcal_ros.foundation.errors import RotcalError
+from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
+from rotcal_ros.foundation.node_state import NodeState, State, Why
 from rotcal_ros.nodes.runtime.timers_and_events import (
     handle_events,
     steady_timer,
@@ -45,9 +46,7 @@ def destroy(node: Node, kept: Collection[Any]) -> None:
         action.destroy()
 
 
-UNCONFIGURED: Final = "unconfigured"
-INACTIVE: Final = "inactive"
-"""Beginning of the state of a node that is not active."""
+NOT_ACTIVE: Final = (State.INACTIVE, State.UNCONFIGURED)
 WIND_UP_S: Final = 1.0
 """Longest wait of a clean-up; the node does not beat meanwhile."""
 _POLL_S: Final = 0.02
@@ -57,10 +56,10 @@ SUCCESS: Final = TransitionCallbackReturn.SUCCESS
 FAILURE: Final = TransitionCallbackReturn.FAILURE
 
 
-def not_active(state: Callable[[str], str], names: Iterable[str]) -> list[str]:
-    """Return which nodes are not active by their ``state`` in a beat, and how that ends."""
-    idle = (INACTIVE, UNCONFIGURED)
-    return [f"node {name} is {state(name)}" for name in names if state(name).startswith(idle)]
+def not_active(health: Any, names: Iterable[str]) -> list[str]:
+    """Return which of the other nodes are not active, and how that ends."""
+    idle = (name for name in names if health.state(name) in NOT_ACTIVE)
+    return [f"node {name} is {health.in_words(name)}" for name in idle]
 
 
 class ManagedNode(LifecycleNode):
@@ -99,26 +98,25 @@ class ManagedNode(LifecycleNode):
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
         """Set parameters, all or none; a rejection says why, and what to do."""
-        fixed = [p.name for p in parameter_list if self._is_fixed(p.name)]
-        reason = self.why_unchanged({p.name: p.value for p in parameter_list})
-        if fixed:
-            reason = (
-                f"{', '.join(fixed)}: taken when node {self.get_name()} starts and the same until "
-                "it ends; restart it with the value, or give it in the configuration"
-            )
-        if reason:
-            return SetParametersResult(successful=False, reason=reason)
+        try:
+            if fixed := [p.name for p in parameter_list if self._is_fixed(p.name)]:
+                raise ConfigurationError(
+                    f"{', '.join(fixed)}: taken when node {self.get_name()} starts and the same "
+                    "until it ends; restart it with the value, or give it in the configuration"
+                )
+            self.judge_parameters({p.name: p.value for p in parameter_list})
+        except ConfigurationError as error:
+            return SetParametersResult(successful=False, reason=str(error))
         result: SetParametersResult = super().set_parameters_atomically(parameter_list)
         return result
 
-    def why_unchanged(self, changes: Mapping[str, Any]) -> str:
-        """Return why parameters cannot take these values, name -> value; empty: they can."""
-        return ""
+    def judge_parameters(self, changes: Mapping[str, Any]) -> None:
+        """Raise ConfigurationError where parameters cannot take values, name -> value."""
 
     def autostart(self) -> None:
         """Configure and activate, unless told not to; raise what makes that impossible."""
         if not self._autostart:
-            self.get_logger().info(f"autostart is false: {self.standing()}")
+            self.get_logger().info(f"autostart is false: {self.inactivity().in_words()}")
             return
         self._starting = True
         for trigger in (self.trigger_configure, self.trigger_activate):
@@ -126,14 +124,12 @@ class ManagedNode(LifecycleNode):
                 raise self._failure
         self._starting = False
 
-    def standing(self) -> str:
-        """Return which state the node is in and how that ends; empty: it is active."""
-        if self.active:
-            return ""
-        state = INACTIVE if self.configured else UNCONFIGURED
-        ways = ("activate",) if self.configured else ("configure", "activate")
+    def inactivity(self) -> NodeState:
+        """Return which state the node is in while it is not active, and how that ends."""
         name = self.get_fully_qualified_name()
-        return f"{state}: " + " && ".join(f"ros2 lifecycle set {name} {way}" for way in ways)
+        if self.configured:
+            return NodeState.of(State.INACTIVE, Why.TO_ACTIVATE, name)
+        return NodeState.of(State.UNCONFIGURED, Why.TO_CONFIGURE, name)
 
     def configure(self) -> None:
         """Make what the node needs; what is raised leaves it unconfigured."""

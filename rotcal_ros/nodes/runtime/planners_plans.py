@@ -39,7 +39,7 @@ class PlannersPlans:
             if whose is Whose.A_STRANGERS:
                 self._left_alone(message, "is not the planner's and was left alone")
                 continue
-            show(self._node.health, FOREIGN_PLAN, "")
+            show(self._node.health, FOREIGN_PLAN, None)
             try:
                 self._take(message)
             except RotcalError as error:
@@ -52,7 +52,7 @@ class PlannersPlans:
         health = self._node.health
         if "planner" in health.lost:
             return ""
-        return health.values("planner").get(RUN, "") if health.state("planner") else None
+        return health.values("planner").get(RUN, "") if "planner" in health.others else None
 
     def _left_alone(self, message: CalibrationPlan, why: str) -> None:
         topic = self._node.resolve_topic_name(names.PLAN)

@@ -35,8 +35,6 @@ FROM_THE_START: Final = (SAFETY, HEALTH)
 ALWAYS: Final = ("cell", "plan", "capture", "solver", "planner", *FROM_THE_START)
 """Groups that are parameters of the planner even if it was not given them."""
 
-REFUSED: Final = "plan refused"
-"""Beginning of the state of a node that cannot use the announced plan."""
 RUN: Final = "run"
 """Value in a beat: the run of the plan that a node works for; see :func:`run_name`."""
 
@@ -91,14 +89,10 @@ class PlannerParameters:
             )
         return configuration
 
-    def why_not(self, changes: Mapping[str, Any]) -> str:
-        """Return why no goal can be measured with changes, name -> value; empty: one can."""
-        try:
-            for group in {name.partition(".")[0] for name in changes} & self._groups.keys():
-                read_settings(self._node, group, self._groups[group], changes)
-        except ConfigurationError as error:
-            return str(error)
-        return ""
+    def judge(self, changes: Mapping[str, Any]) -> None:
+        """Raise ConfigurationError where no goal can be measured with changes, name -> value."""
+        for group in {name.partition(".")[0] for name in changes} & self._groups.keys():
+            read_settings(self._node, group, self._groups[group], changes)
 
 
 def run_name(message: CalibrationPlan) -> str:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Final
 from uuid import getnode
 
-PROCESS: Final = "process"
-"""Value in a beat: the machine, the process id there, and when that began (ticks; 0: unknown)."""
 _DEAD: Final = ("Z", "X")
 _STATE, _START = 0, 19
 """Fields of ``/proc/PID/stat`` behind the name of the program."""
@@ -25,28 +24,33 @@ def machine() -> str:
     return f"{getnode():x}"
 
 
-def own_process() -> str:
-    """Return this process as it stands in a beat."""
-    return f"{machine()} {os.getpid()} {_fields(os.getpid())[1]}"
+@dataclass(frozen=True, slots=True)
+class HostProcess:
+    """A process id on a ``host``, and when that process began (ticks; 0: unknown)."""
 
+    host: str
+    pid: int
+    start: int
 
-def why_gone(process: str) -> str:
-    """Say that a process of a beat is gone; empty: it exists, or is on another machine."""
-    words = process.split()
-    if len(words) != 3 or words[0] != machine() or not (words[1] + words[2]).isdecimal():
-        return ""
-    pid = int(words[1])
-    if not _exists(pid):
-        return f"its process {pid} is gone"
-    state, start = _fields(pid)
-    if state in _DEAD or (start != words[2] and "0" not in (start, words[2])):
-        return f"its process {pid} is gone"
-    return ""
+    @classmethod
+    def own(cls) -> HostProcess:
+        """Return this process."""
+        return cls(machine(), os.getpid(), _fields(os.getpid())[1])
 
+    @property
+    def is_of_here(self) -> bool:
+        """Whether it runs on this machine."""
+        return self.host == machine()
 
-def is_of_here(process: str) -> bool:
-    """Return whether a process of a beat runs on this machine."""
-    return process.partition(" ")[0] == machine()
+    @property
+    def is_gone(self) -> bool:
+        """Whether it is known that it does not exist any more; of another machine it is not."""
+        if not self.is_of_here:
+            return False
+        if not _exists(self.pid):
+            return True
+        state, start = _fields(self.pid)
+        return state in _DEAD or (start != self.start and 0 not in (start, self.start))
 
 
 def _exists(pid: int) -> bool:
@@ -59,11 +63,11 @@ def _exists(pid: int) -> bool:
     return True
 
 
-def _fields(pid: int) -> tuple[str, str]:
-    """Return state and start of a process; ("", "0") where the system does not show them."""
+def _fields(pid: int) -> tuple[str, int]:
+    """Return state and start of a process; ("", 0) where the system does not show them."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
     except OSError:
-        return "", "0"
+        return "", 0
     fields = text.rpartition(")")[2].split()
-    return fields[_STATE], fields[_START]
+    return fields[_STATE], int(fields[_START])

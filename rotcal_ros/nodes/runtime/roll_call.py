@@ -12,10 +12,6 @@ from typing import Final
 
 from rotcal_ros.planning.health_settings import HealthSettings
 
-SOLVING: Final = "solving"
-"""State of a node that computes."""
-LOADING: Final = "loading what the plan needs"
-"""State of a node that loads a method's code, or reads what was measured before."""
 LATE_S: Final = 0.6
 """A sign of life that is three beats late is worth a look at the process."""
 OVER_S: Final = 60.0
@@ -39,7 +35,7 @@ class RollCall:
     def hear(self, name: str, answered_s: float) -> None:
         """Take a beat of a node that last took a turn at ``answered_s``; it is there."""
         self.seen[name] = answered_s
-        if self.lost.pop(name, ""):
+        if self.lost.pop(name, None):
             self.slow.pop(name, None)
 
     def forget(self, name: str) -> None:
@@ -47,55 +43,57 @@ class RollCall:
         for book in (self.seen, self.slow, self.lost):
             book.pop(name, None)
 
-    def look(self, now_s: float, gone: Callable[[str], str]) -> list[str]:
+    def look(self, now_s: float, gone: Callable[[str], str | None]) -> list[str]:
         """Judge all nodes; return the names of those that are lost since the last look.
 
-        ``gone`` says why the process of a node is gone, empty: it is there, or this is not known.
+        ``gone`` says why the process of a node is gone, None: it is there, or this is not known.
         It is called only for nodes whose beat is late.
         """
         silence = {name: now_s - seen_s for name, seen_s in self.seen.items()}
         late = {n: s for n, s in silence.items() if s > LATE_S and n not in self.lost}
         given_up = self.settings.lost_after_s
-        why = {
-            n: gone(n) or (f"no sign of it for {s:.0f} s" if s > given_up else "")
-            for n, s in late.items()
+        new = {
+            name: why or f"no sign of it for {s:.0f} s"
+            for name, s in late.items()
+            if (why := gone(name)) or s > given_up
         }
-        new = [name for name in late if why[name]]
-        self.lost |= {name: why[name] for name in new}
+        self.lost |= new
         slow_after = self.settings.slow_after_s
-        self.slow = {n: s for n, s in late.items() if s > slow_after and not why[n]}
-        return new
+        self.slow = {n: s for n, s in late.items() if s > slow_after and n not in new}
+        return list(new)
 
 
 @dataclass
 class Overload:
     """Reports an overload once at its begin, and once when it is over.
 
-    ``text`` says who is waited for now, empty: nobody.
+    ``text`` says who is waited for now, None: nobody.
     """
 
-    text: str = ""
+    text: str | None = None
     _times: int = 0
     _longest_s: float = 0.0
     _last_s: float | None = None
 
-    def look(self, slow: Mapping[str, float], now_s: float, machine: Callable[[], str]) -> str:
-        """Take who is slow (name -> s); return what to log, empty: nothing.
+    def look(
+        self, slow: Mapping[str, float], now_s: float, machine: Callable[[], str]
+    ) -> str | None:
+        """Take who is slow (name -> s); return what to log, if anything.
 
         ``now_s`` is monotonic, ``machine`` tells the load of the machine in words.
         """
         was_waiting = bool(self.text)
         if not slow:
-            self.text = ""
+            self.text = None
             over = self._last_s is not None and now_s - self._last_s > OVER_S
-            return self._end() if over else ""
+            return self._end() if over else None
         if not was_waiting:
             names = ", ".join(f"{name} ({s:.1f} s)" for name, s in sorted(slow.items()))
             self.text = f"waiting for {names}: slow, not lost; {machine()}"
         self._longest_s = max(self._longest_s, *slow.values())
         self._times += not was_waiting
         begins, self._last_s = self._last_s is None, now_s
-        return f"{self.text}; it goes on by itself" if begins else ""
+        return f"{self.text}; it goes on by itself" if begins else None
 
     def _end(self) -> str:
         text = (

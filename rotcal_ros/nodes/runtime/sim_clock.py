@@ -59,8 +59,8 @@ class SimClock:
 
     def concerns(self) -> dict[str, str]:
         """Return what people should look at."""
-        text = self.in_words()
-        return {SIM_CLOCK: text} if text else {}
+        text = self.standstill()
+        return {} if text is None else {SIM_CLOCK: text}
 
     def stands(self) -> bool:
         """Return whether the node waits for ``/clock`` to go on, or to come at all."""
@@ -70,10 +70,10 @@ class SimClock:
         """Return whether streams must come: the clock runs, and has been running for a while."""
         return not self.stands() and self._steady() > self._went_on_s + _SETTLING_S
 
-    def in_words(self) -> str:
-        """Say that the clock stands still; empty: it runs, or the node does not follow it."""
+    def standstill(self) -> str | None:
+        """Say that the clock stands still; None: it runs, or the node does not follow it."""
         if not self.stands():
-            return ""
+            return None
         if not self._now_ns:
             return (
                 "use_sim_time is set, and no time came on /clock: start the simulation, or leave "
@@ -87,10 +87,10 @@ class SimClock:
         """Return what an error has to add where the clock may be the cause of a time-out."""
         if not self.used:
             return ""
-        words = self.in_words()
-        if not words and self._pace is not None:
+        words = self.standstill()
+        if words is None and self._pace is not None:
             words = f"/clock runs at {self._pace:.2g} of it"
-        return f"; time-outs are wall time{words and f', {words}'}"
+        return "; time-outs are wall time" + ("" if words is None else f", {words}")
 
     def _still_s(self) -> float:
         return float(self._steady() - self._moved_s)
@@ -100,7 +100,8 @@ def unlike_clocks(health: Any, configuration: Configuration) -> list[str]:
     """Return why the nodes have no common time, in words."""
     own = health.sim.used
     other = [name for name in PREFLIGHT_NODES if (SIM_TIME in health.values(name)) != own]
-    found = [health.sim.in_words()] if health.sim.stands() else []
+    standstill = health.sim.standstill()
+    found = [] if standstill is None else [standstill]
     if other:
         found.append(
             f"use_sim_time is {str(own).lower()} for node planner, but not for "

@@ -69,7 +69,7 @@ class Fake:
 class Heard:
     """What a driver told, until its end."""
 
-    def __init__(self, instrument, settings, why_not=lambda _: ""):
+    def __init__(self, instrument, settings, why_not=lambda _: None):
         self.lengths, self.places, self.complaints = [], [], []
         listeners = Listeners(self.lengths.append, self.places.append, self.complaints.append)
         self.driver = InstrumentDriver(instrument, settings, listeners, why_not, now_ns=lambda: 7)

@@ -60,7 +60,7 @@ class Adapter(DmeAdapter):
             concerns={},
             alarms={},
             lost={},
-            refused="",
+            refused=None,
             values=lambda _name: self.planner,
             beat=lambda: None,
         )
@@ -69,7 +69,7 @@ class Adapter(DmeAdapter):
             why="", heed=lambda: "", refuses=lambda _step: bool(self._stop.why)
         )
         self._plan = self._early = None
-        self._run = self._served = ""
+        self._run = self._served = None
         self._looks = 0
         self._loading = False
         self.listening = Counter()

@@ -1,49 +1,53 @@
 """What the page says: its large line, and courses that never grow without bound."""
 
 import itertools
+from dataclasses import replace
 
 import pytest
 
 from rotcal_ros.extensions.page.board import Board, Course
 from rotcal_ros.extensions.page.headline import HeardPlanner, now
 from rotcal_ros.extensions.page.state import Now, PageState, ShownOffer
+from rotcal_ros.foundation.node_state import NodeState, State, Why
 
 OFFER = ShownOffer("abc", "def", "ok", "", "", "", "", applied=False)
+READY = NodeState(State.READY)
 CALIBRATING = HeardPlanner(
-    planner="calibrating: step 1", calibrating=True, activity="preflight: nodes"
+    NodeState(State.CALIBRATING), calibrating=True, doing=Why.PREFLIGHT_NODES
 )
+
+
+def asking(code, instruction):
+    return replace(CALIBRATING, doing=code, instruction=instruction)
 
 
 @pytest.mark.parametrize(
     ("heard", "kind", "headline", "resume", "stop"),
     [
         (HeardPlanner(), "waiting", "Waiting for the planner", False, False),
-        (HeardPlanner(planner="ready"), "ready", "Ready", False, False),
+        (HeardPlanner(READY), "ready", "Ready", False, False),
         (CALIBRATING, "measuring", "Checking the cell", False, True),
-        (HeardPlanner("calibrating", calibrating=True, activity="table position 2, target 1"),
+        (replace(CALIBRATING, doing=Why.MEASURING, activity="table position 2, target 1"),
          "measuring", "Measuring", False, True),
-        (HeardPlanner("calibrating", calibrating=True, activity="solving"),
+        (replace(CALIBRATING, doing=Why.SOLVING),
          "measuring", "Computing the deviations", False, True),
-        (HeardPlanner("calibrating", calibrating=True,
-                      instruction="move the tracker; it must not tilt"),
+        (asking(Why.WORK, "move the tracker; it must not tilt"),
          "person", "Move the tracker.", True, True),
-        (HeardPlanner("calibrating", calibrating=True,
-                      instruction="emergency stop: door is true; wait"),
+        (asking(Why.STOPPED, "emergency stop: door is true; wait"),
          "emergency", "Emergency stop: door is true.", False, True),
-        (HeardPlanner("calibrating", calibrating=True,
-                      instruction="emergency stop: released, it was: d"),
+        (asking(Why.RELEASED, "emergency stop: released, it was: d"),
          "emergency", "Emergency stop: released, it was: d.", True, True),
-        (HeardPlanner("calibrating", calibrating=True, instruction="x", stopping=True),
+        (replace(asking(Why.WORK, "x"), stopping=True),
          "stopping", "Stopping", False, False),
-        (HeardPlanner("ready", ended=True, verdict="ok"),
+        (HeardPlanner(READY, ended=True, verdict="ok"),
          "done", "Finished, measurement ok", False, False),
-        (HeardPlanner("ready", ended=True, canceled=True, error="canceled"),
+        (HeardPlanner(READY, ended=True, canceled=True, error="canceled"),
          "stopped", "Stopped", False, False),
-        (HeardPlanner("ready", ended=True, error="node capture fell silent"),
+        (HeardPlanner(READY, ended=True, error="node capture fell silent"),
          "failed", "The calibration ended without a result", False, False),
-        (HeardPlanner("", ended=True, verdict="ok"),
+        (HeardPlanner(ended=True, verdict="ok"),
          "done", "Finished, measurement ok", False, False),
-        (HeardPlanner("calibrating", silent=True, calibrating=True),
+        (replace(CALIBRATING, silent=True),
          "failed", "The planner fell silent", False, False),
     ],
 )  # fmt: skip
@@ -53,12 +57,12 @@ def test_the_large_line(heard, kind, headline, resume, stop):
 
 
 def test_continue_is_for_the_instruction_that_is_shown():
-    asking = HeardPlanner("calibrating", calibrating=True, instruction="move it; do not tilt it")
-    assert now(asking).instruction == "move it; do not tilt it"
+    asked = asking(Why.WORK, "move it; do not tilt it")
+    assert now(asked).instruction == "move it; do not tilt it"
 
 
 def test_a_table_waits_only_where_a_person_can_confirm_it():
-    ready = HeardPlanner(planner="ready", ended=True, verdict="ok")
+    ready = HeardPlanner(READY, ended=True, verdict="ok")
     assert now(ready, OFFER).kind == "confirm"
     assert now(HeardPlanner(), OFFER).kind == "confirm"
     assert now(CALIBRATING, OFFER).kind == "measuring"
@@ -69,7 +73,7 @@ def test_a_table_waits_only_where_a_person_can_confirm_it():
 
 def test_the_reason_of_a_failure_is_told_whole():
     text = "node capture fell silent at step 3 of 60"
-    assert now(HeardPlanner("ready", ended=True, error=text)).detail == (
+    assert now(HeardPlanner(READY, ended=True, error=text)).detail == (
         "Node capture fell silent at step 3 of 60."
     )
 

@@ -32,7 +32,7 @@ class Replay:
             get_publishers_info_by_topic=lambda _: [],
             get_name=lambda: "player",
         )
-        health = SimpleNamespace(state=lambda _: "idle")
+        health = SimpleNamespace(is_calibrating=lambda: False)
         given = SimpleNamespace(everything=False, clock=False, watchers=())
         player._guard = ReplayGuard(node, health, bag, given, self._wait)
 

@@ -22,6 +22,7 @@ from rotcal_ros.extensions.ros2_control.node.joint_controllers import (
 from rotcal_ros.extensions.ros2_control.node.table_adapter import TableAdapter
 from rotcal_ros.extensions.ros2_control.obeyed import JointWatch
 from rotcal_ros.foundation.machine_load import AwakeClock
+from rotcal_ros.foundation.node_state import NodeState, State, Why
 from rotcal_ros.foundation.observations import Approach, TableSample
 from rotcal_ros.planning.table_adapter_settings import TableAdapterSettings
 from rotcal_ros.planning.table_ways import way_to, way_to_rest
@@ -56,7 +57,7 @@ class Adapter(TableAdapter):
         self._watch, self._controller = JointWatch(SETTINGS), controller or Controller()
         self._stop = SimpleNamespace(why="", refuses=lambda _step: bool(self._stop.why))
         self._waiting, self._held, self._refused, self._others = None, False, "", ()
-        self._state = "step 1, attempt 0"
+        self._state = NodeState.of(State.WORKING, Why.ORDERED, 1, 0)
 
     def __del__(self):
         pass
@@ -92,10 +93,10 @@ def test_a_joint_under_way_is_braked_and_what_waits_is_forgotten(adapter):
     assert adapter._controller.sent[-1].times_s == pytest.approx([0.5])
     adapter._obey(TableAngle(step=7))
     assert adapter._waiting is None
-    assert adapter._wrong() == ""  # it stands where it was stopped, and that is right
-    assert adapter._report()[0] == "held: emergency stop"
+    assert adapter._wrong() is None  # it stands where it was stopped, and that is right
+    assert adapter._report()[0].has(Why.HELD)
     adapter._stop.why = ""
-    assert adapter._report()[0] == "waiting for an order"
+    assert adapter._report()[0].has(Why.NO_ORDER)
 
 
 def test_a_hold_that_the_controller_refuses_is_told(adapter):

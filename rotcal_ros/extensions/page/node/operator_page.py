@@ -29,18 +29,17 @@ from rotcal_ros.extensions.page.node.waiting_table import WaitingTable
 from rotcal_ros.extensions.page.server import PageServer
 from rotcal_ros.extensions.page.settings import PageSettings
 from rotcal_ros.extensions.page.state import Cell, ShownUncertainty, StepProgress
+from rotcal_ros.foundation.node_state import LOADING, NodeState, Reason, State, Why
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.nodes.goal.outcome import Feedback, Outcome
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.health import CALIBRATING
+from rotcal_ros.nodes.runtime.health import PLANNER
 from rotcal_ros.nodes.runtime.qos import VIEW
 from rotcal_ros.nodes.runtime.running import run
-from rotcal_ros.planning.plan import PAUSED
 
 PERIOD_S: Final = 0.25
 LAST_WORD_S: Final = 2.0
 """How long to wait for the end of a goal, which its client may have heard before us."""
-PLANNER: Final = "planner"
 
 
 class OperatorPage(CellNode):
@@ -99,8 +98,8 @@ class OperatorPage(CellNode):
 
         async def do() -> None:
             try:
-                why_not = self.why_not()
-                future.set_result(Answer(False, why_not) if why_not else await work())
+                answer = await work() if self.active else Answer(False, self.why_not())
+                future.set_result(answer)
             except Exception as error:
                 self.health.note_error("request of a person", error)
                 future.set_result(Answer(False, str(error)))
@@ -139,15 +138,14 @@ class OperatorPage(CellNode):
 
     def _heard(self) -> HeardPlanner:
         health, goal = self.health, self._goal
-        state = health.state(PLANNER)
-        activity = goal.feedback.activity if goal.feedback else ""
-        outcome = goal.outcome
+        feedback, outcome = goal.feedback, goal.outcome
         return HeardPlanner(
-            planner=state,
+            planner=health.node_state(PLANNER),
             silent=PLANNER in health.lost,
-            calibrating=goal.running or (outcome is None and state.startswith(CALIBRATING)),
-            activity=activity.removeprefix(PAUSED),
-            instruction=goal.feedback.instruction if goal.feedback else "",
+            calibrating=goal.running or (outcome is None and health.is_calibrating()),
+            doing=feedback.doing if feedback else Why.UNKNOWN,
+            activity=feedback.activity if feedback else "",
+            instruction=feedback.instruction if feedback else "",
             stopping=goal.stopping,
             ended=outcome is not None,
             canceled=outcome is not None and outcome.canceled,
@@ -173,8 +171,12 @@ class OperatorPage(CellNode):
             course=self._course.points,
         )
 
-    def _report(self) -> tuple[str, dict[str, Any]]:
-        return self._topics.state or f"serving {self._server.address}", {}
+    def _report(self) -> tuple[NodeState, dict[str, Any]]:
+        address = self._server.address
+        if self._topics.loading:
+            return replace(LOADING, page=address), {}
+        serving = Reason.of(Why.SERVING, address)
+        return NodeState(State.READY, (serving,), page=address), {}
 
 
 RUNNING = (GoalStatus.STATUS_ACCEPTED, GoalStatus.STATUS_EXECUTING, GoalStatus.STATUS_CANCELING)
@@ -234,7 +236,10 @@ class FollowedGoal:
         if not self._resume.service_is_ready():
             return Answer(False, "the planner does not answer")
         # A second click finds nothing asked for until the planner has spoken again.
-        self.feedback = continuing = replace(asked, activity="going on")
+        going_on = Reason(Why.GOING_ON)
+        self.feedback = continuing = replace(
+            asked, doing=going_on.code, activity=going_on.in_words(), instruction=""
+        )
         answer = await self._resume.call_async(Trigger.Request())
         if not answer.success and self.feedback is continuing:
             self.feedback = asked

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticStatus
 from rotcal_msgs.msg import DeviationArray
 
 from rotcal_ros.evaluation.marks import measurement, tolerance
@@ -18,10 +17,10 @@ from rotcal_ros.extensions.page.state import (
     Cell,
     Curve,
     Deviations,
-    NodeState,
     PageMark,
     PlanView,
     RecorderState,
+    ShownNode,
 )
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.identity import Identity
@@ -110,22 +109,23 @@ def _rounded(values: Iterable[float]) -> tuple[float | None, ...]:
     return tuple(round(float(v), 5) if math.isfinite(v) else None for v in values)
 
 
-def nodes(health: Health) -> tuple[NodeState, ...]:
+def nodes(health: Health) -> tuple[ShownNode, ...]:
     """Return the nodes that are there, or were until they were lost."""
     found = []
-    for name, status in sorted(health.others.items()):
-        level = SILENT if name in health.lost else int.from_bytes(status.level, "little")
-        words = "silent" if level == SILENT else _words(status)
+    for name, beat in sorted(health.others.items()):
+        level = SILENT if name in health.lost else beat.level
+        words = "silent" if level == SILENT else _words(health, name)
         if (seconds := health.slow.get(name)) is not None:
             words, level = f"slow: no sign for {seconds:.0f} s; {words}", max(level, 1)
-        found.append(NodeState(name, words, level))
+        found.append(ShownNode(name, words, level))
     return tuple(found)
 
 
-def _words(status: DiagnosticStatus) -> str:
+def _words(health: Health, name: str) -> str:
     """Return the state of a node with what troubles it."""
-    trouble = [v.value for v in status.values if v.key in ("lost_nodes", "unfinished")]
-    return "; ".join([str(status.message), *(f"without {t}" for t in trouble)])
+    values = health.values(name)
+    trouble = [values[key] for key in ("lost_nodes", "unfinished") if key in values]
+    return "; ".join([health.in_words(name), *(f"without {t}" for t in trouble)])
 
 
 def recording(values: Mapping[str, str]) -> RecorderState | None:

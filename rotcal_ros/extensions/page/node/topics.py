@@ -39,7 +39,6 @@ from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.latest import NOW, SILENT
 from rotcal_ros.nodes.runtime.plans import calibration_of
 from rotcal_ros.nodes.runtime.qos import LATCHED, VIEW
-from rotcal_ros.nodes.runtime.roll_call import LOADING
 
 REJECTIONS: Final = 50
 LOG_LINES: Final = 100
@@ -51,7 +50,7 @@ class PageTopics:
 
     ``uncertainty`` is the largest expanded one (k = 2) of ECC in the latest solution, rad; None
     where it is not known. ``withheld`` says why it may not be stated, else it is empty.
-    ``state`` says that the node is busy, else it is empty.
+    ``loading`` is true while a plan is read.
     """
 
     def __init__(self, node: CellNode, board: Board) -> None:
@@ -61,7 +60,7 @@ class PageTopics:
         self._log: deque[LogLine] = deque(maxlen=LOG_LINES)
         self._visited: dict[float, None] = {}
         self.uncertainty: float | None = None
-        self.withheld = self.state = ""
+        self.withheld, self.loading = "", False
         node.listen(CalibrationPlan, names.PLAN, self._take_plan, LATCHED)
         node.listen(DeviationArray, "deviations", self._take_deviations, LATCHED)
         node.listen(ObservationMsg, names.OBSERVATION, self._take_observation, VIEW)
@@ -76,7 +75,7 @@ class PageTopics:
         self._board.show(rejections=(), deviations=None, pointing=None)
 
     def _take_plan(self, message: CalibrationPlan) -> None:
-        self.state = LOADING
+        self.loading = True
         self._node.health.beat()
         try:
             self._calibration = calibration_of(message)
@@ -86,7 +85,7 @@ class PageTopics:
             self._node.get_logger().warning(f"the plan cannot be drawn: {error}")
             return
         finally:
-            self.state = ""
+            self.loading = False
         self._board.show(
             cell=page_sections.cell(self._calibration, self._node.get_namespace()),
             view=page_sections.plan_view(self._calibration),

@@ -16,11 +16,11 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.nodes.bridge import NEVER, OFFERED, WITHHELD
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.qos import LATCHED
 
 BRIDGE: Final = "bridge"
-OFFERED: Final = "offered"
 MOST_ANGLES: Final = 120
 SILENCE_S: Final = 10.0
 """After that long without an answer the bridge is asked for the drawing again."""
@@ -51,11 +51,13 @@ class WaitingTable:
         values = health.values(BRIDGE) if BRIDGE in health.present() else {}
         if "table_hash" not in values:
             return None
-        confirmation, apply = values.get("confirmation", ""), values.get("apply", "")
-        why_not = "" if apply == OFFERED else apply or "the bridge does not offer it"
+        confirmation, why_not = values.get("confirmation", ""), ""
+        if OFFERED not in values:
+            withheld = values.get(WITHHELD)
+            why_not = f"not offered: {withheld}" if withheld else "the bridge does not offer it"
         if not confirmation:
-            why_not = health.state(BRIDGE)
-        elif never := values.get("never", ""):
+            why_not = health.in_words(BRIDGE)
+        elif never := values.get(NEVER):
             why_not = never
         elif self._drawn_for != confirmation:
             why_not = why_not or UNDRAWN
@@ -66,7 +68,7 @@ class WaitingTable:
             verdict=values.get("verdict", ""),
             in_force=values.get("in_force", ""),
             residual=values.get("residual", ""),
-            bridge=health.state(BRIDGE),
+            bridge=health.in_words(BRIDGE),
             why_not=why_not,
             applied=bool(confirmation) and confirmation == self._applied,
             simulated=self._table is not None

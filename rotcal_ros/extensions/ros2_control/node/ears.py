@@ -20,6 +20,7 @@ from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods import Configuration
 from rotcal_ros.methods.check_lines import CheckLine, DriverCheck
+from rotcal_ros.nodes.check.drivers import Finding
 from rotcal_ros.nodes.runtime.cell_graph import deaf_listeners
 from rotcal_ros.nodes.runtime.draining import Batch, InstrumentSubscription
 from rotcal_ros.nodes.runtime.hearing import origin_of
@@ -42,37 +43,39 @@ class AdapterEars:
         self.topic: str = node.resolve_topic_name(self._settings.feedback)
         InstrumentSubscription(node, JointState, self._settings.feedback, self._hear)
 
-    def wrong(self) -> tuple[str, str]:
-        """Return why the adapter could not go by this feedback, and what to do; empty: it can."""
+    def wrong(self) -> Finding | None:
+        """Return why the adapter could not go by this feedback; None: it can."""
         topic, joint = self.topic, printable(self._joint)
         if not self._joint:
             there = f", one of {', '.join(self._names())}" if self._others else ""
-            return "cell.joint is not set", f"name the joint of the table in cell.joint{there}"
+            todo = f"name the joint of the table in cell.joint{there}"
+            return Finding("cell.joint is not set", todo)
         if not self._node.get_publishers_info_by_topic(topic):
             todo = "start joint_state_broadcaster, or correct table_adapter.feedback"
-            return f"nobody publishes {topic}", todo
+            return Finding(f"nobody publishes {topic}", todo)
         if not self._tellers:
-            found = f"{topic} has no joint {joint!r} (cell.joint)"
             there = ", ".join(self._names())
-            return f"{found}, it has {there or 'said nothing'}", f"cell.joint: one of {there}"
+            found = f"{topic} has no joint {joint!r} (cell.joint)"
+            found += f", it has {there or 'said nothing'}"
+            return Finding(found, f"cell.joint: one of {there}")
         if len(self._tellers) > 1:
             found = f"{len(self._tellers)} publishers publish the joint {joint!r} on {topic}"
-            return f"{found} ({self._who()})", "stop all but one that publish this joint"
+            return Finding(f"{found} ({self._who()})", "stop all but one that publish this joint")
         if text := self._watch.doubt() or self._watch.complaint(time.monotonic()):
-            return text, f"let {topic} give the joint in rad, and without a pause"
-        return "", ""
+            return Finding(text, f"let {topic} give the joint in rad, and without a pause")
+        return None
 
-    def outside(self) -> str:
-        """Return in words that the joint stands outside of its stated travel; empty: it does not.
+    def outside(self) -> str | None:
+        """Return in words that the joint stands outside of its stated travel; None: it does not.
 
         Degrees that are taken for radians often show so.
         """
         low, high, latest = self._settings.lower_deg, self._settings.upper_deg, self._watch.latest
         if low is None or high is None or latest is None:
-            return ""
+            return None
         angle = latest.angle / DEGREE
         if low - 1.0 <= angle <= high + 1.0:
-            return ""
+            return None
         return (
             f"the joint stands at {latest.angle:.6g} rad = {angle:.6g}°, outside of its stated "
             f"travel of {low:g}° to {high:g}°: are these degrees?"

@@ -22,6 +22,7 @@ from rotcal_ros.extensions.ros2_control.node.joint_controllers import (
 )
 from rotcal_ros.extensions.ros2_control.obeyed import JointWatch
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.node_state import NodeState, State, Why
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.nodes.runtime import conversions
@@ -29,7 +30,7 @@ from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.diagnostic_warnings import COMPLAINT, show
 from rotcal_ros.nodes.runtime.draining import Batch, InstrumentSubscription
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
-from rotcal_ros.nodes.runtime.health import CALIBRATING
+from rotcal_ros.nodes.runtime.health import PLANNER
 from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
 from rotcal_ros.nodes.runtime.running import run
 from rotcal_ros.planning.cell_settings import CellSettings
@@ -66,7 +67,7 @@ class TableAdapter(CellNode):
         self._waiting_s = 0.0
         self._refused, self._kind, self._held = "", "", False
         self._others: tuple[str, ...] = ()
-        self._state = "waiting for feedback"
+        self._state = NodeState.of(State.WAITING, Why.NO_FEEDBACK)
         self._feedback = self.create_publisher(JointState, names.JOINT_STATES, STREAM)
         heard = self.resolve_topic_name(self._settings.feedback)
         self._passes_on = self._feedback.topic_name != heard
@@ -92,7 +93,7 @@ class TableAdapter(CellNode):
 
     def _halt(self, _why: str) -> None:
         """Forget the waiting order, and bring a joint that moves by another one to rest."""
-        self._waiting, self._state = None, "waiting for an order"
+        self._waiting, self._state = None, NodeState.of(State.WAITING, Why.NO_ORDER)
         if not self._watch.under_way(now_s := self.health.awake.now_s()):
             return
         sent = self._controller.setpoint() or self._watch.motion(now_s)
@@ -112,7 +113,7 @@ class TableAdapter(CellNode):
         if order is None or here is None or self._watch.doubt() or not self._controller.heard():
             return
         self._waiting = None
-        self._state = f"step {order.step}, attempt {order.attempt}"
+        self._state = NodeState.of(State.WORKING, Why.ORDERED, order.step, order.attempt)
         begin, _ = self._controller.setpoint() or (here, 0.0)
         try:
             way = way_to(order.angle, Approach(order.approach), begin, self._settings)
@@ -125,9 +126,9 @@ class TableAdapter(CellNode):
     def _forget(self) -> None:
         """Forget an order that waits when its calibration has ended: it must not move later."""
         old = self.health.awake.now_s() > self._waiting_s + FRESH_S
-        planner = self.health.state("planner")
-        ended = bool(planner) and not planner.startswith(CALIBRATING)
-        if self._waiting is not None and old and (ended or "planner" in self.health.lost):
+        lost = PLANNER in self.health.lost
+        ended = lost or (PLANNER in self.health.others and not self.health.is_calibrating())
+        if self._waiting is not None and old and ended:
             self._waiting = None
             self.get_logger().warning("an order was dropped: its calibration has ended")
 
@@ -155,8 +156,8 @@ class TableAdapter(CellNode):
         if text or self._held or self._watch.arrived():
             show(self.health, COMPLAINT, text)
 
-    def _wrong(self) -> str:
-        """Say what is wrong with the table; empty: nothing is, or it was stopped."""
+    def _wrong(self) -> str | None:
+        """Say what is wrong with the table; None: nothing is, or it was stopped."""
         if self._refused:
             return self._refused
         if self._watch.latest is None and self._others:
@@ -167,19 +168,19 @@ class TableAdapter(CellNode):
         if self._waiting is not None:
             return self._why_waiting()
         report = self._controller.report()
-        text = "" if self._held else self._watch.complaint(self.health.awake.now_s())
+        text = None if self._held else self._watch.complaint(self.health.awake.now_s())
         if report.trouble and (self._held or not self._watch.arrived()):
             text = report.trouble
         if text and report.done:
             text += ", and the controller calls this succeeded"
-        return f"joint {self._joint!r} of {self._settings.controller}: {text}" if text else ""
+        return f"joint {self._joint!r} of {self._settings.controller}: {text}" if text else None
 
-    def _why_waiting(self) -> str:
+    def _why_waiting(self) -> str | None:
         """Say why an order is not sent; nothing while discovery may still be going on."""
         if doubt := self._watch.doubt():
             return doubt
         if self.health.awake.now_s() <= self._waiting_s + self._settings.silence_s:
-            return ""
+            return None
         if self._watch.latest is None:
             return f"nobody publishes {self._settings.feedback}: nothing can be moved"
         if not self._controller.heard():
@@ -187,12 +188,13 @@ class TableAdapter(CellNode):
                 f"no node listens to {self._settings.controller}: is the controller active, and "
                 "does it take what table_adapter.interface says?"
             )
-        return ""
+        return None
 
-    def _report(self) -> tuple[str, dict[str, Any]]:
+    def _report(self) -> tuple[NodeState, dict[str, Any]]:
         latest = self._watch.latest
         angle = {} if latest is None else {"angle_deg": f"{latest.angle / DEGREE:.5f}"}
-        return "held: emergency stop" if self._held and self._stop.why else self._state, angle
+        held = self._held and self._stop.why
+        return NodeState.of(State.FAILED, Why.HELD) if held else self._state, angle
 
 
 def _joint_controller(
