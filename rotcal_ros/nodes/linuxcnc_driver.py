@@ -102,7 +102,7 @@ class LinuxCncDriver(CellNode):
         assert self._agent.stdin is not None
         self._agent.stdin.write(json.dumps(order) + "\n")
         self._agent.stdin.flush()
-        self._state = NodeState.of(State.MOVING, Why.ORDERED, message.step, message.attempt)
+        self._state = NodeState.of(State.WORKING, Why.ORDERED, message.step, message.attempt)
 
     def _read(self) -> None:
         """Publish what the agent reports; publishing is safe from any thread."""
