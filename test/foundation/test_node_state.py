@@ -1,5 +1,8 @@
 """How a node stands, as data and in words."""
 
+import re
+from pathlib import Path
+
 import pytest
 
 from rotcal_ros.foundation.node_state import (
@@ -13,6 +16,20 @@ from rotcal_ros.foundation.node_state import (
     State,
     Why,
 )
+
+MESSAGES = Path(__file__).parents[2] / "msg_defs" / "msg"
+
+
+def constants(message, prefix=""):
+    """Return the constants of a message, name -> value."""
+    text = (MESSAGES / f"{message}.msg").read_text(encoding="utf-8")
+    found = re.findall(r"^uint(?:8|16) ([A-Z_]+)=(\d+)", text, re.MULTILINE)
+    return {n.removeprefix(prefix): int(v) for n, v in found if n.startswith(prefix)}
+
+
+def test_the_constants_are_those_of_the_messages():
+    assert constants("NodeState", "STATE_") == {state.name: state.value for state in State}
+    assert constants("NodeReason") == {code.name: code.value for code in Why}
 
 
 def test_every_code_has_its_words():

@@ -1,25 +1,12 @@
-"""The constants of the messages are those of the package, and a state goes through a beat."""
+"""How a node stands, through a message and back."""
 
 import pytest
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
-from rotcal_msgs.msg import NodeReason
-from rotcal_msgs.msg import NodeState as NodeStateMsg
-
 from rotcal_ros.foundation.node_state import UNHEARD, NodeState, Reason, State, Why
 from rotcal_ros.nodes.runtime.conversions import node_state, node_state_message
-
-
-def constants(message, prefix=""):
-    names = (n for n in dir(type(message)) if n.isupper() and n.startswith(prefix))
-    return {name.removeprefix(prefix): getattr(message, name) for name in names}
-
-
-def test_the_constants_are_the_same():
-    assert constants(NodeStateMsg, "STATE_") == {s.name: s.value for s in State}
-    assert constants(NodeReason) == {code.name: code.value for code in Why}
 
 
 @pytest.mark.parametrize(

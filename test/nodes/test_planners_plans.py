@@ -91,11 +91,13 @@ def test_without_a_goal_every_plan_is_taken_at_once(clock):
 def test_a_node_that_has_just_been_started_waits_until_it_knows_the_planner(clock):
     node, taken = Node(), []
     PlannersPlans(node, taken.append)
-    node.goal, node.planner = "", ""
+    node.goal = ""
+    node.health.others.clear()
     for message in (OURS, STRAY):
         node.offer(message)
     assert taken == []
-    node.goal, node.planner = run_name(OURS), "calibrating"
+    node.goal = run_name(OURS)
+    node.health.others["planner"] = object()
     node.look()
     assert taken == [OURS]
 
@@ -103,7 +105,8 @@ def test_a_node_that_has_just_been_started_waits_until_it_knows_the_planner(cloc
 def test_without_a_planner_a_plan_is_taken_after_a_moment(clock):
     node, taken = Node(), []
     PlannersPlans(node, taken.append)
-    node.goal, node.planner = "", ""
+    node.goal = ""
+    node.health.others.clear()
     node.offer(STRAY)
     clock.now_s += PATIENCE_S + 0.1
     node.look()
@@ -119,10 +122,11 @@ def test_a_plan_that_cannot_be_taken_is_offered_once_and_keeps_no_other_back(clo
             raise ValueError("another version")
 
     PlannersPlans(node, take)
-    node.goal, node.planner = "", ""
+    node.goal = ""
+    node.health.others.clear()
     for message in (STRAY, OURS):
         node.offer(message)
-    node.planner = "ready"
+    node.health.others["planner"] = object()
     with pytest.raises(ValueError, match="another version"):
         node.look()
     node.look()

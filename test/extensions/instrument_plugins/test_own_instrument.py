@@ -27,6 +27,7 @@ from rotcal_ros.extensions.instrument_plugins.settings import InstrumentSettings
 from rotcal_ros.extensions.instrument_plugins.table_rest import TableRest
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.node_state import Why
 from rotcal_ros.foundation.observations import (
     Approach,
     Command,
@@ -135,7 +136,7 @@ def test_an_instrument_that_is_not_there_is_named_once_and_waited_for():
     heard.until(lambda h: h.complaints)
     assert len(heard.complaints) == 1
     assert "Connection refused" in heard.complaints[0]
-    assert heard.driver.state == "connection lost"
+    assert heard.driver.state.has(Why.CONNECTION_LOST)
 
 
 class Finder(Tracker):

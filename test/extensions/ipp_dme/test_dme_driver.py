@@ -9,6 +9,7 @@ from wire import DEADLINE_S, wait_for
 
 from rotcal_ros.extensions.ipp_dme.driver import Driver, OrderRunner
 from rotcal_ros.extensions.ipp_dme.settings import DmeSettings
+from rotcal_ros.foundation.node_state import NodeState, State, Why
 from rotcal_ros.foundation.observations import Approach, Command, PointKind
 from rotcal_ros.planning.plan import Step
 
@@ -32,7 +33,7 @@ def driver_of(server, *, begin=True):
 def test_an_order_is_refused_before_a_person_clears(serve):
     server = serve("PtMeas", "error")
     driver, points, complaints = driver_of(server)
-    wait_for(lambda: driver.state == "ready")
+    wait_for(lambda: driver.state.state is State.READY)
     driver.order(TARGET, STEP)
     wait_for(lambda: complaints)
     assert "PtMeas" in complaints[0]
@@ -52,7 +53,8 @@ def test_behind_a_stop_no_session_begins_before_a_person_clears(serve):
     server = serve()
     driver, points, _ = driver_of(server, begin=False)
     driver.begin("no session was started: emergency stop")
-    wait_for(lambda: driver.state == "no session was started: emergency stop")
+    words = "no session was started: emergency stop"
+    wait_for(lambda: driver.state == NodeState.of(State.FAILED, Why.BLOCKED, words))
     assert server.names() == []
     driver.clear().result(DEADLINE_S)
     assert "StartSession" in server.names()
@@ -64,7 +66,7 @@ def test_behind_a_stop_no_session_begins_before_a_person_clears(serve):
 def test_a_cancel_aborts_what_moves_and_only_a_person_goes_on(serve):
     server = serve("GoTo", "accepted, never done")
     driver, points, _complaints = driver_of(server)
-    wait_for(lambda: driver.state == "ready")
+    wait_for(lambda: driver.state.state is State.READY)
     driver.order(TARGET, STEP)
     wait_for(lambda: "GoTo" in server.names())
     driver.abort("the calibration ended")
@@ -77,7 +79,7 @@ def test_a_cancel_aborts_what_moves_and_only_a_person_goes_on(serve):
 def test_a_cancel_aborts_what_moves_after_an_error_that_nobody_asked_for_too(serve):
     server = serve("GoTo", "accepted, never done")
     driver, _points, complaints = driver_of(server)
-    wait_for(lambda: driver.state == "ready")
+    wait_for(lambda: driver.state.state is State.READY)
     driver.order(TARGET, STEP)
     wait_for(lambda: "GoTo" in server.names())
     server.tell('E0000 ! Error(3, 1009, "Machine", "Air pressure out of range")')
@@ -93,7 +95,7 @@ def test_a_cancel_aborts_what_moves_after_an_error_that_nobody_asked_for_too(ser
 def test_the_end_in_the_middle_of_a_motion_aborts_it(serve):
     server = serve("PtMeas", "accepted, never done")
     driver, points, _complaints = driver_of(server)
-    wait_for(lambda: driver.state == "ready")
+    wait_for(lambda: driver.state.state is State.READY)
     driver.order(TARGET, STEP)
     wait_for(lambda: "PtMeas" in server.names())
     driver.stop()
@@ -174,7 +176,7 @@ def test_before_every_motion_it_is_asked_whether_somebody_wants_it_still(serve, 
 def test_the_end_does_not_wait_for_a_machine_that_answers_nothing(serve):
     server = serve("GoTo", "accepted, never done")
     driver, _points, complaints = driver_of(server)
-    wait_for(lambda: driver.state == "ready")
+    wait_for(lambda: driver.state.state is State.READY)
     driver.order(TARGET, STEP)
     wait_for(lambda: "GoTo" in server.names())
     answer, answered = server._answer, []
