@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from rotcal_ros.adjust.roots import root_between
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.methods.roots import root_between
 
 FUNCTIONS = {
     "cubic": (lambda x: x**3 - 2.0 * x - 5.0, 2.0, 3.0),
