@@ -109,7 +109,7 @@ def drifts(run: Ints, when: Floats) -> Floats:
         mine = run == number
         span = max(float(np.ptp(when[mine])), np.finfo(np.float64).tiny)
         found.append(np.where(mine, (when - when[mine].mean()) / span, 0.0))
-    return np.array(found).T
+    return np.column_stack(found)
 
 
 def knocks(run: Ints, when: Floats) -> Floats:
@@ -119,7 +119,7 @@ def knocks(run: Ints, when: Floats) -> Floats:
         for number in np.unique(run[run >= 0])
         for moment in np.unique(when[run == number])[1:]
     ]
-    return np.array(found, dtype=np.float64).reshape(-1, len(run)).T
+    return np.column_stack([np.zeros((len(run), 0)), *found])
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,7 +239,7 @@ class Fit:
     @property
     def dof(self) -> int:
         """Observations in use minus unknowns that they tell."""
-        return int(np.count_nonzero(self.used)) - self.basis.shape[1]
+        return int(self.used.sum()) - int(self.basis.shape[1])
 
     @cached_property
     def redundancy(self) -> Floats:

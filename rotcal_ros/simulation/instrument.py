@@ -27,7 +27,7 @@ _NO_ORDER: Final = Command(0, 0, 0.0, Approach.UNKNOWN, PointKind.UNKNOWN, 0, (0
 class Series(NamedTuple):
     """How many readings answer an order, after which settling, and how long each takes."""
 
-    count: int
+    n_readings: int
     settling_ns: int
     each_ns: int
 

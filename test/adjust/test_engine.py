@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from rotcal_ros.adjust.engine import Limits, adjust, predicted
+from rotcal_ros.adjust.causes import Limits
+from rotcal_ros.adjust.engine import adjust, predicted
 from rotcal_ros.adjust.gathering import Words
 from rotcal_ros.adjust.model import (
     Disturbing,
@@ -27,7 +28,7 @@ RUNS, PLACES = 4, 15
 
 
 def comparison(rng=None, noise=SIGMA):
-    """Return truth (o,) and a model: every run reads all places, there or back, from its own zero."""
+    """Return truth (o,) and a model: each run reads all places, there or back, from its zero."""
     run, place = np.divmod(np.arange(RUNS * PLACES), PLACES)
     place = np.where(run % 2, PLACES - 1 - place, place)
     when = np.arange(len(run), dtype=float)
@@ -183,8 +184,8 @@ def test_a_drift_is_found_told_in_words_and_taken_off():
     truth, model = comparison(np.random.default_rng(7))
     drifting = model.effects[0].columns[:, 0] * 40e-6
     found = adjust(replace(model, observed=model.observed + drifting))
-    assert [e.effect.effect for e in found.taken] == ["drift"]
-    assert found.taken[0].test.size == pytest.approx([40e-6], rel=0.2)
+    assert [e.effect.effect for e in found.believed.taken] == ["drift"]
+    assert found.believed.taken[0].test.size == pytest.approx([40e-6], rel=0.2)
     assert found.doubts[0].startswith("it looks as if the instrument drifts, by ")
     assert found.verdict == "suspect"
     assert (np.abs(found.value - truth) <= 4.0 * found.std).all()
@@ -207,7 +208,7 @@ def test_two_explanations_that_fit_alike_are_both_told_and_covered():
 def test_noise_that_was_stated_wrong_is_estimated(factor):
     truth, model = comparison(np.random.default_rng(9), noise=factor * SIGMA)
     found = adjust(model)
-    assert found.noise.factors[0] == pytest.approx(factor, rel=0.25)
+    assert found.believed.noise.factors[0] == pytest.approx(factor, rel=0.25)
     assert found.verdict == ("suspect" if factor > 1.0 else "ok")
     assert (np.abs(found.value - truth) <= 4.0 * found.std).all()
 
@@ -222,7 +223,7 @@ def test_components_of_the_noise_are_told_apart():
         component=np.where(noisy, 0, 1),
     )  # fmt: skip
     found = adjust(parts)
-    assert found.noise.factors == pytest.approx([5.0, 1.0], rel=0.3)
+    assert found.believed.noise.factors == pytest.approx([5.0, 1.0], rel=0.3)
     assert "the scatter of runs 0, 1 is" in found.doubts[0]
 
 
