@@ -45,6 +45,10 @@ GROSS: Final = 5.0
 """Times the limit of an outlier, in the scatter of the others, that bends a start."""
 NORMAL_QUARTILE: Final = 0.6745
 """Median of |x| for a standard normal x."""
+RARER: Final = 3.0
+"""How much rarer an effect or a gathering is held to be than a single wrong observation."""
+SAME: Final = 0.01
+"""Difference of the outputs, in their uncertainty, that makes it no matter which cause it was."""
 SUSPECTS: Final = 4
 """Groups of which it is asked who is to blame, the most probable ones."""
 
@@ -276,6 +280,7 @@ class Look:
 
     def rivals(self, best: Explanation) -> list[Explanation]:
         """Return what explains the residuals nearly as well as ``best``, by another cause."""
+        std = np.linalg.norm(self.fit.response, axis=1)
         return [
             e
             for e in (*self.effects, self.single)
@@ -283,6 +288,7 @@ class Look:
             and e.what != best.what
             and best.support - e.support < np.log(ALIKE)
             and not np.isin(e.rows, best.rows).any()
+            and (np.abs(e.change - best.change) > SAME * std).any()
         ]
 
     @cached_property
@@ -341,7 +347,8 @@ class Look:
         test = effect_test(seen_by(self.fit, column))
         e, k, listed = case.group.size, len(rows), max(len(case.group.gathered), 1)
         any_of_them = gammaln(e + 1) - gammaln(k + 1) - gammaln(e - k + 1) + np.log(e)
-        choices = np.log(len(self.belief.gathering.counts)) + min(np.log(listed), any_of_them)
+        groups = len(self.belief.gathering.counts)
+        choices = np.log(RARER * groups) + min(np.log(listed), any_of_them)
         size = model.unit.shown(float(np.linalg.norm(case.size)))
         return Explanation(
             f"{k} {model.words.elements} of {case.group.name} are off by {size}",
@@ -363,7 +370,7 @@ class Look:
         if not test.rank:
             return None
         which = slice(test.member, test.member + 1) if effect.family else slice(None)
-        choices = float(np.log(columns.shape[1])) if effect.family else 0.0
+        choices = float(np.log(RARER * (columns.shape[1] if effect.family else 1)))
         return Explanation(
             effect.what, "", columns[:, which], np.zeros(0, dtype=np.int64),
             self._support(test.squares, test.rank, choices), -(test.size @ seen.moved[which]),
