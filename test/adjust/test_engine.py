@@ -194,10 +194,10 @@ def test_a_drift_is_found_told_in_words_and_taken_off():
 
 
 def test_two_explanations_that_fit_alike_are_both_told_and_covered():
-    """The last reading of a run but one is off, the last by half as much: a knock, or not?"""
+    """The last reading of a run but one is off, the last by a sixth: a knock, or not?"""
     truth, model = comparison(np.random.default_rng(21))
     observed = model.observed.copy()
-    observed[PLACES - 2 : PLACES] += [8e-6, 5.5e-6]
+    observed[PLACES - 2 : PLACES] += [9e-6, 1.5e-6]
     found = adjust(replace(model, observed=observed))
     assert found.verdict == "suspect"
     assert any("nearly as well" in words for words in found.doubts)
