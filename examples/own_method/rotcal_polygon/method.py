@@ -11,7 +11,7 @@ import numpy as np
 
 from rotcal_polygon.model import PolygonReadings, face_errors, model_of, separable
 from rotcal_polygon.simulation import PolygonSimulationSettings, SimulatedAutocollimator
-from rotcal_ros.adjust.engine import Adjusted, adjust
+from rotcal_ros.adjust.engine import adjust
 from rotcal_ros.capture.points import mean_point, points
 from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.figures import Figure, style
@@ -26,6 +26,15 @@ from rotcal_ros.foundation.tables import Row, Table, hashes
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods.calibration import prepare
 from rotcal_ros.methods.configuration import Configuration
+from rotcal_ros.methods.disturbance import (
+    Disturbance,
+    Disturbances,
+    DisturbedMeasurement,
+    Sizes,
+    harmless,
+    repeatability,
+    spoiled,
+)
 from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder
 from rotcal_ros.methods.method import Method, TableReader, Trials
 from rotcal_ros.planning.plan import Move, Pause, Plan, Step
@@ -124,28 +133,26 @@ def _check(configuration: Configuration) -> None:
         )
 
 
-def adjusted(
+def readings_of(
     configuration: Configuration, observations: Sequence[Observation]
-) -> tuple[PolygonReadings, Adjusted]:
-    """Return the readings and what the engine makes of them; position N is position 0 again."""
-    settings, solver = configuration.plan, configuration.solver
-    known = solver.face_errors_arcsec
-    columns = np.array(
-        [(o.table_position % settings.faces, o.target, o.station) for o in observations]
-    ).reshape(-1, 3)
+) -> PolygonReadings:
+    """Return what was read, for the engine; position N is position 0 again."""
     if not observations:
         raise DataError("the autocollimator has read nothing: there is nothing to solve")
-    readings = PolygonReadings(
-        settings.faces, *columns.T, np.array([o.mean[0] for o in observations]),
+    settings, solver = configuration.plan, configuration.solver
+    known = solver.face_errors_arcsec
+    columns = [(o.table_position % settings.faces, o.target, o.station) for o in observations]
+    return PolygonReadings(
+        settings.faces, *np.array(columns).T, np.array([o.mean[0] for o in observations]),
         solver.sigma_arcsec * ARCSEC, np.array(known) * ARCSEC if known else None,
         solver.face_std_arcsec * ARCSEC, bool(known) or len(settings.first_faces) > 1,
     )  # fmt: skip
-    return readings, adjust(model_of(readings))
 
 
 def solve(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
     """Solve accepted observations; residuals are radians, ``target`` is the face."""
-    readings, found = adjusted(configuration, observations)
+    readings = readings_of(configuration, observations)
+    found = adjust(model_of(readings))
     n, doubts, details = readings.faces, [], {}
     if readings.unknown_faces:
         error, std = face_errors(found, n)
@@ -169,6 +176,7 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
 def _protections(readings: PolygonReadings) -> tuple[Protection, ...]:
     """Return what is done about effects that no reading can tell of."""
     once = len(np.unique(readings.mounting)) == 1
+    repeated = None if once else 2.4  # found by simulation, as scripts/power_table.py does
     repeats = "the table comes once to an angle" if once else "every mounting comes to every angle"
     gauge = Protection("gauge", "estimated", "the mountings separate the polygon's errors")
     if readings.certificate is not None:
@@ -177,7 +185,7 @@ def _protections(readings: PolygonReadings) -> tuple[Protection, ...]:
         gauge = Protection("gauge", "not protected", "the polygon's errors are in the result")
     return (
         Protection("error motion", "harmless", "an autocollimator sees no shift of the face"),
-        Protection("repeatability", "not protected" if once else "tested", repeats),
+        Protection("repeatability", "not protected" if once else "tested", repeats, repeated),
         Protection("refraction", "harmless", "a steady bend is the same at all faces"),
         Protection("tilt", "harmless", "a tilt moves the image across the direction that is read"),
         gauge,
@@ -188,7 +196,7 @@ def trials(
     configuration: Configuration, _plan: Plan, observations: Sequence[Observation]
 ) -> Trials:
     """Prepare Monte Carlo trials about accepted observations."""
-    return adjusted(configuration, observations)[1].trials
+    return adjust(model_of(readings_of(configuration, observations))).trials
 
 
 def check(
@@ -256,6 +264,35 @@ def _face_errors(details: Mapping[str, Any]) -> str:
     return style.svg(ax)
 
 
+def measure(
+    configuration: Configuration, plan: Plan, sizes: Sizes, seed: int
+) -> DisturbedMeasurement:
+    """Return readings of every step, with noise and the effects of ``sizes``."""
+    n = configuration.plan.faces
+    true = 2.0 * ARCSEC * np.random.default_rng([seed, 2]).standard_normal(n)
+    at = [step.table_position % n for step in plan.steps]
+    exact = [
+        step.observed((angle, 0.0, 0.0)) for step, angle in zip(plan.steps, true[at], strict=True)
+    ]
+    found = spoiled(model_of(readings_of(configuration, exact)), plan, sizes, seed)
+    steps = zip(plan.steps, found.tolist(), strict=False)  # the certificate's values come after
+    observations = tuple(step.observed((value, 0.0, 0.0)) for step, value in steps)
+    return DisturbedMeasurement(observations, {"ECC": np.resize(true, len(plan.distinct_angles))})
+
+
+DISTURBANCES: Final = Disturbances(
+    (
+        Disturbance("drift", "linearly in each mounting", "arcsec", ARCSEC, 0.05, 20.0),
+        Disturbance("knock", "from one moment on", "arcsec", ARCSEC, 0.05, 20.0),
+        Disturbance(
+            "axis noise", "so many times as stated", "times", 1.0, 1.2, 50.0, scatters=True
+        ),
+        Disturbance("scale", "all readings too large by so much", "%", 0.01, 1.0, 50.0),
+        repeatability(0.02, 10.0),
+        *harmless("error motion", "refraction", "tilt", "gauge"),
+    ),
+    measure,
+)
 METHOD: Final = Method(
     name=NAME,
     title="Optical polygon and autocollimator",
@@ -273,4 +310,5 @@ METHOD: Final = Method(
     nominal=lambda _configuration, _plan: lambda step: step.position,
     table=TableReader((("position", "mounting", "reading_rad"),), read),
     figures=figures,
+    disturbances=DISTURBANCES,
 )

@@ -28,9 +28,9 @@ import numpy as np
 from scipy.special import erfc
 
 from rotcal_ros.adjust.low_rank import LowRank, Slopes
+from rotcal_ros.adjust.roots import root_between
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
-from rotcal_ros.adjust.roots import root_between
 from rotcal_ros.methods.tracer.solver.adjustment import StationCovariance
 from rotcal_ros.methods.tracer.solver.angles import TableMotion
 from rotcal_ros.methods.tracer.solver.circle_prior import circle_contrasts, without_prior

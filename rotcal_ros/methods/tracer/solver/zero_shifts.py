@@ -12,8 +12,8 @@ from typing import Final
 import numpy as np
 from scipy.special import erfc
 
-from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.adjust.roots import root_between
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.methods.tracer.solver.adjustment import Adjustment
 from rotcal_ros.methods.tracer.solver.grid import Grid
 from rotcal_ros.methods.tracer.solver.network import linearise
