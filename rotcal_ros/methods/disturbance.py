@@ -144,7 +144,7 @@ def harmless(*effects: Effect) -> tuple[Disturbance, ...]:
 
 
 def spoiled(model: Model, plan: Plan, sizes: Sizes, seed: int) -> Floats:
-    """Return observations (n,) of a ``model`` of a whole plan, with noise and effects of ``sizes``.
+    """Return observations (n,) of a ``model`` of a whole plan, with noise and effects of sizes.
 
     Its observations are taken for true ones, in the order of the steps. Declared effects strike
     with all their columns alike, a family at one moment.
