@@ -28,6 +28,15 @@ from rotcal_ros.methods.disturbance import (
 )
 from rotcal_ros.planning.plan import Plan
 
+TANGENTIAL: Final = Disturbance(
+    "tangential motion",
+    "mount or cable shift the tracer along its circle, by so much times the cosine of twice the "
+    "table's angle",
+    "um", MICROMETRE, 0.1, 10.0,
+)  # fmt: skip
+SECTOR: Final = 0.4
+"""Share of a station's beams that warm air or a person may reach."""
+
 
 def _error_motion(configuration: Configuration) -> float:
     """Return the stated error motion (m, k = 1), none where it is left to the circle."""
@@ -78,14 +87,6 @@ def leaning_axis(largest: float) -> Disturbance:
     return Disturbance("gauge", what, "arcsec", ARCSEC, 100.0, largest)
 
 
-TANGENTIAL: Final = Disturbance(
-    "tangential motion",
-    "mount or cable shift the tracer along its circle, by so much times the cosine of twice the "
-    "table's angle",
-    "um", MICROMETRE, 0.1, 10.0,
-)  # fmt: skip
-
-
 def shifted_along(turned: Floats, angle: Floats, sizes: Sizes) -> Floats:
     """Return by how much (n, 3), m, tracers at ``turned`` (n, 3) are shifted at an angle (n,)."""
     across = np.column_stack([-turned[:, 1], turned[:, 0], np.zeros(len(turned))])
@@ -101,10 +102,6 @@ LISTED: Final = (
     leaning_axis(3600.0),
     TANGENTIAL,
 )
-
-
-SECTOR: Final = 0.4
-"""Share of a station's beams that warm air or a person may reach."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,8 +15,7 @@ from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.continuation import Continuation
 from rotcal_ros.methods.tracer.design.scene import Scene, on_table
-from rotcal_ros.methods.tracer.policy.lengths import Costs, LengthExperiment
-from rotcal_ros.methods.tracer.policy.stated_uncertainty import Stated
+from rotcal_ros.methods.tracer.policy.experiment import Costs, LengthExperiment, Stated
 from rotcal_ros.methods.tracer.policy.until_goal import GoalLimits, UntilGoal
 from rotcal_ros.methods.tracer.settings import TracerPlanSettings
 from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings

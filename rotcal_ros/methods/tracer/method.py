@@ -18,13 +18,12 @@ from rotcal_ros.methods.stations import Stations
 from rotcal_ros.methods.tracer import calibration, table
 from rotcal_ros.methods.tracer.disturbances import DISTURBANCES
 from rotcal_ros.methods.tracer.figures import figures
+from rotcal_ros.methods.tracer.lengths import LengthCheck
 from rotcal_ros.methods.tracer.plan import check_plan, tracer_plan
-from rotcal_ros.methods.tracer.plan_tables import PLAN_FILES
-from rotcal_ros.methods.tracer.plausibility import LengthCheck
-from rotcal_ros.methods.tracer.settings import TracerPlanSettings
-from rotcal_ros.methods.tracer.simulation_settings import TracerSimulationSettings
+from rotcal_ros.methods.tracer.settings import TracerPlanSettings, TracerSimulationSettings
 from rotcal_ros.methods.tracer.solver.solve import METHOD as NAME
 from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
+from rotcal_ros.methods.tracer.table import PLAN_FILES
 from rotcal_ros.planning.plan import Plan, Step
 from rotcal_ros.planning.plan_figures import Compared
 

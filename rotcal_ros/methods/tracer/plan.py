@@ -17,7 +17,7 @@ import numpy as np
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.observations import Approach, PointKind
 from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION, TracerPlanSettings
-from rotcal_ros.methods.tracer.solver.circle_prior import contrast_count
+from rotcal_ros.methods.tracer.solver.circle import contrast_count
 from rotcal_ros.methods.tracer.solver.grid import station_minimum
 from rotcal_ros.methods.tracer.solver.observability import what_is_missing
 from rotcal_ros.methods.tracer.solver.solve import METHOD
@@ -110,8 +110,7 @@ def tracer_plan(settings: TracerPlanSettings) -> Plan:
 
 def _with_free_beams(plan: Plan, settings: TracerPlanSettings) -> Plan:
     """Return the plan without the pairs whose beam is too low or too short."""
-    from rotcal_ros.methods.tracer.design.candidates import candidates
-    from rotcal_ros.methods.tracer.design.scene import Scene, on_table
+    from rotcal_ros.methods.tracer.design.scene import Scene, candidates, on_table
     from rotcal_ros.methods.tracer.design.settings import TracerDesignSettings
 
     if len(settings.tracer_m) != 3:

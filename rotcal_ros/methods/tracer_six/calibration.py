@@ -22,12 +22,11 @@ from rotcal_ros.methods.tracer.lengths import (
     reported_positions,
 )
 from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION
+from rotcal_ros.methods.tracer.solver.adjustment import locate_stations
 from rotcal_ros.methods.tracer.solver.reported import WeighedSolution, with_reported
-from rotcal_ros.methods.tracer.solver.station import locate_stations
-from rotcal_ros.methods.tracer_six.places import described
-from rotcal_ros.methods.tracer_six.plan import LOCATING, places_of
-from rotcal_ros.methods.tracer_six.solver.error_response import adjust_at_equal_places
+from rotcal_ros.methods.tracer_six.plan import LOCATING, described, places_of
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
+from rotcal_ros.methods.tracer_six.solver.protections import adjust_at_equal_places
 from rotcal_ros.methods.tracer_six.solver.solution import SixSolution
 from rotcal_ros.methods.tracer_six.solver.solve import result_of
 from rotcal_ros.methods.tracer_six.solver.trials import SixTrials

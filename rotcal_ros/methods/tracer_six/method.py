@@ -20,8 +20,7 @@ from rotcal_ros.methods.tracer_six.disturbances import DISTURBANCES
 from rotcal_ros.methods.tracer_six.figures import figures
 from rotcal_ros.methods.tracer_six.plan import check_plan, places_of, plan
 from rotcal_ros.methods.tracer_six.plausibility import PlaceLengths
-from rotcal_ros.methods.tracer_six.settings import SixPlanSettings
-from rotcal_ros.methods.tracer_six.simulation_settings import SixSimulationSettings
+from rotcal_ros.methods.tracer_six.settings import SixPlanSettings, SixSimulationSettings
 from rotcal_ros.methods.tracer_six.solver import METHOD as NAME
 from rotcal_ros.methods.tracer_six.solver import TracerSixSolverSettings
 from rotcal_ros.planning.plan import Plan, Step

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rotcal_ros.foundation.observations import Observation
-from rotcal_ros.methods.tracer.plausibility import LengthCheck
+from rotcal_ros.methods.tracer.lengths import LengthCheck
 from rotcal_ros.planning.plan import Plan
 
 

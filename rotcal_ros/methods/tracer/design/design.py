@@ -14,14 +14,18 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.errors import PlanError
-from rotcal_ros.methods.tracer.design.candidates import candidates, scene_of
-from rotcal_ros.methods.tracer.design.checks import UNCHECKED, Checks, checks_of
-from rotcal_ros.methods.tracer.design.depth import LEAST_DEPTH, Spread, flat_stations
-from rotcal_ros.methods.tracer.design.exchange import fewest_lengths
-from rotcal_ros.methods.tracer.design.information import Information
+from rotcal_ros.methods.tracer.design.exchange import Demands, fewest_lengths
+from rotcal_ros.methods.tracer.design.information import UNCHECKED, Checks, Information, checks_of
 from rotcal_ros.methods.tracer.design.optimum import Optimum, Progress, ideal_plan
-from rotcal_ros.methods.tracer.design.penalty import Demands
-from rotcal_ros.methods.tracer.design.scene import Lengths, Scene
+from rotcal_ros.methods.tracer.design.scene import (
+    LEAST_DEPTH,
+    Lengths,
+    Scene,
+    Spread,
+    candidates,
+    flat_stations,
+    scene_of,
+)
 from rotcal_ros.methods.tracer.design.settings import PER_STATION, TracerDesignSettings
 from rotcal_ros.methods.tracer.solver.grid import station_minimum
 
@@ -29,6 +33,17 @@ ARCSEC: Final = unit_of("ECC")[0]
 IDEAL_GAP: Final = 0.05
 STRICTER: Final = (4.0, 16.0, 64.0)
 """By which the goal's variance is divided to find targets that check each other."""
+POOL_TARGETS: Final = 64
+ENOUGH_TARGETS: Final = 40
+POOL_SPACINGS: Final = 1.8
+"""Whole plans are sought among all pairs of so many good targets, so many spacings apart."""
+START_CHECKED: Final = 14
+START_PLAIN: Final = 6
+"""Lengths per station to begin with."""
+OFF_PLANE: Final = 2
+"""Lengths off the plane of the others to begin with, at each station."""
+DEEP: Final = 0.5
+"""Share of the largest depth that such a length gives."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,19 +266,6 @@ class _Parts:
 def finite(value: float) -> float | None:
     """Return a number for JSON, which has no infinity: None."""
     return float(value) if np.isfinite(value) else None
-
-
-POOL_TARGETS: Final = 64
-ENOUGH_TARGETS: Final = 40
-POOL_SPACINGS: Final = 1.8
-"""Whole plans are sought among all pairs of so many good targets, so many spacings apart."""
-START_CHECKED: Final = 14
-START_PLAIN: Final = 6
-"""Lengths per station to begin with."""
-OFF_PLANE: Final = 2
-"""Lengths off the plane of the others to begin with, at each station."""
-DEEP: Final = 0.5
-"""Share of the largest depth that such a length gives."""
 
 
 def pool_and_start(

@@ -18,7 +18,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.methods.tracer.solver.circle_prior import contrast_count
+from rotcal_ros.methods.tracer.solver.circle import contrast_count
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 
 STATION_MINIMUM: Final = 5
@@ -139,6 +139,10 @@ class Grid:
         if self.zero is None or self.segment_ids is None:
             return self.station
         return np.searchsorted(self.segment_numbers, self.segment_ids[self.zero])
+
+    def placed(self, values: Floats) -> Floats:
+        """Return ``values`` (k,) of the problem's rows at their places (p, n), 0 at empty ones."""
+        return np.where(self.row >= 0, values[self.row], 0.0)
 
     def take(self, strips: Ints, part: Bools) -> Grid:
         """Return the grid of some ``strips`` (q,), of each only the places ``part`` (q, n)."""

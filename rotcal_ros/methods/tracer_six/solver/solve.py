@@ -38,10 +38,8 @@ from rotcal_ros.foundation.units import DEGREE, MICROMETRE
 from rotcal_ros.methods.tracer.solver.adjustment import MINIMAL_REDUNDANCY
 from rotcal_ros.methods.tracer.solver.gathering import details as gathering_details
 from rotcal_ros.methods.tracer.solver.gathering import doubts as doubt_gathering
-from rotcal_ros.methods.tracer.solver.jumps import Jump
-from rotcal_ros.methods.tracer.solver.numbering import Numbering
+from rotcal_ros.methods.tracer.solver.observability import Numbering
 from rotcal_ros.methods.tracer.solver.screening import rejection_limit
-from rotcal_ros.methods.tracer.solver.segments import step_between
 from rotcal_ros.methods.tracer.solver.verdict import (
     FAILED_FACTORS,
     FAILED_SHARE,
@@ -50,15 +48,23 @@ from rotcal_ros.methods.tracer.solver.verdict import (
     doubt_rejected,
     times_stated,
 )
-from rotcal_ros.methods.tracer_six.solver.error_response import influence_of
+from rotcal_ros.methods.tracer.solver.zeros import Jump, step_between
 from rotcal_ros.methods.tracer_six.solver.layout import renamed
-from rotcal_ros.methods.tracer_six.solver.movement_tests import Kind
-from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
-from rotcal_ros.methods.tracer_six.solver.protections import protections
+from rotcal_ros.methods.tracer_six.solver.problem import SixProblem, timing
+from rotcal_ros.methods.tracer_six.solver.protections import influence_of, protections
+from rotcal_ros.methods.tracer_six.solver.scatter import Kind
 from rotcal_ros.methods.tracer_six.solver.solution import SixSolution, adjust
-from rotcal_ros.methods.tracer_six.solver.timing import timing
 
 METHOD = "tracer_six"
+STEEP: Final = 45.0 * DEGREE
+"""No beam goes down so steeply: tracers look past their own foot by 35 degrees or so at most."""
+MOVED: Final[dict[Kind, str]] = {
+    "between runs": "the machine stands elsewhere in one run than in another: it drifted, or was "
+    "knocked",
+    "slip": "the tracer slipped on the table",
+    "within runs": "angles measured again in the same run contradict the first time: the machine "
+    "drifted, or the tracer slipped on the table",
+}
 
 
 def solve(problem: SixProblem) -> Result:
@@ -236,10 +242,6 @@ def segment_report(solution: SixSolution) -> list[dict[str, Any]]:
     return found
 
 
-STEEP: Final = 45.0 * DEGREE
-"""No beam goes down so steeply: tracers look past their own foot by 35 degrees or so at most."""
-
-
 @dataclass(frozen=True, slots=True)
 class Upward:
     """The elevations (rad, above the tracer along +z) of the steepest beams both ways."""
@@ -287,15 +289,6 @@ class Upward:
             f"{unseen}; no beam goes up by {STEEP / DEGREE:.0f} degrees or more alone, which "
             "would tell, for none goes down so steeply, through the table",
         )
-
-
-MOVED: Final[dict[Kind, str]] = {
-    "between runs": "the machine stands elsewhere in one run than in another: it drifted, or was "
-    "knocked",
-    "slip": "the tracer slipped on the table",
-    "within runs": "angles measured again in the same run contradict the first time: the machine "
-    "drifted, or the tracer slipped on the table",
-}
 
 
 def judge(solution: SixSolution) -> tuple[Verdict, tuple[str, ...]]:

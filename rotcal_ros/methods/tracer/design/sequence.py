@@ -13,13 +13,20 @@ symmetric, because a table that comes from above passes its angle and returns. I
 reversing a stretch (2-opt, Croes 1958) and by moving up to three lengths elsewhere (Or 1976), the
 best move of all at a time; then kicked by double bridges (Martin, Otto and Felten 1991) and
 improved again.
+
+What a drift of the machine or a knock of the tracer would do in an order of measurement.
+
+The solver's own statement (:mod:`rotcal_ros.methods.tracer.solver.protections`) at the nominal
+geometry: a plan is solved once with lengths that have the stated noise, and judged for as many
+orders as wanted. Exact lengths would be taken for a quieter instrument.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from math import inf, isfinite
 from typing import Final
 
 import numpy as np
@@ -28,11 +35,12 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.protection import TOLERABLE
-from rotcal_ros.methods.tracer.design.sequence_forecast import Forecast
+from rotcal_ros.methods.tracer.solver.problem import TracerProblem
+from rotcal_ros.methods.tracer.solver.protections import of_the_order
+from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
 from rotcal_ros.planning.sequence_time import duration
 
 Blocks = Callable[[Ints], Ints]
-
 CLOSED: Final = "closed"
 MOST_SWEEPS: Final = 4
 SPARSE: Final = (2, 3)
@@ -51,6 +59,70 @@ HOPELESS: Final = 2.5
 """Times the limit from which trading would be in vain."""
 SAFE: Final = 0.95
 """Share of the limit at which trading ends: the ways within a sweep are shortened afterwards."""
+LONGEST_MOVED: Final = 3
+"""Lengths in a row that are moved elsewhere at once."""
+LEAST_GAIN: Final = 1e-5
+"""Gain (s) that is none: below it is the rounding of sums with FORBIDDEN."""
+FORBIDDEN: Final = 1e5
+"""Time (s) of a step that leaves its sweep too early."""
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """The largest errors that may stay unseen, in standard uncertainties; infinite: any."""
+
+    drift: float
+    knock: float
+
+    @property
+    def worst(self) -> float:
+        """The larger one of both."""
+        return max(self.drift, self.knock)
+
+    @property
+    def protected(self) -> bool:
+        """Whether both are small enough not to be named in a verdict."""
+        return self.worst <= TOLERABLE
+
+    def to_dict(self) -> dict[str, float | None]:
+        """Return the forecast as plain data, None where nothing bounds an error."""
+        return {
+            name: value if isfinite(value) else None
+            for name, value in (("drift", self.drift), ("knock", self.knock))
+        }
+
+
+class SequenceForecast:
+    """Judges orders of the lengths of one plan; ``problem`` holds lengths with the stated noise.
+
+    Raises ObservabilityError when the plan cannot tell the angle at all.
+    """
+
+    def __init__(self, problem: TracerProblem) -> None:
+        self._solution: TracerSolution = adjust(problem)
+
+    def __call__(self, order: Ints) -> Forecast:
+        """Return the forecast for ``order`` (k,): rows of the problem as they are measured."""
+        problem = replace(self._solution.problem, order=ranks(order))
+        solution = replace(self._solution, problem=problem)
+        drift, knock = (
+            _unseen(effect.treatment, effect.error) for effect in of_the_order(solution)
+        )
+        return Forecast(drift=drift, knock=knock)
+
+
+def ranks(order: Ints) -> Ints:
+    """Return when each row (k,) is measured in an ``order`` (k,) of rows."""
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order))
+    return rank
+
+
+def _unseen(treatment: str, error: float | None) -> float:
+    """Return the error of a statement: none where it is harmless, any where nothing tells it."""
+    if error is not None:
+        return error
+    return 0.0 if treatment == "harmless" else inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,14 +314,6 @@ def _worst(way: MeasuringOrder) -> float:
 
 def _badness(way: MeasuringOrder) -> tuple[float, float]:
     return _worst(way), way.seconds
-
-
-LONGEST_MOVED: Final = 3
-"""Lengths in a row that are moved elsewhere at once."""
-LEAST_GAIN: Final = 1e-5
-"""Gain (s) that is none: below it is the rounding of sums with FORBIDDEN."""
-FORBIDDEN: Final = 1e5
-"""Time (s) of a step that leaves its sweep too early."""
 
 
 def nearest_next(costs: Floats, first: int = 0) -> Ints:
