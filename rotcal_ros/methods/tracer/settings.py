@@ -1,7 +1,4 @@
-"""The settings of the laser-tracer method, without what makes and solves a plan.
-
-The settings of a simulated laser tracer, its machine and its faults.
-"""
+"""The settings of the laser-tracer method: its plan, and its simulated cell with the faults."""
 
 from __future__ import annotations
 

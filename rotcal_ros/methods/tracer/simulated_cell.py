@@ -1,8 +1,7 @@
-"""The laser tracer on the table and the machine that carries its reflector, as one instrument.
+"""The simulated laser tracer on the table, and the machine that carries its reflector.
 
-The simulated laser tracer: noise, spikes, drop-outs and a beam that is blocked at times.
-
-The zero changes whenever the beam was broken, and by a fringe when the counter slips.
+The tracer has noise, spikes, drop-outs and a beam that is blocked at times. Its zero changes
+whenever the beam was broken, and by a fringe when the counter slips.
 """
 
 from __future__ import annotations

@@ -1,28 +1,27 @@
-"""Lengths as a plain table: ``position,target,length_m``, and beside it ``targets.csv``.
+"""The tables of lengths, ``position,target,length_m``, and of explicit plans.
 
-A fourth column ``segment`` numbers the unbroken beams.
-
-The tables of an explicit plan: ``target,x_m,y_m,z_m`` and ``step,table_position,target``.
+A fourth column ``segment`` numbers the unbroken beams. Beside a table of lengths stands
+``targets.csv`` with ``target,x_m,y_m,z_m``; an explicit plan lists ``step,table_position,target``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.files import write_atomically
-from rotcal_ros.foundation.observations import Approach
-from rotcal_ros.foundation.tables import Header, Table, hashes, read_table, require_header
+from rotcal_ros.foundation.observations import Approach, Observation
+from rotcal_ros.foundation.tables import Header, Row, Table, hashes, read_table, require_header
 from rotcal_ros.methods.calibration import Calibration, prepare
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder
 from rotcal_ros.methods.plan_files import PlanFile
 from rotcal_ros.methods.tracer.lengths import LengthCheck
 from rotcal_ros.methods.tracer.plan import explicit_plan, plan_of
-from rotcal_ros.planning.plan import Point
+from rotcal_ros.planning.plan import Plan, Point, Step
 
 SEGMENT: Final = "segment"
 HEADERS: Final[tuple[Header, ...]] = (
@@ -57,16 +56,31 @@ def read(configuration: Configuration, table: Table, targets: Path | None) -> Pl
         else:
             plan = plan_of(angles, read_targets(targets), unknown)
         calibration = Calibration(configuration, plan)
-    find, check = RowStepFinder(calibration.plan), LengthCheck(calibration.plan)
+    find = RowStepFinder(calibration.plan)
+    observations = observed_rows(
+        table,
+        calibration.plan,
+        lambda row: find(row, row.index("position"), row.index("target")),
+    )
+    return PlannedMeasurements(calibration, observations, hashes(*files))
+
+
+def observed_rows(
+    table: Table, plan: Plan, step_of: Callable[[Row], Step]
+) -> tuple[Observation, ...]:
+    """Return the lengths of ``table``, each as the one step of ``plan`` that its row tells.
+
+    Raises DataError for a length that cannot be one in metres.
+    """
+    in_segments, check = SEGMENT in table.header, LengthCheck(plan)
     observations = []
     for row in table.rows():
-        step = find(row, row.index("position"), row.index("target"))
-        segment = row.index(SEGMENT) if in_segments else 0
-        observation = check(replace(step.observed((row.metres("length_m"),)), segment=segment))
+        length, segment = row.metres("length_m"), row.index(SEGMENT) if in_segments else 0
+        observation = check(replace(step_of(row).observed((length,)), segment=segment))
         if not observation.accepted:
             raise DataError(f"{row.place}: {observation.reason}")
         observations.append(observation)
-    return PlannedMeasurements(calibration, tuple(observations), hashes(*files))
+    return tuple(observations)
 
 
 def targets_of_table(table: Table, given: Path | None) -> Path | None:

@@ -1,9 +1,8 @@
 """The plan of the six-deviations method: places of the tracer, table angles, targets.
 
 The tracer stands at one place of the table after the other. From each it measures lengths to the
-same targets while the table turns; between two places a person fixes it anew.
-
-Where the tracer is fixed on the table: places that tell all six deviations, or do not.
+same targets while the table turns; between two places a person fixes it anew. Places tell all six
+deviations, or do not: those in a line lose one (:func:`require_six`).
 """
 
 from __future__ import annotations
@@ -18,12 +17,13 @@ from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
 from rotcal_ros.methods.configuration import Configuration
+from rotcal_ros.methods.tracer.plan import targets_of
 from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION
 from rotcal_ros.methods.tracer_six.settings import SixPlanSettings
 from rotcal_ros.methods.tracer_six.solver import METHOD
 from rotcal_ros.methods.tracer_six.solver.layout import lost_direction
 from rotcal_ros.planning.plan import TABLE_FRAME, Move, Pause, Plan, Point, Step
-from rotcal_ros.planning.points import block, triples
+from rotcal_ros.planning.points import triples
 from rotcal_ros.planning.table_angles import table_angles
 from rotcal_ros.planning.visits import visits
 
@@ -112,13 +112,6 @@ def places_of(settings: SixPlanSettings) -> tuple[Point, ...]:
         settings.place_height_m,
         settings.place_height_step_m,
     )
-
-
-def targets_of(settings: SixPlanSettings) -> tuple[Point, ...]:
-    """Return the targets (m), machine frame."""
-    if settings.targets_m:
-        return triples(settings.targets_m, "targets_m")
-    return block(settings.box_centre_m, settings.box_size_m, settings.box_points)
 
 
 def check_plan(_configuration: Configuration, planned: Plan) -> None:

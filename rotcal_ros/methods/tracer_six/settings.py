@@ -1,7 +1,4 @@
-"""The settings of the six-deviations method, without what makes and solves a plan.
-
-The settings of a simulated laser tracer that goes from place to place on the table.
-"""
+"""The settings of the six-deviations method: its plan, and its simulated cell."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""From a goal to a plan: candidates, the ideal plan with its bound, and whole lengths.
-
-Among which lengths whole plans are sought, and with which of them the search begins.
-"""
+"""From a goal to a plan: candidates, the ideal plan with its bound, and whole lengths."""
 
 from __future__ import annotations
 
@@ -31,6 +28,7 @@ from rotcal_ros.methods.tracer.solver.grid import station_minimum
 
 ARCSEC: Final = unit_of("ECC")[0]
 IDEAL_GAP: Final = 0.05
+"""Share by which the ideal plan may lie above its bound: what follows rounds to whole lengths."""
 STRICTER: Final = (4.0, 16.0, 64.0)
 """By which the goal's variance is divided to find targets that check each other."""
 POOL_TARGETS: Final = 64

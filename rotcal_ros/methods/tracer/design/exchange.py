@@ -1,13 +1,11 @@
 """Whole plans: which lengths to measure so that the goal is met and each length is checked.
 
-What a plan lacks of its demands is a penalty (:mod:`.penalty`); lengths are taken away while there
-is none, and exchanged while there is (tabu search: Glover, *ORSA J. Comput.* 1 (1989) 190).
+What a plan lacks of its demands is a penalty. Lengths are taken away while there is none, and
+exchanged while there is (tabu search: Glover, *ORSA J. Comput.* 1 (1989) 190).
 
-How far a choice of lengths is from what is demanded, with one length more or less as well.
-
-All is told by three quantities of the lengths that may be chosen (the *pool*): the covariance
-C = g' F^-1 g of the computed lengths, their effect A = G F^-1 g on the angles, and the angles'
-variances. One length more or less changes each in closed form (Sherman and Morrison):
+The penalty follows from three quantities of the lengths that may be chosen (the *pool*): the
+covariance C = g' F^-1 g of the computed lengths, their effect A = G F^-1 g on the angles, and the
+angles' variances. One length more or less changes each in closed form (Sherman and Morrison):
 
     C -= c c' / b,   A -= c a' / b,   variances -= a^2 / b,      b = v + c_ii, or c_ii - v
 
@@ -38,6 +36,7 @@ FLAT: Final = 1.0
 """Penalty of a station whose targets lie in a plane."""
 GOAL_WEIGHT: Final = 10.0
 REDUNDANCY_WEIGHT: Final = 40.0
+"""By which a lacking share of the goal, and a squared lack of redundancy, become penalties."""
 ENOUGH: Final = 1e-12
 """Penalty that is none."""
 NEARLY: Final = 1e-9
@@ -57,9 +56,9 @@ class Demands:
 
     ``mean`` and ``largest`` variance, with error motion; ``redundancy`` of each length; ``share``:
     effect of an undetected error in expanded uncertainties; ``per_station``: lengths each station
-    has at least; ``significance``, ``power``: of the test of single lengths; ``depth``: see
-    :mod:`.depth`, of the targets of each station. ``checked`` False: neither redundancy nor share
-    counts.
+    has at least; ``significance``, ``power``: of the test of single lengths; ``depth``: of
+    the targets of each station, see :class:`~.scene.Spread`. ``checked`` False: neither redundancy
+    nor share counts.
     """
 
     mean: float

@@ -12,12 +12,10 @@ angles are t = G dP. By Sherman and Morrison a further length lowers the mean va
 angles by |G a|^2 / (m (v + s)), with a = F^-1 g and s = g' F^-1 g; the derivative by its weight is
 the same without s. Exact to first order; nothing depends on the readings, for the model is linear.
 
-What the lengths of a plan check of each other: Baarda's reliability, and what slips through.
-
-A length with redundancy r shows an error in it with power beta when the error is delta0 sigma /
-sqrt(r); delta0 is the limit of the solver's test of single lengths plus the quantile of beta. An
-error just below, undetected, moves the angles by F^-1 g / v times it. Source: Baarda, W. (1968), A
-testing procedure for use in geodetic networks.
+What the lengths check of each other (Baarda, W. (1968), A testing procedure for use in geodetic
+networks): a length with redundancy r shows an error in it with power beta when the error is
+delta0 sigma / sqrt(r); delta0 is the limit of the solver's test of single lengths plus the
+quantile of beta. An error just below, undetected, moves the angles by F^-1 g / v times it.
 """
 
 from __future__ import annotations

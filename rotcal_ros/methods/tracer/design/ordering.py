@@ -1,14 +1,13 @@
-"""A designed plan in the order it is measured in: time, drift and knock, and the solver's U.
-
-Which U the result of a plan will state: the plan measured many times over before it is.
+"""A designed plan in the order it is measured in: time, drift and knock, and the U it will state.
 
 To first order U follows from the geometry, but a result states it after the solver has looked at
 what was measured: it may estimate the noise, leaves lengths out, and takes the error motion of the
-table from the circle where none is stated, which scatters from run to run. So every run here is
-solved by the solver itself, and what it states is counted.
+table from the circle where none is stated, which scatters from run to run. So the plan is measured
+many times over in simulation before it is in earnest: every run is solved by the solver itself,
+and what it states is counted (:class:`Promise`).
 
 A verdict that is not ``ok`` states nothing. The tests behind it call a few sound runs suspect,
-whatever is planned: no length lowers their share, which is told apart. A run that is called so
+whatever is planned: no length lowers their share, which is counted apart. A run that is called so
 misses the goal like one whose U is too large: what is promised is that a run ends well.
 """
 

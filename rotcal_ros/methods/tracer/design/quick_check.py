@@ -1,12 +1,10 @@
-"""The fewest lengths with which a tracer's quick check is expected to find a good table good.
+"""A quick check by laser tracer: the fewest lengths that are expected to find a good table good.
 
 Wanted is the assurance of :class:`rotcal_ros.planning.check_rule.CheckRule`: a table that has only
 aged as stated shall be found still valid with a probability of 1 - false alarm. Targets that all
 stations see come first, since only they tell the machine's errors from the table's: they are added
 and exchanged as long as that improves, the fewest that suffice are kept, and single lengths are
 taken away from them. It finds a good plan, and proves nothing about the best.
-
-The plan of a quick check by laser tracer: from a configuration and an earlier curve.
 """
 
 from __future__ import annotations

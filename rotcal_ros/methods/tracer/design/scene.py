@@ -1,14 +1,12 @@
 """What a plan of a laser tracer starts from: stations, possible targets, how well all is known.
 
 A *length* is a pair of table position and target, measured within a segment: as long as the beam
-is not broken, all lengths share one unknown zero.
-
-Which lengths can be measured at all: targets in the volume, and free beams to them.
-
-How far the targets of each station are from lying in a plane.
+is not broken, all lengths share one unknown zero. Which lengths can be measured at all follows
+from the volume and from what is in the way of the beams (:func:`candidates`).
 
 A tracer and its mirror image in the plane of its targets are equally far from all of them: no
-length tells the one from the other.
+length tells the one from the other. So the targets of a station need some depth
+(:class:`Spread`).
 """
 
 from __future__ import annotations

@@ -3,22 +3,18 @@
 The quickest order of all turns the table once round. A drift then follows the angle, and a knock
 shows at one end only. So orders of several sweeps compete with it, there and back, each with its
 share of the lengths of every position: what drifts is then at each position at early and late
-times alike. A *closed* single sweep keeps half of the first position for its end. The solver's own
-forecast says which of them is protected; the quickest of those is taken.
+times alike. A *closed* single sweep keeps half of the first position for its end. The quickest of
+those that are protected is taken.
 
-The order of the lengths of a plan: the shortest way over table and machine.
-
-An open travelling-salesman path over the pairs (table position, target). The times are not
-symmetric, because a table that comes from above passes its angle and returns. Improved by
-reversing a stretch (2-opt, Croes 1958) and by moving up to three lengths elsewhere (Or 1976), the
-best move of all at a time; then kicked by double bridges (Martin, Otto and Felten 1991) and
-improved again.
-
-What a drift of the machine or a knock of the tracer would do in an order of measurement.
-
-The solver's own statement (:mod:`rotcal_ros.methods.tracer.solver.protections`) at the nominal
+Protected is what the solver's own statement says (:mod:`~..solver.protections`) at the nominal
 geometry: a plan is solved once with lengths that have the stated noise, and judged for as many
 orders as wanted. Exact lengths would be taken for a quieter instrument.
+
+An order is an open travelling-salesman path over the pairs (table position, target). The times are
+not symmetric, because a table that comes from above passes its angle and returns. A path is
+improved by reversing a stretch (2-opt, Croes 1958) and by moving up to three lengths elsewhere (Or
+1976), the best move of all at a time; then kicked by double bridges (Martin, Otto and Felten 1991)
+and improved again.
 """
 
 from __future__ import annotations

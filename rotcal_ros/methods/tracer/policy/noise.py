@@ -1,18 +1,18 @@
 """How large the noise of the lengths really is, from the first sweep alone.
 
-It is estimated by restricted maximum likelihood (:mod:`.contrasts`), which keeps the errors of
-the targets apart; its information gives the degrees of freedom.
+It is estimated by restricted maximum likelihood (:class:`LengthContrasts`), which keeps the errors
+of the targets apart; its information gives the degrees of freedom.
 
 Stein (Ann. Math. Statist. 16 (1945) 243): a number of further lengths that depends on this
 estimate alone leaves the final mean independent of it, so that Student's t with these degrees of
 freedom holds for the final interval, however many lengths follow. An estimate renewed on the way
 would stop where it happens to be small: intervals that promise too much.
 
-What lengths tell whatever stations and zeros are: the linear model behind the noise.
+What lengths tell whatever stations and zeros are follows from a linear model:
 
 y = A x + T p + e: stations, zeros and offsets x are unknown, the errors p of the targets have the
 machine's covariance (T holds it: p ~ N(0, 1)), the lengths' noise e ~ N(0, s^2). With
-V = s^2 + T T' all that is asked is told by W = V^-1 - V^-1 A (A' V^-1 A)^-1 A' V^-1. Let
+V = s^2 + T T' everything that is asked is told by W = V^-1 - V^-1 A (A' V^-1 A)^-1 A' V^-1. Let
 P = 1 - A (A'A)^-1 A' and T' P T = E L E' (eigenvalues L), B = P T E. Then
 
     W = (P - B D B') / s^2,        D = 1 / (s^2 + L)

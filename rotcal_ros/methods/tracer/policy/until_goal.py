@@ -13,31 +13,23 @@ is the set that reaches the goal with the planned noise. What is not known is le
 * what the result states: where that misses the goal, although what is planned reaches it, further
   steps follow. The goal is reached when both do: the U of the result is the one that is told.
 
-Where all steps together would miss the goal with the noise as it is, it ends at once.
+Where all steps together would miss the goal with the noise as it is, it ends at once: hours of
+lengths would lead to nothing (:class:`Reach`).
 
-Closing a sweep that drifts: two of its lengths are measured again, and tell by how much.
-
-The first sweep: few steps that reach an uncertainty, in an order that hides little.
-
-With known noise this is all that there is to plan. The fewest steps are found by exchange; they
-are then shared among sweeps there and back, so that neither a drift of the machine nor a knock of
-the tracer is mistaken for a deviation (:mod:`rotcal_ros.methods.tracer.design.sequence`).
-
-How probably each beam is free: what hides a target hides its neighbours as well.
-
-Whether the goal is within reach of all steps: hours of lengths might lead to nothing.
-
-Lengths that do not agree with the others: measured again, or replaced by another target.
-
-Which further steps are worth their time: the best gain per second, spread over the stations.
+With known noise the first sweep is all that there is to plan. The fewest steps are found by
+exchange; they are then shared among sweeps there and back, so that neither a drift of the machine
+nor a knock of the tracer is mistaken for a deviation
+(:mod:`rotcal_ros.methods.tracer.design.sequence`). Further steps are those with the best gain per
+second, spread over the stations (:func:`pick`).
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -45,9 +37,12 @@ import numpy as np
 from rotcal_ros.adjust.distributions import normal_isf
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.errors import ConfigurationError, PlanError
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.protection import TOLERABLE
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
+from rotcal_ros.methods.configuration import Configuration
+from rotcal_ros.methods.continuation import Continuation
 from rotcal_ros.methods.tracer.design.exchange import Demands, fewest_lengths
 from rotcal_ros.methods.tracer.design.information import Information
 from rotcal_ros.methods.tracer.design.scene import Lengths
@@ -61,10 +56,13 @@ from rotcal_ros.methods.tracer.policy.experiment import (
     LengthExperiment,
     MeasuredLengths,
     Stated,
+    length_experiment,
     rms,
 )
 from rotcal_ros.methods.tracer.policy.noise import LengthNoise, student_factor
-from rotcal_ros.planning.choices import Choice, Standing, StepOutcome
+from rotcal_ros.planning.choices import Choice, Policy, Standing, StepOutcome
+from rotcal_ros.planning.plan import Plan
+from rotcal_ros.planning.policy_names import UNTIL_GOAL
 from rotcal_ros.planning.sequence_time import stated_time
 
 PLANNED_FACTOR: Final = student_factor(math.inf)
@@ -123,6 +121,58 @@ class GoalLimits:
 
     uncertainty: float
     significance: float = 0.01
+
+
+def until_goal(configuration: Configuration, plan: Plan) -> Callable[[Continuation], Policy]:
+    """Return what makes the policy for a continuation; the first sweep is planned only once.
+
+    Raises ConfigurationError for what until_goal cannot plan with, PlanError when the goal is out
+    of reach of all steps; what is returned raises PlanError when a first step is asked for.
+    """
+    settings, source = configuration.planner, configuration.source
+    goal = settings.goal_arcsec * ARCSEC
+    if goal <= 0.0:
+        raise ConfigurationError(
+            f"{source}: planner: the policy {UNTIL_GOAL} needs a goal: give goal_arcsec"
+        )
+    if configuration.plan.repeated:
+        raise ConfigurationError(
+            f"{source}: planner: the policy {UNTIL_GOAL} chooses single steps, repeated runs "
+            "measure all of them: leave out plan.runs and plan.bidirectional, or the policy"
+        )
+    experiment = length_experiment(configuration, plan)
+    _check_reach(experiment, goal, source)
+    return partial(
+        _begun, experiment, GoalLimits(goal, configuration.solver.rejection_significance)
+    )
+
+
+def _begun(experiment: LengthExperiment, limits: GoalLimits, continuation: Continuation) -> Policy:
+    if continuation.run == 0 and continuation.start_index:
+        raise PlanError(
+            f"start_index {continuation.start_index}: the policy {UNTIL_GOAL} measures in an "
+            "order of its own; go on with 'rotcal run --resume'"
+        )
+    done = {o.step for o in continuation.observations}
+    gone = {step.index for step in experiment.plan.steps} - done - set(continuation.steps)
+    return UntilGoal(
+        experiment,
+        limits,
+        again=continuation.again,
+        earlier=continuation.observations,
+        given_up=sorted(gone),
+    )
+
+
+def _check_reach(experiment: LengthExperiment, goal: float, source: str) -> None:
+    every = range(len(experiment.plan.steps))
+    best = experiment.planned(experiment.nothing, 1.0, COVERAGE_FACTOR, every)
+    if best > goal:
+        raise PlanError(
+            f"{source}: planner: goal_arcsec {goal / ARCSEC:g} is out of reach: all {len(every)} "
+            f"steps of the plan give {best / ARCSEC:.3g}; offer more targets, or a better spread "
+            "of them"
+        )
 
 
 class UntilGoal:

@@ -1,20 +1,16 @@
-"""From tracer stations to table angles: plane, circle, deviations, and their Jacobian.
+"""From tracer stations to table angles: plane, circle, deviations; and what a stated circle tells.
 
 Laser tracer paper, sections 3.2 to 3.4. Two kinds of deviation are kept apart everywhere:
 *cumulative* (positioning) deviations are counted from the first station, *adjacent* (interval)
 ones from the station before; the paper's Table 3 lists adjacent ones. Deviation = actual -
 commanded, radians, counter-clockwise about the side of the plane normal that points along +z.
 
-What it tells of stations that a table carries them round a circle.
-
-Stated is by how much stations leave one circle about the table's axis, radially and along the
-axis. Its centre, radius and axis are unknown: of the m radial and m axial distances as many as
-m - 3 contrasts each are left. To first order the angles do not feel these, so that the statement
-says nothing of an error along the circle (see :mod:`.error_motion`); what it saves is lengths, for
-the place of each station across its circle.
-
-The contrasts are observations, like the machine's coordinates: zero, with the stated standard
-deviation. So the lengths can contradict them.
+It may be stated by how much stations leave one circle about the table's axis, radially and along
+the axis. Centre, radius and axis of the circle are unknown: of the m radial and the m axial
+distances m - 3 contrasts each are left. They are observations, like the machine's coordinates:
+zero, with the stated standard deviation, so that the lengths can contradict them. To first order
+the angles do not feel them: the statement says nothing of an error along the circle (see
+:mod:`.uncertainty`); what it saves is lengths, for the place of each station across its circle.
 """
 
 from __future__ import annotations

@@ -1,14 +1,12 @@
-"""Can this geometry tell the angle? If not, say which direction is weak.
+"""What the lengths cannot tell: the angle in a weak geometry, and how the positions are numbered.
 
 Counting comes first (Eq. 2), then the rank of each station's design, then the size of the
 uncertainty: a station that is known worse than to a hundredth of the circle's radius makes every
-first-order statement about the angle worthless.
+first-order statement about the angle worthless. What is refused names the weak direction.
 
-Which table angle belongs to which station: what no length tells.
-
-With all positions of a table renumbered by one every length fits as well, and each deviation
-stands at its neighbour's angle; so it does where the table's zero is another one. Where the tracer
-stands on the table tells it, if somebody has stated that.
+No length tells which table angle belongs to which station: with all positions renumbered by one
+every length fits as well, and each deviation stands at its neighbour's angle; so it does where the
+table's zero is another one. Where the tracer stands on the table tells it, if that was stated.
 """
 
 from __future__ import annotations

@@ -1,35 +1,7 @@
-"""Which lengths are believed: data snooping with a stated chance of a false alarm.
+"""How large the noise really is, and which lengths are believed.
 
-Nothing is rejected before the noise is consistent (:mod:`.noise`): where the statements are
-contradicted, the components are estimated first, with large residuals bent so that outliers do
-not pass for noise, and estimated again after every round.
-
-Rule: the normalised residual (residual over its own standard deviation, after Baarda) of every
-length is compared with the two-sided normal quantile at ``rejection_significance`` shared among
-all lengths. While any exceeds it, the largest of each station is rejected - in the joint variant
-only where it is also the largest of its target, because there residuals smear over both - and
-everything is adjusted again. A station keeps one length more than it has unknowns, which is five
-where nothing ties it to others, a free target four. Rejected
-lengths keep their residual against the final solution, and are flagged.
-
-Where the machine's coordinates are observations too, they are tested by the same rule: a target
-whose correction stands out more than any of its lengths loses all of them.
-
-Before single lengths are judged, groups are (:mod:`.gathering`): where it is proved that some of a
-station's lengths are off together, that subset is left out which explains them best, and then the
-rest is judged. A length that is the largest of its station is often a good one there.
-
-A network is preceded by a coarse round of the same rule, station by station: a free
-network is too limber to be bent by gross errors and still converge.
-
-The variant "station" sees the targets' errors as noise, five times that of a length or more, and
-would miss what its angles feel: they owe their accuracy to errors that are common to all
-stations. So its lengths are screened as a joint network too. A length that goes at one station
-takes its target's error out of what is common; see :func:`without_targets`.
-
-How large the noise really is: variance components of the lengths and of the targets.
-
-The observations fall into components, each with a factor s on its stated standard deviations:
+Nothing is rejected before the noise is consistent. The observations fall into components, each
+with a factor s on its stated standard deviations:
 
 lengths
     the constant part of the noise of a length;
@@ -39,15 +11,38 @@ targets x, targets y, targets z
     the machine's coordinates, axis by axis, where they are observations.
 
 A component is *contradicted* when its weighted sum of squared residuals q does not fit its
-redundancy r: q is compared with a chi-squared of the same mean and variance. This costs nearly
-nothing, and while no component is contradicted the statements stand as they are, to the last bit.
+redundancy r: q is compared with a chi-squared of the same mean and variance. While no component is
+contradicted the statements stand as they are, to the last bit. Otherwise all factors are estimated
+by restricted maximum likelihood (Fisher scoring on ln s; Koch, *Parameter Estimation and
+Hypothesis Testing in Linear Models*, 1999, section 3.6): slope q - r, information 2 H, H the
+squared sums of the redundancy matrix by pairs of components. The statements remain as priors: ln s
+is normal about zero, with PRIOR for each component and the targets' axes coupled, so that an axis
+which the lengths cannot check follows the others. Factors go both ways: below one the uncertainty
+becomes smaller. While outliers are looked for, large residuals are bent, so that outliers do not
+pass for noise, and the factors are estimated again after every round.
 
-Otherwise all factors are estimated by restricted maximum likelihood (Fisher scoring on ln s; Koch,
-*Parameter Estimation and Hypothesis Testing in Linear Models*, 1999, section 3.6): slope q - r,
-information 2 H, H the squared sums of the redundancy matrix by pairs of components. The statements
-remain as priors: ln s is normal about zero, with PRIOR for each component and the targets' axes
-coupled, so that an axis which the lengths cannot check follows the others. Factors go both ways:
-below one the uncertainty becomes smaller.
+Rule of rejection: the normalised residual (residual over its own standard deviation, after Baarda)
+of every length is compared with the two-sided normal quantile at ``rejection_significance`` shared
+among all lengths. While any exceeds it, the largest of each station is rejected - in the joint
+variant only where it is also the largest of its target, because there residuals smear over both -
+and everything is adjusted again. A station keeps one length more than it has unknowns, which is
+five where nothing ties it to others, a free target four. Rejected lengths keep their residual
+against the final solution, and are flagged.
+
+Where the machine's coordinates are observations too, they are tested by the same rule: a target
+whose correction stands out more than any of its lengths loses all of them.
+
+Before single lengths are judged, groups are (:mod:`.gathering`): where it is proved that some of a
+station's lengths are off together, that subset is left out which explains them best, and then the
+rest is judged. A length that is the largest of its station is often a good one there.
+
+A network is preceded by a coarse round of the same rule, station by station: a free network is too
+limber to be bent by gross errors and still converge.
+
+The variant "station" sees the targets' errors as noise, five times that of a length or more, and
+would miss what its angles feel: they owe their accuracy to errors that are common to all stations.
+So its lengths are screened as a joint network too. A length that goes at one station takes its
+target's error out of what is common; see :func:`without_targets`.
 """
 
 from __future__ import annotations
@@ -81,11 +76,13 @@ LEAST_REDUNDANCY: Final = 0.5
 LEAST_FACTOR: Final = 0.1
 """Lengths that scatter even less are without noise, made up: the statements stay."""
 LARGEST_STEP: Final = 1.1
+"""Of ln s, a factor of 3: farther away the information of here is no guide."""
 SETTLED: Final = 1e-4
 """Squared last step of the factors, in their standard deviations."""
 NEARLY_SETTLED: Final = 1e-2
 """The same while outliers are still looked for."""
 MAX_ITERATIONS: Final = 40
+"""Scoring steps; five are usual."""
 GROSS: Final = 5.0
 """Margin of the coarse round over the fine one."""
 HARDLY_CHECKED: Final = 0.01

@@ -181,8 +181,7 @@ def _adjusted(problem: TracerProblem, wider: CircleStatement | None = None) -> T
     _check_sense(motion, fit.stations, commanded, grid)
     unexplained = length_test(fit, covariance.dof_effective)
     significance = problem.settings.test_significance
-    failed = unexplained.probability < significance
-    scale = unexplained.sigma0 if failed and unexplained.sigma0 > 1.0 else 1.0
+    scale = unexplained.enlargement(significance)
     stated = 0.0 if problem.error_motion_std is None else problem.error_motion_std
     circle_std = problem.circle_std
     seen = circle_tested(

@@ -9,11 +9,9 @@ four of the five columns, so that d and P follow from one small eigenproblem for
 Targets in one plane leave one direction of the five free; the definition of s then is a
 quadratic equation along it, whose two roots are the tracer and its mirror image in that plane.
 
-Start values of stations that share zeros, or have few lengths: by strips, or by a circle.
-
-A station with five lengths from one zero is found by itself (:mod:`.start`). Others are found
-together, at the commanded angles of one circle: linearly, and then with the lengths themselves,
-which places them to what the table deviates.
+That finds a station with five lengths from one zero. Stations that share zeros, or have fewer
+lengths, are found together, at the commanded angles of one circle: linearly, and then with the
+lengths themselves, which places them to what the table deviates.
 """
 
 from __future__ import annotations

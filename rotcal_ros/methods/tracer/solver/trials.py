@@ -1,11 +1,12 @@
-"""Monte Carlo trials of the laser-tracer method, vectorised: hundreds of solutions in one go.
+"""What a problem would give: the covariance of a plan, and Monte Carlo trials of a measurement.
 
-Every trial is solved to the end: Gauss-Newton with the exact gradient; only the normal matrix is
-that of the measurement for all of them. Its error is of the order of noise over distance (1e-5):
-a few steps leave nothing but rounding. A trial that does not settle so, as some of a free network
-with weak geometry, is solved alone.
+A plan needs no data: :func:`predicted` is the solver's own covariance on the nominal geometry.
 
-What a plan would give: the solver's own covariance on the nominal geometry, without data.
+Trials are vectorised, hundreds of solutions in one go, and every one is solved to the end:
+Gauss-Newton with the exact gradient; only the normal matrix is that of the measurement for all of
+them. Its error is of the order of noise over distance (1e-5): a few steps leave nothing but
+rounding. A trial that does not settle so, as some of a free network with weak geometry, is solved
+alone.
 """
 
 from __future__ import annotations

@@ -1,22 +1,19 @@
-"""From the covariance of the stations to that of the angles, with its budget.
+"""From the covariance of the stations to that of the angles, the table's error motion included.
 
 Standard uncertainties are for a normal distribution: the 95 % interval is +-1.96 times the
 standard deviation. The stated standard deviations are taken as known (GUM type B) while the
-residuals do not contradict them; then the estimates of :mod:`.noise` take their place. There is
-no t factor for those: lengths are many. The few residuals of the circle get theirs in
-:mod:`.error_motion`.
-
-The table's radial error motion, as the circle of the stations tells it.
+residuals do not contradict them; then the estimates of :mod:`.screening` take their place. There
+is no t factor for those, for lengths are many. The few residuals of the circle get theirs here:
 
 A station leaves its circle by the radial part of the table's error motion (EXC, EYC, and tilts
 times the height of the tracer) and by the noise of its own place. The tangential part cannot be
 told from the angle; it is taken to be as large, which is believed and never measured: a tracer
 that mount or cable shift along its circle spoils the angle and leaves no trace
-(:mod:`.protections` says so). m - 3 residuals do not say much about a standard
-deviation, so their whole posterior is used: the value that goes into the covariance is the one
-with which an interval of +-1.96 standard deviations holds 95 % of what is predicted. From exact
-stations that is Student's t with m - 3 degrees of freedom; where the noise of the stations
-explains the residuals, little is left of it.
+(:mod:`.protections` says so). m - 3 residuals do not say much about a standard deviation, so their
+whole posterior is used: the value that goes into the covariance is the one with which an interval
+of +-1.96 standard deviations holds 95 % of what is predicted. From exact stations that is
+Student's t with m - 3 degrees of freedom; where the noise of the stations explains the residuals,
+little is left of it.
 
 The prior is that of Jeffreys, d sigma / sigma, for error motions well above the stations' noise
 across the circle (x = sigma / noise), times y^6 / (1 + y^6) with y = x / 1.5, and beside it "none
@@ -49,11 +46,13 @@ from rotcal_ros.methods.tracer.solver.circle import (
 )
 
 OUTSIDE: Final = 0.05
+"""Probability that the interval misses what is predicted."""
 TINY: Final = 1e-12
 """Error motion (m) that is none."""
 DECADES: Final = np.logspace(-3.0, 3.0, 121)
 """Error motions, in units of the radial residuals, over which the posterior is summed."""
 SPACING: Final = float(np.log(DECADES[1] / DECADES[0]))
+"""Of their natural logarithms: the width that each stands for in the sum."""
 ABSENT: Final = 0.8
 """Prior weight of no error motion, in natural logarithms of sigma far above the noise."""
 NOTICED: Final = 1.5
@@ -331,6 +330,10 @@ class GlobalTest:
 
     sigma0: float
     probability: float
+
+    def enlargement(self, significance: float) -> float:
+        """Return by how much standard deviations are too small where the test fails; else 1."""
+        return max(self.sigma0, 1.0) if self.probability < significance else 1.0
 
 
 @dataclass(frozen=True, slots=True)

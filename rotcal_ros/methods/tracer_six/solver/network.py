@@ -1,27 +1,23 @@
-"""Table, places and targets as one network of lengths: its linearisation, and its minimum.
+"""Table, places and targets as one network of lengths: its minimum, and what follows from it.
 
 A station is R_i q_k + t_i, with the pose (R_i, t_i) of the table's frame at a position and the
 place q_k in that frame. Scatter from arrival to arrival moves it by e ~ N(0, S) and is
 integrated out, so that the lengths of a station have the covariance D + U S U'; its inverse is
 W = D^-1 - H H' with H (n, 3). Poses, six unknowns each, are eliminated; targets, places and zeros
-are kept. What no length feels is fixed by constraints.
+are kept.
 
-What no length feels: frames, and the flex of places on one circle.
+What no length feels is fixed by constraints. Right motions: the table's own frame may lie
+anywhere, q -> W q + w with the poses to match. Left motions: without a prior on the targets the
+whole network may, too. And with free targets, places at one height on one circle about the axis
+leave a seventh: targets and circle as in :mod:`rotcal_ros.methods.tracer.solver.joint`. None of
+them is felt by the curves.
 
-Right motions: the table's own frame may lie anywhere, q -> W q + w with the poses to match. Left
-motions: without a prior on the targets the whole network may, too. And with free targets, places
-at one height on one circle about the axis leave a seventh: targets and circle as in
-:mod:`rotcal_ros.methods.tracer.solver.joint`. None of them is felt by the curves.
+Places that cannot tell the table's tilts need a prior: the tilt c_i of each position, less what
+both frames contribute, u + Rz w with four unknowns (u, w), is an observation of zero with the
+standard deviation ``tilt_std``; in a trial it is one of what chance has drawn.
 
-Prior knowledge of the table's tilts, for places that cannot tell them.
-
-The tilt c_i of each position, less what both frames contribute, u + Rz w with four unknowns
-(u, w), is an observation of zero with the standard deviation ``tilt_std``; in a trial it is one of
-what chance has drawn.
-
-Errors of the lengths that follow a pattern, as a network feels them.
-
-Covariances about the minimum of a network: of all unknowns, of stations, of lengths.
+About the minimum follow the covariances of all unknowns, stations and lengths, and to first order
+what a pattern of errors of the lengths does.
 """
 
 from __future__ import annotations
@@ -53,6 +49,7 @@ STAGNANT: Final = 1e-6
 SHRINKING: Final = 1e-4
 """Ratio of squared steps above which the normal matrix is made anew."""
 MAX_ITERATIONS: Final = 60
+"""Of chord steps, each with the slopes of now."""
 FLAT: Final = 1e-4
 """Difference of the places' heights and radii (m) up to which they lie on one circle: what they
 tell then about the flex is below any noise."""

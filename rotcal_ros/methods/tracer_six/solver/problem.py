@@ -38,7 +38,7 @@ class SixProblem:
     the table came to each position, where it came from both.
     ``places``: where the tracer stands on the table, m, in the frame that turns with it and
     coincides with the machine's at angle zero: good to ``place_tolerance``, m; start values, and
-    what tells how the positions are numbered (:class:`~..tracer.solver.observability.Numbering`).
+    what tells how the positions are numbered (the tracer's ``Numbering``).
     Machine z along the table axis, origin near it (10 mrad and 10 mm are taken exactly); the
     deviations are those of the point of the axis at z = 0.
 

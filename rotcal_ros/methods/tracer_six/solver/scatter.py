@@ -25,12 +25,10 @@ turns have is hardly known, and weights that rely on it promise more than they k
 weights fixed, the variance of a curve is linear in s_t^2 and s_r^2; its standard deviation is the
 one with which +-1.96 of it hold 95 % of what is predicted, Student's t in spirit.
 
-What moved between two runs, or between the beginning of a run and its end.
-
-A table that does not repeat deforms the triangle of the places, and so does a machine that stands
-elsewhere in the next run; a machine that drifts in all runs alike deforms nothing, and shows only
-where an angle is measured again in the same run. Neither may pass for scatter. Both are directions
-of the contrasts y of :mod:`.scatter`,
+The same contrasts tell what *moved*: a machine that stands elsewhere in the next run deforms the
+triangle of the places as a table does that does not repeat; a machine that drifts in all runs
+alike deforms nothing, and shows only where an angle is measured again in the same run. Neither may
+pass for scatter. Both are directions of the contrasts y,
 
     u = Q y,  the rows of Q spanning  D R,
 
@@ -67,6 +65,7 @@ from rotcal_ros.methods.tracer_six.solver.network import (
 )
 
 OUTSIDE: Final = 0.05
+"""Probability that the interval misses what is predicted."""
 ABSENT: Final = 0.2
 """Prior probability of no scatter."""
 LEVELS: Final = np.concatenate([np.arange(0.1, 2.0, 0.1), 2.0 * 1.08 ** np.arange(111)])

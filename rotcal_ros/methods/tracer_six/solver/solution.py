@@ -267,8 +267,7 @@ def _length_test(fit: RigidAdjustment, significance: float) -> tuple[GlobalTest,
     """Return the test of chi-squared, and the factor by which noise is larger than it allows."""
     dof = max(fit.dof, 1)
     test = GlobalTest(float(np.sqrt(fit.chi2 / dof)), chi2_sf(fit.chi2, dof))
-    failed = fit.dof > 0 and test.probability < significance and test.sigma0 > 1.0
-    return test, test.sigma0 if failed else 1.0
+    return test, test.enlargement(significance) if fit.dof > 0 else 1.0
 
 
 def _enlarged(fit: RigidAdjustment, table: CurvePosterior) -> Floats:
