@@ -21,7 +21,7 @@ from rotcal_ros.evaluation.quick_check import quick_check
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods import changed, read_configuration
-from rotcal_ros.methods.tracer.design.quick_check import CheckPlan, plan_check
+from rotcal_ros.methods.tracer.check_plan import CheckPlan, plan_check
 from rotcal_ros.methods.tracer.design.scene import on_table
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
 from rotcal_ros.planning.check_rule import CheckRule

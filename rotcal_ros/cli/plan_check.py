@@ -17,10 +17,10 @@ from rotcal_ros.report.terminal.columns import Column, print_table, print_words
 from rotcal_ros.report.terminal.console import progress, say
 
 if TYPE_CHECKING:
-    from rotcal_ros.methods.tracer.design.quick_check import CheckPlan
+    from rotcal_ros.methods.tracer.check_plan import CheckPlan
 
 LEAST_REDUNDANCY: Final = 0.25
-"""That of rotcal_ros.methods.tracer.design.quick_check, which takes long to load."""
+"""That of rotcal_ros.methods.tracer.check_plan, which takes long to load."""
 
 
 @click.command()
@@ -95,7 +95,7 @@ def _planned(
 ) -> CheckPlan:
     """Return the plan that the options ask for; ``rule`` are those of :func:`rule_options`."""
     from rotcal_ros.methods import changed, read_configuration
-    from rotcal_ros.methods.tracer.design.quick_check import plan_check
+    from rotcal_ros.methods.tracer.check_plan import plan_check
     from rotcal_ros.methods.tracer.table import read_targets
     from rotcal_ros.recordings.result_sources import read_curve
 

@@ -53,7 +53,7 @@ def compare(
 
 def until_goal(configuration: Configuration, plan: Plan) -> Adaptive:
     """Return what makes the policy of that name; loaded when it is asked for."""
-    from rotcal_ros.methods.tracer.policy import until_goal as policy
+    from rotcal_ros.methods.tracer import goal_policy as policy
 
     return policy.until_goal(configuration, plan)
 

@@ -2,7 +2,7 @@
 
 The tracer stands at one place of the table after the other. From each it measures lengths to the
 same targets while the table turns; between two places a person fixes it anew. Places tell all six
-deviations, or do not: those in a line lose one (:func:`require_six`).
+deviations, or do not: those in a line lose one (:func:`_require_six`).
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def six_plan(settings: SixPlanSettings, *, tilt_known: bool = False) -> Plan:
             "the table arrives anew for every target, and no arrival could be told from another"
         )
     places = places_of(settings)
-    require_six(places, tilt_known=tilt_known)
+    _require_six(places, tilt_known=tilt_known)
     return plan_of(settings, targets_of(settings))
 
 
@@ -175,7 +175,7 @@ def around(
     return tuple((x, y, z) for x, y, z in rows.tolist())
 
 
-def require_six(places: tuple[Point, ...], *, tilt_known: bool = False) -> None:
+def _require_six(places: tuple[Point, ...], *, tilt_known: bool = False) -> None:
     """Raise PlanError, with the direction that is lost, unless the places tell six deviations.
 
     ``tilt_known``: a lost tilt is tolerated, because it is stated beforehand.

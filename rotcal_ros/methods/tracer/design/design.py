@@ -133,7 +133,7 @@ class DesignSearch:
 
     def _offer(self, ideal: Optimum) -> None:
         """Seek whole plans among the targets that the ``ideal`` plan likes."""
-        self._pool, self._start = pool_and_start(ideal, self._pairs, self.scene, self.settings)
+        self._pool, self._start = _pool_and_start(ideal, self._pairs, self.scene, self.settings)
         if flat_stations(self.scene, self._pool).size:  # nothing else is offered
             self.demands = replace(self.demands, depth=0.0)
 
@@ -266,7 +266,7 @@ def finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def pool_and_start(
+def _pool_and_start(
     ideal: Optimum, pairs: Lengths, scene: Scene, settings: TracerDesignSettings
 ) -> tuple[Lengths, Ints]:
     """Return the pairs among which whole plans are sought, and with which of them to begin.

@@ -248,9 +248,9 @@ def candidates(scene: Scene, settings: TracerDesignSettings) -> Lengths:
     elevation = np.arcsin(np.clip(apart[:, 2] / np.maximum(distance, 1e-9), -1.0, 1.0)) / DEGREE
     free &= (elevation >= settings.min_elevation_deg) & (elevation <= settings.max_elevation_deg)
     azimuth = np.arctan2(apart[:, 1], apart[:, 0]) / DEGREE
-    free &= ~in_sectors(azimuth, settings.blocked_azimuth_deg)
+    free &= ~_in_sectors(azimuth, settings.blocked_azimuth_deg)
     on_turning = azimuth - scene.table_angles[position] / DEGREE
-    free &= ~in_sectors(on_turning, settings.blocked_on_table_deg)
+    free &= ~_in_sectors(on_turning, settings.blocked_on_table_deg)
     free &= _accepted(scene.targets[target], apart / distance[:, None], settings)
     for box in boxes(settings):
         free &= ~crosses(start, apart, box)
@@ -288,7 +288,7 @@ def boxes(settings: TracerDesignSettings) -> Floats:
     return np.asarray(corners + settings.margin_m * np.array([-1.0, 1.0])[:, None])
 
 
-def in_sectors(angle_deg: Floats, sectors_deg: tuple[float, ...]) -> Bools:
+def _in_sectors(angle_deg: Floats, sectors_deg: tuple[float, ...]) -> Bools:
     """Return which angles (k,) lie in one of the sectors, given as from, to, from, to, ..."""
     inside = np.zeros(len(angle_deg), dtype=np.bool_)
     for start, end in zip(sectors_deg[::2], sectors_deg[1::2], strict=True):

@@ -174,7 +174,7 @@ def measuring_orders(
         trade = None if name == CLOSED or len(position) > MOST_KICKED else forecast
         sweeps_at = np.sort(block)
         block[_traded(_listed(block), position, sweeps_at, trade, SAFE * limit, rng)] = sweeps_at
-        swept = in_sweeps(costs, block)
+        swept = _in_sweeps(costs, block)
         order = improved(swept, _start(swept, block))
         order = _traded(order, position, sweeps_at, trade, limit, rng)
         found.append(_judged(name, order, costs, bound, forecast))
@@ -350,7 +350,7 @@ def shortest_possible(costs: Floats) -> float:
     return float(tree.sum() + (least - 1.0) * (len(costs) - 1))
 
 
-def in_sweeps(costs: Floats, sweep: Ints) -> Floats:
+def _in_sweeps(costs: Floats, sweep: Ints) -> Floats:
     """Return ``costs`` (k, k) for paths that take the blocks ``sweep`` (k,) in their order."""
     step = sweep - sweep[:, None]
     return np.asarray(costs + FORBIDDEN * ((step < 0) | (step > 1)), dtype=np.float64)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from math import inf, sqrt
 from typing import Final, TypeAlias
 
@@ -17,12 +17,11 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
-from rotcal_ros.foundation.errors import ConfigurationError, ObservabilityError, RotcalError
+from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.observations import Observation
-from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.tracer.design.information import Information
 from rotcal_ros.methods.tracer.design.ordering import noisy_problem
-from rotcal_ros.methods.tracer.design.scene import Lengths, Scene, on_table
+from rotcal_ros.methods.tracer.design.scene import Lengths, Scene
 from rotcal_ros.methods.tracer.policy.noise import (
     LengthContrasts,
     LengthNoise,
@@ -30,13 +29,11 @@ from rotcal_ros.methods.tracer.policy.noise import (
     judged_lengths,
     suspect_length,
 )
-from rotcal_ros.methods.tracer.settings import TracerPlanSettings
 from rotcal_ros.methods.tracer.solver.grid import station_minimum
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 from rotcal_ros.methods.tracer.solver.trials import predicted
 from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
 from rotcal_ros.planning.plan import Plan
-from rotcal_ros.planning.policy_names import UNTIL_GOAL
 from rotcal_ros.planning.time_order import time_order
 
 PLACING_STEPS: Final = 8
@@ -433,68 +430,3 @@ def _placed(
         stations += step[:moved].reshape(-1, 3)
         offsets += step[moved:]
     return unit, design, y
-
-
-def length_experiment(configuration: Configuration, plan: Plan) -> LengthExperiment:
-    """Return the plan's steps as lengths about the nominal place of the tracer."""
-    settings: TracerSolverSettings = configuration.solver
-    planner = configuration.planner
-    scene = Scene(
-        stations=on_table(_mount(configuration), plan.table_angles),
-        table_angles=np.array(plan.table_angles),
-        targets=np.array(plan.targets),
-        target_std=np.full(3, settings.target_std_m),
-        length_std=planner.expected_std_m or settings.length_std_m,
-        length_std_relative=settings.length_std_relative,
-        error_motion_std=settings.error_motion_std_m,
-    )
-    if settings.variant == "joint" and settings.datum == "free":
-        raise ConfigurationError(
-            f"{configuration.source}: planner: the policy {UNTIL_GOAL} plans with the machine's "
-            "coordinates: the solver's datum must be 'prior'"
-        )
-    in_segments = settings.zero == "per_segment"
-    if in_segments and settings.zero_walk_std_m != 0.0:
-        raise ConfigurationError(
-            f"{configuration.source}: planner: the policy {UNTIL_GOAL} plans with zeros that "
-            "stand: leave out solver.zero_walk_std_m, or the policy"
-        )
-    costs = Costs(planner.step_s, planner.turn_s)
-    return LengthExperiment(
-        plan, scene, costs, per_segment=in_segments, solver=settings,
-        solved=partial(stated, configuration, plan),
-    )  # fmt: skip
-
-
-def stated(
-    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
-) -> Stated:
-    """Return what the result of the accepted ``observations`` states, or why there is none."""
-    from rotcal_ros.methods.calibration import Calibration  # which knows every method
-
-    try:
-        result = Calibration(configuration, plan).solve(observations)
-    except RotcalError as error:
-        return Stated(np.inf, doubt=str(error))
-    covariance = result.covariance["ECC"]
-    about_mean = np.trace(covariance - covariance.mean(axis=0)) / len(covariance)
-    motion = result.details["error_motion"]
-    return Stated(
-        COVERAGE_FACTOR * float(np.sqrt(about_mean)),
-        motion["likely"] if motion["used"] != motion["stated"] else 0.0,
-        "" if result.verdict == "ok" else next(iter(result.warnings), result.verdict),
-    )
-
-
-def _mount(configuration: Configuration) -> Floats:
-    """Return where the tracer stands on the table (3,), m."""
-    settings: TracerPlanSettings = configuration.plan
-    place = settings.tracer_m
-    if not place and configuration.simulated:
-        place = configuration.simulation.tracer.mount_m
-    if len(place) != 3:
-        raise ConfigurationError(
-            f"{configuration.source}: plan: the policy {UNTIL_GOAL} has to know, to a few "
-            "centimetres, where the tracer stands on the table: give tracer_m: [x, y, z]"
-        )
-    return np.array(place)

@@ -27,9 +27,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -37,12 +36,9 @@ import numpy as np
 from rotcal_ros.adjust.distributions import normal_isf
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
-from rotcal_ros.foundation.errors import ConfigurationError, PlanError
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.protection import TOLERABLE
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
-from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.continuation import Continuation
 from rotcal_ros.methods.tracer.design.exchange import Demands, fewest_lengths
 from rotcal_ros.methods.tracer.design.information import Information
 from rotcal_ros.methods.tracer.design.scene import Lengths
@@ -56,13 +52,10 @@ from rotcal_ros.methods.tracer.policy.experiment import (
     LengthExperiment,
     MeasuredLengths,
     Stated,
-    length_experiment,
     rms,
 )
 from rotcal_ros.methods.tracer.policy.noise import LengthNoise, student_factor
-from rotcal_ros.planning.choices import Choice, Policy, Standing, StepOutcome
-from rotcal_ros.planning.plan import Plan
-from rotcal_ros.planning.policy_names import UNTIL_GOAL
+from rotcal_ros.planning.choices import Choice, Standing, StepOutcome
 from rotcal_ros.planning.sequence_time import stated_time
 
 PLANNED_FACTOR: Final = student_factor(math.inf)
@@ -121,58 +114,6 @@ class GoalLimits:
 
     uncertainty: float
     significance: float = 0.01
-
-
-def until_goal(configuration: Configuration, plan: Plan) -> Callable[[Continuation], Policy]:
-    """Return what makes the policy for a continuation; the first sweep is planned only once.
-
-    Raises ConfigurationError for what until_goal cannot plan with, PlanError when the goal is out
-    of reach of all steps; what is returned raises PlanError when a first step is asked for.
-    """
-    settings, source = configuration.planner, configuration.source
-    goal = settings.goal_arcsec * ARCSEC
-    if goal <= 0.0:
-        raise ConfigurationError(
-            f"{source}: planner: the policy {UNTIL_GOAL} needs a goal: give goal_arcsec"
-        )
-    if configuration.plan.repeated:
-        raise ConfigurationError(
-            f"{source}: planner: the policy {UNTIL_GOAL} chooses single steps, repeated runs "
-            "measure all of them: leave out plan.runs and plan.bidirectional, or the policy"
-        )
-    experiment = length_experiment(configuration, plan)
-    _check_reach(experiment, goal, source)
-    return partial(
-        _begun, experiment, GoalLimits(goal, configuration.solver.rejection_significance)
-    )
-
-
-def _begun(experiment: LengthExperiment, limits: GoalLimits, continuation: Continuation) -> Policy:
-    if continuation.run == 0 and continuation.start_index:
-        raise PlanError(
-            f"start_index {continuation.start_index}: the policy {UNTIL_GOAL} measures in an "
-            "order of its own; go on with 'rotcal run --resume'"
-        )
-    done = {o.step for o in continuation.observations}
-    gone = {step.index for step in experiment.plan.steps} - done - set(continuation.steps)
-    return UntilGoal(
-        experiment,
-        limits,
-        again=continuation.again,
-        earlier=continuation.observations,
-        given_up=sorted(gone),
-    )
-
-
-def _check_reach(experiment: LengthExperiment, goal: float, source: str) -> None:
-    every = range(len(experiment.plan.steps))
-    best = experiment.planned(experiment.nothing, 1.0, COVERAGE_FACTOR, every)
-    if best > goal:
-        raise PlanError(
-            f"{source}: planner: goal_arcsec {goal / ARCSEC:g} is out of reach: all {len(every)} "
-            f"steps of the plan give {best / ARCSEC:.3g}; offer more targets, or a better spread "
-            "of them"
-        )
 
 
 class UntilGoal:
@@ -338,7 +279,7 @@ class UntilGoal:
         if len(more) >= MOST_AT_ONCE:
             self._reach.doubt()  # worked out for the next choice: this one was long enough
         why = f"{self._learnt}: {len(more)} more lengths to {_in_words(goal)}"
-        self._queue += ((step, why) for step in as_sweep(self._experiment, more, self._at))
+        self._queue += ((step, why) for step in _as_sweep(self._experiment, more, self._at))
         return ""
 
     def _reached(self, now: float, result: Stated | None) -> str:
@@ -530,8 +471,8 @@ def _reaching(of: LengthExperiment, uncertainty: float) -> Sweep:
 def protected(of: LengthExperiment, steps: list[int]) -> Sweep:
     """Return ``steps`` in the quickest order that shows drift and knock in time, or most of it."""
     if not of.solvable(of.nothing, steps):
-        return Sweep(tuple(as_sweep(of, steps, None)), np.inf, np.inf)
-    rows = np.array(as_sweep(of, steps, None))
+        return Sweep(tuple(_as_sweep(of, steps, None)), np.inf, np.inf)
+    rows = np.array(_as_sweep(of, steps, None))
     position, target = of.position[rows], of.target[rows]
     time = stated_time(of.costs.turn_s, of.costs.step_s)
     costs = time.costs(of.scene.table_angles, of.scene.targets, position, target)
@@ -770,7 +711,7 @@ def best_at(
     return int(candidates[np.argmax(gains * chance[candidates])])
 
 
-def as_sweep(of: LengthExperiment, steps: Collection[int], at: int | None) -> list[int]:
+def _as_sweep(of: LengthExperiment, steps: Collection[int], at: int | None) -> list[int]:
     """Return ``steps`` station by station, from the end that is nearer to position ``at``."""
     ordered = sorted(steps, key=lambda step: (of.position[step], step))
     if not ordered or at is None:

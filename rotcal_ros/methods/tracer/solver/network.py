@@ -152,7 +152,7 @@ def eliminate(
     return _reduced(matrix, inverse, transfer, constraints)
 
 
-def eliminate_from(
+def _eliminate_from(
     kept: Floats, other: Floats, cross: Floats, constraints: Floats | None = None
 ) -> SchurComplement:
     """Do as :func:`eliminate` for a kept side that is one matrix (y, y), ``cross`` (y, q t)."""
@@ -354,7 +354,7 @@ class Network:
             constraints = _constraints(self.state[layout.first_strip, :3], layout)
         if layout.shared:
             gathered = layout.gather(stations, targets, cross, self.circle)
-            return eliminate_from(*gathered, constraints)
+            return _eliminate_from(*gathered, constraints)
         if self.stations_kept:
             return eliminate(stations, targets, cross, constraints)
         return eliminate(targets, stations, np.ascontiguousarray(cross.T))

@@ -197,12 +197,12 @@ def _prior() -> Floats:
     return np.asarray(np.linalg.inv(covariance), dtype=np.float64)
 
 
-def as_stated(grid: Grid) -> NoiseFactors:
+def _as_stated(grid: Grid) -> NoiseFactors:
     """Return the noise of ``grid`` as it is stated."""
     return NoiseFactors(np.ones(5), np.full(5, np.nan), _stated(grid), estimated=False)
 
 
-def estimate_noise(
+def _estimate_noise(
     adjust: Adjuster, grid: Grid, start: Adjustment, factors: Floats, bent: bool
 ) -> tuple[NoiseFactors, Adjustment]:
     """Return the factors that fit the residuals best, and the adjustment with them.
@@ -296,7 +296,7 @@ def adjust_and_screen(
     """Adjust ``grid`` from ``start`` (m, 4) until noise and residuals fit, and none stands out."""
     limit = rejection_limit(grid, limits.rejection_significance)
     why: dict[int, str] = {}
-    stated, noise, bent = adjust(grid, start), as_stated(grid), True
+    stated, noise, bent = adjust(grid, start), _as_stated(grid), True
     gathering = Gathering()
     while True:
         noise, fit = _settled(adjust, grid, stated, noise, limits.noise_significance, bent)
@@ -328,10 +328,10 @@ def _settled(
     """Return the noise as stated, or estimated where that is contradicted, and its fit."""
     chance = noise_evidence(grid, stated, bent).probabilities()
     if chance.min() >= significance / len(chance):
-        return as_stated(grid), stated
-    noise, fit = estimate_noise(adjust, grid, stated, before.factors, bent)
+        return _as_stated(grid), stated
+    noise, fit = _estimate_noise(adjust, grid, stated, before.factors, bent)
     if noise.factors[0] < LEAST_FACTOR * (1.0 + 1e-9):
-        return as_stated(grid), stated
+        return _as_stated(grid), stated
     return noise, fit
 
 

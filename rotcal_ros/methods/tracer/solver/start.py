@@ -158,10 +158,10 @@ def find_any_start(grid: Grid, given: Floats | None, angles: Floats) -> tuple[Fl
     """
     if grid.zero is None and (given is not None or grid.apart):
         return find_start(grid, given)
-    return find_shared_start(grid, given, angles)
+    return _find_shared_start(grid, given, angles)
 
 
-def find_shared_start(grid: Grid, given: Floats | None, angles: Floats) -> tuple[Floats, bool]:
+def _find_shared_start(grid: Grid, given: Floats | None, angles: Floats) -> tuple[Floats, bool]:
     """Return start values (p, 4) for ``grid``, and whether mirror images fit equally well.
 
     ``given`` (m, 3), when there is one, are approximate stations. Otherwise they are

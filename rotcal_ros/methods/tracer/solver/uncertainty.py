@@ -152,7 +152,7 @@ class CircleResiduals:
         return np.asarray(squares), log + float(np.linalg.slogdet(inner)[1])
 
 
-def circle_residuals(
+def _circle_residuals(
     motion: TableMotion, total: LowRank, circle_std: float | None = None
 ) -> CircleResiduals:
     """Return the free residuals of the circle; ``total`` (3 m, 3 m) are the stations' errors.
@@ -207,7 +207,7 @@ def circle_tested(
             lambda moves: moves.reshape(len(moves), -1) @ basis,
             alone.redundancy,
         )
-    circle = circle_residuals(motion, total + error_motion_spread(motion, expected_std))
+    circle = _circle_residuals(motion, total + error_motion_spread(motion, expected_std))
     direction, absorbed = _radial(motion)
     outward = direction @ motion.plane.basis()
 
@@ -241,7 +241,7 @@ def _free(absorbed: Floats) -> Floats:
     return np.asarray(np.linalg.qr(absorbed, mode="complete")[0][:, 3:], dtype=np.float64)
 
 
-def tangential_std(motion: TableMotion, covariance: StationCovariance) -> float:
+def _tangential_std(motion: TableMotion, covariance: StationCovariance) -> float:
     """Return the root mean square standard deviation of the stations along their circle, m."""
     across = np.column_stack([-motion.in_plane[:, 1], motion.in_plane[:, 0]]) / motion.radius
     along = across @ motion.plane.basis()
@@ -249,7 +249,7 @@ def tangential_std(motion: TableMotion, covariance: StationCovariance) -> float:
     return float(np.sqrt(variance.mean()))
 
 
-def estimate_error_motion(circle: CircleResiduals, tangential: float) -> tuple[float, float]:
+def _estimate_error_motion(circle: CircleResiduals, tangential: float) -> tuple[float, float]:
     """Return the likely and the allowed standard deviation of the error motion, m.
 
     ``tangential``: standard deviation of a station along the circle, m, which the error motion
@@ -282,7 +282,7 @@ def likely_circle(circle: CircleTest, expected_std: float) -> float:
     if circle.residuals.dof == 0:
         return expected_std
     alone = circle.residuals.lifted(-(expected_std**2))
-    return estimate_error_motion(alone, float(np.sqrt(alone.variance)))[1]
+    return _estimate_error_motion(alone, float(np.sqrt(alone.variance)))[1]
 
 
 def error_motion_of(
@@ -300,10 +300,10 @@ def error_motion_of(
     a circle with ``circle_std`` (m).
     """
     stations = covariance.enlarged(scale)
-    circle = circle_residuals(motion, stations.total, circle_std)
+    circle = _circle_residuals(motion, stations.total, circle_std)
     if circle.dof == 0:
         return ErrorMotion(stated, 0.0, 0.0, 0, stated or 0.0)
-    likely, allowed = estimate_error_motion(circle, tangential_std(motion, stations))
+    likely, allowed = _estimate_error_motion(circle, _tangential_std(motion, stations))
     used = stated
     if used is None or contradicted:
         used = max(used or 0.0, allowed)

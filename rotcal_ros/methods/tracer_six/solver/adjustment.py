@@ -102,13 +102,13 @@ class RigidAdjuster:
         self, grid: Grid, start: Floats, targets: Floats | None = None
     ) -> RigidAdjustment:
         """Return the adjustment of ``grid``; it starts from its own state, whatever is given."""
-        network, scatter = solve_network(
+        network, scatter = _solve_network(
             grid, self.layout, self.state, self.stated, self.significance
         )
         return _adjustment(network, scatter)
 
 
-def solve_network(
+def _solve_network(
     grid: Grid,
     layout: StationLayout,
     state: NetworkState,
@@ -117,7 +117,7 @@ def solve_network(
 ) -> tuple[LengthNetwork, Scatter]:
     """Return the network at its minimum with the scatter that it tells, or that is ``known``."""
     network = relax(grid, layout, None, state)
-    check_determined(network)
+    _check_determined(network)
     arms = network.state.arms(layout)
     scatter = estimate(contrasts(network, arms), *known, significance)
     roots = scatter.roots(arms)
@@ -168,7 +168,7 @@ def _felt_by_targets(
     return (state.targets - grid.targets) / std, whole[each, :, each], coupling
 
 
-def check_determined(network: LengthNetwork) -> None:
+def _check_determined(network: LengthNetwork) -> None:
     """Raise ObservabilityError where more stays open than is known in advance."""
     values, vectors = np.linalg.eigh(network.reduced.regular())
     missing = int((values < RANK_TOLERANCE * values[-1]).sum())

@@ -75,7 +75,7 @@ def gauge_design(angles: Floats) -> tuple[Floats, Floats]:
     return design, np.asarray(np.linalg.pinv(design), dtype=np.float64)
 
 
-def without_gauge(angles: Floats) -> Floats:
+def _without_gauge(angles: Floats) -> Floats:
     """Return the projection (3 m, 3 m) that takes the motions of both frames off d or c."""
     m = len(angles)
     design, inverse = gauge_design(angles)
@@ -99,7 +99,7 @@ def curve_jacobian(curves: Curves, rotation: Floats, angles: Floats) -> Floats:
     own[0, each, :, each, :3] = -back @ cross_matrix(arms)
     own[0, each, :, each, 3:] = back
     own[1, each, :, each, :3] = log_slope(curves.rotation) @ back
-    project = without_gauge(angles)
+    project = _without_gauge(angles)
     return np.concatenate([project @ part.reshape(3 * m, 6 * m) for part in own])
 
 

@@ -67,7 +67,7 @@ def _tilts(rotation: Floats, angles: Floats) -> Floats:
     return rotation_vector(rotation @ rotation_about_z(-angles))
 
 
-def tilt_slopes(rotation: Floats, lean: Floats, layout: StationLayout) -> TiltSlopes:
+def _tilt_slopes(rotation: Floats, lean: Floats, layout: StationLayout) -> TiltSlopes:
     """Return what the prior adds at poses ``rotation`` (m, 3, 3) and ``lean`` (4,) rad."""
     std = layout.tilt_std
     assert std is not None
@@ -83,7 +83,7 @@ def tilt_slopes(rotation: Floats, lean: Floats, layout: StationLayout) -> TiltSl
     return TiltSlopes(float((error**2).sum()), poses, -design.T @ error.ravel() / std)
 
 
-def with_tilts(
+def _with_tilts(
     poses: Floats, cross: Floats, matrix: Floats, rotation: Floats, layout: StationLayout
 ) -> tuple[Floats, Floats]:
     """Return the normal matrices of poses (m, 6, 6) and (m, 6, K) with the prior.
@@ -209,7 +209,7 @@ def slopes(
         by_target = by_target + correction / grid.target_std
     kept = [by_target.ravel(), (layout.by_place @ turned).ravel(), -zeros]
     if layout.tilt_std is not None:
-        known = tilt_slopes(state.rotation, state.lean, layout)
+        known = _tilt_slopes(state.rotation, state.lean, layout)
         chi2, poses = chi2 + known.chi2, poses + known.poses
         kept.append(known.lean)
     return ChiSquaredSlope(error, unit, factor, chi2, poses, np.concatenate(kept))
@@ -247,7 +247,7 @@ def linearise(
     cross = _summed(layout.by_position, backward @ across)
     matrix = _kept_matrix(grid, layout, state, here, across)
     if layout.tilt_std is not None:
-        poses, cross = with_tilts(poses, cross, matrix, state.rotation, layout)
+        poses, cross = _with_tilts(poses, cross, matrix, state.rotation, layout)
     reduced = _reduced(poses, cross, matrix, constraints(layout, state, free=grid.free))
     return LengthNetwork(grid, layout, scatter, state, here, motion, pull, normal, across, reduced)
 

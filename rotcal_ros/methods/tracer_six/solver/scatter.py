@@ -341,7 +341,7 @@ class Moves:
         first, later = _pairs(self.network.layout)
         if not len(later):
             return None
-        along = tangents(self.network)
+        along = _tangents(self.network)
         moved = np.zeros_like(along)
         for stations, sign in ((later, 0.5), (first, -0.5)):
             moved[stations] += sign * along[stations]
@@ -424,7 +424,7 @@ def moves(
     )
 
 
-def tangents(network: LengthNetwork) -> Floats:
+def _tangents(network: LengthNetwork) -> Floats:
     """Return the directions (V, 3) along which a turn of the table moves each station."""
     arms = network.state.arms(network.layout)
     across = np.column_stack([-arms[:, 1], arms[:, 0], np.zeros(len(arms))])

@@ -10,7 +10,7 @@ from tracer_scenes import STATIONS, dense_covariance, every_pair, paper_scene, z
 
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.methods.tracer.design.quick_check import fewest_lengths
+from rotcal_ros.methods.tracer.design.check_lengths import fewest_lengths
 from rotcal_ros.planning.check_rule import CheckRule
 
 M = len(STATIONS)
