@@ -30,7 +30,9 @@ from rotcal_ros.planning.visits import visits
 LOCATING: Final = 6
 """Targets after which the lengths at a table angle show where the tracer stands: 4 unknowns."""
 LEAST_ANGLES: Final = 3
+"""Below it what turns with the table is not told from what stands still."""
 LEAST_PLACES: Final = 3
+"""Two leave a turn about the line through them."""
 _UPRIGHT: Final = 0.7
 """From this vertical part on, what is lost about a line is mostly ECC."""
 

@@ -36,8 +36,9 @@ ENOUGH_TARGETS: Final = 40
 POOL_SPACINGS: Final = 1.8
 """Whole plans are sought among all pairs of so many good targets, so many spacings apart."""
 START_CHECKED: Final = 14
+"""Lengths per station to begin with, where each is to be checked."""
 START_PLAIN: Final = 6
-"""Lengths per station to begin with."""
+"""The same for the plain minimum."""
 OFF_PLANE: Final = 2
 """Lengths off the plane of the others to begin with, at each station."""
 DEEP: Final = 0.5

@@ -55,6 +55,8 @@ AIM: Final = 0.97
 CLOSE: Final = 0.85
 """Share of the wanted variance from which fewer lengths are no longer looked for."""
 LEAST_EXCESS: Final = 0.1
+"""A plan that needs still less of its wanted variance is taken to need so much: the next search
+may use ten times its variance at most."""
 
 
 def most_missed(runs: int, confidence: float) -> int:
@@ -256,6 +258,7 @@ class OrderedDesign:
         most_rms, most = settings.goal
         left = float(constant.mean()), float(constant.max())
         return (
+            # where error motion nearly takes up the goal, next to nothing is left to divide by
             (rms**2 - left[0]) / max(most_rms**2 - left[0], 1e-3 * most_rms**2),
             (largest**2 - left[1]) / max(most**2 - left[1], 1e-3 * most**2),
         )

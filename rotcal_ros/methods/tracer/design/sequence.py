@@ -39,6 +39,7 @@ from rotcal_ros.planning.sequence_time import duration
 Blocks = Callable[[Ints], Ints]
 CLOSED: Final = "closed"
 MOST_SWEEPS: Final = 4
+"""Each further sweep costs the table its way once more."""
 SPARSE: Final = (2, 3)
 """Of every so many positions one is visited once more by a last sweep, which saves turns."""
 DRAWS: Final = 8

@@ -24,6 +24,7 @@ from rotcal_ros.methods.tracer.design.settings import TracerDesignSettings
 from rotcal_ros.planning.sequence_time import TimeModel
 
 MOST_TARGETS: Final = 64
+"""As many as the paper has; a goal that takes more is called out of reach."""
 TRIED: Final = 8
 """Targets that are tried exactly before the best is taken."""
 

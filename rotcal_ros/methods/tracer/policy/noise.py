@@ -37,8 +37,11 @@ from rotcal_ros.foundation.components import COVERAGE_FACTOR
 LEAST_SHARE: Final = 0.05
 """The noise is not estimated smaller than this share of the planned: that would be made up."""
 MAX_ITERATIONS: Final = 100
+"""Scoring steps after which the last variance stands."""
 SETTLED: Final = 1e-10
+"""Last step, as a share of the variance."""
 CHECKED: Final = 1e-6
+"""Redundancy from which a length is checked by others."""
 DOUBTFUL: Final = 3
 ALIKE: Final = 0.9
 """Up to three lengths whose test values are so nearly the largest are looked at one by one: where
@@ -111,6 +114,7 @@ class LengthContrasts:
             shrunk = variance * known
             first, second = known, known * (1.0 + shrunk)
             third = known * (1.0 + shrunk + shrunk**2)
+            # i'W i, i'W^2 i and i'W^3 i, then i'W y and i'W^2 y: all that leaving row i out takes
             own = (free - alone @ first) / variance
             own_2 = (free - alone @ second) / variance**2
             own_3 = (free - alone @ third) / variance**3

@@ -90,6 +90,7 @@ TRIES: Final = 3
 BLOCKED_WIDTH: Final = 15.0 * DEGREE
 """A beam so near to a blocked one is as likely blocked as free."""
 TINY: Final = 1e-6
+"""Angle (rad) that stands for none, to divide by."""
 FEW_SUSPECTS: Final = 4
 SUSPECT_SHARE: Final = 0.1
 """When more lengths than either are suspect, that is no error of single lengths but noise."""

@@ -38,6 +38,7 @@ EPSILON: Final = 1e-5
 POLISHED: Final = 1e-11
 """Step (m) that no longer needs to be done; the paper stops at 1e-4 mm."""
 MAX_ITERATIONS: Final = 100
+"""Damped steps after which a station is said not to settle."""
 FAIR: Final = 1.0
 """Length (m) that the first step is compared with, as the others are with the one before."""
 CONTRACTION: Final = 0.5
@@ -45,6 +46,7 @@ CONTRACTION: Final = 0.5
 SETTLED: Final = 1e-13
 """Step (m) that no longer needs to be done."""
 MAX_STEPS: Final = 12
+"""Undamped steps after which a station is left to the damped ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,6 +250,7 @@ class Misfit:
 def _step(products: Floats, damping: Floats) -> tuple[Floats, Floats]:
     """Return h (m, 4) of Eq. 10 and the slope h'g (m,) of the objective along it."""
     normal = products[:, :4, :4].reshape(-1, 16)
+    # every fifth of the 16 entries is on the diagonal
     normal[:, ::5] += damping[:, None]
     downhill = -products[:, :4, 4:]
     h = np.asarray(np.linalg.solve(normal.reshape(-1, 4, 4), downhill)[:, :, 0], dtype=np.float64)
@@ -434,6 +437,7 @@ def contract(
         try:
             h = np.linalg.solve(products[:, :4, :4], products[:, :4, 4:])[:, :, 0]
         except np.linalg.LinAlgError:
+            # one singular station fails the whole stack: all are left to the damped steps
             return start, np.zeros(m, dtype=np.bool_)
         state = state - h
         size = np.maximum.reduce(np.abs(h), axis=1)

@@ -198,6 +198,7 @@ def circle_contrasts(stations: Floats) -> CircleContrasts:
             plane.distances(stations),
         ),
     ):
+        # orthonormal combinations of distances that no change of the circle alters
         free = np.linalg.qr(absorbed, mode="complete")[0][:, ABSORBED:]
         values.append(free.T @ off)
         slopes.append((free.T[:, :, None] * direction).reshape(m - ABSORBED, 3 * m))

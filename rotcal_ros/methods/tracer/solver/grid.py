@@ -193,7 +193,8 @@ class Absent:
 class _Strips(NamedTuple):
     """``position`` and ``segment`` (p,) of each strip, and the strip of each row (k,).
 
-    ``segment`` None: strips are stations; else what has a zero, be it the position.
+    ``segment`` None: strips are stations; else what each zero belongs to: a segment, or where
+    there are none, the position.
     """
 
     position: Ints

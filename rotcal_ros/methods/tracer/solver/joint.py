@@ -126,6 +126,7 @@ def network_covariance(grid: Grid, fit: Adjustment) -> StationCovariance:
     coordinates = network.layout.places
     places = np.ix_(coordinates, coordinates)
     sensitivity = sensitivity[coordinates].reshape(-1, *grid.targets.shape)
+    # the covariance is a sum over independent sources: what prior and circle leave is the lengths'
     lengths, circle = stations - prior, None
     if by_circle is not None:
         shared = by_circle @ by_circle.T
@@ -251,6 +252,7 @@ def _felt_by_circle(network: Network, grid: Grid, lengths: float) -> Floats:
         moved = (network.reduced.transfer.T @ (kept @ pull)).reshape(*grid.targets.shape, -1)
         others = ((moved / grid.target_std[:, :, None]) ** 2).sum(axis=(0, 2))
     rest = float(np.trace(own) - (own**2).sum() - others.sum())
+    # rounding may leave a little less than nothing, or more than the lengths have
     return np.append(others, min(max(rest, 0.0), lengths))
 
 

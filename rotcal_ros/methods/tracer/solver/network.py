@@ -54,10 +54,11 @@ FLAT: Final = 1e-4
 SHRINKING: Final = 1e-4
 """Ratio of squared steps above which the normal matrix is made anew."""
 MAX_ITERATIONS: Final = 200
-"""Steps on the way to the minimum; a bent valley of a free network takes some dozens."""
+"""Steps on the way to the minimum: many, for the bent valleys of free networks."""
 LEAST_DAMPING: Final = 1e-9
 """Damping that is none, as a share of the largest weight of a coordinate."""
 RIGID_MOTIONS: Final = 6
+"""Three shifts and three turns."""
 KNOWN: Final = 1e-9
 """Standard deviation (m) of a coordinate that is called known, where others have errors."""
 

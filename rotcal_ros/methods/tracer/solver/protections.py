@@ -165,6 +165,7 @@ def _hidden_noise(solution: TracerSolution) -> Floats:
     f times as large it grows by (f^2 - 1) H.
     """
     evidence, angles = solution.noise_evidence, solution.angles
+    # absent components have no redundancy; their share below is zero whatever comes out here
     redundancy = np.maximum(evidence.redundancy, 1e-9)
     information = np.maximum(evidence.information.diagonal(), 1e-9)
     dof = np.maximum(redundancy**2 / information, 1e-3)

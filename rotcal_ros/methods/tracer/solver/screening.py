@@ -63,6 +63,7 @@ from rotcal_ros.methods.tracer.solver.grid import FREE_TARGET_MINIMUM, Grid
 from rotcal_ros.methods.tracer.solver_settings import TracerLimits
 
 COMPONENTS: Final = ("lengths", "distance", "targets x", "targets y", "targets z")
+"""Of the noise, in the order of all arrays (5,) here."""
 PRIOR: Final = 1.5
 """Standard deviation of ln s: a statement is off by more than a factor of 20 in 5 % of cases."""
 PRIOR_AXIS: Final = 0.5
@@ -82,7 +83,7 @@ SETTLED: Final = 1e-4
 NEARLY_SETTLED: Final = 1e-2
 """The same while outliers are still looked for."""
 MAX_ITERATIONS: Final = 40
-"""Scoring steps; five are usual."""
+"""Scoring steps after which the last factors stand."""
 GROSS: Final = 5.0
 """Margin of the coarse round over the fine one."""
 HARDLY_CHECKED: Final = 0.01
@@ -110,6 +111,7 @@ class NoiseEvidence:
         """Return (5,) how probably chance explains each component's sum, both sides; 1: absent."""
         found = np.ones(len(COMPONENTS))
         for k in np.flatnonzero(self.present & (self.redundancy > LEAST_REDUNDANCY)):
+            # q / spread has mean and variance of a chi-squared with r / spread degrees of freedom
             spread = self.information[k, k] / self.redundancy[k]
             above = chi2_sf(self.squares[k] / spread, self.redundancy[k] / spread)
             found[k] = 2.0 * min(above, 1.0 - above)
@@ -330,6 +332,7 @@ def _settled(
     if chance.min() >= significance / len(chance):
         return _as_stated(grid), stated
     noise, fit = _estimate_noise(adjust, grid, stated, before.factors, bent)
+    # the estimate has run to its bound
     if noise.factors[0] < LEAST_FACTOR * (1.0 + 1e-9):
         return _as_stated(grid), stated
     return noise, fit

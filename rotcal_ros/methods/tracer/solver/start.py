@@ -56,6 +56,7 @@ def start_candidates(targets: Floats, length: Floats, used: Bools) -> Floats:
     along = np.matmul(right[:, None, :], u)[:, 0]  # (m, 5)
     last = vt[:, 4]
     trusted = np.matmul((along[:, :4] / singular[:, :4])[:, None, :], vt[:, :4])[:, 0]
+    # targets exactly in a plane: what the linear solution says along the free direction is void
     weakest = np.maximum(singular[:, 4], 1e-12 * singular[:, 0])
     candidates = [trusted + (along[:, 4] / weakest)[:, None] * last]
     if (singular[:, 4] < NEARLY_FLAT * singular[:, 0]).any():
@@ -114,6 +115,7 @@ def _roots(base: Floats, free: Floats) -> tuple[Floats, Floats]:
     # the stable pair: q carries no cancellation, the other root is c / q
     q = -(half + np.where(half >= 0.0, root, -root))
     tiny = np.finfo(np.float64).tiny
+    # a = 0 leaves a linear equation, whose only root is the second
     first = q / np.where(np.abs(a) > 1e-12, a, np.inf)
     second = c / np.where(q != 0.0, q, np.inf)
     return np.where(np.abs(first) > tiny, first, second), second
@@ -185,6 +187,7 @@ def with_zeros(grid: Grid, standing: Floats) -> Floats:
     zero = grid.station if grid.zero is None else grid.zero
     weight = np.bincount(zero, weights=grid.weights.sum(axis=1))
     total = np.bincount(zero, weights=(grid.weights * (distance - grid.length)).sum(axis=1))
+    # a zero that has lost all its lengths stays at nothing
     return np.column_stack([standing, (total / np.maximum(weight, 1e-300))[zero]])
 
 
@@ -298,5 +301,6 @@ def _linear_circle(grid: Grid, angles: Floats) -> Floats:
     system[rows, 5 + station] = -1.0
     system[rows, 5 + m + of_zero] = 1.0
     system[rows, 5 + m + s + of_zero] = 2.0 * reading
+    # all |P|^2 and all d^2 may grow together without a change: the smallest solution will do
     found = np.linalg.lstsq(system, (x**2).sum(axis=1) - reading**2, rcond=1e-12)[0]
     return np.asarray(found[:5] * scale + np.append(centre, [0.0, 0.0]), dtype=np.float64)

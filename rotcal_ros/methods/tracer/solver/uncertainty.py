@@ -258,6 +258,7 @@ def _estimate_error_motion(circle: CircleResiduals, tangential: float) -> tuple[
     level = circle.variance
     sigma = DECADES * np.sqrt(level + circle.mean_square + TINY**2)
     sigma = np.concatenate([[0.0], sigma])
+    # exact stations on an exact circle: TINY keeps the likelihood of "none" finite
     fit = circle.likelihood(sigma**2 + TINY**2)
     seen = sigma[1:] ** STEEPNESS
     prior = SPACING * seen / (seen + (NOTICED**2 * level) ** (STEEPNESS / 2))

@@ -294,6 +294,7 @@ def find_jump(
 def split(grid: Grid, jump: Jump, order: Ints) -> tuple[Grid, Ints]:
     """Return ``grid`` with a new zero from ``jump`` on, and the old strip of each new one."""
     filled = grid.row >= 0
+    # places without a length are moved by nothing: their time is before all others
     time = np.where(filled, order[grid.row], -1)
     begin = int(order[jump.row])
     assert grid.zero is not None
@@ -424,6 +425,8 @@ def likely_walk(grid: Grid, start: Floats, order: Ints) -> float:
         network = relax(wide, with_zeros(wide, at[source, :3]), grid.targets)
         reduced = network.reduced
         steps = int(np.isfinite(wide.walk).sum()) if wide.walk is not None else 0
+        # -2 ln of the restricted likelihood: chi-squared, ln det of the covariance
+        # of the steps, and ln det of the normal matrix, whose kept side is scaled
         size = np.linalg.slogdet(reduced.regular())[1] - 2.0 * np.log(reduced.scale).sum()
         size -= np.linalg.slogdet(reduced.inverse)[1].sum()
         return float(network.chi2 + 2.0 * steps * log_std + size)

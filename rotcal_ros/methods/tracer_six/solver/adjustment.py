@@ -229,6 +229,7 @@ def find_start(layout: StationLayout) -> NetworkState:
     for _ in range(ROUNDS):
         rotation, translation = _poses(layout, stations, near, places, about)
         back = (stations - translation[layout.position])[:, None] @ rotation[layout.position]
+        # a place whose stations are all lost keeps its nominal one, which they then stand at
         weight = layout.by_place * np.where(near, 1.0, 1e-9)
         places = (weight / weight.sum(axis=1, keepdims=True)) @ back[:, 0]
     tilts = np.zeros(0 if layout.tilt_std is None else 4)

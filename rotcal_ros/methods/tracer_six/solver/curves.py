@@ -19,7 +19,9 @@ from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotation_from_vector
 
 MAX_ITERATIONS: Final = 20
+"""Steps to the gauge; each takes off all but the second order."""
 ROUNDING: Final = 1e-15
+"""Motion of the frames (rad or m) that is none."""
 TOO_FAR: Final = 0.05
 """Deviation (rad) from the commanded angles that no table has."""
 
@@ -109,6 +111,7 @@ def rotation_vector(matrices: Floats) -> Floats:
     vector = np.stack([odd[..., 2, 1], odd[..., 0, 2], odd[..., 1, 0]], axis=-1)
     sine = np.minimum(np.linalg.norm(vector, axis=-1), 1.0)
     angle = np.arctan2(sine, 0.5 * (np.trace(matrices, axis1=-2, axis2=-1) - 1.0))
+    # angle / sine is 1 + angle^2 / 6: beyond the last digit
     tiny = sine < 1e-8
     stretch = np.where(tiny, 1.0, angle / np.where(tiny, 1.0, sine))
     return np.asarray(vector * stretch[..., None], dtype=np.float64)

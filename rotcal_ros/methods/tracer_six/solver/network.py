@@ -197,6 +197,7 @@ def slopes(
     chi2 = float((weighted * error).sum())
     push = unit * weighted[:, :, None]
     at_station = push.sum(axis=1)
+    # a force at a station turns the table by its moment about the origin of the pose
     own = np.concatenate([np.cross(arms, at_station), at_station], axis=1)
     poses = layout.by_position @ own
     turned = (at_station[:, None] @ state.rotation[layout.position])[:, 0]
@@ -342,6 +343,7 @@ def relax(
     for _ in range(MAX_ITERATIONS):
         kept, poses = network.reduced.solve(-here.kept, -here.poses.ravel())
         squared = -float(here.kept @ kept + here.poses.ravel() @ poses)
+        # a step that shrinks by less than half is no longer progress but rounding
         if abs(squared) < CONVERGED or (abs(squared) < STAGNANT and squared > 0.25 * before):
             return linearise(grid, layout, scatter, state, here)
         if abs(squared) > SHRINKING * before:

@@ -279,6 +279,7 @@ def _enlarged(fit: RigidAdjustment, table: CurvePosterior) -> Floats:
         by_station = gain.reshape(len(gain), -1, 3)
         arms = network.state.arms(network.layout)
         across = turned(arms)
+        # what a unit of squared shift, and of squared turn, of all stations adds to each variance
         slope = np.stack(
             [
                 (by_station**2).sum(axis=(1, 2)),
