@@ -172,6 +172,20 @@ def find_shifts(grid: Grid, fit: Adjustment, order: Ints) -> Shifts:
     return shifts_at(grid, fit, moments, moments.few())
 
 
+class ShiftResponse(NamedTuple):
+    """What shifts of one metre (t) do in a network.
+
+    ``total`` (t,): their chi-squared if nothing followed them, ``taken`` (t,): the part that the
+    unknowns take up, 1/m^2. ``both`` (t - 1,): what is left of each and the one before together.
+    ``moved`` (t, q): as in :class:`Shifts`.
+    """
+
+    total: Floats
+    taken: Floats
+    both: Floats
+    moved: Floats
+
+
 def shifts_at(grid: Grid, fit: Adjustment, moments: TimedLengths, at: Ints) -> Shifts:
     """Return the shifts that begin ``at`` (t,) some of the ``moments`` of ``grid``."""
     network = network_of(grid, fit)
@@ -191,20 +205,6 @@ def shifts_at(grid: Grid, fit: Adjustment, moments: TimedLengths, at: Ints) -> S
     return shifts_felt(grid, fit, moments, at, respond, 3 * grid.n_stations)
 
 
-class ShiftResponse(NamedTuple):
-    """What shifts of one metre (t) do in a network.
-
-    ``total`` (t,): their chi-squared if nothing followed them, ``taken`` (t,): the part that the
-    unknowns take up, 1/m^2. ``both`` (t - 1,): what is left of each and the one before together.
-    ``moved`` (t, q): as in :class:`Shifts`.
-    """
-
-    total: Floats
-    taken: Floats
-    both: Floats
-    moved: Floats
-
-
 def shifts_felt(
     grid: Grid,
     fit: Adjustment,
@@ -214,10 +214,11 @@ def shifts_felt(
     width: int,
     overlap: int = 0,
 ) -> Shifts:
-    """Return the shifts that begin ``at`` (t,), chunk by chunk as their network ``respond``s.
+    """Return the shifts that begin ``at`` (t,), chunk by chunk.
 
-    ``respond`` gets the lengths (t, p, n) that a shift makes longer; ``width``: q. ``overlap``:
-    moments that a chunk has in common with the next, whose correlation is then told too.
+    ``respond`` says what their network makes of shifts, from the lengths (t, p, n) that each makes
+    longer; ``width``: q. ``overlap``: moments that a chunk has in common with the next, whose
+    correlation is then told too.
     """
     score, information, alike = np.zeros(len(at)), np.zeros(len(at)), np.ones(len(at))
     moved = np.zeros((len(at), width))

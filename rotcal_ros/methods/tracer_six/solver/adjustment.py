@@ -331,7 +331,7 @@ def shifts_at(fit: RigidAdjustment, jacobian: Floats, moments: TimedLengths, at:
     return shifts_felt(after.network.grid, fit, moments, at, respond, len(jacobian), overlap=1)
 
 
-def find(fit: RigidAdjustment, shifts: Shifts, significance: float) -> Jump | None:
+def find_broken_zero(fit: RigidAdjustment, shifts: Shifts, significance: float) -> Jump | None:
     """Return the jump of a zero that stands out most, None if none does.
 
     ``significance``: of the largest at any moment. The jump's segment is the zero that broke.

@@ -38,7 +38,7 @@ from rotcal_ros.methods.tracer_six.solver.adjustment import (
     RigidAdjuster,
     RigidAdjustment,
     check_curves,
-    find,
+    find_broken_zero,
     find_shifts,
     find_start,
     groups_of,
@@ -237,7 +237,7 @@ def _unbroken(
         fit = screened.fit
         assert isinstance(fit, RigidAdjustment)
         shifts = find_shifts(fit, order)
-        jump = find(fit, shifts, problem.settings.rejection_significance)
+        jump = find_broken_zero(fit, shifts, problem.settings.rejection_significance)
         if jump is None or len(jumps) == MOST_JUMPS:
             return screened, tuple(jumps), shifts
         jumps.append(jump)
