@@ -1,6 +1,6 @@
 """Plans of a tracer of which few simulated runs tell whether they keep their promise.
 
-How many runs a promise takes is tried in planning/tracer_design/test_promise.py; a plan's tests
+How many runs a promise takes is tried in methods/tracer/design/test_promise.py; a plan's tests
 ask what is done with them.
 """
 

@@ -277,8 +277,7 @@ class LengthExperiment:
             covariance = predicted(problem, self.scene.stations).angles.covariance
         except ObservabilityError:
             return np.inf  # enough lengths, in directions too much alike
-        about_mean = np.trace(covariance - covariance.mean(axis=0))
-        return coverage_factor * float(np.sqrt(about_mean / len(covariance)))
+        return coverage_factor * rms_about_mean(covariance)
 
     def posed(
         self, measured: MeasuredLengths, noise: float, further: Sequence[int] | Ints = ()
@@ -368,6 +367,12 @@ class LengthExperiment:
             for name in ("motion", "bearing", "turning", "error_motion_angles"):
                 found.__dict__[name] = getattr(self.scene, name)  # the noise has no part in them
         return found
+
+
+def rms_about_mean(covariance: Floats) -> float:
+    """Return the rms standard deviation of angles (m,) less their mean, from ``covariance``."""
+    about_mean = np.trace(covariance - covariance.mean(axis=0))
+    return float(np.sqrt(about_mean / len(covariance)))
 
 
 def rms(known: Information) -> float:
