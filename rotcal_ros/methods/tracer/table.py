@@ -75,8 +75,8 @@ def observed_rows(
     in_segments, check = SEGMENT in table.header, LengthCheck(plan)
     observations = []
     for row in table.rows():
-        length, segment = row.metres("length_m"), row.index(SEGMENT) if in_segments else 0
-        observation = check(replace(step_of(row).observed((length,)), segment=segment))
+        step, segment = step_of(row), row.index(SEGMENT) if in_segments else 0
+        observation = check(replace(step.observed((row.metres("length_m"),)), segment=segment))
         if not observation.accepted:
             raise DataError(f"{row.place}: {observation.reason}")
         observations.append(observation)
