@@ -19,7 +19,7 @@ from rotcal_ros.report.terminal.console import progress
 
 if TYPE_CHECKING:
     from rotcal_ros.methods import Calibration
-    from rotcal_ros.methods.tracer.design.sequence_choice import MeasuringOrder
+    from rotcal_ros.methods.tracer.design.sequence import MeasuringOrder
     from rotcal_ros.planning.sequence_time import TimeModel
 
 
@@ -58,8 +58,8 @@ def command(
 ) -> int:
     """Find the quickest order of a tracer plan in which drifts and knocks would be seen."""
     from rotcal_ros.methods import changed, prepare_whole, read_configuration
-    from rotcal_ros.methods.tracer.design.sequence_choice import best_order
-    from rotcal_ros.methods.tracer.plan_tables import write_pairs
+    from rotcal_ros.methods.tracer.design.sequence import best_order
+    from rotcal_ros.methods.tracer.table import write_pairs
     from rotcal_ros.methods.tracer.timing import cell_run, cell_time, plan_seconds
     from rotcal_ros.planning.sequence_time import stated_time
 
@@ -96,8 +96,7 @@ def _orders(
 ) -> tuple[MeasuringOrder, ...]:
     """Return the competing orders of the plan's lengths."""
     from rotcal_ros.methods.tracer.calibration import problem
-    from rotcal_ros.methods.tracer.design.sequence_choice import measuring_orders
-    from rotcal_ros.methods.tracer.design.sequence_forecast import SequenceForecast
+    from rotcal_ros.methods.tracer.design.sequence import SequenceForecast, measuring_orders
 
     plan = calibration.plan
     position, target = (

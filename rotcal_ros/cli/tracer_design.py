@@ -116,7 +116,7 @@ def _write(folder: Path, found: OrderedDesign, pattern: Configuration | None) ->
     from rotcal_ros.foundation.files import write_atomically
     from rotcal_ros.foundation.untrusted import load_yaml
     from rotcal_ros.methods.configuration import dump_configuration
-    from rotcal_ros.methods.tracer.plan_tables import write_pairs, write_targets
+    from rotcal_ros.methods.tracer.table import write_pairs, write_targets
 
     settings, scene, lengths = found.design.settings, found.design.scene, found.lengths
     folder.mkdir(parents=True, exist_ok=True)

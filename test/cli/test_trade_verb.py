@@ -11,7 +11,7 @@ from rotcal_ros.cli.plan import command
 from rotcal_ros.foundation.errors import ConfigurationError, PlanError
 from rotcal_ros.methods.configuration import changed, parse_configuration
 from rotcal_ros.methods.plane_mirror.trade import USUAL, mirror_trade
-from rotcal_ros.methods.tracer.plan_tables import read_pairs
+from rotcal_ros.methods.tracer.table import read_pairs
 
 CONFIG = Path(__file__).parents[2] / "config"
 

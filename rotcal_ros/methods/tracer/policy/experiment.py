@@ -1,17 +1,17 @@
 """The lengths of a laser tracer as an experiment: what any choice of steps would give.
 
 Everything is linear about the nominal place of the tracer (:class:`Information`); what was
-observed enters only the estimate of the noise and the tests.
-
-What observed lengths say against each other, stations and zeros being unknown.
+observed enters only the estimate of the noise and the tests, and what the result of the lengths so
+far would state (:class:`Stated`): the U that ends a measurement.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
+from math import inf, sqrt
+from typing import Final, TypeAlias
 
 import numpy as np
 
@@ -22,20 +22,154 @@ from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.methods.tracer.design.information import Information
 from rotcal_ros.methods.tracer.design.ordering import noisy_problem
 from rotcal_ros.methods.tracer.design.scene import Lengths, Scene
-from rotcal_ros.methods.tracer.policy.contrasts import LengthContrasts
-from rotcal_ros.methods.tracer.policy.measured_lengths import MeasuredLengths
 from rotcal_ros.methods.tracer.policy.noise import (
+    LengthContrasts,
     LengthNoise,
     estimated_noise,
     judged_lengths,
     suspect_length,
 )
-from rotcal_ros.methods.tracer.policy.stated_uncertainty import Solver
 from rotcal_ros.methods.tracer.solver.grid import station_minimum
-from rotcal_ros.methods.tracer.solver.prediction import predicted
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
+from rotcal_ros.methods.tracer.solver.trials import predicted
 from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
 from rotcal_ros.planning.plan import Plan
+from rotcal_ros.planning.time_order import time_order
+
+PLACING_STEPS: Final = 8
+"""Gauss-Newton steps that place the stations from nominal places, a few centimetres off."""
+RIDGE: Final = 1e-12
+"""Share of the diagonal that keeps a station in place where its lengths leave a direction open."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stated:
+    """A result as the solver states it now.
+
+    ``uncertainty``: U of ECC less its mean, k = 2, rms over the angles, rad; infinite without a
+    result. ``error_motion`` (m): the most likely one of the table, where the solver estimates it.
+    ``doubt``: why the verdict is not ok, or why there is no result; empty: it is ok.
+    """
+
+    uncertainty: float
+    error_motion: float = 0.0
+    doubt: str = ""
+
+
+Solver: TypeAlias = Callable[[Sequence[Observation]], Stated]
+"""Solves all accepted observations as the calibration will."""
+
+
+@dataclass(frozen=True, slots=True)
+class Allowance:
+    """How what is stated follows from what lengths are planned to give.
+
+    stated^2 = floor^2 + (growth * planned)^2: ``floor`` (rad) is the part of an estimated error
+    motion, which no length lowers; ``growth`` is what the solver makes of the rest by estimating
+    noise and error motion, allowing for slips, leaving lengths out.
+    """
+
+    floor: float = 0.0
+    growth: float = 1.0
+
+    @classmethod
+    def of(cls, stated: float, planned: float, floor: float) -> Allowance:
+        """Return the allowance that makes ``stated`` of ``planned``, both in rad."""
+        if not 0.0 < planned < inf:
+            return cls(floor)
+        return cls(floor, sqrt(max(stated**2 - floor**2, 0.0)) / planned)
+
+    def stated(self, planned: float) -> float:
+        """Return what is stated where so much is ``planned``, rad."""
+        return sqrt(self.floor**2 + (self.growth * planned) ** 2)
+
+    def planned(self, stated: float) -> float:
+        """Return what has to be planned for so much to be ``stated``, rad; 0: nothing helps."""
+        return sqrt(max(stated**2 - self.floor**2, 0.0)) / self.growth
+
+
+class MeasuredLengths:
+    """Accepted observations of single steps, as the solver will take them.
+
+    With a zero per station the last observation of a step counts, with a zero ``per_segment`` the
+    last one of each run: a run begins a segment, and so does a beam that was broken.
+    """
+
+    def __init__(self, per_segment: bool, observations: Iterable[Observation] = ()) -> None:
+        self.per_segment = per_segment
+        self._kept: dict[tuple[int, int], Observation] = {}
+        self._latest: tuple[int, int] | None = None
+        for observation in observations:
+            self.add(observation)
+
+    def add(self, observation: Observation) -> None:
+        """Take an observation in place of what it repeats."""
+        self._kept[self._key(observation)] = observation
+        self._latest = self._beam(observation)
+        self._forget()
+
+    def drop(self, observation: Observation) -> None:
+        """Forget an observation."""
+        del self._kept[self._key(observation)]
+        self._forget()
+
+    def _forget(self) -> None:
+        """Have what follows from the observations worked out anew: they have changed."""
+        for name in ("observations", "beams"):
+            self.__dict__.pop(name, None)
+
+    @cached_property
+    def observations(self) -> tuple[Observation, ...]:
+        """All that count, in an order that does not depend on when they came."""
+        return tuple(self._kept[key] for key in sorted(self._kept))
+
+    def time_order(self) -> Ints:
+        """Return the rank (k,) in time of each of the ``observations``."""
+        return time_order(self.observations)
+
+    @property
+    def steps(self) -> set[int]:
+        """The steps that were measured."""
+        return {step for _, step in self._kept}
+
+    def __contains__(self, step: int) -> bool:
+        return step in self.steps
+
+    def last_of(self, step: int) -> Observation | None:
+        """Return the last observation of a step, None without any."""
+        own = [key for key in self._kept if key[1] == step]
+        return self._kept[max(own)] if own else None
+
+    def only(self, steps: Collection[int]) -> MeasuredLengths:
+        """Return what was measured of ``steps``."""
+        return MeasuredLengths(self.per_segment, (o for o in self.observations if o.step in steps))
+
+    @cached_property
+    def beams(self) -> tuple[tuple[int, int], ...]:
+        """Run and segment of every unbroken beam, the one that is read now among them."""
+        every = {self._beam(o) for o in self._kept.values()} | {self._latest or (0, 0)}
+        return tuple(sorted(every))
+
+    def segments(self) -> Ints:
+        """Return the place among ``beams`` of the one that each observation (k,) was read from."""
+        number = {beam: place for place, beam in enumerate(self.beams)}
+        return np.array([number[self._beam(o)] for o in self.observations], dtype=np.int64)
+
+    @property
+    def segment_now(self) -> int:
+        """The place among ``beams`` of the one that further lengths will be read from."""
+        return self.beams.index(self._latest or (0, 0))
+
+    def of_one_zero(self, a: Observation, b: Observation) -> bool:
+        """Tell whether both count from the same zero, being of one step."""
+        return not self.per_segment or self._beam(a) == self._beam(b)
+
+    def _key(self, observation: Observation) -> tuple[int, int]:
+        return (observation.run if self.per_segment else 0, observation.step)
+
+    @staticmethod
+    def _beam(observation: Observation) -> tuple[int, int]:
+        return observation.run, observation.segment
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,8 +277,7 @@ class LengthExperiment:
             covariance = predicted(problem, self.scene.stations).angles.covariance
         except ObservabilityError:
             return np.inf  # enough lengths, in directions too much alike
-        about_mean = np.trace(covariance - covariance.mean(axis=0))
-        return coverage_factor * float(np.sqrt(about_mean / len(covariance)))
+        return coverage_factor * rms_about_mean(covariance)
 
     def posed(
         self, measured: MeasuredLengths, noise: float, further: Sequence[int] | Ints = ()
@@ -167,6 +300,7 @@ class LengthExperiment:
 
     def share_of_noise(self, measured: MeasuredLengths, noise: float) -> float:
         """Return d ln(variance) / d ln(noise^2): how much of the mean variance the noise makes."""
+        # a central difference over +-5 % of the noise
         low, high = (
             self.information(measured, noise * f).variances().mean() for f in (0.95, 1.05)
         )
@@ -235,15 +369,15 @@ class LengthExperiment:
         return found
 
 
+def rms_about_mean(covariance: Floats) -> float:
+    """Return the rms standard deviation of angles (m,) less their mean, from ``covariance``."""
+    about_mean = np.trace(covariance - covariance.mean(axis=0))
+    return float(np.sqrt(about_mean / len(covariance)))
+
+
 def rms(known: Information) -> float:
     """Return the root mean square of the standard deviations of the angles, rad."""
     return float(np.sqrt(known.variances().mean()))
-
-
-PLACING_STEPS: Final = 8
-"""Gauss-Newton steps that place the stations from nominal places, a few centimetres off."""
-RIDGE: Final = 1e-12
-"""Share of the diagonal that keeps a station in place where its lengths leave a direction open."""
 
 
 def contrasts(

@@ -3,23 +3,26 @@
 The quickest order of all turns the table once round. A drift then follows the angle, and a knock
 shows at one end only. So orders of several sweeps compete with it, there and back, each with its
 share of the lengths of every position: what drifts is then at each position at early and late
-times alike. A *closed* single sweep keeps half of the first position for its end. The solver's own
-forecast says which of them is protected; the quickest of those is taken.
+times alike. A *closed* single sweep keeps half of the first position for its end. The quickest of
+those that are protected is taken.
 
-The order of the lengths of a plan: the shortest way over table and machine.
+Protected is what the solver's own statement says (:mod:`~..solver.protections`) at the nominal
+geometry: a plan is solved once with lengths that have the stated noise, and judged for as many
+orders as wanted. Exact lengths would be taken for a quieter instrument.
 
-An open travelling-salesman path over the pairs (table position, target). The times are not
-symmetric, because a table that comes from above passes its angle and returns. Improved by
-reversing a stretch (2-opt, Croes 1958) and by moving up to three lengths elsewhere (Or 1976), the
-best move of all at a time; then kicked by double bridges (Martin, Otto and Felten 1991) and
-improved again.
+An order is an open travelling-salesman path over the pairs (table position, target). The times are
+not symmetric, because a table that comes from above passes its angle and returns. A path is
+improved by reversing a stretch (2-opt, Croes 1958) and by moving up to three lengths elsewhere (Or
+1976), the best move of all at a time; then kicked by double bridges (Martin, Otto and Felten 1991)
+and improved again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from math import inf, isfinite
 from typing import Final
 
 import numpy as np
@@ -28,13 +31,15 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.protection import TOLERABLE
-from rotcal_ros.methods.tracer.design.sequence_forecast import Forecast
+from rotcal_ros.methods.tracer.solver.problem import TracerProblem
+from rotcal_ros.methods.tracer.solver.protections import of_the_order
+from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
 from rotcal_ros.planning.sequence_time import duration
 
 Blocks = Callable[[Ints], Ints]
-
 CLOSED: Final = "closed"
 MOST_SWEEPS: Final = 4
+"""Each further sweep costs the table its way once more."""
 SPARSE: Final = (2, 3)
 """Of every so many positions one is visited once more by a last sweep, which saves turns."""
 DRAWS: Final = 8
@@ -51,6 +56,70 @@ HOPELESS: Final = 2.5
 """Times the limit from which trading would be in vain."""
 SAFE: Final = 0.95
 """Share of the limit at which trading ends: the ways within a sweep are shortened afterwards."""
+LONGEST_MOVED: Final = 3
+"""Lengths in a row that are moved elsewhere at once."""
+LEAST_GAIN: Final = 1e-5
+"""Gain (s) that is none: below it is the rounding of sums with FORBIDDEN."""
+FORBIDDEN: Final = 1e5
+"""Time (s) of a step that leaves its sweep too early."""
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """The largest errors that may stay unseen, in standard uncertainties; infinite: any."""
+
+    drift: float
+    knock: float
+
+    @property
+    def worst(self) -> float:
+        """The larger one of both."""
+        return max(self.drift, self.knock)
+
+    @property
+    def protected(self) -> bool:
+        """Whether both are small enough not to be named in a verdict."""
+        return self.worst <= TOLERABLE
+
+    def to_dict(self) -> dict[str, float | None]:
+        """Return the forecast as plain data, None where nothing bounds an error."""
+        return {
+            name: value if isfinite(value) else None
+            for name, value in (("drift", self.drift), ("knock", self.knock))
+        }
+
+
+class SequenceForecast:
+    """Judges orders of the lengths of one plan; ``problem`` holds lengths with the stated noise.
+
+    Raises ObservabilityError when the plan cannot tell the angle at all.
+    """
+
+    def __init__(self, problem: TracerProblem) -> None:
+        self._solution: TracerSolution = adjust(problem)
+
+    def __call__(self, order: Ints) -> Forecast:
+        """Return the forecast for ``order`` (k,): rows of the problem as they are measured."""
+        problem = replace(self._solution.problem, order=ranks(order))
+        solution = replace(self._solution, problem=problem)
+        drift, knock = (
+            _unseen(effect.treatment, effect.error) for effect in of_the_order(solution)
+        )
+        return Forecast(drift=drift, knock=knock)
+
+
+def ranks(order: Ints) -> Ints:
+    """Return when each row (k,) is measured in an ``order`` (k,) of rows."""
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order))
+    return rank
+
+
+def _unseen(treatment: str, error: float | None) -> float:
+    """Return the error of a statement: none where it is harmless, any where nothing tells it."""
+    if error is not None:
+        return error
+    return 0.0 if treatment == "harmless" else inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +175,7 @@ def measuring_orders(
         trade = None if name == CLOSED or len(position) > MOST_KICKED else forecast
         sweeps_at = np.sort(block)
         block[_traded(_listed(block), position, sweeps_at, trade, SAFE * limit, rng)] = sweeps_at
-        swept = in_sweeps(costs, block)
+        swept = _in_sweeps(costs, block)
         order = improved(swept, _start(swept, block))
         order = _traded(order, position, sweeps_at, trade, limit, rng)
         found.append(_judged(name, order, costs, bound, forecast))
@@ -244,14 +313,6 @@ def _badness(way: MeasuringOrder) -> tuple[float, float]:
     return _worst(way), way.seconds
 
 
-LONGEST_MOVED: Final = 3
-"""Lengths in a row that are moved elsewhere at once."""
-LEAST_GAIN: Final = 1e-5
-"""Gain (s) that is none: below it is the rounding of sums with FORBIDDEN."""
-FORBIDDEN: Final = 1e5
-"""Time (s) of a step that leaves its sweep too early."""
-
-
 def nearest_next(costs: Floats, first: int = 0) -> Ints:
     """Return the path (k,) that always goes to the nearest length left; ``costs`` (k, k)."""
     left = np.ones(len(costs), dtype=np.bool_)
@@ -290,7 +351,7 @@ def shortest_possible(costs: Floats) -> float:
     return float(tree.sum() + (least - 1.0) * (len(costs) - 1))
 
 
-def in_sweeps(costs: Floats, sweep: Ints) -> Floats:
+def _in_sweeps(costs: Floats, sweep: Ints) -> Floats:
     """Return ``costs`` (k, k) for paths that take the blocks ``sweep`` (k,) in their order."""
     step = sweep - sweep[:, None]
     return np.asarray(costs + FORBIDDEN * ((step < 0) | (step > 1)), dtype=np.float64)
