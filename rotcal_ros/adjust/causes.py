@@ -112,11 +112,11 @@ class Explanation(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Belief:
+class Diagnosis:
     """What is believed so far: observations in use, noise, what was found and what rivals it.
 
     ``why`` says by row why an observation was left out, ``taken`` which effects became unknowns.
-    ``contested``: weights and changes (o,) of the outputs by ``rivals``, which are said in words.
+    ``contested``: weights and changes (o,) of the outputs by ``rivals``, which are told in words.
     """
 
     model: Model
@@ -141,8 +141,8 @@ class Belief:
         """The solution with the noise that is believed."""
         return self.fitted(self.noise.factors, self.start)
 
-    def leaving_out(self, found: Explanation) -> Belief:
-        """Return the belief without the rows of an explanation."""
+    def leaving_out(self, found: Explanation) -> Diagnosis:
+        """Return the diagnosis without the rows of an explanation."""
         used, name = self.used.copy(), self.model.row_name
         used[found.rows] = False
         reasons = {row: f"{name(row)}: {found.reason}" for row in found.rows.tolist()}
@@ -151,23 +151,25 @@ class Belief:
             gathering = replace(gathering, blamed=(*gathering.blamed, found.blamed))
         return replace(self, used=used, why=self.why | reasons, gathering=gathering)
 
-    def holding(self, found: Explanation, rivals: Sequence[Explanation]) -> Belief:
-        """Return the belief that ``found`` is true, and that its ``rivals`` are possible."""
+    def holding(self, found: Explanation, rivals: Sequence[Explanation]) -> Diagnosis:
+        """Return the diagnosis that ``found`` is true, and that its ``rivals`` are possible."""
         weight = np.exp([e.support - found.support for e in rivals])
         weight = weight / (1.0 + weight.sum())
         contested = [(w, e.change - found.change) for w, e in zip(weight, rivals, strict=True)]
-        said = [
+        ambiguous = [
             f"that {found.what} explains the residuals, and that {e.what} does so nearly as well "
             f"(likelihood 1 : {np.exp(found.support - e.support):.2g}): U covers both"
             for e in rivals
         ]
-        here = replace(self, contested=(*self.contested, *contested), rivals=(*self.rivals, *said))
+        here = replace(
+            self, contested=(*self.contested, *contested), rivals=(*self.rivals, *ambiguous)
+        )
         if found.effect is not None:
             return replace(here, taken=(*here.taken, found))
         return here.leaving_out(found)
 
 
-def found_causes(model: Model, limits: Limits) -> Belief:
+def found_causes(model: Model, limits: Limits) -> Diagnosis:
     """Return what is believed when nothing significant is left unexplained.
 
     Gross errors wait outside from the start, and come back where they agree after all, or where
@@ -175,7 +177,7 @@ def found_causes(model: Model, limits: Limits) -> Belief:
     """
     start, gross = _robust_start(model, limits)
     noise, every = Noise(np.ones(len(model.components))), np.ones(len(model.observed), np.bool_)
-    whole = Belief(model, limits, every, noise, start)
+    whole = Diagnosis(model, limits, every, noise, start)
     if not len(gross):
         return _explained(whole)
     apart = _come_back(_explained(_outside(whole, gross)), gross)
@@ -186,58 +188,58 @@ def found_causes(model: Model, limits: Limits) -> Belief:
     return min(apart, together, key=_improbability)
 
 
-def _outside(belief: Belief, gross: Ints) -> Belief:
-    used = np.isin(np.arange(len(belief.used)), gross, invert=True)
-    name = belief.model.row_name
+def _outside(diagnosis: Diagnosis, gross: Ints) -> Diagnosis:
+    used = np.isin(np.arange(len(diagnosis.used)), gross, invert=True)
+    name = diagnosis.model.row_name
     why = {row: f"{name(row)}: far off all others" for row in gross.tolist()}
-    return replace(belief, used=used, why=why)
+    return replace(diagnosis, used=used, why=why)
 
 
-def _come_back(belief: Belief, gross: Ints) -> Belief:
-    """Return the belief with those of the ``gross`` observations that agree after all."""
-    limit = belief.limits.outlier(belief.model)
-    back = gross[np.abs(belief.fit.test_value[gross]) <= limit].tolist()
+def _come_back(diagnosis: Diagnosis, gross: Ints) -> Diagnosis:
+    """Return the diagnosis with those of the ``gross`` observations that agree after all."""
+    limit = diagnosis.limits.outlier(diagnosis.model)
+    back = gross[np.abs(diagnosis.fit.test_value[gross]) <= limit].tolist()
     if not back:
-        return belief
-    used = belief.used | np.isin(np.arange(len(belief.used)), back)
-    why = {row: text for row, text in belief.why.items() if row not in back}
-    return _explained(replace(belief, used=used, why=why))
+        return diagnosis
+    used = diagnosis.used | np.isin(np.arange(len(diagnosis.used)), back)
+    why = {row: text for row, text in diagnosis.why.items() if row not in back}
+    return _explained(replace(diagnosis, used=used, why=why))
 
 
-def _improbability(belief: Belief) -> float:
+def _improbability(diagnosis: Diagnosis) -> float:
     """Return BIC: twice -ln of the probability, by which whole beliefs are compared.
 
     As in :meth:`Look._support`; an observation that is left out is explained by itself.
     """
-    fit, n = belief.fit, len(belief.used)
-    factors = belief.noise.factors[belief.model.of_component[belief.used]]
-    families = [e.effect for e in belief.taken if e.effect is not None and e.effect.family]
+    fit, n = diagnosis.fit, len(diagnosis.used)
+    factors = diagnosis.noise.factors[diagnosis.model.of_component[diagnosis.used]]
+    families = [e.effect for e in diagnosis.taken if e.effect is not None and e.effect.family]
     alternatives = [effect.at(fit.computed).shape[1] for effect in families]
-    unknowns = fit.basis.shape[1] + 3 * len(belief.why)
+    unknowns = fit.basis.shape[1] + 3 * len(diagnosis.why)
     spread = 2.0 * float(np.log(factors).sum() + np.log(alternatives).sum())
     return fit.chi2 + spread + unknowns * float(np.log(n))
 
 
-def _explained(belief: Belief) -> Belief:
+def _explained(diagnosis: Diagnosis) -> Diagnosis:
     bent = True
     while True:
-        noise, fit = _settled_noise(belief, bent)
-        look = Look(replace(belief, noise=noise, start=fit.x), fit)
-        belief = look.belief
+        noise, fit = _settled_noise(diagnosis, bent)
+        look = Look(replace(diagnosis, noise=noise, start=fit.x), fit)
+        diagnosis = look.diagnosis
         best = max(look.significant(), key=lambda e: e.support, default=None)
-        if best is not None and _bearable(belief, best):
-            belief = belief.holding(best, look.rivals(best))
+        if best is not None and _bearable(diagnosis, best):
+            diagnosis = diagnosis.holding(best, look.rivals(best))
         elif bent:
             bent = False
         else:
-            return belief
+            return diagnosis
 
 
-def _bearable(belief: Belief, found: Explanation) -> bool:
+def _bearable(diagnosis: Diagnosis, found: Explanation) -> bool:
     """Whether what is left with an explanation still determines the unknowns."""
-    after = belief.holding(found, [])
+    after = diagnosis.holding(found, [])
     try:
-        after.fitted(belief.noise.factors, belief.start)
+        after.fitted(diagnosis.noise.factors, diagnosis.start)
     except ObservabilityError:
         return False
     return bool(after.used.any())
@@ -245,14 +247,14 @@ def _bearable(belief: Belief, found: Explanation) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """What the solution of a belief says: its groups are judged, explanations can be asked for."""
+    """What the solution of a diagnosis says: its groups are judged, explanations can be asked for."""
 
-    before: Belief
+    before: Diagnosis
     fit: Fit
 
     @cached_property
-    def belief(self) -> Belief:
-        """The belief with what its groups say."""
+    def diagnosis(self) -> Diagnosis:
+        """The diagnosis with what its groups say."""
         gathering = judged(self.before.gathering, self._groups(), self.rest)
         return replace(self.before, gathering=gathering)
 
@@ -269,7 +271,7 @@ class Look:
         for found in self.effects:
             if found.test is not None and found.test.probability < limits.of_each_effect(model):
                 yield found
-        judgement = self.belief.gathering.judgement
+        judgement = self.diagnosis.gathering.judgement
         if judgement is None or not judgement.proved(limits.significance):
             return
         # that proof takes the noise for known; of few residuals its chance is drawn
@@ -347,7 +349,7 @@ class Look:
         test = effect_test(seen_by(self.fit, column))
         e, k, listed = case.group.size, len(rows), max(len(case.group.gathered), 1)
         any_of_them = gammaln(e + 1) - gammaln(k + 1) - gammaln(e - k + 1) + np.log(e)
-        groups = len(self.belief.gathering.counts)
+        groups = len(self.diagnosis.gathering.counts)
         choices = np.log(RARER * groups) + min(np.log(listed), any_of_them)
         size = model.unit.shown(float(np.linalg.norm(case.size)))
         return Explanation(
@@ -462,23 +464,23 @@ def _better(model: Model, fit: Fit) -> Bools:
     return kept
 
 
-def _settled_noise(belief: Belief, bent: bool) -> tuple[Noise, Fit]:
+def _settled_noise(diagnosis: Diagnosis, bent: bool) -> tuple[Noise, Fit]:
     """Return the noise as stated, or estimated where that is contradicted, and the fit with it.
 
     ``bent``: large residuals count no more than some, while outliers are about.
     """
-    ones = np.ones(len(belief.model.components))
-    stated = belief.fitted(ones, belief.start)
+    ones = np.ones(len(diagnosis.model.components))
+    stated = diagnosis.fitted(ones, diagnosis.start)
     chance = _evidence(stated, bent).probabilities()
-    if chance.min() >= belief.limits.significance / len(chance):
+    if chance.min() >= diagnosis.limits.significance / len(chance):
         return Noise(ones), stated
 
     def at(factors: Floats, before: Fit) -> tuple[NoiseEvidence, Fit]:
-        fit = belief.fitted(factors, before.x)
+        fit = diagnosis.fitted(factors, before.x)
         return _evidence(fit, bent), fit
 
     found, fit = estimate_factors(
-        at, stated, belief.noise.factors, np.eye(len(ones)) / PRIOR**2,
+        at, stated, diagnosis.noise.factors, np.eye(len(ones)) / PRIOR**2,
         NEARLY_SETTLED if bent else SETTLED,
     )  # fmt: skip
     if found.factors.min() < LEAST_FACTOR * (1.0 + 1e-9):

@@ -24,7 +24,7 @@ from typing import Any, Final
 import numpy as np
 
 from rotcal_ros.adjust import gathering
-from rotcal_ros.adjust.causes import Belief, Limits, found_causes, seen_by
+from rotcal_ros.adjust.causes import Diagnosis, Limits, found_causes, seen_by
 from rotcal_ros.adjust.distributions import chi2_isf, chi2_sf
 from rotcal_ros.adjust.effects import Seen, Unseen, unseen, unseen_family
 from rotcal_ros.adjust.gathering import SUSPECTED, GatheringLimits
@@ -48,9 +48,9 @@ LIMITS: Final = Limits()
 
 @dataclass(frozen=True, eq=False)
 class Adjusted:
-    """A solved model: what is ``believed`` of its observations, and the solution that follows."""
+    """A solved model: the ``diagnosis`` of its observations, and the solution that follows."""
 
-    believed: Belief
+    diagnosis: Diagnosis
     fit: Fit
 
     @property
@@ -61,7 +61,7 @@ class Adjusted:
     @property
     def why(self) -> dict[int, str]:
         """By row, why an observation was left out."""
-        return self.believed.why
+        return self.diagnosis.why
 
     @property
     def value(self) -> Floats:
@@ -72,9 +72,9 @@ class Adjusted:
     def covariance(self) -> Floats:
         """Covariance (o, o) of the outputs, with all that is probable but not proved."""
         total = self.scale**2 * (self.fit.response @ self.fit.response.T)
-        for weight, change in self.believed.contested:
+        for weight, change in self.diagnosis.contested:
             total = total + weight * np.outer(change, change)
-        gathers = self.believed.gathering.covariance()
+        gathers = self.diagnosis.gathering.covariance()
         return np.asarray(total if gathers is None else total + gathers)
 
     @property
@@ -85,7 +85,7 @@ class Adjusted:
     @property
     def scale(self) -> float:
         """Factor on all standard uncertainties for noise that its components do not explain."""
-        fit, significance = self.fit, self.believed.limits.significance
+        fit, significance = self.fit, self.diagnosis.limits.significance
         if not fit.dof or fit.chi2 <= fit.dof or chi2_sf(fit.chi2, fit.dof) >= significance:
             return 1.0
         return float(np.sqrt(fit.chi2 / fit.dof))
@@ -119,7 +119,7 @@ class Adjusted:
     def verdict(self) -> Verdict:
         """Whether the model describes the observations."""
         share = len(self.why) / max(int(self.model.may_go.sum()), 1)
-        larger = self.scale * self.believed.noise.factors.max(initial=1.0)
+        larger = self.scale * self.diagnosis.noise.factors.max(initial=1.0)
         if share > FAILED_SHARE or larger > FAILED_FACTOR:
             return "failed"
         return "suspect" if self.doubts else "ok"
@@ -194,19 +194,19 @@ class Adjusted:
                 "p_value": chi2_sf(self.fit.chi2, self.fit.dof) if self.fit.dof else None,
             },
             "noise": dict(
-                zip(self.model.components, self.believed.noise.factors.tolist(), strict=True)
+                zip(self.model.components, self.diagnosis.noise.factors.tolist(), strict=True)
             ),
             "effects_found": [
                 {"effect": e.effect.effect, "size": e.test.size}
-                for e in self.believed.taken
+                for e in self.diagnosis.taken
                 if e.effect is not None and e.test is not None
             ],
-            "gathering": gathering.details(self.believed.gathering, "observations"),
+            "gathering": gathering.details(self.diagnosis.gathering, "observations"),
         }
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
+class PlanPrediction:
     """What a plan would give: ``std`` (o,), ``redundancy`` (n,), by effect what stays unseen."""
 
     std: Floats
@@ -214,7 +214,7 @@ class Prediction:
     unseen: dict[Effect, Unseen]
 
 
-def predicted(model: Model, limits: Limits = LIMITS) -> Prediction:
+def predicted(model: Model, limits: Limits = LIMITS) -> PlanPrediction:
     """Return what ``model`` would give; its observations do not matter.
 
     Raises ObservabilityError where they leave a direction open.
@@ -227,7 +227,7 @@ def predicted(model: Model, limits: Limits = LIMITS) -> Prediction:
         e.effect: _unseen(e, seen_by(fit, e.at(computed)), std, limits.of_each_effect(model))
         for e in model.effects
     }
-    return Prediction(std, fit.redundancy, every)
+    return PlanPrediction(std, fit.redundancy, every)
 
 
 def adjust(model: Model, limits: Limits = LIMITS) -> Adjusted:
@@ -237,32 +237,32 @@ def adjust(model: Model, limits: Limits = LIMITS) -> Adjusted:
     DataError where they contradict each other so much that nothing settles.
     """
     require_determined(model)
-    belief = found_causes(model, limits)
-    return Adjusted(belief, belief.fit)
+    diagnosis = found_causes(model, limits)
+    return Adjusted(diagnosis, diagnosis.fit)
 
 
 def _doubts(found: Adjusted) -> Iterator[str]:
-    model, limits = found.model, found.believed.limits
+    model, limits = found.model, found.diagnosis.limits
     for k in np.flatnonzero(_larger(found)).tolist():
         yield (
-            f"the scatter of {model.components[k]} is {found.believed.noise.factors[k]:.2g} times "
-            "as stated: the estimate is used; state it, or look for drift"
+            f"the scatter of {model.components[k]} is {found.diagnosis.noise.factors[k]:.2g} "
+            "times as stated: the estimate is used; state it, or look for drift"
         )
     if found.scale > 1.0:
         yield (
             f"the residuals are {found.scale:.2g} times what their standard deviations allow "
             "(chi-squared test): the uncertainty is enlarged by that factor"
         )
-    for effect, test in ((e.effect, e.test) for e in found.believed.taken):
+    for effect, test in ((e.effect, e.test) for e in found.diagnosis.taken):
         if effect is not None and test is not None:
             sizes = ", ".join(effect.unit.shown(s) for s in test.size.tolist())
             yield (
                 f"it looks as if {effect.what}, by {sizes} (p = {test.probability:.2g}): that was "
                 "taken off, and the uncertainty holds it; find out why, and measure again"
             )
-    yield from found.believed.rivals
+    yield from found.diagnosis.rivals
     yield from gathering.doubts(
-        found.believed.gathering,
+        found.diagnosis.gathering,
         GatheringLimits(limits.rejected_share, limits.significance),
         model.words,
     )
@@ -276,16 +276,16 @@ def _doubts(found: Adjusted) -> Iterator[str]:
 
 def _larger(found: Adjusted) -> Bools:
     """Return which components of the noise are larger than stated."""
-    estimated = found.believed.noise.estimated
+    estimated = found.diagnosis.noise.estimated
     if estimated is None:
         return np.zeros(len(found.model.components), dtype=np.bool_)
-    beyond = estimated.contradicted(found.believed.limits.significance)
+    beyond = estimated.contradicted(found.diagnosis.limits.significance)
     return np.asarray(beyond & (estimated.factors > 1.0), dtype=np.bool_)
 
 
 def _protections(found: Adjusted) -> Iterator[Protection]:
-    each = found.believed.limits.of_each_effect(found.model)
-    taken = {e.effect.effect for e in found.believed.taken if e.effect is not None}
+    each = found.diagnosis.limits.of_each_effect(found.model)
+    taken = {e.effect.effect for e in found.diagnosis.taken if e.effect is not None}
     worst: dict[Effect, tuple[Unseen, Disturbing]] = {}
     for effect, seen in found.seen:
         hides = _unseen(effect, seen, found.std, each)
@@ -316,13 +316,13 @@ def _against_noise(found: Adjusted) -> Protection:
     dof = found.fit.dof
     if not dof:
         return Protection("axis noise", "not protected", "nothing is measured twice")
-    ratio = float(chi2_isf(found.believed.limits.significance, dof) / chi2_isf(POWER, dof))
+    ratio = float(chi2_isf(found.diagnosis.limits.significance, dof) / chi2_isf(POWER, dof))
     why = f"{dof} residuals test the stated noise, which is estimated where it does not hold"
     return Protection("axis noise", "tested", why, float(np.sqrt(max(ratio - 1.0, 0.0))))
 
 
 def _against_gathering(found: Adjusted) -> Iterator[Protection]:
-    judgement = found.believed.gathering.judgement
+    judgement = found.diagnosis.gathering.judgement
     if judgement is None:
         return
     words, unit = found.model.words, found.model.unit

@@ -184,8 +184,8 @@ def test_a_drift_is_found_told_in_words_and_taken_off():
     truth, model = comparison(np.random.default_rng(7))
     drifting = model.effects[0].columns[:, 0] * 40e-6
     found = adjust(replace(model, observed=model.observed + drifting))
-    assert [e.effect.effect for e in found.believed.taken] == ["drift"]
-    assert found.believed.taken[0].test.size == pytest.approx([40e-6], rel=0.2)
+    assert [e.effect.effect for e in found.diagnosis.taken] == ["drift"]
+    assert found.diagnosis.taken[0].test.size == pytest.approx([40e-6], rel=0.2)
     assert found.doubts[0].startswith("it looks as if the instrument drifts, by ")
     assert found.verdict == "suspect"
     assert (np.abs(found.value - truth) <= 4.0 * found.std).all()
@@ -218,7 +218,7 @@ def test_it_is_no_matter_which_of_two_causes_it_was_where_both_do_the_same():
 def test_noise_that_was_stated_wrong_is_estimated(factor):
     truth, model = comparison(np.random.default_rng(9), noise=factor * SIGMA)
     found = adjust(model)
-    assert found.believed.noise.factors[0] == pytest.approx(factor, rel=0.25)
+    assert found.diagnosis.noise.factors[0] == pytest.approx(factor, rel=0.25)
     assert found.verdict == ("suspect" if factor > 1.0 else "ok")
     assert (np.abs(found.value - truth) <= 4.0 * found.std).all()
 
@@ -233,7 +233,7 @@ def test_components_of_the_noise_are_told_apart():
         component=np.where(noisy, 0, 1),
     )  # fmt: skip
     found = adjust(parts)
-    assert found.believed.noise.factors == pytest.approx([5.0, 1.0], rel=0.3)
+    assert found.diagnosis.noise.factors == pytest.approx([5.0, 1.0], rel=0.3)
     assert "the scatter of runs 0, 1 is" in found.doubts[0]
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from rotcal_ros.adjust.distributions import chi2_isf, normal_isf
 from rotcal_ros.adjust.low_rank import LowRank
+from rotcal_ros.adjust.noise import LEAST_REDUNDANCY
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
 from rotcal_ros.foundation.protection import POWER, Effect, Protection, ordered
@@ -46,7 +47,6 @@ from rotcal_ros.methods.tracer.solver.network import (
     view_of,
 )
 from rotcal_ros.methods.tracer.solver.reported import Slope, excess_of
-from rotcal_ros.methods.tracer.solver.screening import LEAST_REDUNDANCY
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution
 from rotcal_ros.methods.tracer.solver.uncertainty import circle_tested, error_motion_spread
 from rotcal_ros.methods.tracer.solver.verdict import FAILED_FACTORS, closures

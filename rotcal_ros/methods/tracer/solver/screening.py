@@ -10,16 +10,10 @@ distance
 targets x, targets y, targets z
     the machine's coordinates, axis by axis, where they are observations.
 
-A component is *contradicted* when its weighted sum of squared residuals q does not fit its
-redundancy r: q is compared with a chi-squared of the same mean and variance. While no component is
-contradicted the statements stand as they are, to the last bit. Otherwise all factors are estimated
-by restricted maximum likelihood (Fisher scoring on ln s; Koch, *Parameter Estimation and
-Hypothesis Testing in Linear Models*, 1999, section 3.6): slope q - r, information 2 H, H the
-squared sums of the redundancy matrix by pairs of components. The statements remain as priors: ln s
-is normal about zero, with PRIOR for each component and the targets' axes coupled, so that an axis
-which the lengths cannot check follows the others. Factors go both ways: below one the uncertainty
-becomes smaller. While outliers are looked for, large residuals are bent, so that outliers do not
-pass for noise, and the factors are estimated again after every round.
+They are tested, and estimated where the statement is contradicted, as in ``adjust.noise``.
+The targets' axes are coupled in the prior, so that an axis which the lengths cannot check follows
+the others. While outliers are looked for, large residuals are bent, so that outliers do not pass
+for noise, and the factors are estimated again after every round.
 
 Rule of rejection: the normalised residual (residual over its own standard deviation, after Baarda)
 of every length is compared with the two-sided normal quantile at ``rejection_significance`` shared
@@ -53,9 +47,19 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.adjust.distributions import chi2_sf, normal_isf
+from rotcal_ros.adjust.distributions import normal_isf
 from rotcal_ros.adjust.gathering import Gathering, judged
 from rotcal_ros.adjust.groups import Group, Undivided
+from rotcal_ros.adjust.noise import (
+    LEAST_FACTOR,
+    NEARLY_SETTLED,
+    PRIOR,
+    SETTLED,
+    EstimatedFactors,
+    NoiseEvidence,
+    bent_squares,
+    estimate_factors,
+)
 from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.methods.tracer.solver.adjustment import MINIMAL_REDUNDANCY, Adjuster, Adjustment
 from rotcal_ros.methods.tracer.solver.gathering import left_out
@@ -64,26 +68,8 @@ from rotcal_ros.methods.tracer.solver_settings import TracerLimits
 
 COMPONENTS: Final = ("lengths", "distance", "targets x", "targets y", "targets z")
 """Of the noise, in the order of all arrays (5,) here."""
-PRIOR: Final = 1.5
-"""Standard deviation of ln s: a statement is off by more than a factor of 20 in 5 % of cases."""
 PRIOR_AXIS: Final = 0.5
 """Standard deviation of ln s of one axis of the targets against the others."""
-BEND: Final = 2.5
-"""Normalised residual from which one counts no more, while outliers are about."""
-BENT_SQUARE: Final = 0.97756
-"""Mean of min(w^2, BEND^2) for a standard normal w."""
-LEAST_REDUNDANCY: Final = 0.5
-"""A component that the others check less than this cannot be contradicted."""
-LEAST_FACTOR: Final = 0.1
-"""Lengths that scatter even less are without noise, made up: the statements stay."""
-LARGEST_STEP: Final = 1.1
-"""Of ln s, a factor of 3: farther away the information of here is no guide."""
-SETTLED: Final = 1e-4
-"""Squared last step of the factors, in their standard deviations."""
-NEARLY_SETTLED: Final = 1e-2
-"""The same while outliers are still looked for."""
-MAX_ITERATIONS: Final = 40
-"""Scoring steps after which the last factors stand."""
 GROSS: Final = 5.0
 """Margin of the coarse round over the fine one."""
 HARDLY_CHECKED: Final = 0.01
@@ -92,30 +78,6 @@ NORMAL_QUARTILE: Final = 0.6745
 """Median of |x| for a standard normal x."""
 Grouping = Callable[[Grid, Adjustment], tuple[Group | Undivided, ...]]
 """What makes the groups of a network at its solution."""
-
-
-@dataclass(frozen=True, eq=False)
-class NoiseEvidence:
-    """What the residuals say about the components ``present`` (5,) at their factors of now.
-
-    ``squares`` (5,): weighted sums of squared residuals, ``redundancy`` (5,): what these are
-    expected to be, ``information`` (5, 5): half of their covariance; zero where absent.
-    """
-
-    present: Bools
-    squares: Floats
-    redundancy: Floats
-    information: Floats
-
-    def probabilities(self) -> Floats:
-        """Return (5,) how probably chance explains each component's sum, both sides; 1: absent."""
-        found = np.ones(len(COMPONENTS))
-        for k in np.flatnonzero(self.present & (self.redundancy > LEAST_REDUNDANCY)):
-            # q / spread has mean and variance of a chi-squared with r / spread degrees of freedom
-            spread = self.information[k, k] / self.redundancy[k]
-            above = chi2_sf(self.squares[k] / spread, self.redundancy[k] / spread)
-            found[k] = 2.0 * min(above, 1.0 - above)
-        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,8 +98,7 @@ class NoiseFactors:
         """Return (5,) the components whose factor cannot be one, two-sided."""
         if not self.estimated:
             return np.zeros(len(COMPONENTS), dtype=np.bool_)
-        limit = normal_isf(0.5 * significance)
-        return np.asarray(np.abs(np.log(self.factors)) > limit * self.log_std, dtype=np.bool_)
+        return EstimatedFactors(self.factors, self.log_std).contradicted(significance)
 
     def details(self) -> list[dict[str, Any]]:
         """Return each component for the details of a result: its statement, its factor."""
@@ -159,18 +120,14 @@ def noise_evidence(grid: Grid, fit: Adjustment, bent: bool = False) -> NoiseEvid
     lengths = grid.used * (fit.residual / fit.std) ** 2
     targets = fit.corrections**2
     if bent:
-        lengths, targets = _bent(lengths, fit.redundancy), _bent(targets, fit.target_redundancy)
+        lengths = bent_squares(lengths, fit.redundancy, MINIMAL_REDUNDANCY)
+        targets = bent_squares(targets, fit.target_redundancy, MINIMAL_REDUNDANCY)
     shares = np.stack([1.0 - share, share])
     squares = np.concatenate([(shares * lengths).sum(axis=(1, 2)), targets.sum(axis=0)])
     of_lengths = (shares * fit.redundancy).sum(axis=(1, 2))
     redundancy = np.concatenate([of_lengths, fit.target_redundancy.sum(axis=0)])
     present = np.array([True, bool(share.any()), *[bool(fit.coupling.any())] * 3])
     return NoiseEvidence(present, squares, redundancy, _information(redundancy, fit, shares))
-
-
-def _bent(squares: Floats, redundancy: Floats) -> Floats:
-    checked = redundancy > MINIMAL_REDUNDANCY
-    return np.where(checked, np.minimum(squares, BEND**2 * redundancy) / BENT_SQUARE, squares)
 
 
 def _information(redundancy: Floats, fit: Adjustment, shares: Floats) -> Floats:
@@ -212,24 +169,16 @@ def _estimate_noise(
     From ``factors`` (5,) and the adjustment ``start``. Residuals that are ``bent`` keep outliers
     from passing for noise.
     """
-    prior, fit = _prior(), start
-    logs = np.log(factors)
-    for _ in range(MAX_ITERATIONS):
-        here = scaled(grid, np.exp(logs))
-        fit = adjust(here, fit.state, fit.targets)
-        evidence = noise_evidence(here, fit, bent)
-        slope = evidence.squares - evidence.redundancy - prior @ logs
-        known = 2.0 * evidence.information + prior
-        step = np.where(evidence.present, np.linalg.solve(known, slope), 0.0)
-        step *= min(1.0, LARGEST_STEP / float(np.abs(step).max()))
-        step = np.maximum(logs + step, np.log(LEAST_FACTOR)) - logs
-        if float(step @ known @ step) < (NEARLY_SETTLED if bent else SETTLED):
-            break
-        logs = logs + step
-    log_std = np.full(5, np.nan)
-    log_std[evidence.present] = np.sqrt(np.linalg.inv(known).diagonal())[evidence.present]
-    stated = np.where(evidence.present, _stated(grid), np.nan)
-    return NoiseFactors(np.exp(logs), log_std, stated, estimated=True), fit
+
+    def at(factors: Floats, before: Adjustment) -> tuple[NoiseEvidence, Adjustment]:
+        here = scaled(grid, factors)
+        fit = adjust(here, before.state, before.targets)
+        return noise_evidence(here, fit, bent), fit
+
+    settled = NEARLY_SETTLED if bent else SETTLED
+    found, fit = estimate_factors(at, start, factors, _prior(), settled)
+    stated = np.where(np.isnan(found.log_std), np.nan, _stated(grid))
+    return NoiseFactors(found.factors, found.log_std, stated, estimated=True), fit
 
 
 def scaled(grid: Grid, factors: Floats) -> Grid:

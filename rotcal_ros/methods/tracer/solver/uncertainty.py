@@ -34,9 +34,9 @@ from scipy.special import erfc
 
 from rotcal_ros.adjust.distributions import chi2_sf
 from rotcal_ros.adjust.low_rank import LowRank, Slopes
+from rotcal_ros.adjust.roots import root_between
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
-from rotcal_ros.adjust.roots import root_between
 from rotcal_ros.methods.tracer.solver.adjustment import Adjustment, StationCovariance
 from rotcal_ros.methods.tracer.solver.circle import (
     TableMotion,

@@ -36,13 +36,13 @@ from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from scipy.special import erfc, ndtr
+from scipy.special import ndtr
 
 from rotcal_ros.adjust.distributions import chi2_sf
+from rotcal_ros.adjust.effects import limit_of_family
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.protection import POWER, TOLERABLE, Protection
-from rotcal_ros.adjust.roots import root_between
 from rotcal_ros.methods.tracer.solver.adjustment import Adjustment
 from rotcal_ros.methods.tracer.solver.grid import Grid
 from rotcal_ros.methods.tracer.solver.network import NetworkGain, network_of, relax
@@ -149,18 +149,9 @@ class Shifts:
     def limit(self, significance: float) -> float:
         """Return what the largest normalised score exceeds by chance; ``significance`` two-sided.
 
-        By the expected number of upcrossings: acos(rho) / (2 pi) exp(-u^2 / 2) each (Rice's
-        formula for a sequence), and never more than of independent scores.
+        See :func:`rotcal_ros.adjust.effects.limit_of_family`.
         """
-        alike = self.alike[self.enough][1:]
-        rate = float(np.arccos(np.clip(alike, -1.0, 1.0)).sum()) / (2.0 * np.pi)
-
-        def false_alarms(u: float) -> float:
-            above = 0.5 * float(erfc(u / np.sqrt(2.0)))
-            crossings = min(rate * float(np.exp(-0.5 * u * u)), len(alike) * above)
-            return 2.0 * (above + crossings) - significance
-
-        return root_between(false_alarms, 0.0, 40.0, 1e-12)
+        return limit_of_family(significance, self.alike[self.enough][1:])
 
 
 def find_shifts(grid: Grid, fit: Adjustment, order: Ints) -> Shifts:
