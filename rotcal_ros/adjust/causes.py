@@ -247,7 +247,7 @@ def _bearable(diagnosis: Diagnosis, found: Explanation) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """What the solution of a diagnosis says: its groups are judged, explanations can be asked for."""
+    """What a solution says: its groups are judged, and explanations can be asked for."""
 
     before: Diagnosis
     fit: Fit

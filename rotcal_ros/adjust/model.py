@@ -344,12 +344,12 @@ def _solved(model: Model, white: Floats) -> tuple[Floats, Floats]:
     scale = np.linalg.norm(white, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
     u, s, vt = np.linalg.svd(white / scale, full_matrices=False)
-    told = s > OPEN * s[0]
-    rank, free = int(told.sum()), 0 if model.free is None else model.free.shape[1]
+    determined = s > OPEN * s[0]
+    rank, free = int(determined.sum()), 0 if model.free is None else model.free.shape[1]
     if rank < white.shape[1] - free:
         raise ObservabilityError(_what_is_open(model, white / scale, scale, rank))
-    gain = (vt[told].T / s[told]) @ u[:, told].T / scale[:, None]
-    return u[:, told], gain
+    gain = (vt[determined].T / s[determined]) @ u[:, determined].T / scale[:, None]
+    return u[:, determined], gain
 
 
 def _what_is_open(model: Model, scaled: Floats, scale: Floats, rank: int) -> str:
