@@ -14,7 +14,7 @@ from rotcal_ros.methods.ball_plate.figures import figures
 from rotcal_ros.methods.ball_plate.plan import check_plan, plan
 from rotcal_ros.methods.ball_plate.settings import BallPlatePlanSettings
 from rotcal_ros.methods.ball_plate.simulation_settings import PlateSimulationSettings
-from rotcal_ros.methods.ball_plate.solver.solve import METHOD as NAME
+from rotcal_ros.methods.ball_plate.solver.result import METHOD as NAME
 from rotcal_ros.methods.ball_plate.solver_settings import BallPlateSolverSettings
 from rotcal_ros.methods.ball_plate.touched_ball import reported_centre, touched_centre
 from rotcal_ros.methods.configuration import Configuration

@@ -1,31 +1,35 @@
-"""The ball plate method from a problem to the result that all methods share."""
+"""The ball plate method from a problem to the result that all methods share, and trials of it.
+
+The estimate is linear in the centres. So one matrix tells what errors of the centres do to the
+curves, and makes Monte Carlo trials without solving each.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS
-from rotcal_ros.foundation.raw_data import RawData
+from rotcal_ros.foundation.raw_data import MOST_INFLUENCES, Influence, RawData
 from rotcal_ros.foundation.results import Residuals, Result, Verdict
-from rotcal_ros.methods.ball_plate.solver import model, rigorous
-from rotcal_ros.methods.ball_plate.solver.drift import drifted
-from rotcal_ros.methods.ball_plate.solver.general_least_squares import MIN_BALLS
+from rotcal_ros.methods.ball_plate.solver import general_least_squares, model
+from rotcal_ros.methods.ball_plate.solver.estimate import computed, drifted
 from rotcal_ros.methods.ball_plate.solver.noise import CentreNoise
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.solver.rejection import Fitted
 from rotcal_ros.methods.ball_plate.solver.reliability import completed
-from rotcal_ros.methods.ball_plate.solver.separability import separability
+from rotcal_ros.methods.ball_plate.solver.separability import MIN_BALLS, separability
 from rotcal_ros.methods.ball_plate.solver.solution import (
     PlateSolution,
     PositionGroup,
     adjust,
+    groups_in_words,
     turned_back,
+    zeros_of,
 )
-from rotcal_ros.methods.ball_plate.solver.trials import influence_of
-from rotcal_ros.methods.ball_plate.solver.zeros import groups_in_words, zeros_of
 
 METHOD = "ball_plate"
 COVARIANCE_LIMIT = 720
@@ -70,12 +74,13 @@ def result_of(solution: PlateSolution) -> Result:
         warnings=_warnings(solution),
         residuals=_residuals(solution),
         details=_details(solution),
-        raw_data=RawData(influence=influence_of(solution)),
+        raw_data=RawData(influence=_influence(solution)),
     )
     return completed(result, solution).counted_from(*zeros_of(solution))
 
 
 def _warnings(solution: PlateSolution) -> tuple[str, ...]:
+    """Return what is known to limit the result, in words."""
     fits, noise = solution.fits, solution.noise
     n_rejected, n_centres = len(solution.rejected), len(solution.problem.centres)
     warnings = []
@@ -113,20 +118,19 @@ def _verdict(fits: tuple[Fitted, ...], noise: CentreNoise, share: float) -> Verd
 def _residuals(solution: PlateSolution) -> Residuals:
     """One row per finite centre, in the order of the row numbers; lengths of the 3D residual."""
     whole = solution.whole
-    position = {int(row): at for at, row in enumerate(np.sort(whole.rows))}
-    n = len(whole.centres)
+    order = np.argsort(whole.rows)
+    in_order, n = whole.rows[order], len(order)
     columns = {name: np.zeros(n) for name in ("residual", "redundancy", "test_value", "std")}
     used = np.zeros(n, dtype=np.bool_)
     for group, fit in zip(solution.groups, solution.fits, strict=True):
-        at = np.array([position[int(row)] for row in group.problem.rows])
+        at = np.searchsorted(in_order, group.problem.rows)
         columns["residual"][at] = np.linalg.norm(_all_residuals(group, fit), axis=1)
-        own = np.ones((len(at), 3)) if group.problem.std is None else group.problem.std
-        columns["std"][at] = np.sqrt(np.mean(np.square(solution.noise.used * own), axis=1))
-        at = np.array([position[int(row)] for row in fit.problem.rows])
+        noise = solution.noise.used * group.problem.noise_unit
+        columns["std"][at] = np.sqrt(np.mean(np.square(noise), axis=1))
+        at = np.searchsorted(in_order, fit.problem.rows)
         columns["redundancy"][at] = fit.test.redundancy
         columns["test_value"][at] = fit.test.value
         used[at] = True
-    order = np.argsort(whole.rows)
     return Residuals(
         table_position=whole.position[order],
         target=whole.ball_step[order],
@@ -143,11 +147,12 @@ def _all_residuals(group: PositionGroup, fit: Fitted) -> Floats:
     """
     solved = np.isin(group.problem.position, fit.problem.table_positions)
     problem, found = group.problem.take(solved), fit.solution.estimate
+    # a rejected row may belong to a ball or CMM position that no fitted row has: no error known
     cmm = np.zeros((problem.grid, 3))
     cmm[fit.problem.cmm_positions] = found.cmm
     plate = np.zeros((problem.grid, 3))
     plate[fit.problem.balls] = found.plate
-    predicted = rigorous.computed(problem, found, plate[problem.ball_step], cmm[problem.cmm_index])
+    predicted = computed(problem, found, plate[problem.ball_step], cmm[problem.cmm_index])
     predicted = predicted + drifted(problem, fit.problem, fit.solution.drift)
     residuals = np.full((len(solved), 3), np.nan)
     residuals[solved] = problem.centres - predicted
@@ -158,10 +163,10 @@ def _details(solution: PlateSolution) -> dict[str, Any]:
     """Everything else the method knows, in SI; one entry per group under ``groups``."""
     whole, noise = solution.whole, solution.noise
     order = np.argsort(whole.rows)
-    residuals = np.zeros((len(whole.centres), 3))
-    where = {int(row): at for at, row in enumerate(whole.rows)}
+    in_order = whole.rows[order]
+    residuals = np.zeros((len(order), 3))
     for group, fit in zip(solution.groups, solution.fits, strict=True):
-        at = np.array([where[int(row)] for row in group.problem.rows])
+        at = np.searchsorted(in_order, group.problem.rows)
         residuals[at] = turned_back(group, _all_residuals(group, fit))
     return {
         "grid": whole.grid,
@@ -179,9 +184,9 @@ def _details(solution: PlateSolution) -> dict[str, Any]:
             for group, fit in zip(solution.groups, solution.fits, strict=True)
         ],
         "residual_rows": {
-            "row": whole.rows[order],
+            "row": in_order,
             "cmm_index": whole.cmm_index[order],
-            "vector": residuals[order],
+            "vector": residuals,
         },
     }
 
@@ -213,3 +218,80 @@ def _group_details(group: PositionGroup, fit: Fitted, scale: Floats) -> dict[str
             "rotation": fit.knock.rotation,
         }
     return details
+
+
+@dataclass(frozen=True, eq=False)
+class LinearTrials:
+    """Trials by the linear map itself: ``value`` (6 M,) + noise @ ``gain`` (3 n, 6 M).
+
+    ``std`` (3 n,), metres, belongs to the coordinates of the centres.
+    """
+
+    value: Floats
+    gain: Floats
+    std: Floats
+
+    def __call__(self, rng: np.random.Generator, count: int) -> Floats:
+        """Return EXC, EYC, EZC (m), EAC, EBC, ECC (rad) at all angles one after the other."""
+        noise = self.std * rng.standard_normal((count, len(self.std)))
+        return self.value + noise @ self.gain
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedTrials:
+    """Trials by solving each; for separate groups, an estimated drift, and too large grids.
+
+    ``std`` (n, 3), metres, belongs to the centres of ``problem``.
+    """
+
+    problem: BallPlateProblem
+    std: Floats
+
+    def __call__(self, rng: np.random.Generator, count: int) -> Floats:
+        """Return the same as :class:`LinearTrials`."""
+        return np.stack([self._trial(rng.standard_normal(self.std.shape)) for _ in range(count)])
+
+    def _trial(self, noise: Floats) -> Floats:
+        centres = self.problem.centres + self.std * noise
+        return _in_order(adjust(replace(self.problem, centres=centres)))
+
+
+def plate_trials(problem: BallPlateProblem) -> LinearTrials | SolvedTrials:
+    """Prepare Monte Carlo trials about a measured problem; refuses what ``solve`` refuses.
+
+    Rejected centres stay rejected; the noise is the one that the standard deviations of the
+    result belong to.
+    """
+    solution = adjust(problem)
+    if _linear(problem):
+        used = solution.fits[0].problem
+        std = (solution.noise.scale * used.noise_unit).ravel()
+        return LinearTrials(_in_order(solution), general_least_squares.table_gain(used).T, std)
+    return SolvedTrials(problem, solution.noise.used * problem.noise_unit)
+
+
+def _influence(solution: PlateSolution) -> Influence | None:
+    """Return what a standard error of each coordinate does to the curves.
+
+    None for what :func:`plate_trials` solves trial by trial, and for too many centres.
+    """
+    used = solution.fits[0].problem
+    rows = len(COMPONENTS) * len(used.table_positions)
+    if not _linear(solution.problem) or rows * used.centres.size > MOST_INFLUENCES:
+        return None
+    std = (solution.noise.scale * used.noise_unit).ravel()
+    gain = general_least_squares.table_gain(used) * std
+    by_component = dict(zip(COMPONENTS, np.split(gain, len(COMPONENTS)), strict=True))
+    return Influence(used.rows, 3, by_component)
+
+
+def _linear(problem: BallPlateProblem) -> bool:
+    """Whether one matrix takes all centres to all deviations."""
+    large = model.offsets(problem).total > general_least_squares.MAX_UNKNOWNS
+    return not (problem.separate_groups or large or problem.drift > 0)
+
+
+def _in_order(solution: PlateSolution) -> Floats:
+    """Return all deviations, component by component, (6 M,)."""
+    deviations = solution.deviations()
+    return np.concatenate([deviations[name] for name in COMPONENTS])
