@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rotcal_ros.methods.tracer.check_plan import CheckPlan
 
 LEAST_REDUNDANCY: Final = 0.25
-"""That of rotcal_ros.methods.tracer.check_plan, which takes long to load."""
+"""That of rotcal_ros.methods.tracer.design.check_lengths, which takes long to load."""
 
 
 @click.command()

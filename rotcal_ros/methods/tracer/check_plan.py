@@ -18,9 +18,9 @@ from rotcal_ros.methods.configuration import Configuration, replaced
 from rotcal_ros.methods.tracer.design.check_lengths import (
     LEAST_REDUNDANCY,
     CheckLengths,
-    Progress,
     fewest_lengths,
 )
+from rotcal_ros.methods.tracer.design.optimum import Progress
 from rotcal_ros.methods.tracer.design.ordering import noisy_problem
 from rotcal_ros.methods.tracer.design.scene import Scene, candidates, on_table, scene_of
 from rotcal_ros.methods.tracer.design.sequence import (

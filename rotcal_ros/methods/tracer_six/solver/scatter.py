@@ -81,7 +81,7 @@ SEEN: Final = 1e-3
 RANGE: Final = 1e-6
 """Share of the largest eigenvalue of A from which a direction is a contrast."""
 Kind = Literal["between runs", "within runs", "slip"]
-LEAST_SHARE: Final = 1e-3
+SHOWN: Final = 1e-3
 """Share of the largest singular value from which a direction is told: heights of runs are not."""
 LIKELY: Final = 1e-4
 """Share of the largest weight from which a scatter counts."""
@@ -447,7 +447,7 @@ def _best(found: ScatterContrasts, shifts: Floats) -> int:
 def _basis(shifts: Floats) -> tuple[Floats, Floats]:
     """Return orthonormal rows that span ``shifts`` (d, q), and others that complete them."""
     _, size, basis = np.linalg.svd(shifts)
-    rank = int(np.count_nonzero(size > LEAST_SHARE * max(size[0], np.finfo(np.float64).tiny)))
+    rank = int(np.count_nonzero(size > SHOWN * max(size[0], np.finfo(np.float64).tiny)))
     return basis[:rank], basis[rank:]
 
 
@@ -484,7 +484,7 @@ def _test(
     places = places[best : best + 1] if kind == "slip" else places
     # the first three displacements of a place are along the machine's axes
     along = shifts[best, : 3 * len(places)]
-    moved = -np.linalg.lstsq(along.T, found.value, rcond=LEAST_SHARE)[0].reshape(-1, 3)
+    moved = -np.linalg.lstsq(along.T, found.value, rcond=SHOWN)[0].reshape(-1, 3)
     return MoveTest(kind, min(1.0, float(tail) * len(shifts)), places, moved, directions)
 
 
