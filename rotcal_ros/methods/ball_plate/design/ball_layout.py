@@ -256,7 +256,8 @@ def _neighbours(grid: int, layout: Ints, places: Ints, min_gap: int) -> Ints:
 
 def _steps_between(grid: int, step: Ints, other: Ints | int) -> Ints:
     """Return how many grid steps lie between two on the circle, the shorter way."""
-    return np.abs((step - other + grid // 2) % grid - grid // 2)
+    steps: Ints = np.abs((step - other + grid // 2) % grid - grid // 2)
+    return steps
 
 
 def _best_of(grid: int, layouts: Ints, weights: Floats) -> tuple[float, Ints, Floats]:

@@ -212,9 +212,9 @@ def _enlarged(
         std[name] = np.sqrt(getattr(start.unit_std, name) ** 2 + added)
 
     def covariance(first: str, second: str) -> Floats:
-        one = np.stack([p.component(first) for p in parameters], axis=1)
-        other = np.stack([p.component(second) for p in parameters], axis=1)
-        added: Floats = one @ inverse @ other.T
+        columns = np.stack([p.component(first) for p in parameters], axis=1)
+        others = np.stack([p.component(second) for p in parameters], axis=1)
+        added: Floats = columns @ inverse @ others.T
         return start.unit_covariance(first, second) + added
 
     def cofactor() -> Floats:

@@ -178,7 +178,7 @@ def degrees_of_freedom(problem: BallPlateProblem) -> int:
     return 3 * len(problem.centres) - unknowns + N_CONSTRAINTS
 
 
-def cross_unit(angles: Floats) -> Floats:
+def _cross_unit(angles: Floats) -> Floats:
     """Return the matrices C with C w = w x (cos, sin, 0), (n, 3, 3)."""
     return cross_matrix(-on_circle(angles))
 
@@ -188,7 +188,7 @@ def rigid_motion(angles: Floats) -> Floats:
 
     (n, 3, 6) displacements per metre of each, of the points at ``angles`` (n,), rad.
     """
-    cross = cross_unit(angles)
+    cross = _cross_unit(angles)
     return np.concatenate([np.broadcast_to(np.eye(3), cross.shape), cross], axis=2)
 
 
@@ -198,7 +198,7 @@ def plate_motion(problem: BallPlateProblem) -> Floats:
     The motion is given in the frame of the table at position 0.
     """
     turn = rotation_about_z(problem.angles)[problem.position]
-    cross = cross_unit(grid_angles(problem.grid))[problem.ball_step]
+    cross = _cross_unit(grid_angles(problem.grid))[problem.ball_step]
     return np.concatenate([turn, turn @ cross], axis=2)
 
 
@@ -228,7 +228,7 @@ def local_design(problem: BallPlateProblem) -> tuple[Floats, Ints]:
     at = offsets(problem)
     n = len(problem.centres)
     turn = rotation_about_z(problem.angles)[problem.position]
-    cross = cross_unit(problem.angles)[problem.cmm_index]
+    cross = _cross_unit(problem.angles)[problem.cmm_index]
     identity = np.broadcast_to(np.eye(3), (n, 3, 3))
     coefficients = np.concatenate([turn, identity, cross, identity, cross, identity], axis=2)
     starts = np.stack(
@@ -269,7 +269,7 @@ def constraint_matrix(problem: BallPlateProblem) -> Floats:
     rotation = slice(at.rotation, at.translation)
     translation = slice(at.translation, at.axis_rotation)
     matrix[0:3, cmm] = np.tile(identity, len(problem.cmm_positions))  # Eq. 15, left
-    matrix[3:6, cmm] = -np.hstack(list(cross_unit(across)))  # Eq. 15, right
+    matrix[3:6, cmm] = -np.hstack(list(_cross_unit(across)))  # Eq. 15, right
     matrix[6, cmm] = on_circle(across).ravel()  # Eq. 16
     matrix[7:10, rotation] = matrix[10:13, translation] = np.tile(identity, len(back))  # Eq. 17
     matrix[13:15, rotation] = matrix[15:17, translation] = np.hstack(list(back[:, :2]))  # Eq. 18
@@ -292,8 +292,8 @@ def null_space(problem: BallPlateProblem) -> Floats:
     constant = np.tile(identity, (len(problem.table_positions), 1))
     all_cmm = np.tile(identity, (len(problem.cmm_positions), 1))
     ball_angles, cmm_angles = problem.angles[problem.balls], problem.angles[problem.cmm_positions]
-    cross_ball = cross_unit(ball_angles).reshape(-1, 3)
-    cross_cmm = cross_unit(cmm_angles).reshape(-1, 3)
+    cross_ball = _cross_unit(ball_angles).reshape(-1, 3)
+    cross_cmm = _cross_unit(cmm_angles).reshape(-1, 3)
     plate, cmm = slice(at.plate, at.cmm), slice(at.cmm, at.rotation)
     rotation, translation = slice(at.rotation, at.translation), slice(at.translation, -6)
     # a plate shifted, turned; a table shifted, turned; an axis shifted, turned; larger and smaller

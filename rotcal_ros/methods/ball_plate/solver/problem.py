@@ -66,20 +66,25 @@ class BallPlateProblem:
         centres = np.asarray(self.centres, dtype=np.float64)
         row = np.arange(len(table)) if self.row is None else np.asarray(self.row, dtype=np.int64)
         std = None if self.std is None else np.asarray(self.std, dtype=np.float64)
+        time = None if self.time is None else np.asarray(self.time, dtype=np.float64)
         _check_constants(self.grid, self.radius, self.sigma)
         _check_drift(self.drift, self.drift_allowance, self.group_allowance)
         _check_shapes(table, ball, centres, row, std)
         _check_indices(table, row, "table position", self.n_positions)
         _check_indices(ball, row, "ball step", self.grid)
-        columns = {"position": table, "ball_step": ball, "centres": centres, "row": row}
-        if std is not None:
-            columns["std"] = std
-        if self.time is not None:
-            columns["time"] = np.asarray(self.time, dtype=np.float64)
-            _check_time(columns["time"], len(table))
+        if time is not None:
+            _check_time(time, len(table))
         order = np.lexsort((row, table, ball))
+        columns: dict[str, Floats | Ints | None] = {
+            "position": table,
+            "ball_step": ball,
+            "centres": centres,
+            "row": row,
+            "std": std,
+            "time": time,
+        }
         for name, column in columns.items():
-            object.__setattr__(self, name, column[order])
+            object.__setattr__(self, name, None if column is None else column[order])
 
     @classmethod
     def nominal(
