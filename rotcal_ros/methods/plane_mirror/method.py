@@ -27,7 +27,6 @@ from rotcal_ros.methods.plane_mirror.plan import (
     position_angles,
     tracker_stands,
 )
-from rotcal_ros.methods.plane_mirror.plausibility import TrackerCheck
 from rotcal_ros.methods.plane_mirror.settings import MirrorPlanSettings
 from rotcal_ros.methods.plane_mirror.simulation_settings import MirrorSimulationSettings
 from rotcal_ros.methods.plane_mirror.solver.solve import METHOD as NAME
@@ -100,7 +99,7 @@ METHOD: Final = Method(
     check_plan=check_plan,
     capture=CaptureRules(
         {kind: points(mean_point) for kind in table.KINDS.values()},
-        lambda _plan: (TrackerCheck(),),
+        lambda _plan: (calibration.TrackerCheck(),),
     ),
     solve=calibration.solve,
     trials=calibration.trials,
