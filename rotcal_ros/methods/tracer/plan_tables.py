@@ -9,7 +9,7 @@ from typing import Final
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.tables import read_table, require_header
-from rotcal_ros.methods.plan_files import PlanFile
+from rotcal_ros.methods.method import PlanFile
 from rotcal_ros.methods.tracer.table import TARGETS, read_targets
 from rotcal_ros.planning.plan import Point
 
