@@ -6,10 +6,9 @@ from os import PathLike
 from pathlib import Path
 
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.methods.configuration import Configuration, changed
+from rotcal_ros.methods.configuration import Configuration, changed, read_setup
 from rotcal_ros.methods.measurements import read_measurements
 from rotcal_ros.methods.method import Measurements
-from rotcal_ros.methods.setup_file import read_setup
 from rotcal_ros.recordings import result_sources
 from rotcal_ros.recordings.replay import Recording, Source, read_recording
 from rotcal_ros.recordings.topics import Topics

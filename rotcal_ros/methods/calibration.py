@@ -28,8 +28,7 @@ from rotcal_ros.methods.configuration import Configuration, read_policy
 from rotcal_ros.methods.continuation import ATTEMPTS_PER_RUN, Continuation, continued
 from rotcal_ros.methods.disturbance import DisturbedMeasurement, Sizes
 from rotcal_ros.methods.frame_conflicts import frame_conflicts
-from rotcal_ros.methods.method import Adaptive, Method, Trials
-from rotcal_ros.methods.stations import Stations
+from rotcal_ros.methods.method import Adaptive, Method, Stations, Trials
 from rotcal_ros.planning.as_listed import AsListed
 from rotcal_ros.planning.choices import Policy
 from rotcal_ros.planning.plan import Plan, Point, Step

@@ -80,7 +80,7 @@ def _read_recorded_configuration(path: Path) -> None:
 
 
 def _read_setup(path: Path) -> None:
-    from rotcal_ros.methods.setup_file import read_setup
+    from rotcal_ros.methods.configuration import read_setup
 
     read_setup(path)
 

@@ -29,8 +29,7 @@ from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.observations import LengthStatus, Observation, TracerSample
-from rotcal_ros.methods.configuration import parse_configuration, read_policy
-from rotcal_ros.methods.setup_file import read_setup
+from rotcal_ros.methods.configuration import parse_configuration, read_policy, read_setup
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.recordings.summary import describe
 from rotcal_ros.recordings.topics import Topics

@@ -15,7 +15,7 @@ from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.method import Method, See, TableReader, zero_at_the_first
+from rotcal_ros.methods.method import Method, See, Stations, TableReader, zero_at_the_first
 from rotcal_ros.methods.plane_mirror import calibration, table
 from rotcal_ros.methods.plane_mirror.disturbances import DISTURBANCES
 from rotcal_ros.methods.plane_mirror.figures import figures
@@ -27,12 +27,10 @@ from rotcal_ros.methods.plane_mirror.plan import (
     position_angles,
     tracker_stands,
 )
-from rotcal_ros.methods.plane_mirror.plausibility import TrackerCheck
 from rotcal_ros.methods.plane_mirror.settings import MirrorPlanSettings
 from rotcal_ros.methods.plane_mirror.simulation_settings import MirrorSimulationSettings
 from rotcal_ros.methods.plane_mirror.solver.solve import METHOD as NAME
 from rotcal_ros.methods.plane_mirror.solver_settings import MirrorSolverSettings
-from rotcal_ros.methods.stations import Stations
 from rotcal_ros.planning.plan import Plan, Step
 from rotcal_ros.planning.table_angles import table_angles
 
@@ -100,7 +98,7 @@ METHOD: Final = Method(
     check_plan=check_plan,
     capture=CaptureRules(
         {kind: points(mean_point) for kind in table.KINDS.values()},
-        lambda _plan: (TrackerCheck(),),
+        lambda _plan: (calibration.TrackerCheck(),),
     ),
     solve=calibration.solve,
     trials=calibration.trials,

@@ -9,8 +9,7 @@ from rotcal_ros.capture.length import decide_length
 from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.method import Adaptive, Method, See, TableReader
-from rotcal_ros.methods.stations import Stations
+from rotcal_ros.methods.method import Adaptive, Method, See, Stations, TableReader
 from rotcal_ros.methods.tracer import calibration, table
 from rotcal_ros.methods.tracer.disturbances import DISTURBANCES
 from rotcal_ros.methods.tracer.figures import figures

@@ -13,8 +13,7 @@ from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import MILLIMETRE
 from rotcal_ros.geometry.rotations import rotation_about_z
-from rotcal_ros.methods.arrival_rules import RepeatedTrials, arrivals_of
-from rotcal_ros.methods.arrivals import Arrivals, mean_of_runs
+from rotcal_ros.methods.arrivals import Arrivals, RepeatedTrials, arrivals_of, mean_of_runs
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Trials
 from rotcal_ros.methods.tracer.lengths import (

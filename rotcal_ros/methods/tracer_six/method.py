@@ -9,8 +9,7 @@ from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.curves import gauge
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.method import Method, See, TableReader
-from rotcal_ros.methods.stations import Stations
+from rotcal_ros.methods.method import Method, See, Stations, TableReader
 from rotcal_ros.methods.tracer.lengths import LengthCheck, read_from
 from rotcal_ros.methods.tracer_six import calibration, table
 from rotcal_ros.methods.tracer_six.disturbances import DISTURBANCES

@@ -1,36 +1,31 @@
 """What each of the four ways makes of a screened problem: deviations, covariance, fit.
 
-From the tracker's noise to the covariance of the angle readings, in closed form.
-
-The mirror ways feel two movements of each normal: tau along t (rotation) and eta along b (tilt),
-in that order 2 G numbers; the direct way feels tangential, radial and axial movements.
+Every way takes the same steps: fit what is measured (normals of the mirror, or circles), turn it
+into readings of angles, join these to deviations, and carry the noise along in closed form. The
+chi square is the sum over all that is fitted apart from each other: pairs about the plane of their
+group, normals about their cone, readings about the deviations, nests. The joint way has one least
+squares instead. Residuals of single points are entered on the way.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.results import Residuals
-from rotcal_ros.methods.plane_mirror.solver import cone, joint, stitching
-from rotcal_ros.methods.plane_mirror.solver.direct import (
-    direct_readings,
-    direct_response,
-    local_axes,
-)
-from rotcal_ros.methods.plane_mirror.solver.joint import plane_weight
-from rotcal_ros.methods.plane_mirror.solver.layout import MirrorPairs, Reflectors
-from rotcal_ros.methods.plane_mirror.solver.nest_tests import NestFit, nest_fit
+from rotcal_ros.methods.plane_mirror.solver import joint
 from rotcal_ros.methods.plane_mirror.solver.normals import (
     Normals,
+    angle_deviation,
+    circle_design,
     condition_jacobian,
+    fit_cone,
+    reflection,
     tangent_basis,
-    tangent_frame,
 )
 from rotcal_ros.methods.plane_mirror.solver.prepare import (
     Prepared,
@@ -38,17 +33,28 @@ from rotcal_ros.methods.plane_mirror.solver.prepare import (
     PreparedNormals,
     PreparedPoints,
     PreparedWay,
-    registered_readings,
 )
 from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem
-from rotcal_ros.methods.plane_mirror.solver.registration import (
-    Poses,
-    nest_equations,
-    station_columns,
+from rotcal_ros.methods.plane_mirror.solver.readings import (
+    direct_readings,
+    direct_response,
+    from_first,
+    local_axes,
+    normal_covariance,
+    point_covariance,
+    reading_design,
+    registered_readings,
+    registered_response,
+    station_cones,
+    stitch,
+    stitch_response,
+    stitched_covariance,
+    tilt_crosstalk,
 )
+from rotcal_ros.methods.plane_mirror.solver.registration import NestFit, nest_equations, nest_fit
 from rotcal_ros.methods.plane_mirror.solver_settings import STITCHING
 
-_CERTAIN = 1e-300
+_CERTAIN: Final = 1e-300
 """Smallest variance (m^2) that is divided by: exact points leave rounding over nothing."""
 
 
@@ -104,8 +110,8 @@ def empty_residuals(problem: PlaneMirrorProblem) -> Residuals:
     )
 
 
-def outcome_of(prepared: PreparedWay, residuals: Residuals) -> AdjustedCurve:
-    """Return the outcome of the way that ``prepared`` belongs to; enters the residuals."""
+def adjusted_curve(prepared: PreparedWay, residuals: Residuals) -> AdjustedCurve:
+    """Return the curve of the way that ``prepared`` belongs to; enters the residuals."""
     if isinstance(prepared, PreparedPoints):
         return _direct(prepared, residuals)
     if isinstance(prepared, PreparedJoint):
@@ -119,12 +125,12 @@ def _stitched(prepared: PreparedNormals, residuals: Residuals) -> AdjustedCurve:
     """Stitching: a plane per station, zeros tied by shared positions."""
     pairs, angles = prepared.pairs, prepared.angles
     normals, groups = _groups(prepared, residuals)
-    axes, height = stitching.station_cones(normals.normal, pairs, angles)
+    axes, height = station_cones(normals.normal, pairs, angles)
     covariance = stitched_covariance(normals, pairs, axes, prepared.problem.tilt_std)
     _, zero = np.unique(pairs.station, return_inverse=True)
     cones = _Cones(normals.normal, axes, zero, covariance, float(height))
-    readings = stitching.stitch(normals.normal, pairs, angles)
-    response = stitching.stitch_response(normals.normal, pairs, angles)
+    readings = stitch(normals.normal, pairs, angles)
+    response = stitch_response(normals.normal, pairs, angles)
     details = {"lean_rad": float(np.arcsin(height))}
     return _of_readings(prepared, readings, response, cones, groups, _Fit(details=details))
 
@@ -135,7 +141,7 @@ def _registered(prepared: PreparedNormals, residuals: Residuals) -> AdjustedCurv
     normals, groups = _groups(prepared, residuals)
     nests = _nests(prepared, residuals)
     placed = poses.turned(normals.normal, pairs.station)
-    axis, height = cone.fit_cone(placed, angles[pairs.position])
+    axis, height = fit_cone(placed, angles[pairs.position])
     covariance = normal_covariance(
         normals, pairs, poses, axis, _pose_covariance(prepared), prepared.problem.tilt_std
     )
@@ -155,12 +161,13 @@ def _joined(prepared: PreparedJoint, residuals: Residuals) -> AdjustedCurve:
     nests = _nests(prepared, residuals)
     equations = joint.joint_equations(problem.xyz, normals, prepared.adjusted_together, mirror)
     n, taken = len(prepared.angles), prepared.drift.size if len(prepared.nests.row) else 0
-    contrast = np.eye(n)
-    contrast[:, 0] -= 1.0
+    contrast = from_first(n)
     covariance = contrast @ joint.angle_covariance(equations) @ contrast.T
+    # Three equations of each pair and each reading of a nest, less three for the place of a nest,
+    # and less three for psi, eps and d of a position, of which eps is observed itself.
     n_known = len(pairs.direct) + len(prepared.nests.row) - prepared.nests.n_points
     return AdjustedCurve(
-        deviations=cone.deviation(mirror.psi, prepared.angles),
+        deviations=angle_deviation(mirror.psi, prepared.angles),
         covariance=covariance + tilt_crosstalk(problem, float(np.sin(mirror.beta)), n),
         chi_square=float(equations.chi_square) + groups.chi_square,
         dof=3 * n_known - equations.shared.shape[0] - 2 * n - taken,
@@ -212,17 +219,15 @@ def _of_readings(
     reading_covariance = response @ cones.covariance @ response.T
     # Fewer than three normals have no plane of their own that they could leave.
     known = np.isin(zero, np.flatnonzero(np.bincount(zero) >= 3))
-    about_cones = cone_misfit(
+    about_cones = _cone_misfit(
         cones.normals[known],
         cones.axes[known],
         zero[known],
         angles[pairs.position[known]],
         cones.covariance[n:, n:][np.ix_(known, known)],
     )
-    design = np.zeros((n, len(angles) + zero.max() + 1))
-    design[np.arange(n), pairs.position] = 1.0
-    design[np.arange(n), len(angles) + zero] = 1.0
-    overlaps = misfit(readings, design, reading_covariance)
+    design = reading_design(pairs.position, zero, len(angles))
+    overlaps = _misfit(readings, design, reading_covariance)
     gain = prepared.joining
     crosstalk = tilt_crosstalk(prepared.problem, cones.height, len(angles))
     return AdjustedCurve(
@@ -242,9 +247,9 @@ def _circles(
     ``covariance`` (2 M, 2 M): of all radial, then all axial movements, m^2.
     """
     m, reflectors = len(off_circle), prepared.reflectors
-    design = cone.circle_design(prepared.angles[reflectors.position], reflectors.reflector)
+    design = circle_design(prepared.angles[reflectors.position], reflectors.reflector)
     both = np.asarray(np.kron(np.eye(2), design), dtype=np.float64)
-    chi_square, dof = misfit(off_circle.T.ravel(), both, covariance)
+    chi_square, dof = _misfit(off_circle.T.ravel(), both, covariance)
     leverage: Floats = np.einsum("ij,ji->i", design, np.linalg.pinv(design))
     spread = np.diag(covariance).reshape(2, m).T * (1.0 - leverage)[:, None]
     test = np.sqrt((off_circle**2 / np.maximum(spread, _CERTAIN)).mean(axis=1))
@@ -258,7 +263,7 @@ def _groups(prepared: PreparedNormals, residuals: Residuals) -> tuple[Normals, _
     """Return the normals, and the fit of the pairs about the plane of their group."""
     pairs, weight = prepared.pairs, prepared.pair_weight
     normals = prepared.normals(prepared.problem.xyz)
-    _enter_pairs(residuals, prepared.problem, pairs, normals, weight)
+    _enter_pairs(residuals, prepared, normals)
     e = normals.misclosure
     chi_square = float(np.einsum("pi,pij,pj->", e, weight, e))
     return normals, _Fit(chi_square, 3 * (len(pairs.direct) - pairs.n_groups))
@@ -277,6 +282,7 @@ def _nests(prepared: Prepared, residuals: Residuals) -> _Fit:
 
 
 def _nest_entries(prepared: Prepared, fit: NestFit) -> list[dict[str, Any]]:
+    """Return each reading of a nest for the details of a result."""
     nests, problem = prepared.nests, prepared.problem
     placed = prepared.poses.placed(problem.xyz[nests.row], nests.station)
     return [
@@ -292,6 +298,7 @@ def _nest_entries(prepared: Prepared, fit: NestFit) -> list[dict[str, Any]]:
 
 
 def _pose_covariance(prepared: Prepared) -> Floats:
+    """Return the covariance (p, p) of the registered stations; (0, 0) where there are none."""
     if not len(prepared.nests.row):
         return np.zeros((0, 0))
     normal, _, _ = nest_equations(
@@ -308,18 +315,13 @@ def _enter(residuals: Residuals, rows: Ints, length: Floats, share: Floats, test
     residuals.used[rows] = True
 
 
-def _enter_pairs(
-    residuals: Residuals,
-    problem: PlaneMirrorProblem,
-    pairs: MirrorPairs,
-    normals: Normals,
-    weight: Floats,
-) -> None:
+def _enter_pairs(residuals: Residuals, prepared: PreparedNormals, normals: Normals) -> None:
     """Write direct and mirrored rows: distance of each from where its group's plane wants it.
 
     A single pair fits its plane exactly; it is checked by the cone and the overlaps alone and has
     redundancy 0 here.
     """
+    problem, pairs, weight = prepared.problem, prepared.pairs, prepared.pair_weight
     jacobian = condition_jacobian(problem.xyz[pairs.direct], normals.normal, normals.offset, pairs)
     basis = tangent_basis(normals.normal)[pairs.group]
     reduced = jacobian @ basis
@@ -327,13 +329,13 @@ def _enter_pairs(
     cofactor = np.linalg.inv(weight) - reduced @ np.linalg.solve(
         information, np.swapaxes(reduced, 1, 2)
     )
-    n = normals.normal[pairs.group]
-    reflection = np.eye(3) - 2.0 * n[:, :, None] * n[:, None, :]
     pull = (weight @ normals.misclosure[..., None])[..., 0]
     share = np.trace(weight @ cofactor, axis1=1, axis2=2)
     square = np.einsum("pi,pi->p", normals.misclosure, pull)
     test = np.sqrt(square / np.where(share > 1e-6, share, np.inf))
-    for rows, factor in ((pairs.direct, reflection), (pairs.mirrored, np.eye(3))):
+    # The condition feels an error of a direct point reflected, that of a mirrored point as it is.
+    turned = reflection(normals.normal[pairs.group])
+    for rows, factor in ((pairs.direct, turned), (pairs.mirrored, np.eye(3))):
         covariance = problem.noise.covariance(problem.xyz[rows])
         spread = covariance @ factor @ weight
         length = np.linalg.norm(np.einsum("pij,pj->pi", covariance @ factor, pull), axis=1)
@@ -341,92 +343,16 @@ def _enter_pairs(
         _enter(residuals, rows, length, own, test)
 
 
-def normal_covariance(
-    normals: Normals,
-    pairs: MirrorPairs,
-    poses: Poses,
-    axes: Floats,
-    pose_covariance: Floats,
-    tilt_std: float,
-) -> Floats:
-    """Return the covariance (2 G, 2 G) in rad^2 of all tau, then all eta.
-
-    ``axes`` (3,) or (G, 3) is the table axis along the common axes of ``poses``;
-    ``pose_covariance`` (p, p) is zero where stations are not brought together.
-    """
-    n = pairs.n_groups
-    t, b = tangent_frame(poses.turned(normals.normal, pairs.station), axes)
-    own = np.linalg.inv(plane_weight(normals, pairs, poses, t, b))[:, :2, :2]
-    total = _independent(own)
-    same = pairs.position[:, None] == pairs.position[None, :]
-    total[1, :, 1, :] += tilt_std**2 * same
-    by_pose = np.zeros((2, n, len(pose_covariance)))
-    movable, columns = station_columns(pairs.station)
-    by_pose[0, movable[:, None], columns[:, :3]] = b[movable]
-    by_pose[1, movable[:, None], columns[:, :3]] = -t[movable]
-    flat = by_pose.reshape(2 * n, -1)
-    covariance: Floats = total.reshape(2 * n, 2 * n) + flat @ pose_covariance @ flat.T
-    return covariance
+def _cone_misfit(
+    normals: Floats, axes: Floats, zero: Ints, azimuth: Floats, covariance: Floats
+) -> tuple[float, int]:
+    """Return chi square and dof of the normals (G, 3) about their cones, one per set ``zero``."""
+    values = np.einsum("gi,gi->g", normals, axes)
+    values = values / np.sqrt(1.0 - values.mean() ** 2)  # of a.n, as an angle: over cos(beta)
+    return _misfit(values, circle_design(azimuth, zero), covariance)
 
 
-def registered_response(pairs: MirrorPairs, angles: Floats, height: float) -> Floats:
-    """Return the derivative (G, 2 G) of angles about one common axis by tau and eta."""
-    azimuth = angles[pairs.position]
-    cos_beta = float(np.sqrt(1.0 - height**2))
-    turn = cone.azimuth_response(azimuth, height / cos_beta)
-    by_eta = turn @ cone.axis_response(azimuth)[:2]
-    return np.hstack([np.eye(len(azimuth)) / cos_beta, by_eta])
-
-
-def point_covariance(
-    problem: PlaneMirrorProblem,
-    reflectors: Reflectors,
-    poses: Poses,
-    axes: Floats,
-    pose_covariance: Floats,
-) -> Floats:
-    """Return the covariance (3 M, 3 M) in m^2: all tangential, all radial, all axial movements.
-
-    ``axes`` (M, 3, 3) are the local directions as rows.
-    """
-    n = len(reflectors.row)
-    points = problem.xyz[reflectors.row]
-    local = axes @ poses.rotation[reflectors.station]
-    own = local @ problem.noise.covariance(points) @ np.swapaxes(local, 1, 2)
-    total = _independent(own)
-    arm = poses.turned(points, reflectors.station)
-    by_pose = np.zeros((3, n, len(pose_covariance)))
-    movable, columns = station_columns(reflectors.station)
-    for k in range(3):
-        direction = axes[movable, k]
-        by_pose[k, movable[:, None], columns[:, :3]] = np.cross(arm[movable], direction)
-        by_pose[k, movable[:, None], columns[:, 3:]] = direction
-    flat = by_pose.reshape(3 * n, -1)
-    covariance: Floats = total.reshape(3 * n, 3 * n) + flat @ pose_covariance @ flat.T
-    return covariance
-
-
-def _independent(own: ArrayLike) -> Floats:
-    """Return the covariance (k, n, k, n) of n independent places with their ``own`` (n, k, k)."""
-    n, k, _ = np.shape(own)
-    total = np.zeros((k, n, k, n))
-    total[:, np.arange(n), :, np.arange(n)] = own
-    return total
-
-
-def tilt_crosstalk(problem: PlaneMirrorProblem, height: float, n: int) -> Floats:
-    """Return the covariance (n, n): a tilt about the normal's own direction turns it by sin(beta).
-
-    Relative to the first position.
-    """
-    lean = height**2 / (1.0 - height**2)
-    contrast = np.eye(n)
-    contrast[:, 0] -= 1.0
-    covariance: Floats = lean * problem.tilt_std**2 * contrast @ contrast.T
-    return covariance
-
-
-def misfit(values: Floats, design: Floats, covariance: Floats) -> tuple[float, int]:
+def _misfit(values: Floats, design: Floats, covariance: Floats) -> tuple[float, int]:
     """Return the chi square and its degrees of freedom of ``values`` (m,) about a fit.
 
     ``design`` (m, k) spans what the unweighted fit takes away, ``covariance`` (m, m) is that of
@@ -435,28 +361,9 @@ def misfit(values: Floats, design: Floats, covariance: Floats) -> tuple[float, i
     """
     basis, size, _ = np.linalg.svd(design, full_matrices=True)
     rank = int((size > 1e-9 * size.max()).sum())
-    rest = basis[:, rank:]
+    rest = basis[:, rank:]  # combinations of the values that the fit leaves alone
     if rest.shape[1] == 0:
         return 0.0, 0
     part = rest.T @ values
     chi_square = part @ np.linalg.solve(rest.T @ covariance @ rest, part)
     return float(chi_square), rest.shape[1]
-
-
-def cone_misfit(
-    normals: Floats, axes: Floats, zero: Ints, azimuth: Floats, covariance: Floats
-) -> tuple[float, int]:
-    """Return chi square and dof of the normals (G, 3) about their cones, one per set ``zero``."""
-    values = np.einsum("gi,gi->g", normals, axes)
-    values = values / np.sqrt(1.0 - values.mean() ** 2)
-    return misfit(values, cone.circle_design(azimuth, zero), covariance)
-
-
-def stitched_covariance(
-    normals: Normals, pairs: MirrorPairs, axes: Floats, tilt_std: float
-) -> Floats:
-    """Return the covariance (2 G, 2 G) of the normals in their stations; ``axes`` (G, 3)."""
-    n_stations = int(pairs.station.max()) + 1
-    own = Poses(np.tile(np.eye(3), (n_stations, 1, 1)), np.zeros((n_stations, 3)))
-    none = np.zeros((6 * (n_stations - 1),) * 2)
-    return normal_covariance(normals, pairs, own, axes, none, tilt_std)
