@@ -11,16 +11,16 @@ import pytest
 import zstandard
 
 from rotcal_ros.bags.blocks import HEADER_TYPE, Block
-from rotcal_ros.bags.mcap_records import DamagedRecord
-from rotcal_ros.bags.message_compression import (
+from rotcal_ros.bags.compression import (
+    Unpacker,
     declared_compression,
     decompressor,
     looks_packed,
     stated_compression,
-    unpacked,
+    unpacked_messages,
 )
-from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS
-from rotcal_ros.bags.unpacking import Unpacker
+from rotcal_ros.bags.mcap_records import DamagedRecord
+from rotcal_ros.bags.settings import DEFAULT_LIMITS
 from rotcal_ros.foundation.errors import BagError
 
 MESSAGE = b"\0\1\0\0" + b"length" * 5000
@@ -104,7 +104,7 @@ def test_a_block_keeps_its_headers_and_counts_what_is_lost() -> None:
     lost = Counter[int]()
     unpack = decompressor("message", "zstd")
     assert unpack is not None
-    (block,) = unpacked(
+    (block,) = unpacked_messages(
         Block(b"".join(packed), np.cumsum(sizes) - sizes, sizes, headers), unpack, lost
     )
     assert [block.payload(row) for row in range(len(block))] == [MESSAGE, b""]

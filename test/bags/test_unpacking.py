@@ -5,9 +5,9 @@ import struct
 import pytest
 import zstandard
 
+from rotcal_ros.bags.compression import Unpacker
 from rotcal_ros.bags.mcap_records import ChunkRecord, DamagedRecord
-from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS
-from rotcal_ros.bags.unpacking import Unpacker
+from rotcal_ros.bags.settings import DEFAULT_LIMITS
 
 ONE, TWO = bytes(range(200)) * 30, b"second" * 400
 SKIPPED = struct.pack("<II", 0x184D2A57, 5) + b"hello"

@@ -10,8 +10,8 @@ import pytest
 from bag_samples import START_NS, TYPES, Run, encode, serialised
 
 from rotcal_ros.bags import names
+from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.observations import LengthStatus
 from rotcal_ros.recordings.replay import Recording, read_recording

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from rotcal_ros.bags.dropouts import GAP, Dropout
-from rotcal_ros.recordings.placed_dropouts import Window, placed, sentences
+from rotcal_ros.recordings.missing_data import Window, placed, sentences
 
 SECOND = 10**9
 
