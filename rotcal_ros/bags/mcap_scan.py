@@ -172,7 +172,7 @@ class McapScan(Scan):
     def _contents(self, record: Record) -> Iterator[Item]:
         """Read one top-level record and yield what it holds."""
         opcode, content = record.opcode, record.content
-        self._check_size(record)
+        self._note_record(record)
         if opcode == mcap.CHUNK:
             yield from self._chunk(record)
         elif opcode == mcap.MESSAGE_INDEX:
@@ -189,8 +189,8 @@ class McapScan(Scan):
         else:
             self._summary_record(record)
 
-    def _check_size(self, record: Record) -> None:
-        """Tell the index check of a record; raises DamagedRecord where it is too large."""
+    def _note_record(self, record: Record) -> None:
+        """Note a record, for the index check too; raises DamagedRecord where it is too large."""
         opcode = record.opcode
         if opcode == mcap.CHUNK:
             self._loss_unknown |= self._awaits_message_index

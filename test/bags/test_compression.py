@@ -1,4 +1,4 @@
-"""rosbag2's compression message by message, against zstandard and rosbags."""
+"""Compressed chunks and messages (rosbag2's mode MESSAGE), against zstandard and rosbags."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rotcal_ros.bags.compression import (
     stated_compression,
     unpacked_messages,
 )
-from rotcal_ros.bags.mcap_records import DamagedRecord
+from rotcal_ros.bags.mcap_records import ChunkRecord, DamagedRecord
 from rotcal_ros.bags.settings import DEFAULT_LIMITS
 from rotcal_ros.foundation.errors import BagError
 
@@ -127,3 +127,37 @@ def test_what_metadata_states(text: bytes, stated: tuple[str, str], tmp_path: Pa
     (tmp_path / "metadata.yaml").write_bytes(text)
     assert declared_compression(tmp_path / "bag_0.db3") == stated
     assert declared_compression(tmp_path / "none" / "bag_0.db3") == ("", "")
+
+
+def packed(data, **options):
+    return zstandard.ZstdCompressor(**options).compress(data)
+
+
+def unpacked(data, size):
+    chunk = ChunkRecord(0, 0, size, 0, "zstd", memoryview(data))
+    return Unpacker(DEFAULT_LIMITS, 1 << 20).chunk(chunk)
+
+
+@pytest.mark.parametrize(
+    ("data", "expected"),
+    [
+        (packed(ONE), ONE),
+        (packed(ONE) + packed(TWO), ONE + TWO),
+        (SKIPPED + packed(ONE), ONE),
+        (packed(ONE) + SKIPPED, ONE),
+        (packed(ONE) + SKIPPED + packed(TWO), ONE + TWO),
+        (packed(ONE, write_content_size=False) + packed(TWO), ONE + TWO),
+    ],
+)
+def test_every_frame_counts(data, expected):
+    assert unpacked(data, len(expected)) == expected
+
+
+def test_the_stated_size_holds():
+    with pytest.raises(DamagedRecord, match="instead of"):
+        unpacked(packed(ONE) + packed(TWO), len(ONE) + 1)
+    with pytest.raises(DamagedRecord):
+        unpacked(packed(ONE)[:-9], len(ONE))
+    bomb = packed(bytes(1 << 20)) * 50
+    with pytest.raises(DamagedRecord):
+        unpacked(bomb, (1 << 20) + 5)
