@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rotcal_ros.cli.console import VERDICT_EXIT_CODES, NamedFile
-from rotcal_ros.cli.input_options import set_option, setup_options
+from rotcal_ros.cli.options import set_option, setup_options
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.report.terminal.console import say
@@ -152,7 +152,7 @@ def page_beside(source: Path) -> Path:
 
 def bag_around(path: Path, bag: Path | None = None) -> Path | None:
     """Return the folder of a bag, or ``bag``, that ``path`` lies in or would lie in."""
-    from rotcal_ros.bags.writer import METADATA_FILE
+    from rotcal_ros.bags.rosbag2_metadata import METADATA_FILE
 
     folders = path.absolute().parents
     known = None if bag is None else bag.absolute()

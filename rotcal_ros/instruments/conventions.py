@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.topic_settings import LENGTH_UNITS, TopicSettings
+from rotcal_ros.bags.settings import LENGTH_UNITS, TopicSettings
 from rotcal_ros.foundation.observations import (
     HumiditySample,
     PressureSample,

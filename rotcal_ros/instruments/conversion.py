@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.bags.topic_settings import TopicSettings
+from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.observations import LengthStatus, TracerSample
 from rotcal_ros.planning.table_motion import TableSpeed

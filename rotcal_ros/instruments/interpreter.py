@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.topic_settings import TopicSettings
+from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.capture import messages
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.observations import (

@@ -7,7 +7,7 @@ from math import isfinite, pi
 from typing import Final
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.topic_settings import ANGLE_UNITS, LENGTH_UNITS, TopicSettings
+from rotcal_ros.bags.settings import ANGLE_UNITS, LENGTH_UNITS, TopicSettings
 from rotcal_ros.planning.plan import Plan
 
 _FULL_TURN: Final = 2.0 * pi

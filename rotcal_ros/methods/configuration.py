@@ -24,8 +24,7 @@ from typing import Any, Final
 
 import yaml
 
-from rotcal_ros.bags.recorder_settings import RecorderSettings
-from rotcal_ros.bags.topic_settings import TopicSettings
+from rotcal_ros.bags.settings import RecorderSettings, TopicSettings
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.foundation import plugins

@@ -30,8 +30,8 @@ from rclpy.signals import SignalHandlerOptions
 from rotcal_msgs.msg import CalibrationPlan
 
 from rotcal_ros.bags import names
+from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.bags.topic_roles import TOPIC
-from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.capture.stamp_offsets import OffsetLimits, StampOffsets
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.escapes import printable

@@ -20,7 +20,7 @@ from rclpy.serialization import deserialize_message
 from rotcal_msgs.msg import TracerLength
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.topic_settings import TopicSettings
+from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.foundation import machine_load
 from rotcal_ros.foundation.machine_load import Patience

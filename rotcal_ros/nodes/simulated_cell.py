@@ -10,7 +10,7 @@ from rotcal_msgs.msg import ProbePoint, TableInForce, TracerLength
 from sensor_msgs.msg import FluidPressure, JointState, RelativeHumidity, Temperature
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.topic_settings import TopicSettings
+from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.capture import messages
 from rotcal_ros.foundation.in_force import NONE, UNKNOWN
 from rotcal_ros.foundation.observations import Command, HumiditySample, PressureSample

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rotcal_ros.bags.topic_settings import TopicSettings
+from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.instruments.conversion import BareAngles

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.topic_settings import TopicSettings
+from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.observations import LengthStatus
 from rotcal_ros.foundation.settings import load

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.topic_settings import ANGLE_UNITS, LENGTH_UNITS, TopicSettings
+from rotcal_ros.bags.settings import ANGLE_UNITS, LENGTH_UNITS, TopicSettings
 from rotcal_ros.instruments.plausibility import (
     air_in_words,
     angle_in_words,

@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
-from rotcal_ros.bags.topic_settings import TopicSettings
+from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.capture.stamp_offsets import OffsetLimits, StampOffsets
 from rotcal_ros.instruments.conventions import Conventions
 from rotcal_ros.nodes.cell_check import Listening

@@ -18,7 +18,7 @@ from rotcal_ros.foundation.tables import Header, Row, Table, hashes, read_table,
 from rotcal_ros.methods.calibration import Calibration, prepare
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder
-from rotcal_ros.methods.plan_files import PlanFile
+from rotcal_ros.methods.method import PlanFile
 from rotcal_ros.methods.tracer.lengths import LengthCheck
 from rotcal_ros.methods.tracer.plan import explicit_plan, plan_of
 from rotcal_ros.planning.plan import Plan, Point, Step

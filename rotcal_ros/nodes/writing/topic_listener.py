@@ -14,7 +14,7 @@ from rclpy.qos import QoSProfile
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.dropouts import GAP, REPORTED, UNHEARD, Dropout
-from rotcal_ros.bags.topic_settings import TopicSettings
+from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.instruments.conventions import Conventions, single_shots
 from rotcal_ros.methods.configuration import read_topics

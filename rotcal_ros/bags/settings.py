@@ -1,13 +1,72 @@
-"""The settings of somebody else's topics: group ``topics`` of a configuration."""
+"""Settings of recording and of reading: the groups ``recorder``, ``topics`` and ``reading``."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.settings import check_ros_name, setting
+from rotcal_ros.foundation.settings import check_ros_name, group, load, setting
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICRORADIAN
+from rotcal_ros.foundation.untrusted import load_yaml
+
+
+@dataclass(frozen=True)
+class WriterSettings:
+    """When chunks are closed and files are split."""
+
+    sync_interval_s: float = setting(
+        0.5,
+        doc="s, longest time that data wait in memory before they are on disk",
+        minimum=0.01,
+        maximum=1.0,
+    )
+    chunk_bytes: int = setting(
+        262144, doc="bytes, size at which a chunk is closed early", minimum=1024, maximum=67108864
+    )
+    split_bytes: int = setting(
+        0, doc="bytes, size at which a new file is begun; 0: never", minimum=0
+    )
+    split_duration_s: float = setting(
+        0.0, doc="s, recording time after which a new file is begun; 0: never", minimum=0.0
+    )
+    min_free_bytes: int = setting(
+        67108864, doc="bytes of free disk below which recording stops in good order", minimum=0
+    )
+
+
+@dataclass(frozen=True)
+class RecorderSettings:
+    """Where and how a cell is recorded."""
+
+    folder: str = setting(
+        "~/.ros/rotcal", doc="folder below which every calibration gets its session folder"
+    )
+    session: str = setting(
+        "", doc="name of the session folder; empty: UTC time and the start of the plan's hash"
+    )
+    run: int = setting(
+        0,
+        doc="run of an interrupted session that this one is; 0 begins a session, later runs "
+        "continue its bag in a new file",
+        minimum=0,
+        maximum=1_000_000,
+    )
+    queue_bytes: int = setting(
+        67_108_864,
+        doc="bytes waiting for the disk at most; beyond that messages are lost and counted",
+        minimum=65_536,
+    )
+    silence_s: float = setting(
+        30.0,
+        doc="s without a message after which tracer_length, joint_states or what is known "
+        "of the air counts as silent",
+        minimum=0.1,
+        maximum=3600.0,
+    )
+    writer: WriterSettings = group(WriterSettings)
+
 
 LENGTH_UNITS: Final = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}
 """Units of lengths and positions in m."""
@@ -147,3 +206,70 @@ class TopicSettings:
             "relative_humidity",
         )  # fmt: skip
         return {role: getattr(self, role) for role in roles if getattr(self, role)}
+
+
+_GROUP: Final = "reading"
+
+LARGEST_MESSAGE: Final = 128 * 1024 * 1024
+"""Bytes of the largest message that a database may hold, or a definition ask for."""
+
+
+@dataclass(frozen=True)
+class ReadingLimits:
+    """What a bag may cost to read; what goes beyond is left out and said."""
+
+    record_bytes: int = setting(
+        50_331_648,
+        doc="bytes, largest record of a file that is taken into memory",
+        minimum=65_536,
+    )
+    chunk_bytes: int = setting(
+        50_331_648,
+        doc="bytes, largest chunk or message that is unpacked",
+        minimum=65_536,
+    )
+    unpacked_bytes: int = setting(
+        268_435_456,
+        doc="bytes that a file of any size may unpack to in all",
+        minimum=65_536,
+    )
+    unpacked_ratio: int = setting(
+        1000,
+        doc="times the size of a file that it may unpack to where this is more",
+        minimum=1,
+    )
+    other_records: int = setting(
+        200_000,
+        doc="records in a chunk that are no messages",
+        minimum=1000,
+    )
+    kept_bytes: int = setting(
+        33_554_432,
+        doc="bytes of memory for all definitions, attachments and metadata of a file together",
+        minimum=65_536,
+    )
+
+
+DEFAULT_LIMITS: Final = ReadingLimits()
+
+
+def is_limit(change: str) -> bool:
+    """Return whether a ``group.name=value`` is about the limits of reading."""
+    return change.partition(".")[0] == _GROUP
+
+
+def changed_limits(changes: Sequence[str]) -> ReadingLimits:
+    """Return the limits with ``reading.name=value`` changes; ConfigurationError for all others."""
+    values: dict[str, Any] = {}
+    for change in changes:
+        name, equals, value = change.partition("=")
+        first, dot, limit = name.partition(".")
+        if first != _GROUP or not dot or not equals:
+            raise ConfigurationError(f"--set {change}: expected {_GROUP}.NAME=VALUE")
+        values[limit] = load_yaml(value, f"--set {change}")
+    return load(ReadingLimits, values, f"--set: {_GROUP}")
+
+
+def refusal(what: str, setting_name: str, least: int) -> str:
+    """Return the words for something beyond a limit: what it is, and what lets it pass."""
+    return f"{what}; --set reading.{setting_name}={least} of rotcal bag repair lets it pass"

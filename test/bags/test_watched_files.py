@@ -5,9 +5,10 @@ import shutil
 
 import pytest
 
-from rotcal_ros.bags.reader import check_files, session_files
+from rotcal_ros.bags.interrupted_files import InterruptedSession
+from rotcal_ros.bags.reader import check_files
+from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.foundation import disk
 from rotcal_ros.foundation.errors import BagError
 
@@ -97,7 +98,7 @@ def test_a_moved_bag_ends_behind_a_whole_record(bag, tmp_path):
 def test_the_files_of_the_earlier_run_are_watched_too(tmp_path):
     folder = tmp_path / "bag"
     BagWriter(folder, SETTINGS).close()
-    writer = BagWriter(folder, SETTINGS, earlier=session_files(folder))
+    writer = BagWriter(folder, SETTINGS, earlier=InterruptedSession.read(folder).files)
     (folder / "bag_0.mcap").unlink()
     with pytest.raises(BagError, match=r"bag_0\.mcap is no longer there"):
         writer.sync()

@@ -1,4 +1,4 @@
-"""rosbag2's compression message by message, against zstandard and rosbags."""
+"""Compressed chunks and messages (rosbag2's mode MESSAGE), against zstandard and rosbags."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ import pytest
 import zstandard
 
 from rotcal_ros.bags.blocks import HEADER_TYPE, Block
-from rotcal_ros.bags.mcap_records import DamagedRecord
-from rotcal_ros.bags.message_compression import (
+from rotcal_ros.bags.compression import (
+    Unpacker,
     declared_compression,
     decompressor,
     looks_packed,
     stated_compression,
-    unpacked,
+    unpacked_messages,
 )
-from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS
-from rotcal_ros.bags.unpacking import Unpacker
+from rotcal_ros.bags.mcap_records import ChunkRecord, DamagedRecord
+from rotcal_ros.bags.settings import DEFAULT_LIMITS
 from rotcal_ros.foundation.errors import BagError
 
 MESSAGE = b"\0\1\0\0" + b"length" * 5000
@@ -104,7 +104,7 @@ def test_a_block_keeps_its_headers_and_counts_what_is_lost() -> None:
     lost = Counter[int]()
     unpack = decompressor("message", "zstd")
     assert unpack is not None
-    (block,) = unpacked(
+    (block,) = unpacked_messages(
         Block(b"".join(packed), np.cumsum(sizes) - sizes, sizes, headers), unpack, lost
     )
     assert [block.payload(row) for row in range(len(block))] == [MESSAGE, b""]
@@ -127,3 +127,37 @@ def test_what_metadata_states(text: bytes, stated: tuple[str, str], tmp_path: Pa
     (tmp_path / "metadata.yaml").write_bytes(text)
     assert declared_compression(tmp_path / "bag_0.db3") == stated
     assert declared_compression(tmp_path / "none" / "bag_0.db3") == ("", "")
+
+
+def packed(data, **options):
+    return zstandard.ZstdCompressor(**options).compress(data)
+
+
+def unpacked(data, size):
+    chunk = ChunkRecord(0, 0, size, 0, "zstd", memoryview(data))
+    return Unpacker(DEFAULT_LIMITS, 1 << 20).chunk(chunk)
+
+
+@pytest.mark.parametrize(
+    ("data", "expected"),
+    [
+        (packed(ONE), ONE),
+        (packed(ONE) + packed(TWO), ONE + TWO),
+        (SKIPPED + packed(ONE), ONE),
+        (packed(ONE) + SKIPPED, ONE),
+        (packed(ONE) + SKIPPED + packed(TWO), ONE + TWO),
+        (packed(ONE, write_content_size=False) + packed(TWO), ONE + TWO),
+    ],
+)
+def test_every_frame_counts(data, expected):
+    assert unpacked(data, len(expected)) == expected
+
+
+def test_the_stated_size_holds():
+    with pytest.raises(DamagedRecord, match="instead of"):
+        unpacked(packed(ONE) + packed(TWO), len(ONE) + 1)
+    with pytest.raises(DamagedRecord):
+        unpacked(packed(ONE)[:-9], len(ONE))
+    bomb = packed(bytes(1 << 20)) * 50
+    with pytest.raises(DamagedRecord):
+        unpacked(bomb, (1 << 20) + 5)
