@@ -219,7 +219,7 @@ def _settings(
     options: tuple[str, ...], revolutions: str | None, machine_ini: Path | None
 ) -> dict[str, Any]:
     """Return the settings of the controller that the command line states."""
-    from rotcal_ros.compensation.options import parse_options, parse_revolutions
+    from rotcal_ros.compensation.controllers import parse_options, parse_revolutions
 
     settings = parse_options(options)
     if revolutions is not None:

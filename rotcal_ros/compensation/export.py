@@ -18,8 +18,7 @@ from rotcal_ros.compensation.controller import Controller, Lag, Rule
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.held_table import in_force_of
 from rotcal_ros.compensation.interpolation_uncertainty import CERTAIN
-from rotcal_ros.compensation.lookup import Correction
-from rotcal_ros.compensation.resample import averaged, resample
+from rotcal_ros.compensation.resample import Correction, averaged, resample
 from rotcal_ros.compensation.table import (
     DIRECTIONS,
     SIGN_CONVENTION,
@@ -251,8 +250,8 @@ def _origin(table: CompensationTable, now: datetime, sources: Mapping[str, str])
         "axis": table.axis,
         "item": table.item,
         "serial": table.serial,
-        "measured_from": _day(table.measured_from_ns),
-        "measured_until": _day(table.measured_until_ns),
+        "measured_from": utc(table.measured_from_ns) if table.measured_from_ns else "",
+        "measured_until": utc(table.measured_until_ns) if table.measured_until_ns else "",
         "simulated": table.simulated,
         "method": table.method,
         "verdict": table.verdict,
@@ -266,10 +265,8 @@ def _origin(table: CompensationTable, now: datetime, sources: Mapping[str, str])
     }
 
 
-def _day(time_ns: int) -> str:
-    """Return the time (ns since 1970) for people; empty for 0, which is not known."""
-    if not time_ns:
-        return ""
+def utc(time_ns: int) -> str:
+    """Return a time (ns since 1970) for people."""
     time = datetime.fromtimestamp(time_ns * NANOSECOND, timezone.utc)
     return time.isoformat(timespec="seconds")
 

@@ -1,4 +1,4 @@
-"""The correction of a rotary axis: one model, whatever measured it and whoever will use it.
+"""The correction of a rotary axis: one model for all methods and all controllers.
 
 Correction = -deviation = commanded - actual, radians: what must be *added* to the command.
 """

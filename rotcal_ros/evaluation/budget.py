@@ -1,7 +1,7 @@
-"""Where the uncertainty of a result comes from, as far as the result itself tells.
+"""The sources of the uncertainty of a result, as far as the result holds them.
 
 A method that splits its uncertainty has ``budget`` among the details: standard uncertainties of
-ECC by source, which add in squares. Of another one only the whole is known, and that is said.
+ECC by source, which add in squares. Of any other method only the whole is known and reported.
 """
 
 from __future__ import annotations

@@ -499,7 +499,7 @@ class ComponentInput:
 
 @dataclass(frozen=True, eq=False)
 class Pooled:
-    """The estimate (n,) with ``covariance`` (n, n), both without what nobody knows.
+    """The estimate (n,) with ``covariance`` (n, n), both without the unknown offsets.
 
     ``variance_parts`` (k, n) tell which part of each variance comes from each input; they sum to
     one. ``free`` holds the estimated unknowns (q,) of every input. ``chi2`` has ``dof`` degrees

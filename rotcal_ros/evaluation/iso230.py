@@ -229,7 +229,7 @@ class FigureUncertainty:
     @property
     def expanded(self) -> float:
         """The expanded uncertainty of 95 % with Student's factor, rad (JCGM 100, G.4)."""
-        # Beyond so many degrees of freedom the factor is the normal one; stdtrit knows no inf.
+        # stdtrit does not take infinite degrees of freedom: these are close enough to normal.
         factor = float(stdtrit(min(self.dof, 1e9), 0.5 + 0.5 * PROBABILITY))
         return factor * self.std
 

@@ -116,7 +116,7 @@ def compare_with_linear(
 
     JCGM 101, 8.1: the ends of value +- k std are compared with those of the trials; they shall
     agree within the numerical tolerance of std, here at least 5 % of std, because an interval that
-    is wrong by less misleads nobody.
+    is wrong by less does no harm.
     """
     cover = normal_isf(0.5 - 0.5 * result.probability)
     tolerance = np.maximum(numerical_tolerance(std, result.digits), 0.05 * std)

@@ -189,7 +189,7 @@ def make_folder(path: Path) -> None:
     Raises FileExistsError when there is anything at ``path``.
     """
     for folder in reversed([above for above in path.parents if not above.exists()]):
-        with suppress(FileExistsError):  # somebody else was as quick
+        with suppress(FileExistsError):  # another process made it at the same time
             disk.make_folder(folder)
         sync_folder(folder.parent)
     disk.make_folder(path)

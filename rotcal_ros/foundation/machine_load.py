@@ -13,9 +13,9 @@ from math import inf
 from typing import Final
 
 MOST_CROWDED: Final = 10.0
-"""Time-outs are so many times as long at most."""
+"""Time-outs become this many times as long at most."""
 LONGEST_TURN_S: Final = 0.5
-"""What is longer between two looks is a standstill of the looker; so much of it counts."""
+"""A longer time between two looks is a standstill of this process; this much of it counts."""
 _KNOWN_S: Final = 1.0
 
 
@@ -27,7 +27,7 @@ def cores() -> int:
 
 
 def load() -> float:
-    """Return how many processes wanted a core in the last minute; 0 where nobody knows."""
+    """Return how many processes wanted a core in the last minute; 0 where that is not known."""
     try:
         return os.getloadavg()[0]
     except (AttributeError, OSError):

@@ -159,7 +159,7 @@ and something else in YAML 1.2: write a plain number such as 1.5, or a text in q
         what = " ".join(str(error).split())
         raise ConfigurationError(f"{source}: not valid YAML: {what}") from error
     except (ValueError, TypeError, LookupError, AttributeError, ArithmeticError) as error:
-        # What stands behind a tag, as a date that there is not, is nobody's business but yaml's.
+        # Tagged values, such as an impossible date, raise errors of yaml's own constructors.
         raise ConfigurationError(f"{source}: a value cannot be read: {error}") from error
 
 

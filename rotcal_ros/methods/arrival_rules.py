@@ -12,7 +12,7 @@ from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.arrivals import Arrivals, mean_curve, repeatability_std
 from rotcal_ros.methods.method import Trials
-from rotcal_ros.planning.visits import visits
+from rotcal_ros.planning.table_angles import visits
 
 
 def arrivals_of(angles: Sequence[float], runs: int, *, bidirectional: bool) -> Arrivals:

@@ -12,7 +12,7 @@ from rotcal_ros.foundation import plugins
 if TYPE_CHECKING:
     import numpy as np
 
-    from rotcal_ros.capture.rules import CaptureRules
+    from rotcal_ros.capture.attempt import CaptureRules
     from rotcal_ros.figures import Figure
     from rotcal_ros.foundation.arrays import Floats
     from rotcal_ros.foundation.observations import Observation
@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from rotcal_ros.methods.plan_files import PlanFile
     from rotcal_ros.methods.stations import Stations
     from rotcal_ros.planning.choices import Policy
-    from rotcal_ros.planning.plan import Plan, Step
-    from rotcal_ros.planning.plan_figures import Compared
+    from rotcal_ros.planning.plan import Compared, Plan, Step
     from rotcal_ros.simulation.cell import SimulatedCell
     from rotcal_ros.simulation.instrument import MakeInstrument
     from rotcal_ros.simulation.settings import SimulationSettings

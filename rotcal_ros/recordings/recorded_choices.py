@@ -11,8 +11,7 @@ from threadpoolctl import threadpool_limits
 from rotcal_ros import methods
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.methods.continuation import Continuation
-from rotcal_ros.planning.choices import Choice, Standing, StepOutcome
-from rotcal_ros.planning.policy_names import AS_LISTED
+from rotcal_ros.planning.choices import AS_LISTED, Choice, Standing, StepOutcome
 
 ENDLESS: Final = 2**62
 

@@ -49,7 +49,7 @@ from rotcal_ros.methods.configuration import (
 )
 from rotcal_ros.methods.goal import GoalStanding, goal_standing
 from rotcal_ros.methods.method import Trials
-from rotcal_ros.planning.policy_names import UNTIL_GOAL
+from rotcal_ros.planning.choices import UNTIL_GOAL
 from rotcal_ros.recordings.missing_observations import doubtful, why_nothing
 from rotcal_ros.recordings.placed_dropouts import PlacedDropout, placed_in, sentences
 from rotcal_ros.recordings.recorded_choices import RecordedChoice, differences
@@ -423,12 +423,14 @@ def _read(
 
 
 def judged_as_live(
-    observations: Iterable[Observation], estimates: Sequence[str], recorded: Iterable[Observation]
+    observations: Iterable[Observation],
+    estimates: Sequence[str | None],
+    recorded: Iterable[Observation],
 ) -> tuple[Observation, ...]:
     """Return the observations, rejected where the clocks of their streams differ.
 
     That is what was ``recorded`` of the same attempt; where nothing was (foreign bags, nodes that
-    were killed) it is the estimate from the bag at each observation, empty: they are alike.
+    were killed) it is the estimate from the bag at each observation.
     """
     live = {_attempt(o): o.reason for o in recorded if o.accepted or is_of_clocks(o.reason)}
     return tuple(

@@ -17,9 +17,8 @@ from rotcal_ros.foundation.observations import (
     ProbeSample,
     TracerSample,
 )
-from rotcal_ros.simulation.external_table import ExternalTable
-from rotcal_ros.simulation.table import SimulatedTable
-from rotcal_ros.simulation.temperature import SimulatedTemperature
+from rotcal_ros.simulation.air import SimulatedTemperature
+from rotcal_ros.simulation.table import ExternalTable, SimulatedTable
 
 Table = SimulatedTable | ExternalTable
 _NO_ORDER: Final = Command(0, 0, 0.0, Approach.UNKNOWN, PointKind.UNKNOWN, 0, (0.0, 0.0, 0.0))

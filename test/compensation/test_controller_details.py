@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from compensation_examples import TAU, even, result_of, wavy
 
-from rotcal_ros.compensation.controller_folder import STATE_FOLDER, ControllerFolder
+from rotcal_ros.compensation.controller_store import STATE_FOLDER, ControllerFolder
 from rotcal_ros.compensation.controllers import controller_names, make_controller
 from rotcal_ros.compensation.linuxcnc import load
 from rotcal_ros.compensation.table import CompensationTable, table_from_result

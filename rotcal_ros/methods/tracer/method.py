@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.length import decide_length
-from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.configuration import Configuration
@@ -25,12 +25,11 @@ from rotcal_ros.methods.tracer.settings import TracerPlanSettings
 from rotcal_ros.methods.tracer.simulation_settings import TracerSimulationSettings
 from rotcal_ros.methods.tracer.solver.solve import METHOD as NAME
 from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
-from rotcal_ros.planning.plan import Plan, Step
-from rotcal_ros.planning.plan_figures import Compared
+from rotcal_ros.planning.plan import Compared, Plan, Step
 
 if TYPE_CHECKING:
+    from rotcal_ros.simulation.air import SimulatedTemperature
     from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
-    from rotcal_ros.simulation.temperature import SimulatedTemperature
 
 
 def nominal(configuration: Configuration, _plan: Plan) -> See:

@@ -11,12 +11,11 @@ from rotcal_ros.foundation.observations import Command, PointKind, ProbeSample, 
 from rotcal_ros.foundation.units import DEGREE, MICROMETRE, NANOSECOND
 from rotcal_ros.methods.tracer.simulated_tracer import SimulatedTracer
 from rotcal_ros.methods.tracer.simulation_settings import LengthsSimulationSettings
-from rotcal_ros.simulation.air import SimulatedAir
+from rotcal_ros.simulation.air import SimulatedAir, SimulatedTemperature
+from rotcal_ros.simulation.cell import Ticks
 from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
 from rotcal_ros.simulation.motion import Motion, MotionLimits
 from rotcal_ros.simulation.noise import IndexedNoise, NoiseSource
-from rotcal_ros.simulation.temperature import SimulatedTemperature
-from rotcal_ros.simulation.ticks import Ticks
 
 
 class TracerAndReflector(SimulatedInstrument):

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.length import decide_length
-from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.curves import gauge
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.geometry.rotations import rotation_about_z
@@ -27,8 +27,8 @@ from rotcal_ros.methods.tracer_six.solver import TracerSixSolverSettings
 from rotcal_ros.planning.plan import Plan, Step
 
 if TYPE_CHECKING:
+    from rotcal_ros.simulation.air import SimulatedTemperature
     from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
-    from rotcal_ros.simulation.temperature import SimulatedTemperature
 
 
 def nominal(configuration: Configuration, _plan: Plan) -> See:

@@ -15,8 +15,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import GeometryError
-from rotcal_ros.geometry.rigid import align, require_spread
-from rotcal_ros.geometry.rotations import cross_matrix, rotation_from_vector
+from rotcal_ros.geometry.rotations import align, cross_matrix, require_spread, rotation_from_vector
 from rotcal_ros.methods.plane_mirror.solver.layout import Nests
 from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem
 

@@ -18,8 +18,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats
-from rotcal_ros.geometry.circle import fit_circle
-from rotcal_ros.geometry.plane import fit_plane
+from rotcal_ros.geometry.plane import fit_circle, fit_plane
 
 ABSORBED: Final = 3
 """Parameters of a circle that take up radial distances (centre, radius), and axial ones."""
