@@ -113,9 +113,12 @@ class AirStreams:
         that later readings do not change.
         """
         wanted = _wanted(begin_ns, since_ns, settings)
-        known = (q for q in QUANTITIES.values() if q.expected(settings))
+        expected = (q for q in QUANTITIES.values() if q.expected(settings))
         return ObservedAir(
-            **{q.column: _reading(self.by_name[q.name], wanted, since_ns, settings) for q in known}
+            **{
+                q.column: _reading(self.by_name[q.name], wanted, since_ns, settings)
+                for q in expected
+            }
         )
 
 

@@ -194,10 +194,10 @@ class StampOffsets:
                 del events[next(iter(events))]
 
     def _keep(self, stream: str, bucket: int, ahead_ns: int) -> None:
-        known = self._ahead.setdefault(stream, {})
-        known[bucket] = max(ahead_ns, known.get(bucket, ahead_ns))
-        for old in [b for b in known if b < bucket - _LASTING]:
-            del known[old]
+        ahead = self._ahead.setdefault(stream, {})
+        ahead[bucket] = max(ahead_ns, ahead.get(bucket, ahead_ns))
+        for old in [b for b in ahead if b < bucket - _LASTING]:
+            del ahead[old]
 
     def _offset_ns(self, stream: str, intervals: int = _BUCKETS) -> int | None:
         """Return how far the stamps of a stream are ahead of their arrival; None: not constant."""

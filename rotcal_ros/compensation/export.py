@@ -216,8 +216,8 @@ def _warnings(table: CompensationTable, controller: Controller) -> tuple[str, ..
     if table.simulated:
         reserve = (f"{NOTHING_MEASURED} table", *reserve)
     unverified = (f"not verified: {text}" for text in controller.unverified)
-    known = averaged(table).warnings if controller.one_direction else table.warnings
-    return (*reserve, *known, *unverified)
+    of_the_table = averaged(table).warnings if controller.one_direction else table.warnings
+    return (*reserve, *of_the_table, *unverified)
 
 
 def _too_wide(

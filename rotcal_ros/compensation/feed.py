@@ -349,8 +349,11 @@ class Feed:
 
     def _usual_names(self) -> tuple[str, ...]:
         """Return how our files for this controller are named, before there is a journal."""
-        stem, own = default_stem(self.axis, self.settings.controller), self._controller.suffixes
-        return tuple(stem + suffix for suffix in (*own, PROVENANCE)) if own else ()
+        stem, suffixes = (
+            default_stem(self.axis, self.settings.controller),
+            self._controller.suffixes,
+        )
+        return tuple(stem + suffix for suffix in (*suffixes, PROVENANCE)) if suffixes else ()
 
     def _held(self) -> HeldTable | None:
         """Return the table in force, None where there is none."""

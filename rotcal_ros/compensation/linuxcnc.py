@@ -228,8 +228,8 @@ class LinuxCnc(Controller):
             return {}
         joint = self._joint(axis)
         _, lines = only_file(files, ".ini")
-        own = Ini(joint.ini.path, lines)
-        values = {key: own.value(joint.section, key) or "" for key in LINES}
+        written = Ini(joint.ini.path, lines)
+        values = {key: written.value(joint.section, key) or "" for key in LINES}
         return {joint.ini.path.name: joint.ini.merged(joint.section, values)}
 
     def _joint(self, axis: str) -> Joint:

@@ -341,8 +341,8 @@ def _item(result: Result, reverse: Result | None) -> str:
 
 def _serial(result: Result, reverse: Result | None) -> str:
     """Return the number of the item of both directions, which do not contradict each other."""
-    known = (r.circumstances.identity.serial for r in (result, reverse) if r is not None)
-    return next(filter(None, known), "")
+    serials = (r.circumstances.identity.serial for r in (result, reverse) if r is not None)
+    return next(filter(None, serials), "")
 
 
 def _measured_on(result: Result, reverse: Result | None) -> str:

@@ -49,10 +49,10 @@ class Content:
         ``weights`` (m, n), whose rows add up to 1, are a line through exact values at ``nodes``
         (n,) rad: what is left is what the sampling cannot see.
         """
-        own = float(self.covariance(np.zeros(1))[0])
+        variance = float(self.covariance(np.zeros(1))[0])
         across = np.sum(weights * self.covariance(at[:, None] - nodes), axis=1)
-        known = np.sum((weights @ self.covariance(nodes[:, None] - nodes)) * weights, axis=1)
-        return np.asarray(np.maximum(own - 2.0 * across + known, 0.0), dtype=np.float64)
+        of_the_line = np.sum((weights @ self.covariance(nodes[:, None] - nodes)) * weights, axis=1)
+        return np.asarray(np.maximum(variance - 2.0 * across + of_the_line, 0.0), dtype=np.float64)
 
 
 def content_of(nodes: Floats, values: Floats, covariance: Floats) -> Content:

@@ -154,10 +154,10 @@ def combine(inputs: Sequence[CombinationInput], enlarge: Enlargement = "birge") 
 
 def _require_one_table(inputs: Sequence[CombinationInput]) -> None:
     """Raise DataError where inputs say that they are of two items, two axes or two tables."""
-    known = [(m.name, m.circumstances) for m in inputs if m.circumstances]
+    circumstances = [(m.name, m.circumstances) for m in inputs if m.circumstances]
     require_one_table({
-        "serial number": {name: around.identity.serial for name, around in known},
-        "axis": {name: around.axis for name, around in known},
+        "serial number": {name: around.identity.serial for name, around in circumstances},
+        "axis": {name: around.axis for name, around in circumstances},
         "compensation in force": {
             m.name: m.measured_on[:12] for m in inputs if m.measured_on != UNKNOWN
         },

@@ -77,11 +77,11 @@ def _merged(at: Sequence[Floats], turn: bool) -> tuple[Floats, list[Ints]]:
         every = np.where(TURN - every < SAME, every - TURN, every)
     order = np.argsort(every, kind="stable")
     new = np.append(True, np.diff(every[order]) > SAME)
-    place = np.empty(len(every), dtype=np.int64)
-    place[order] = np.cumsum(new) - 1
+    index = np.empty(len(every), dtype=np.int64)
+    index[order] = np.cumsum(new) - 1
     nodes = every[order][new]
     nodes[np.abs(nodes) < SAME] = 0.0
-    return nodes, np.split(place, np.cumsum([len(a) for a in at])[:-1])
+    return nodes, np.split(index, np.cumsum([len(a) for a in at])[:-1])
 
 
 def _linked(groups: list[set[int]]) -> list[set[int]]:

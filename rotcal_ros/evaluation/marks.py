@@ -144,8 +144,8 @@ def at_angles(angles: Floats, truth: Mapping[str, Any], component: str) -> tuple
     values = truth.get("deviations", {}).get(component)
     if values is None:
         return np.zeros(len(angles)), np.zeros(len(angles), dtype=np.bool_)
-    known = np.asarray(truth["angles_rad"], dtype=np.float64)
-    apart = np.abs(angles[:, None] - known)
+    injected_at = np.asarray(truth["angles_rad"], dtype=np.float64)
+    apart = np.abs(angles[:, None] - injected_at)
     nearest = apart.argmin(axis=1)
     return np.asarray(values, dtype=np.float64)[nearest], apart.min(axis=1) < 1e-9
 

@@ -301,9 +301,9 @@ def _error_at(size: float, shares: list[Share]) -> float:
 
     inf where no size left enough trials unnoticed.
     """
-    known = [share for share in shares if share.error is not None]
-    if not known:
+    with_error = [share for share in shares if share.error is not None]
+    if not with_error:
         return float("inf")
-    nearest = min(known, key=lambda share: abs(log(share.size / size)))
+    nearest = min(with_error, key=lambda share: abs(log(share.size / size)))
     assert nearest.error is not None
     return nearest.error * size / nearest.size

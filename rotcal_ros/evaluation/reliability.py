@@ -196,8 +196,8 @@ def _in_std(result: Result, again: Result) -> Floats:
     changes = []
     for name in result.components:
         std = result.std[name]
-        known = std > 0.0
-        changes.append((again.deviations[name] - result.deviations[name])[known] / std[known])
+        stated = std > 0.0
+        changes.append((again.deviations[name] - result.deviations[name])[stated] / std[stated])
     return np.concatenate(changes)
 
 

@@ -110,8 +110,8 @@ class Identity:
         """Return the identity of all ``parts``, or of the item alone, as far as they agree."""
         if parts and all(part == parts[0] for part in parts):
             return parts[0]
-        known = {name: {getattr(part, name) for part in parts} - {""} for name in _OF_THE_ITEM}
-        return cls(**{name: texts.pop() for name, texts in known.items() if len(texts) == 1})
+        stated = {name: {getattr(part, name) for part in parts} - {""} for name in _OF_THE_ITEM}
+        return cls(**{name: texts.pop() for name, texts in stated.items() if len(texts) == 1})
 
     def to_dict(self) -> dict[str, Any]:
         """Return what is known, without the empty texts, in plain types."""

@@ -289,10 +289,10 @@ def _today() -> str:
 def _versions(attachments: Mapping[str, bytes]) -> dict[str, str]:
     """Return the versions that the recorder noted, if it did, and those that are running."""
     packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "mcap"))
-    own = f"rotcal_ros {__version__}, {packages}, Python {platform.python_version()}"
+    running = f"rotcal_ros {__version__}, {packages}, Python {platform.python_version()}"
     try:
         noted = json.loads(attachments.get(names.VERSIONS, b"{}"))
         recorded = ", ".join(f"{name} {text}" for name, text in noted.items())
     except (ValueError, AttributeError):
         recorded = "the bag's note of versions is damaged"
-    return ({"recorded with": recorded} if recorded else {}) | {"solved with": own}
+    return ({"recorded with": recorded} if recorded else {}) | {"solved with": running}
