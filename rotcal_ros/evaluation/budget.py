@@ -25,7 +25,7 @@ SOURCES: Final[Mapping[str, str]] = {
 }
 """The names that methods give their sources, in words."""
 WHOLE: Final = "Observations and all that is estimated with them"
-REST: Final = "Not told apart"
+REST: Final = "Not separated"
 NOTHING: Final = 1e-3
 """Share of the variance below which a rest is rounding."""
 

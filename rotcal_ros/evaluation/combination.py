@@ -98,7 +98,7 @@ class CombinationInput:
         bare = [c for c, curve in measured.curves.items() if not np.any(curve.covariance)]
         if bare:
             raise DataError(
-                f"{name}: {', '.join(bare)} without uncertainty: nothing tells its weight"
+                f"{name}: {', '.join(bare)} without uncertainty: it can be given no weight"
             )
         return measured
 

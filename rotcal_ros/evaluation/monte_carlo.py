@@ -242,7 +242,7 @@ class Propagated:
         """Return the verdict in one line."""
         verdict = "CONTRADICT" if self.warnings else "confirm"
         open_zeros = self.result.zeros.in_words()
-        within = f"; {open_zeros}: no trial tells it" if open_zeros else ""
+        within = f"; {open_zeros}: no trial shows it" if open_zeros else ""
         stable = "stable to" if self.spread.stable else "not yet stable to"
         return (
             f"{self.spread.trials} trials {verdict} the solver's uncertainty; {stable} "

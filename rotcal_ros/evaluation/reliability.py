@@ -138,14 +138,14 @@ def effects_on_deviations(
     The largest one over all angles and components, by solving again with a small error in each
     coordinate; inf where nothing checks the observation. ``observations`` (n,) are those of
     ``result``; what only closes a plan has no residual. Raises DataError when a residual belongs
-    to none of them, or when the observations tell no standard deviation.
+    to none of them, or when the observations have no standard deviation.
     """
     metres = found.detectable_m()
     if result.residuals is None:
-        raise DataError("the result has no residuals: no effect can be told")
+        raise DataError("the result has no residuals: no effect can be calculated")
     places = _observation_of(result.residuals, observations)
     if found.std is None or metres is None or not np.all(found.std[which] > 0.0):
-        raise DataError("the observations tell no standard deviation: state the noise in solver")
+        raise DataError("the observations have no standard deviation: state the noise in solver")
     effects = np.full(len(which), np.inf)
     for k, index in enumerate(which.tolist()):
         if np.isfinite(metres[index]):
@@ -165,7 +165,7 @@ def _observation_of(residuals: Residuals, observations: Sequence[Observation]) -
     if len(found) < len(rows):
         raise DataError(
             f"{len(rows) - len(found)} residuals are not those of one observation each: no effect "
-            "can be told"
+            "can be calculated"
         )
     return found
 

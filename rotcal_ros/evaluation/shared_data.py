@@ -38,9 +38,9 @@ def shared_covariance(
     if ours is None or theirs is None:
         raise DataError(
             f"{names[0]} and {names[1]} rest on {len(here)} observations that are the same "
-            f"(of {len(first.raw_data.hashes)} and {len(second.raw_data.hashes)}), and nothing "
-            "tells how their errors go into both: take results of different measurements, or one "
-            "of the two"
+            f"(of {len(first.raw_data.hashes)} and {len(second.raw_data.hashes)}), and it is "
+            "not known how their errors affect both: take results of different measurements, or "
+            "one of the two"
         )
     causes = [cause for cause in ours.causes if cause in set(theirs.causes)]
     both = _columns(ours, here, causes) @ _columns(theirs, there, causes).T

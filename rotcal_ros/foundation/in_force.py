@@ -53,14 +53,14 @@ def contradiction(states: Iterable[str]) -> str | None:
     stated = set(states) - {""}
     if stated == {NONE, UNKNOWN}:
         return (
-            f"'{NONE}' was stated as the table in force, and '{UNKNOWN}' was announced too, by "
-            f"somebody who could not tell: which was is {UNKNOWN}"
+            f"'{NONE}' was stated as the table in force, and '{UNKNOWN}' was announced too: which "
+            f"table was in force is {UNKNOWN}"
         )
     definite = sorted(stated - {UNKNOWN})
     if wrong := [state for state in definite if not _is_state(state)]:
         return (
             f"the cell announced {wrong[0]!r}, which is no table in force (a SHA-256, '{NONE}' or "
-            f"'{UNKNOWN}'): which was is {UNKNOWN}"
+            f"'{UNKNOWN}'): which one was is {UNKNOWN}"
         )
     if len(definite) < 2:
         return None

@@ -81,7 +81,7 @@ def _tables(result: Result) -> list[dict[str, Any]]:
         place = f"{degrees(float(result.angles[worst]))}°"
         texts = [uncertainty(whole), uncertainty(COVERAGE_FACTOR * whole)]
         rows.append([name, place, *(f"{text} {label}" for text in texts)])
-    caption = f"{WHOLE}: the method does not tell the sources apart"
+    caption = f"{WHOLE}: the method does not separate the sources"
     head = ["Deviation", "where U is largest", "u", f"U (k = {COVERAGE_FACTOR:g})"]
     return [{"caption": caption, "head": head, "rows": rows}]
 

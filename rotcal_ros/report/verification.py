@@ -60,13 +60,13 @@ def acting_section(result: Result, in_force: Path | None) -> list[tuple[str, str
     if in_force is not None:
         effect = effect_in_force(result, in_force)
         acts = (
-            "it corrects nothing that could tell"
+            "it corrects too little to show it"
             if effect is None
             else effect.fault or effect.in_words()
         )
     elif known_hash(result.measured_on):
         acts = (
-            "not tested: what is left tells it only beside the files of that table (rotcal report "
+            "not tested: that needs the files of the table as well (rotcal report "
             "--in-force FOLDER, rotcal export --add-to FOLDER)"
         )
     else:
