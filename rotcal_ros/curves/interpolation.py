@@ -166,7 +166,7 @@ def regular_root(covariance: Floats) -> Floats:
     if scale <= 0.0:
         return np.eye(n)
     regular = covariance / scale + 1.0
-    regular[np.diag_indices(n)] += 1e-12
+    regular[np.diag_indices(n)] += 1e-12  # regular also where two values are fully correlated
     try:
         return np.asarray(np.linalg.cholesky(regular) * np.sqrt(scale), dtype=np.float64)
     except np.linalg.LinAlgError as error:

@@ -157,8 +157,8 @@ def _of_difference(both: PairedCurves) -> Floats:
     covariance = both.first_covariance + both.second_covariance
     if both.shared is None:
         return covariance
-    own = covariance - both.shared - both.shared.T
-    return np.asarray(own + floor(0.5 * covariance), dtype=np.float64)
+    apart = covariance - both.shared - both.shared.T
+    return np.asarray(apart + floor(0.5 * covariance), dtype=np.float64)
 
 
 def _align(raw: Floats, covariance: Floats, basis: Floats) -> tuple[Floats, Floats, float, int]:
@@ -201,7 +201,7 @@ def compare_all(
 def _agree(normalised: Floats, p_value: float) -> bool:
     """All |E_n| <= 1, or no more above 1 than chance gives, singly and together."""
     above = int(np.sum(np.abs(normalised) > 1.0))
-    expected = 2.0 * normal_sf(COVERAGE_FACTOR)
+    expected = 2.0 * normal_sf(COVERAGE_FACTOR)  # E_n has k = 2 in it: above 1 is beyond 2 sigma
     usual = above <= binomial_quantile(1.0 - SURE, len(normalised), expected)
     return above == 0 or (usual and p_value >= SURE)
 

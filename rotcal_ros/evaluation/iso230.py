@@ -267,10 +267,13 @@ def figure_uncertainties(statistics: TargetStatistics) -> dict[str, FigureUncert
 def _propagated(statistics: TargetStatistics, of_mean: Floats, of_s: Floats) -> FigureUncertainty:
     """Return the uncertainty of sum(of_mean * mean) + sum(of_s * s)."""
     n = statistics.n
+    # Of n normal values: var(mean) = s^2 / n, var(s) = s^2 / (2 (n - 1)), independently.
     terms = statistics.s**2 * (of_mean**2 / n + of_s**2 / (2.0 * (n - 1)))
+    # An error that all runs share moves the means of both directions alike.
     shared = of_mean.sum(axis=0)
     sampling = float(terms.sum())
     measurement = max(float(shared @ statistics.common @ shared), 0.0)
+    # Welch and Satterthwaite: n - 1 degrees of freedom per term, no limit for the measurement.
     share = float(np.sum(terms**2)) / (n - 1)
     dof = (sampling + measurement) ** 2 / share if share > 0.0 else inf
     return FigureUncertainty(sqrt(sampling), sqrt(measurement), dof)

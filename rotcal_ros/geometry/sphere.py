@@ -145,7 +145,7 @@ def _gauss_newton(
     design = np.empty((*mask.shape, 4 if free else 3))
     for _ in range(MAX_STEPS):
         away = points - centres[:, None]
-        distance = np.maximum(np.linalg.norm(away, axis=2), 1e-300)
+        distance = np.maximum(np.linalg.norm(away, axis=2), 1e-300)  # never 0 / 0
         design[..., :3] = -away / distance[..., None] * weight[..., None]
         if free:
             design[..., 3] = -weight
@@ -222,8 +222,8 @@ def _worst(
     """
     leverage = np.einsum("bni,bij,bnj->bn", design, inverse, design)
     share = np.clip(1.0 - leverage, 1e-9, 1.0)
-    level = FALSE_ALARM / np.maximum(mask.sum(axis=1), 1) / 2.0
-    gain = residuals**2 / share
+    level = FALSE_ALARM / np.maximum(mask.sum(axis=1), 1) / 2.0  # of all points, both signs
+    gain = residuals**2 / share  # by so much the sum of squares falls without the point
     others = np.maximum(dof - 1, 1)
     variance = np.maximum(square[:, None] - gain, 0.0) / others[:, None]
     critical = np.where(dof > 1, stdtrit(others, 1.0 - level), np.inf)
