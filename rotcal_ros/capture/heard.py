@@ -90,8 +90,8 @@ class Intruder:
     since_s: float
     count: int = 1
 
-    def in_words(self, node: str, *, anew: bool = False) -> str:
-        """Return it for people; ``node`` published them, "" for one that is gone or not known.
+    def in_words(self, node: str | None, *, anew: bool = False) -> str:
+        """Return it for people; ``node`` published the messages, None: it is gone or not known.
 
         ``anew``: it has the name of an accepted node, or that one is gone.
         """

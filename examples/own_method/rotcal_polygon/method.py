@@ -9,7 +9,7 @@ from rotcal_polygon.figures import figures
 from rotcal_polygon.plan import NAME, plan
 from rotcal_polygon.settings import PolygonPlanSettings, PolygonSolverSettings
 from rotcal_polygon.simulation import PolygonSimulationSettings, SimulatedAutocollimator
-from rotcal_ros.capture.attempt import CaptureRules
+from rotcal_ros.capture import CaptureRules
 from rotcal_ros.capture.points import mean_point, points
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.methods.configuration import Configuration
