@@ -1,6 +1,6 @@
-"""From a table to the texts of a controller's files, proven by the controller's own rule.
+"""From a table to the texts of a controller's files, verified by the controller's own rule.
 
-The proof tells what the controller's table can remove of the deviation and what it cannot.
+The verification shows how much of the deviation the controller's table removes, and what is left.
 """
 
 from __future__ import annotations
@@ -94,8 +94,8 @@ def prepare_export(
     and ``reference_angle`` are radians (without a spacing see :func:`chosen_rows`),
     ``settings`` go to the controller, ``stem`` is the file
     name without extension (else axis and controller, and that of a simulation says so),
-    ``sources`` maps what the numbers come from (a bag, a result) to its SHA-256. What nobody has
-    verified about a controller is refused unless ``accept_unverified``.
+    ``sources`` maps what the numbers come from (a bag, a result) to its SHA-256. What has not
+    been verified about a controller is refused unless ``accept_unverified``.
 
     Raises DataError for a verdict other than "ok" or a file that would make things worse, and
     ConfigurationError for limits, names and settings. Writes nothing.

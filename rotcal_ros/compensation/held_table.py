@@ -59,7 +59,7 @@ def in_force_of(files: Mapping[str, str]) -> str:
 def held_table(controller: Controller, files: Mapping[str, str]) -> HeldTable:
     """Return the table in ``files``, which hold its side file too.
 
-    Raises DataError when they do not tell where the rows are, BagError when they are damaged.
+    Raises DataError when the angles of the rows are missing, BagError for damaged files.
     """
     try:
         known = load_json(_side(files))

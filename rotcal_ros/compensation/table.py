@@ -59,9 +59,9 @@ class CompensationTable:
     the one that the corrections contain. ``item`` says what was measured and ``serial`` is its
     number, empty where that is not known; ``simulated``: no instrument measured it.
     ``measured_from_ns`` and ``measured_until_ns`` are when (ns since 1970) the first and the last
-    measurement that counts was made; 0: not known. ``open_zeros`` says which offsets within the
-    table nobody has measured, so that no uncertainty holds between its parts; empty: none. Such a
-    table is fed to no controller, see :func:`check_verdict`. Raises DataError when the arrays do
+    measurement that counts was made; 0: not known. ``open_zeros`` names the offsets within the
+    table that were not measured, so that no uncertainty holds between its parts; empty: none. Such
+    a table is fed to no controller, see :func:`check_verdict`. Raises DataError when the arrays do
     not fit together.
 
     >>> import rotcal_ros as rc

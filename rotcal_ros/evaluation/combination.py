@@ -51,7 +51,7 @@ class CombinationInput:
     """One input: its curves by component, where it comes from, and how far to trust it.
 
     ``verdict`` is that on each part with a zero of its own. ``circumstances`` are None for a
-    reference that tells none; ``measured_on`` is the table in force, see :mod:`..in_force`.
+    reference without any; ``measured_on`` is the table in force, see :mod:`..in_force`.
     """
 
     name: str
@@ -120,7 +120,7 @@ def combine(inputs: Sequence[CombinationInput], enlarge: Enlargement = "birge") 
     (chi-square, 1 % over all groups of components) the uncertainties are enlarged as ``enlarge``
     says and the verdict is suspect. An offset that one input leaves open, such as that between two
     groups of table positions, comes from the others, and a sentence says from which and what it
-    adds to U. A component whose offset no input tells is left out where others are whole; where
+    adds to U. A component whose offset no input holds is left out where others are whole; where
     none is, all stay and the result keeps the open :class:`Zeros`. The order of the inputs does
     not matter. Raises DataError for inputs that cannot be joined.
     """

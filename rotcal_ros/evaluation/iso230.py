@@ -8,7 +8,7 @@ one-directional figures.
 The uncertainty of the figures of ISO 230-2, by the law of propagation (JCGM 100).
 
 Every figure is piecewise linear in the means and standard deviations of the targets that decide
-it. Two parts are told apart: *sampling*, how far the figures of as many other runs would lie
+it. It has two parts: *sampling*, how far the figures of as many other runs would lie
 off, from the scatter of the runs (a mean s / sqrt(n), s itself s / sqrt(2 (n - 1)), JCGM 100,
 E.4.3); and *measurement*, errors that all runs share and that no repetition shows. They cancel
 in the reversal and leave the repeatability alone. Noise of the measurement is in the scatter.

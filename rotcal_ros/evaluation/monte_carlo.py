@@ -37,11 +37,11 @@ BLOCK: Final = 2000
 
 @dataclass(frozen=True)
 class Propagation:
-    """What the trials say about n output quantities, in their own units.
+    """The distribution of n output quantities over the trials, in their own units.
 
     ``mean``, ``std``, ``low``, ``high`` (n,); low and high bound the probabilistically symmetric
-    interval of ``probability``. ``covariance`` is (n, n). ``stable`` tells whether all of them
-    are stable to ``digits`` significant digits of the standard deviation, or the trials ran out.
+    interval of ``probability``. ``covariance`` is (n, n). ``stable``: all of them are
+    stable to ``digits`` significant digits of the standard deviation, or the trials ran out.
     """
 
     mean: Floats

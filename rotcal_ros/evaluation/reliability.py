@@ -39,7 +39,7 @@ class Reliability:
     error in standard deviations of the observation, for one of several coordinates in the mean
     over the directions; inf where nothing checks it. ``effect`` (n,) bounds what such an error
     does to any deviation, in standard uncertainties of that. ``std`` (n,) is the standard
-    deviation of the observations in metres, None where they do not tell it.
+    deviation of the observations in metres, None where it is not known.
     """
 
     alpha: float

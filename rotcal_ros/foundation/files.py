@@ -103,7 +103,7 @@ def replace_atomically(path: Path, write: Callable[[Path], object]) -> None:
     """Let ``write`` make a file at the path it gets, sync it, and put it in the place of ``path``.
 
     ``path`` holds either the old or the new content, never half. What ``write`` raises is passed
-    on; the unfinished file is removed. It is made in a folder of its own that nobody else may
+    on; the unfinished file is removed. It is made in a folder that no other user may
     enter: under a name that can be guessed, a planted link would lead the writing elsewhere.
     OSError where ``path`` is a device, a pipe or a folder.
     """

@@ -1,7 +1,7 @@
 """How busy this machine is, and time that counts only while this process gets its turns.
 
-A busy machine is no fault: what is judged by elapsed time is given more of it there, and nobody is
-blamed for a standstill of the one who judges.
+A busy machine is no fault: time-outs are longer there, and a standstill of the process that waits
+does not use them up.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""What others wrote, read within bounds: plain files, JSON and YAML.
+"""Input from elsewhere, read within bounds: plain files, JSON and YAML.
 
-A path may lead to a pipe that nobody writes to or a device without an end; a text may nest without
-end, or grow when its references are followed. Every reader of such input goes through here, so
-that it ends at once with a value or with an error that has one sentence.
+A path may lead to a pipe without a writer or a device without an end; a text may nest without end,
+or grow when its references are followed. Every reader of such input goes through here, so that it
+ends at once, with a value or with an error of one sentence.
 """
 
 from __future__ import annotations

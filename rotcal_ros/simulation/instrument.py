@@ -1,4 +1,4 @@
-"""What stands beside a simulated table: the machine and the instrument of a method."""
+"""The machine beside a simulated table, with the instrument of a method."""
 
 from __future__ import annotations
 
