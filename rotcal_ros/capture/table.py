@@ -127,7 +127,8 @@ def lasting_feedback_fault(
     rows = table.values[table.index(table.latest - STANDING_NS) :]
     if had_velocity and np.isnan(rows[-1, VELOCITY]):
         return None
-    first, last = (_feedback_fault(*rows[row].tolist(), commanded) for row in (0, -1))
+    ends = (rows[0].tolist(), rows[-1].tolist())
+    first, last = (_feedback_fault(angle, velocity, commanded) for angle, velocity in ends)
     near = np.abs(offset(rows[:, ANGLE], commanded)) <= _SAME
     if first is None or (near.any() and not np.isnan(rows[-1, VELOCITY])):
         return None
