@@ -164,7 +164,7 @@ class _Asked:
 
     def controller_settings(self) -> dict[str, Any]:
         """Return the settings of the controller."""
-        from rotcal_ros.compensation.options import parse_options, parse_revolutions
+        from rotcal_ros.compensation.controllers import parse_options, parse_revolutions
 
         settings = parse_options(self.controller_options())
         if self.revolutions is not None:

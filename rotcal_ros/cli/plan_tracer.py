@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rotcal_ros.methods.configuration import Configuration
     from rotcal_ros.methods.tracer.check_plan import CheckPlan
     from rotcal_ros.methods.tracer.design.ordering import OrderedDesign
-    from rotcal_ros.methods.tracer.design.sequence_choice import MeasuringOrder
+    from rotcal_ros.methods.tracer.design.sequence import MeasuringOrder
     from rotcal_ros.methods.tracer.design.settings import TracerDesignSettings
     from rotcal_ros.planning.sequence_time import TimeModel
 
@@ -131,7 +131,7 @@ def _write_plan(folder: Path, found: OrderedDesign, pattern: Configuration | Non
     from rotcal_ros.foundation.files import write_atomically
     from rotcal_ros.foundation.untrusted import load_yaml
     from rotcal_ros.methods.configuration import dump_configuration
-    from rotcal_ros.methods.tracer.plan_tables import write_pairs, write_targets
+    from rotcal_ros.methods.tracer.table import write_pairs, write_targets
 
     settings, scene, lengths = found.design.settings, found.design.scene, found.lengths
     folder.mkdir(parents=True, exist_ok=True)
@@ -318,8 +318,8 @@ def sequence(
 ) -> int:
     """Find the quickest order of a tracer plan in which drifts and knocks would be seen."""
     from rotcal_ros.methods import changed, prepare_whole, read_configuration
-    from rotcal_ros.methods.tracer.design.sequence_choice import best_order
-    from rotcal_ros.methods.tracer.plan_tables import write_pairs
+    from rotcal_ros.methods.tracer.design.sequence import best_order
+    from rotcal_ros.methods.tracer.table import write_pairs
     from rotcal_ros.methods.tracer.timing import cell_run, cell_time, plan_seconds
     from rotcal_ros.planning.sequence_time import stated_time
 
@@ -356,8 +356,7 @@ def _measuring_orders(
 ) -> tuple[MeasuringOrder, ...]:
     """Return the competing orders of the plan's lengths."""
     from rotcal_ros.methods.tracer.calibration import problem
-    from rotcal_ros.methods.tracer.design.sequence_choice import measuring_orders
-    from rotcal_ros.methods.tracer.design.sequence_forecast import SequenceForecast
+    from rotcal_ros.methods.tracer.design.sequence import SequenceForecast, measuring_orders
 
     plan = calibration.plan
     position, target = (

@@ -91,8 +91,8 @@ def command(
     # Figures take a second to load; a wrong option should not wait for them.
     from rotcal_ros.recordings.inputs import Input
     from rotcal_ros.recordings.result_sources import read_source
+    from rotcal_ros.report.page import write_measured, write_result
     from rotcal_ros.report.printing import require_writable
-    from rotcal_ros.report.recorded import write_measured, write_result
 
     session = SessionFolder(source)
     source = session.bag if session.bag.is_dir() else source
@@ -120,8 +120,8 @@ def _acting(result: Result, in_force: Path | None) -> int:
 
     effect = effect_in_force(result, in_force)
     if effect is not None:
-        say(f"warning: {effect.wrong}" if effect.wrong else f"table acts: {effect.in_words()}")
-    return 1 if effect is not None and effect.wrong else 0
+        say(f"warning: {effect.fault}" if effect.fault else f"table acts: {effect.in_words()}")
+    return 1 if effect is not None and effect.fault else 0
 
 
 def _truth(path: Path) -> dict[str, Any]:

@@ -152,9 +152,9 @@ def _print(tally: _Tally, table: Path, overview: Path) -> None:
 
 def _print_json(table: Path, overview: Path) -> None:
     """Print one object per bag, as the dataset has it, in order of recording."""
-    from rotcal_ros.report.fleet_queries import asked, bags_by_table
+    from rotcal_ros.report.fleet_queries import bags_by_table, connected
 
-    with asked(table) as connection:
+    with connected(table) as connection:
         bags = sorted(
             bags_by_table(connection),
             key=lambda b: (b.start_ns is None, b.start_ns or 0, b.source),
@@ -168,7 +168,7 @@ def _print_json(table: Path, overview: Path) -> None:
             "warnings": list(bag.warnings),
             "error": bag.error,
             "twin_of": bag.twin_of,
-            "alarm": bag.alarm,
+            "alarm": bag.alarm or "",
         }
         for bag in bags
     ]

@@ -165,7 +165,7 @@ def _print(verification: Verification) -> None:
             "left was added to the table"
         )
     if verification.effect is not None:
-        click.echo(verification.wrong or f"table acts:    {verification.effect.in_words()}")
+        click.echo(verification.fault or f"table acts:    {verification.effect.in_words()}")
     for line in verification.reserves:
         click.echo(line)
     mark = f" ({SIMULATED})" if verification.simulated else ""

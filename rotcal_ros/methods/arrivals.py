@@ -19,7 +19,7 @@ from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.results import Directions, RepeatedRuns, Result
 from rotcal_ros.methods.method import Trials
-from rotcal_ros.planning.visits import visits
+from rotcal_ros.planning.table_angles import visits
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,12 +34,14 @@ from rotcal_ros.foundation.settings import declarations, load, to_mapping
 from rotcal_ros.foundation.untrusted import line_of, load_yaml, read_text, why
 from rotcal_ros.methods.air_settings import AirSettings
 from rotcal_ros.methods.method import Method, find_method, method_names
-from rotcal_ros.planning.cell_settings import CellSettings
-from rotcal_ros.planning.health_settings import HealthSettings
-from rotcal_ros.planning.planner_settings import PlannerSettings
-from rotcal_ros.planning.policy_names import AS_LISTED
-from rotcal_ros.planning.safety_settings import SafetySettings
-from rotcal_ros.planning.table_adapter_settings import TableAdapterSettings
+from rotcal_ros.planning.choices import AS_LISTED
+from rotcal_ros.planning.settings import (
+    CellSettings,
+    HealthSettings,
+    PlannerSettings,
+    SafetySettings,
+    TableAdapterSettings,
+)
 
 EXTENSION_GROUPS: Final[Mapping[str, type[Any]]] = {
     name: plugins.load(plugins.SETTINGS, name, "group") for name in plugins.names(plugins.SETTINGS)

@@ -12,7 +12,7 @@ from rotcal_ros.foundation import plugins
 if TYPE_CHECKING:
     import numpy as np
 
-    from rotcal_ros.capture.rules import CaptureRules
+    from rotcal_ros.capture.attempt import CaptureRules
     from rotcal_ros.figures import Figure
     from rotcal_ros.foundation.arrays import Floats
     from rotcal_ros.foundation.observations import Observation
@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from rotcal_ros.methods.continuation import Continuation
     from rotcal_ros.methods.disturbance import Disturbances
     from rotcal_ros.planning.choices import Policy
-    from rotcal_ros.planning.plan import Plan, Point, Step
-    from rotcal_ros.planning.plan_figures import Compared
+    from rotcal_ros.planning.plan import Compared, Plan, Point, Step
     from rotcal_ros.simulation.cell import SimulatedCell
     from rotcal_ros.simulation.instrument import MakeInstrument
     from rotcal_ros.simulation.settings import SimulationSettings

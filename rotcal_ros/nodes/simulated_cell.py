@@ -21,8 +21,7 @@ from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED, STREAM
 from rotcal_ros.nodes.runtime.running import run
-from rotcal_ros.planning.cell_settings import CellSettings
-from rotcal_ros.planning.safety_settings import SafetySettings
+from rotcal_ros.planning.settings import CellSettings, SafetySettings
 from rotcal_ros.simulation import CellOutput
 
 PERIOD_S: Final = 0.01

@@ -1,4 +1,4 @@
-"""A measuring plan: the list of steps that the planner commands and the capture expects."""
+"""A measuring plan: the steps that the planner commands and the capture expects; its figures."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from rotcal_ros.foundation.observations import (
 Point = tuple[float, float, float]
 
 PAUSED: Final = "paused: "
-"""What a planner says it does begins with this while it waits for a person."""
+"""The state of a planner begins with this while it waits for a person."""
 STOPPED: Final = "emergency stop: "
-"""What it then waits for begins with this while safety has stopped the cell."""
+"""The reason for which it waits begins with this while an emergency stop is on,"""
 RELEASED: Final = f"{STOPPED}released"
-"""And with this when only a person's word is missing."""
+"""and with this when only a person's confirmation is missing."""
 MACHINE_FRAME: Final = "machine"
 """Stands still, at the foot of the table axis, +z along it."""
 TABLE_FRAME: Final = "table"
@@ -164,3 +164,27 @@ class Plan:
                 f"step {index} is not in the plan: it has the steps 0 to {len(self.steps) - 1}"
             )
         return self.steps[index]
+
+
+@dataclass(frozen=True)
+class PlanFigures:
+    """``lengths`` of a plan, what they promise and what they take.
+
+    ``uncertainty``: predicted U (k = 2) of ECC about its mean, rms over the angles, rad.
+    ``seconds``: from the end of the first length to that of the last, as the policy reckons;
+    ``cell_seconds``: the same by the clock of the simulated cell, None without one.
+    """
+
+    lengths: int
+    uncertainty: float
+    seconds: float
+    cell_seconds: float | None
+
+
+@dataclass(frozen=True)
+class Compared:
+    """What was measured (``own``) and the paper's plan, both with ``length_std`` (m) planned."""
+
+    own: PlanFigures
+    papers: PlanFigures
+    length_std: float

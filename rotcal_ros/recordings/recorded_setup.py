@@ -28,8 +28,7 @@ from rotcal_ros.methods.configuration import (
     read_subject,
 )
 from rotcal_ros.methods.continuation import Continuation
-from rotcal_ros.planning.choices import Choice, Standing, StepOutcome
-from rotcal_ros.planning.policy_names import AS_LISTED
+from rotcal_ros.planning.choices import AS_LISTED, Choice, Standing, StepOutcome
 from rotcal_ros.recordings.topics import Topics
 
 Decoders = dict[ChannelDefinition, Decoder]

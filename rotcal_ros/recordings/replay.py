@@ -50,7 +50,7 @@ from rotcal_ros.methods.configuration import (
 )
 from rotcal_ros.methods.goal import GoalStanding, goal_standing
 from rotcal_ros.methods.method import Trials
-from rotcal_ros.planning.policy_names import UNTIL_GOAL
+from rotcal_ros.planning.choices import UNTIL_GOAL
 from rotcal_ros.recordings.missing_data import (
     PlacedDropout,
     doubtful,
@@ -436,7 +436,9 @@ def _read(
 
 
 def judged_as_live(
-    observations: Iterable[Observation], estimates: Sequence[str], recorded: Iterable[Observation]
+    observations: Iterable[Observation],
+    estimates: Sequence[str | None],
+    recorded: Iterable[Observation],
 ) -> tuple[Observation, ...]:
     """Return the observations, rejected where the clocks of their streams differ.
 

@@ -15,13 +15,12 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Columns
 from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.capture import messages as records
-from rotcal_ros.capture.orders import Orders
+from rotcal_ros.capture.messages import Orders
 from rotcal_ros.capture.stamp_offsets import REFERENCE, OffsetLimits, StampOffsets
 from rotcal_ros.foundation.arrays import Ints
 from rotcal_ros.foundation.observations import Observation
-from rotcal_ros.instruments.conversion import FEEDBACK, READING
 from rotcal_ros.instruments.forms import STAMP, Form, form_of
-from rotcal_ros.instruments.interpreter import Interpreter, table_samples
+from rotcal_ros.instruments.interpreter import FEEDBACK, READING, Interpreter, table_samples
 from rotcal_ros.instruments.steps import Order, Position, StepFinder
 from rotcal_ros.recordings.topics import RoleMessages
 
@@ -85,7 +84,9 @@ class StreamFeeder:
     ) -> None:
         self._clocks = StampOffsets(limits or OffsetLimits())
         self.observations: list[Observation] = []
-        self.offset, self.doubt, self.offsets = "", "", list[str]()
+        self.offset: str | None = None
+        self.doubt: str | None = None
+        self.offsets = list[str | None]()
         self._make = make
         self._captures = [make(0)]
         self._joint = joint
@@ -152,9 +153,9 @@ class StreamFeeder:
             feedback = feedback[:0]
         others.sort(key=lambda numbered: numbered[0])
         self._feed_slices(readings, feedback, others)
-        offset = self._clocks.in_words()
+        offset = self._clocks.reason_to_reject()
         self.offset = self.offset or offset
-        self.doubt = self.doubt or self._clocks.doubt_in_words()
+        self.doubt = self.doubt or self._clocks.doubt()
         self.offsets += [offset] * (len(self.observations) - len(self.offsets))
 
     def _compare_stamps(self, role: str, records: NDArray[np.void], block: Block) -> None:

@@ -1,4 +1,4 @@
-"""What stands beside a simulated table: the machine and the instrument of a method."""
+"""The machine beside a simulated table, with the instrument of a method."""
 
 from __future__ import annotations
 
@@ -16,9 +16,8 @@ from rotcal_ros.foundation.observations import (
     ProbeSample,
     TracerSample,
 )
-from rotcal_ros.simulation.external_table import ExternalTable
-from rotcal_ros.simulation.table import SimulatedTable
-from rotcal_ros.simulation.temperature import SimulatedTemperature
+from rotcal_ros.simulation.air import SimulatedTemperature
+from rotcal_ros.simulation.table import ExternalTable, SimulatedTable
 
 Table = SimulatedTable | ExternalTable
 _NO_ORDER: Final = Command(0, 0, 0.0, Approach.UNKNOWN, PointKind.UNKNOWN, 0, (0.0, 0.0, 0.0))

@@ -99,7 +99,7 @@ def _read_goal(path: Path) -> None:
 
 
 def _read_options(path: Path) -> None:
-    from rotcal_ros.compensation.options import parse_options
+    from rotcal_ros.compensation.controllers import parse_options
     from rotcal_ros.methods.configuration import changed, parse_configuration
 
     text = path.read_bytes().decode(errors="replace")
@@ -179,7 +179,7 @@ def _read_result(path: Path) -> None:
 
 def _read_report(path: Path) -> None:
     from rotcal_ros.recordings.result_sources import read_source
-    from rotcal_ros.report.recorded import write_result
+    from rotcal_ros.report.page import write_result
 
     page = path.with_suffix(".html")
     try:

@@ -12,8 +12,8 @@ import numpy as np
 from rotcal_polygon.model import PolygonReadings, face_errors, model_of, separable
 from rotcal_polygon.simulation import PolygonSimulationSettings, SimulatedAutocollimator
 from rotcal_ros.adjust.engine import adjust
+from rotcal_ros.capture import CaptureRules
 from rotcal_ros.capture.points import mean_point, points
-from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.figures import Figure, style
 from rotcal_ros.figures.residuals import residual_figures
 from rotcal_ros.foundation.components import COVERAGE_FACTOR

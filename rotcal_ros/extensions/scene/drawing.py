@@ -15,7 +15,7 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods import Calibration
-from rotcal_ros.methods.stations import Stations
+from rotcal_ros.methods.method import Stations
 from rotcal_ros.planning.plan import Point, Step
 
 Colour: TypeAlias = tuple[float, float, float, float]

@@ -23,7 +23,7 @@ from rotcal_ros.methods.ball_plate.solver.result import METHOD
 from rotcal_ros.methods.ball_plate.solver.separability import MIN_BALLS
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.planning.plan import Plan, Point, Step
-from rotcal_ros.planning.visits import visits
+from rotcal_ros.planning.table_angles import visits
 
 
 def plan(configuration: Configuration) -> Plan:

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.points import mean_point, points
-from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.gum_numbers import value_with_uncertainty
 from rotcal_ros.foundation.observations import PointKind
@@ -35,8 +35,8 @@ from rotcal_ros.planning.plan import Plan, Step
 from rotcal_ros.planning.table_angles import table_angles
 
 if TYPE_CHECKING:
+    from rotcal_ros.simulation.air import SimulatedTemperature
     from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
-    from rotcal_ros.simulation.temperature import SimulatedTemperature
 
 
 def zero(result: Result) -> tuple[str, ...]:

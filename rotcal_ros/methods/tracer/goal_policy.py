@@ -24,9 +24,8 @@ from rotcal_ros.methods.tracer.policy.experiment import (
 from rotcal_ros.methods.tracer.policy.until_goal import GoalLimits, UntilGoal
 from rotcal_ros.methods.tracer.settings import TracerPlanSettings
 from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
-from rotcal_ros.planning.choices import Policy
+from rotcal_ros.planning.choices import UNTIL_GOAL, Policy
 from rotcal_ros.planning.plan import Plan
-from rotcal_ros.planning.policy_names import UNTIL_GOAL
 
 
 def until_goal(configuration: Configuration, plan: Plan) -> Callable[[Continuation], Policy]:

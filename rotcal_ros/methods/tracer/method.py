@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Final
 
+from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.length import decide_length
-from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Adaptive, Method, See, Stations, TableReader
@@ -19,12 +19,11 @@ from rotcal_ros.methods.tracer.settings import TracerPlanSettings, TracerSimulat
 from rotcal_ros.methods.tracer.solver.solve import METHOD as NAME
 from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
 from rotcal_ros.methods.tracer.table import PLAN_FILES
-from rotcal_ros.planning.plan import Plan
-from rotcal_ros.planning.plan_figures import Compared
+from rotcal_ros.planning.plan import Compared, Plan
 
 if TYPE_CHECKING:
+    from rotcal_ros.simulation.air import SimulatedTemperature
     from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
-    from rotcal_ros.simulation.temperature import SimulatedTemperature
 
 
 def nominal(configuration: Configuration, _plan: Plan) -> See:

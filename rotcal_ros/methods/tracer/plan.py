@@ -25,8 +25,7 @@ from rotcal_ros.methods.tracer.solver.solve import METHOD
 from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
 from rotcal_ros.planning.plan import Plan, Point, Step
 from rotcal_ros.planning.points import block, in_a_line, in_a_plane, triples
-from rotcal_ros.planning.table_angles import table_angles
-from rotcal_ros.planning.visits import visits
+from rotcal_ros.planning.table_angles import table_angles, visits
 
 LEAST_ANGLES = 3
 """Different table angles below which the stations show no axis, however often they return."""

@@ -25,12 +25,11 @@ from rotcal_ros.methods.tracer.settings import (
     LengthsSimulationSettings,
     SimulatedReadingsSettings,
 )
-from rotcal_ros.simulation.air import SimulatedAir
+from rotcal_ros.simulation.air import SimulatedAir, SimulatedTemperature
+from rotcal_ros.simulation.cell import Ticks
 from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
 from rotcal_ros.simulation.motion import Motion, MotionLimits
 from rotcal_ros.simulation.noise import IndexedNoise, NoiseSource
-from rotcal_ros.simulation.temperature import SimulatedTemperature
-from rotcal_ros.simulation.ticks import Ticks
 
 _FRINGE_UM: Final = 0.3164
 """Half a wavelength of a HeNe laser."""

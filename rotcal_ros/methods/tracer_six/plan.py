@@ -24,8 +24,7 @@ from rotcal_ros.methods.tracer_six.solver import METHOD
 from rotcal_ros.methods.tracer_six.solver.layout import lost_direction
 from rotcal_ros.planning.plan import TABLE_FRAME, Move, Pause, Plan, Point, Step
 from rotcal_ros.planning.points import triples
-from rotcal_ros.planning.table_angles import table_angles
-from rotcal_ros.planning.visits import visits
+from rotcal_ros.planning.table_angles import table_angles, visits
 
 LOCATING: Final = 6
 """Targets after which the lengths at a table angle show where the tracer stands: 4 unknowns."""

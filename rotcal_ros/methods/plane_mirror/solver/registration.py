@@ -24,8 +24,7 @@ from rotcal_ros.adjust.distributions import chi2_isf
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, GeometryError
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.geometry.rigid import align, require_spread
-from rotcal_ros.geometry.rotations import cross_matrix, rotation_from_vector
+from rotcal_ros.geometry.rotations import align, cross_matrix, require_spread, rotation_from_vector
 from rotcal_ros.methods.plane_mirror.solver.drift import displaced_nests, find_drift
 from rotcal_ros.methods.plane_mirror.solver.problem import (
     Nests,

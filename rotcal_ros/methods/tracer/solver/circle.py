@@ -24,8 +24,7 @@ from numpy.typing import ArrayLike
 from rotcal_ros.adjust.low_rank import Slopes
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import GeometryError
-from rotcal_ros.geometry.circle import circle_centre_jacobian, fit_circle
-from rotcal_ros.geometry.plane import Plane, fit_plane
+from rotcal_ros.geometry.plane import Plane, circle_centre_jacobian, fit_circle, fit_plane
 from rotcal_ros.geometry.rotations import wrap_angle
 
 ABSORBED: Final = 3

@@ -26,8 +26,7 @@ from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS, unit_of
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
-from rotcal_ros.geometry.rigid import align
-from rotcal_ros.geometry.rotations import rotation_about_z
+from rotcal_ros.geometry.rotations import align, rotation_about_z
 from rotcal_ros.methods.tracer.solver.adjustment import Adjustment
 from rotcal_ros.methods.tracer.solver.gathering import group_at, places_of
 from rotcal_ros.methods.tracer.solver.grid import STATION_MINIMUM, Grid

@@ -27,13 +27,7 @@ from rotcal_ros.methods.tracer.solver.screening import (
 )
 from rotcal_ros.methods.tracer.solver.uncertainty import GlobalTest
 from rotcal_ros.methods.tracer.solver.verdict import CircleClosure, closures
-from rotcal_ros.methods.tracer.solver.zeros import (
-    MOST_JUMPS,
-    Jump,
-    Shifts,
-    Slips,
-    slips_among,
-)
+from rotcal_ros.methods.tracer.solver.zeros import MOST_JUMPS, Jump, Shifts, Slips, slips_among
 from rotcal_ros.methods.tracer_six.solver.adjustment import (
     RigidAdjuster,
     RigidAdjustment,
@@ -44,11 +38,7 @@ from rotcal_ros.methods.tracer_six.solver.adjustment import (
     groups_of,
     split,
 )
-from rotcal_ros.methods.tracer_six.solver.layout import (
-    StationLayout,
-    lay_out,
-    renamed,
-)
+from rotcal_ros.methods.tracer_six.solver.layout import StationLayout, lay_out, renamed
 from rotcal_ros.methods.tracer_six.solver.network import (
     CurvePosterior,
     LengthNetwork,
@@ -57,13 +47,7 @@ from rotcal_ros.methods.tracer_six.solver.network import (
     pulled,
 )
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem, timing
-from rotcal_ros.methods.tracer_six.solver.scatter import (
-    Moves,
-    Scatter,
-    enlargement,
-    moves,
-    turned,
-)
+from rotcal_ros.methods.tracer_six.solver.scatter import Moves, Scatter, enlargement, moves, turned
 
 FITTING: Final = 3.0
 """Times the stated noise up to which lengths of the opposite sign are said to fit."""

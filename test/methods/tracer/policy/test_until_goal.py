@@ -15,8 +15,7 @@ from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 from rotcal_ros.methods.tracer.solver.protections import protections
 from rotcal_ros.methods.tracer.solver.solution import adjust
 from rotcal_ros.methods.tracer.solver.trials import predicted
-from rotcal_ros.planning.as_listed import AsListed
-from rotcal_ros.planning.choices import StepOutcome
+from rotcal_ros.planning.choices import AsListed, StepOutcome
 
 GOAL = figures.GOAL
 LOW, HIGH = (0.90, 0.99) if LONG else (share(0.95, 33)[0], 1.0)
