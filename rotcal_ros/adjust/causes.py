@@ -217,7 +217,7 @@ def _improbability(diagnosis: Diagnosis) -> float:
     alternatives = [effect.at(fit.computed).shape[1] for effect in families]
     unknowns = fit.basis.shape[1] + 3 * len(diagnosis.why)
     spread = 2.0 * float(np.log(factors).sum() + np.log(alternatives).sum())
-    return fit.chi2 + spread + unknowns * float(np.log(n))
+    return float(fit.chi2 + spread + unknowns * np.log(n))
 
 
 def _explained(diagnosis: Diagnosis) -> Diagnosis:

@@ -9,6 +9,7 @@ import numpy as np
 
 from rotcal_ros.adjust.groups import Group, Undivided
 from rotcal_ros.adjust.low_rank import LowRank
+from rotcal_ros.adjust.noise import NoiseEvidence
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, RotcalError
 from rotcal_ros.foundation.units import DEGREE
@@ -36,7 +37,6 @@ from rotcal_ros.methods.tracer.solver.screening import (
     GROSS,
     NORMAL_QUARTILE,
     Grouping,
-    NoiseEvidence,
     NoiseFactors,
     ScreenedLengths,
     adjust_and_screen,
