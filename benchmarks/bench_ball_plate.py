@@ -19,12 +19,10 @@ from dense_ball_plate import solve_dense
 from scipy.optimize import least_squares
 
 from rotcal_ros.geometry.sphere import fit_spheres
-from rotcal_ros.methods.ball_plate.design.ball_layout import best_layout
-from rotcal_ros.methods.ball_plate.design.layout_variance import mean_variances
-from rotcal_ros.methods.ball_plate.solver import harmonics, spectral
+from rotcal_ros.methods.ball_plate.design.ball_layout import best_layout, mean_variances
+from rotcal_ros.methods.ball_plate.solver import spectral
 from rotcal_ros.methods.ball_plate.solver.model import FIELDS, Solution
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
-from rotcal_ros.methods.ball_plate.solver.spectral import solve_spectral
 
 PLATE = (0, 8, 12, 18, 21, 28, 32, 37, 42, 50, 58, 62)
 RADIUS = 0.185
@@ -97,9 +95,14 @@ def bench_solve() -> list[Row]:
     ]
 
 
+def solve_spectral(problem: BallPlateProblem) -> Solution:
+    """Solve harmonic by harmonic."""
+    return spectral.factored(problem).solve(problem.deviations)
+
+
 def anew(problem: BallPlateProblem) -> Solution:
     """Solve as if the layout had never been seen."""
-    harmonics._factor.cache_clear()
+    spectral._factor.cache_clear()
     spectral._unit_std.cache_clear()
     return solve_spectral(problem)
 

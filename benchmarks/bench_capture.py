@@ -17,8 +17,7 @@ from rotcal_ros.foundation.observations import Observation, TracerSample
 from rotcal_ros.methods import find_method
 from rotcal_ros.methods.tracer.method import METHOD
 from rotcal_ros.methods.tracer.plan import tracer_plan
-from rotcal_ros.methods.tracer.settings import TracerPlanSettings
-from rotcal_ros.methods.tracer.simulation_settings import TracerSimulationSettings
+from rotcal_ros.methods.tracer.settings import TracerPlanSettings, TracerSimulationSettings
 from rotcal_ros.planning.plan import Plan
 
 RULES = find_method("tracer_multistation").capture

@@ -22,10 +22,8 @@ from racing import Row
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 import policy_figures as figures
 
-from rotcal_ros.methods.tracer.policy.lengths import LengthExperiment
-from rotcal_ros.methods.tracer.policy.measured_lengths import MeasuredLengths
-from rotcal_ros.methods.tracer.policy.step_selection import best_at
-from rotcal_ros.methods.tracer.policy.until_goal import GoalLimits, UntilGoal, first_sweep
+from rotcal_ros.methods.tracer.policy.experiment import LengthExperiment, MeasuredLengths
+from rotcal_ros.methods.tracer.policy.until_goal import GoalLimits, UntilGoal, best_at, first_sweep
 from rotcal_ros.planning.choices import StepOutcome
 
 SPACING_M = 0.105

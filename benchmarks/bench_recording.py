@@ -27,7 +27,7 @@ from bag_samples import CONFIGURATION, START_NS, encode, open_writer, simulate
 
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.reader import bag_files, check_files, read_blocks
-from rotcal_ros.bags.writer_settings import WriterSettings
+from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.foundation.observations import LengthStatus, TracerSample
 from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import dump_configuration, parse_configuration

@@ -22,10 +22,10 @@ from racing import Row, race
 from scipy_tracer import DenseNetwork, SparseNetwork, locate_station, locate_stations_batched
 
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
+from rotcal_ros.methods.tracer.solver.adjustment import adjust_stations, locate_stations
 from rotcal_ros.methods.tracer.solver.grid import arrange
 from rotcal_ros.methods.tracer.solver.joint import align, relax
 from rotcal_ros.methods.tracer.solver.start import find_start
-from rotcal_ros.methods.tracer.solver.station import adjust_stations, locate_stations
 
 LENGTH_STD, TARGET_STD = 2e-7, 1e-6
 

@@ -38,7 +38,7 @@ from rotcal_ros.methods.configuration import parse_configuration  # noqa: E402
 from rotcal_ros.recordings.batch_solving import Job  # noqa: E402
 from rotcal_ros.recordings.results_dataset import parts  # noqa: E402
 from rotcal_ros.recordings.workers import on_all_cores  # noqa: E402
-from rotcal_ros.report.fleet_queries import asked  # noqa: E402
+from rotcal_ros.report.fleet_queries import connected  # noqa: E402
 from rotcal_ros.report.overview import write_overview  # noqa: E402
 
 TABLES = 50
@@ -150,7 +150,7 @@ def disturbed(arguments: argparse.Namespace, bags: Path, setup: Path, output: Pa
 
 def lost(output: Path, configuration, compare: int) -> dict:
     """Compare the dataset with bags solved alone, undisturbed; count what is not there."""
-    with asked(output / "results.parquet") as connection:
+    with connected(output / "results.parquet") as connection:
         counted = connection.execute(
             "SELECT count(*), count(*) FILTER (error IS NOT NULL), count(DISTINCT source) "
             "FROM bags"
@@ -188,7 +188,7 @@ def enlarged(dataset: Path, bags: int, folder: Path) -> Path:
     """Write a dataset of so many bags into the new ``folder``: copies of one, as other tables."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    with asked(dataset) as connection:
+    with connected(dataset) as connection:
         (there,) = connection.execute("SELECT count(DISTINCT source) FROM rows").fetchone()
     for copy in range(math.ceil(bags / there)):
         for path in parts(dataset):

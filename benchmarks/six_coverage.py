@@ -9,7 +9,6 @@ from six_scene import good_targets, scene
 from rotcal_ros.foundation.components import COMPONENTS, HALF_OF_95_PERCENT
 from rotcal_ros.methods.tracer_six.solver import SixProblem
 from rotcal_ros.methods.tracer_six.solver.solution import adjust
-from rotcal_ros.methods.tracer_six.solver.timing import taken
 
 LEVELS = (0.5, 1.0, 2.0)
 KINDS = {"shifts": (6.5e-8, 0.0), "turns": (0.0, 4.3e-7), "both": (5.2e-8, 2.6e-7)}
@@ -74,7 +73,7 @@ def coverage(
 
 def slipped(problem, rng):
     """Return ``problem`` with one place's lengths a fringe longer from some moment on."""
-    time = taken(problem)
+    time = problem.measuring_order
     at = rng.integers(len(time))
     here = problem.place == problem.place[time == at]
     return replace(problem, length=problem.length + problem.slip * (here & (time >= at)))

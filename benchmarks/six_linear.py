@@ -6,7 +6,7 @@ from six_scene import scene
 
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
 from rotcal_ros.methods.tracer_six.solver import SixProblem
-from rotcal_ros.methods.tracer_six.solver.posterior import pulled
+from rotcal_ros.methods.tracer_six.solver.network import pulled
 from rotcal_ros.methods.tracer_six.solver.scatter import (
     ScatterContrasts,
     contrasts,

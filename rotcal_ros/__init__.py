@@ -10,8 +10,9 @@ from importlib import import_module
 __version__ = "0.1.0"
 
 _NAMES = {
-    "api.reading": ("read_bag", "read_configuration", "read_result", "read_table"),
-    "api.streams": ("read_streams",),
+    "api.reading": (
+        "read_bag", "read_configuration", "read_result", "read_streams", "read_table",
+    ),
     "api.measuring": (
         "capture_records", "simulate_observations", "simulate_records", "simulated_truth", "solve",
     ),

@@ -23,8 +23,8 @@ from rotcal_ros.api.measuring import solve as solve
 from rotcal_ros.api.reading import read_bag as read_bag
 from rotcal_ros.api.reading import read_configuration as read_configuration
 from rotcal_ros.api.reading import read_result as read_result
+from rotcal_ros.api.reading import read_streams as read_streams
 from rotcal_ros.api.reading import read_table as read_table
-from rotcal_ros.api.streams import read_streams as read_streams
 from rotcal_ros.compensation.controllers import controller_names as controller_names
 from rotcal_ros.compensation.table import CompensationTable as CompensationTable
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns as BidirectionalRuns

@@ -24,8 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.foundation.errors import GeometryError
-from rotcal_ros.geometry.circle import fit_circle
-from rotcal_ros.geometry.plane import fit_plane
+from rotcal_ros.geometry.plane import fit_circle, fit_plane
 from rotcal_ros.geometry.sphere import fit_spheres
 
 Floats = NDArray[np.float64]

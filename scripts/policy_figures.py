@@ -30,9 +30,8 @@ from rotcal_ros.foundation.observations import Approach, Observation, PointKind
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
 from rotcal_ros.methods.tracer.design.optimum import ideal_plan
 from rotcal_ros.methods.tracer.design.scene import Scene, on_table
-from rotcal_ros.methods.tracer.design.sequence_forecast import SequenceForecast
-from rotcal_ros.methods.tracer.policy.lengths import Costs, LengthExperiment
-from rotcal_ros.methods.tracer.policy.stated_uncertainty import Stated
+from rotcal_ros.methods.tracer.design.sequence import SequenceForecast
+from rotcal_ros.methods.tracer.policy.experiment import Costs, LengthExperiment, Stated
 from rotcal_ros.methods.tracer.policy.until_goal import (
     RESERVE,
     RESERVE_PER_SEGMENT,

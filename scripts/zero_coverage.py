@@ -26,11 +26,11 @@ from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.tracer.design.ordering import ordered_design
 from rotcal_ros.methods.tracer.design.settings import TracerDesignSettings
 from rotcal_ros.methods.tracer.solver import TracerProblem
-from rotcal_ros.methods.tracer.solver.angles import bearing_jacobian
-from rotcal_ros.methods.tracer.solver.network_gain import NetworkGain
+from rotcal_ros.methods.tracer.solver.circle import bearing_jacobian
+from rotcal_ros.methods.tracer.solver.network import NetworkGain
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
 from rotcal_ros.methods.tracer.solver.verdict import judge
-from rotcal_ros.methods.tracer.solver.zero_shifts import Shifts, TimedLengths, shifts_at
+from rotcal_ros.methods.tracer.solver.zeros import Shifts, TimedLengths, shifts_at
 
 LENGTH_STD, TARGET_STD = 0.2e-6, 1e-6
 FRINGE = 632.8e-9 / 2

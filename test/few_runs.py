@@ -1,6 +1,6 @@
 """Plans of a tracer of which few simulated runs tell whether they keep their promise.
 
-How many runs a promise takes is tried in planning/tracer_design/test_promise.py; a plan's tests
+How many runs a promise takes is tried in methods/tracer/design/test_promise.py; a plan's tests
 ask what is done with them.
 """
 
@@ -8,10 +8,11 @@ from functools import partial
 
 import pytest
 
-from rotcal_ros.methods.tracer.design import ordering, promise, sequence_choice
+from rotcal_ros.methods.tracer.design import ordering
+from rotcal_ros.methods.tracer.design import sequence as sequence_choice
 
 
 def few_runs(monkeypatch: pytest.MonkeyPatch, runs: int) -> None:
     """Let the promise of a plan be told by so many runs; orders are less polished."""
     monkeypatch.setattr(sequence_choice, "TRADES", 30)
-    monkeypatch.setattr(ordering, "promised", partial(promise.promised, looks=(runs,)))
+    monkeypatch.setattr(ordering, "promised", partial(ordering.promised, looks=(runs,)))

@@ -15,7 +15,7 @@ import yaml
 from catkin_pkg.package import parse_package
 
 import rotcal_ros
-from rotcal_ros.foundation.distribution import SUPPORTED
+from rotcal_ros.foundation.middleware import SUPPORTED
 
 ROOT = Path(__file__).parents[1]
 MANIFESTS = [ROOT / "package.xml", ROOT / "msg_defs" / "package.xml"]

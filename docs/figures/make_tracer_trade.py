@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from rotcal_ros.cli.goal_settings import goal_settings
+from rotcal_ros.cli.plan_tracer import goal_settings
 from rotcal_ros.figures.style import BLUE, GREEN, GREY, ORANGE, RED, grid, styled, svg
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.methods.tracer.design.ordering import ordered_design

@@ -9,8 +9,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 import rotcal_ros as rc
 from rotcal_ros.bags import names
 from rotcal_ros.bags.rosbag2_metadata import OfferedQos, qos_text
+from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.foundation.observations import ProbeSample, TableSample, TemperatureSample
 
 MESSAGE = Path(__file__).parents[2] / "msg_defs" / "msg" / "ProbePoint.msg"

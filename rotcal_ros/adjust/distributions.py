@@ -19,6 +19,7 @@ from scipy.special import (
     ncfdtrinc,
     ndtr,
     ndtri,
+    stdtrit,
 )
 
 from rotcal_ros.foundation.arrays import Floats
@@ -52,6 +53,11 @@ def normal_sf(value: float) -> float:
 def normal_isf(probability: float) -> float:
     """Return what a standard normal number exceeds with ``probability``."""
     return float(-ndtri(probability))
+
+
+def t_isf(probability: float, dof: float) -> float:
+    """Return what Student's t with ``dof`` degrees of freedom exceeds with ``probability``."""
+    return float(-stdtrit(dof, probability))
 
 
 def binomial_quantile(probability: float, trials: int, chance: float) -> int:

@@ -50,6 +50,8 @@ DRAWS: Final = 500
 """Sets of sound residuals that tell how probable a Bayes factor is on sound data."""
 POSSIBLE: Final = 0.9
 """Bayes factor below which nothing is suspected."""
+LARGEST_LOG: Final = 690.0
+"""Of a Bayes factor; exp of it, a million times over, is still a number."""
 POLISHED: Final = 20
 """Exchanges of single elements after which a blamed subset stays as it is."""
 
@@ -283,7 +285,9 @@ def _mean_bayes(values: Floats, along: Floats) -> Floats:
     for size in SIZES:
         grown = 1.0 + size**2 * values
         gain = along**2 / (grown / size**2)
-        total += np.exp(0.5 * (gain - np.log(grown)).sum(axis=2)).sum(axis=1)
+        # noise from few degrees of freedom is drawn next to none at times: never beyond a float
+        each = np.minimum(0.5 * (gain - np.log(grown)).sum(axis=2), LARGEST_LOG)
+        total += np.exp(each).sum(axis=1)
     return np.asarray(np.log(total / (len(SIZES) * along.shape[1])))
 
 

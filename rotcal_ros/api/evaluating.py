@@ -195,7 +195,7 @@ def write_report(recording: Recording, path: Name, truth: Mapping[str, Any] | No
     'report.html'
     """
     # Figures take a second to load.
-    from rotcal_ros.report.recorded import write_recorded
+    from rotcal_ros.report.page import write_recorded
 
     write_recorded(recording, Path(path), truth)
     return Path(path)

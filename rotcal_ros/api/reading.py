@@ -1,17 +1,32 @@
-"""Reading what was measured: bags, tables, results, configurations."""
+"""Reading what was measured: bags and their raw streams, tables, results, configurations."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
+from typing import Any, Final
 
+import numpy as np
+from numpy.typing import NDArray
+
+from rotcal_ros.bags.reader import bag_files, read_blocks
+from rotcal_ros.foundation.arrays import Ints
+from rotcal_ros.foundation.observations import (
+    HumiditySample,
+    PressureSample,
+    ProbeSample,
+    TemperatureSample,
+)
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.methods.configuration import Configuration, changed
+from rotcal_ros.methods.configuration import Configuration, changed, read_setup
 from rotcal_ros.methods.measurements import read_measurements
 from rotcal_ros.methods.method import Measurements
-from rotcal_ros.methods.setup_file import read_setup
 from rotcal_ros.recordings import result_sources
+from rotcal_ros.recordings.recorded_setup import Decoders, find_configuration
 from rotcal_ros.recordings.replay import Recording, Source, read_recording
+from rotcal_ros.recordings.streams import StreamFeeder
 from rotcal_ros.recordings.topics import Topics
 
 Name = str | PathLike[str]
@@ -98,3 +113,110 @@ def read_result(path: Name) -> Result:
     (12,)
     """
     return result_sources.read_source(Path(path)).result
+
+
+Rows = NDArray[np.void]
+"""A structured array (n,)."""
+
+_LENGTHS: Final = [("stamp_ns", "i8"), ("sequence", "i8"), ("length", "f8"), ("status", "i8")]
+_ANGLES: Final = [("stamp_ns", "i8"), ("angle", "f8"), ("velocity", "f8")]
+_POINTS: Final = [
+    ("stamp_ns", "i8"), ("sequence", "i8"), ("step", "i8"), ("attempt", "i8"), ("kind", "i8"),
+    ("target", "i8"), ("station", "i8"), ("point", "i8"), ("position", "f8", 3),
+    ("position_std", "f8", 3), ("tip_radius", "f8"),
+]  # fmt: skip
+_TEMPERATURES: Final = [("stamp_ns", "i8"), ("sensor", "O"), ("temperature_c", "f8")]
+_PRESSURES: Final = [("stamp_ns", "i8"), ("sensor", "O"), ("pressure_pa", "f8")]
+_HUMIDITIES: Final = [("stamp_ns", "i8"), ("sensor", "O"), ("humidity", "f8")]
+
+
+@dataclass(frozen=True, eq=False)
+class RawStreams:
+    """Structured arrays (n,), one row per message; columns as in ``foundation.observations``.
+
+    ``lengths``: stamp_ns, sequence, length (m), status (1: good). ``angles``: stamp_ns, angle
+    (rad), velocity (rad/s). ``points``: stamp_ns, the step and attempt that were carried out, kind
+    (a ``PointKind``), target, station, point, position and position_std (n, 3) in m, tip_radius
+    (m). ``temperatures``: stamp_ns, sensor, temperature_c. ``pressures`` and ``humidities``:
+    the same with pressure_pa and with humidity (0 to 1).
+    """
+
+    lengths: Rows
+    angles: Rows
+    points: Rows
+    temperatures: Rows
+    pressures: Rows
+    humidities: Rows
+
+
+@dataclass
+class _Collector:
+    """Takes the place of the capture and keeps what comes."""
+
+    counts: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    lengths: list[Rows] = field(default_factory=list)
+    angles: list[Rows] = field(default_factory=list)
+    records: dict[type[Any], list[Any]] = field(default_factory=dict)
+
+    def feed(self, record: Any) -> tuple[()]:
+        self.records.setdefault(type(record), []).append(record)
+        return ()
+
+    def feed_tracer(
+        self, stamp_ns: Ints, sequence: NDArray[Any], length: NDArray[Any], status: NDArray[Any]
+    ) -> tuple[()]:
+        self.lengths.append(_rows(_LENGTHS, (stamp_ns, sequence, length, status)))
+        return ()
+
+    def feed_table(self, stamp_ns: Ints, angle: NDArray[Any], velocity: NDArray[Any]) -> tuple[()]:
+        self.angles.append(_rows(_ANGLES, (stamp_ns, angle, velocity)))
+        return ()
+
+    def table(self, kind: type[Any], columns: list[Any]) -> Rows:
+        """Return the records of one kind."""
+        names = [column[0] for column in columns]
+        rows = [tuple(getattr(r, n) for n in names) for r in self.records.get(kind, ())]
+        return np.array(rows, dtype=columns)
+
+
+def _rows(columns: list[tuple[str, str]], values: Sequence[NDArray[Any]]) -> Rows:
+    """Return arrays (n,) side by side."""
+    rows = np.zeros(len(values[0]), columns)
+    for (name, _), column in zip(columns, values, strict=True):
+        rows[name] = column
+    return rows
+
+
+def read_streams(
+    path: Name, *, configuration: Configuration | None = None, namespace: str = ""
+) -> RawStreams:
+    """Return the raw streams of a bag as numpy tables, for solvers of your own.
+
+    ``lengths``, ``angles``, ``points``, ``temperatures``, ``pressures`` and ``humidities`` are
+    structured arrays, one row per message in the order of recording, stamps in ns, lengths
+    and positions in m, angles in rad.
+    ``configuration`` (default: the one in the bag) names joint, topics and units. Nothing is
+    captured, left out or corrected. Raises BagError when there is no bag or no configuration.
+
+    >>> import rotcal_ros as rc
+    >>> streams = rc.read_streams("examples/data/ball_plate_bag")
+    >>> streams.points["position"].shape, streams.points.dtype.names[:3]
+    ((546, 3), ('stamp_ns', 'sequence', 'step'))
+    """
+    topics, files = Topics.of(configuration, namespace), bag_files(Path(path))
+    setup = configuration or find_configuration(files, topics)
+    topics.follow(setup.topics.renamed())
+    kept = _Collector()
+    feeder = StreamFeeder(lambda _run: kept, setup.cell.joint, topics=setup.topics)
+    decoders: Decoders = {}
+    for scan, block in read_blocks(files):
+        if block is not None:
+            feeder.feed(block, topics.split(block, scan, decoders))
+    return RawStreams(
+        lengths=np.concatenate([np.zeros(0, _LENGTHS), *kept.lengths]),
+        angles=np.concatenate([np.zeros(0, _ANGLES), *kept.angles]),
+        points=kept.table(ProbeSample, _POINTS),
+        temperatures=kept.table(TemperatureSample, _TEMPERATURES),
+        pressures=kept.table(PressureSample, _PRESSURES),
+        humidities=kept.table(HumiditySample, _HUMIDITIES),
+    )

@@ -1,4 +1,4 @@
-"""Blocks of messages: the records of one chunk as bytes with an index of arrays."""
+"""Blocks of messages: the bytes of a chunk, and where each message stands in them, as arrays."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.bags.mcap_records import HEADER_SIZE, MESSAGE, DamagedRecord
-from rotcal_ros.bags.reading_limits import refusal
+from rotcal_ros.bags.settings import refusal
 from rotcal_ros.foundation.arrays import Bools, Bytes, Ints
 
 HEADER_TYPE: Final = np.dtype(
@@ -19,10 +19,10 @@ HEADER_TYPE: Final = np.dtype(
 )
 """What stands before the payload of a message; packed, 22 bytes."""
 
-_WALKED: Final = 1 << 16
-"""Bytes up to which going from record to record is quicker than looking at all at once."""
+_LOOP_BYTES: Final = 1 << 16
+"""Up to here a loop over the records is quicker than numpy over all bytes."""
 _PIECE: Final = 1 << 20
-"""Bytes of a chunk whose records are looked at together."""
+"""Bytes of a chunk that are split together."""
 _UNFILLED: Final = "the records of a chunk do not fill it"
 _length = struct.Struct("<Q")
 
@@ -110,13 +110,14 @@ Others = list[tuple[int, int, bytes]]
 def split_chunk(data: bytes, most_others: int) -> Iterator[tuple[Block, Others]]:
     """Yield the messages of an unpacked chunk and its other records, piece by piece.
 
-    All blocks share ``data``: what is needed beside it does not grow with the chunk. Raises
+    All blocks share ``data``; the memory beside it does not grow with the chunk. Raises
     DamagedRecord, after the records that are sound, when the records do not fill the chunk
     exactly, when a message is too short, or when more than ``most_others`` are no messages.
     """
     raw = np.frombuffer(data, np.uint8)
-    position, fault = 0, ""
-    while position < len(data) and not fault:
+    position = 0
+    fault: str | None = None
+    while position < len(data) and fault is None:
         begins, position, fault = _piece(data, raw, position)
         sizes = np.diff(begins, append=position) - HEADER_SIZE
         is_message = raw[begins] == MESSAGE
@@ -136,29 +137,29 @@ def split_chunk(data: bytes, most_others: int) -> Iterator[tuple[Block, Others]]
             )
         ]
         yield block_of_records(data, contents[whole], sizes[whole]), others
-    if fault:
+    if fault is not None:
         raise DamagedRecord(fault)
 
 
-def _piece(data: bytes, raw: Bytes, first: int) -> tuple[Ints, int, str]:
+def _piece(data: bytes, raw: Bytes, first: int) -> tuple[Ints, int, str | None]:
     """Return where the records of the next piece begin, where the last ends, and any fault."""
     stop = min(len(data), first + _PIECE)
-    if stop - first > _WALKED:
+    if stop - first > _LOOP_BYTES:
         begins, end = _only_messages(raw, first, stop)
         if len(begins):
-            return begins, end, ""
-    return _walk(data, first, stop)
+            return begins, end, None
+    return _piece_by_loop(data, first, stop)
 
 
-def _walk(data: bytes, first: int, stop: int) -> tuple[Ints, int, str]:
-    """Do as :func:`_piece`, going from one record to the next."""
+def _piece_by_loop(data: bytes, first: int, stop: int) -> tuple[Ints, int, str | None]:
+    """Do as :func:`_piece` by a loop from one record to the next."""
     positions: list[int] = []
     append, length_at = positions.append, _length.unpack_from
     position, last = first, min(stop - 1, len(data) - HEADER_SIZE)
     while position <= last:
         append(position)
         position += HEADER_SIZE + length_at(data, position + 1)[0]
-    fault = ""
+    fault = None
     if position > len(data):
         position, fault = positions.pop(), _UNFILLED
     elif position < stop:

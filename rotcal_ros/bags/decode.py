@@ -1,12 +1,9 @@
-"""Serialised messages of one channel into Python, by the definition that is in the bag.
+"""Decoding the messages of one channel by the definition that is in the bag.
 
-The types of a channel's messages, parsed from its definition; anybody may have written it.
-
-Where the fields of a serialised message stand, for decoding many messages at once.
-
-As long as the lengths of their texts and lists agree, every field of messages of one type stands
-at the same byte. A layout is worked out from one message; it fits all those that are equal to it
-in size and lengths, and in the texts that are asked for.
+Many messages are decoded at once: as long as the lengths of their texts and lists agree, every
+field of messages of one type stands at the same byte. A layout is worked out from one message; it
+fits all those that are equal to it in size and lengths, and in the texts that are asked for.
+Neither definitions nor messages are trusted.
 """
 
 from __future__ import annotations
@@ -27,7 +24,7 @@ from rosbags.typesys.store import Typestore
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.mcap_records import DamagedRecord
-from rotcal_ros.bags.reading_limits import LARGEST_MESSAGE
+from rotcal_ros.bags.settings import LARGEST_MESSAGE
 from rotcal_ros.foundation.arrays import Bools, Bytes, Ints
 from rotcal_ros.foundation.errors import BagError
 
@@ -39,9 +36,9 @@ _HEADER: Final = (Nodetype.NAME, "std_msgs/msg/Header")
 class Columns:
     """Fields of messages of one shape.
 
-    ``rows`` says which messages of the block they are; ``values`` holds one element per row
-    with the wanted fields by their dotted names, and ``layout`` the texts all have in common,
-    as far as those were asked for.
+    ``rows`` are those of the messages in the block; ``values`` has one element per row, with the
+    wanted fields by their dotted names; ``layout`` has the texts that all have in common, as far
+    as they were asked for.
     """
 
     rows: Ints
@@ -78,7 +75,8 @@ class Decoder:
         """
         with suppress(Exception):
             return self._store.deserialize_cdr(data, self.channel.type_name)
-        with suppress(Exception):  # some serialisers, as rclpy's, leave unused bytes at the end
+        # Some serialisers, as rclpy's, leave unused bytes at the end.
+        with suppress(Exception):
             end = work_out_layout(data, self.channel.type_name, self.definitions).end
             return self._store.deserialize_cdr(data[:end], self.channel.type_name)
         self.broken += 1
@@ -143,8 +141,8 @@ _REMEMBERED: Final = 1 << 14
 _MAX_ELEMENTS: Final = 10_000
 """Most elements of arrays of texts and messages together: rosbags writes code for each."""
 _ENCODINGS: Final = ("cdr", "")
-_ALWAYS_KNOWN: Final = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
-_SECONDS: Final = "int32 sec\nuint32 nanosec\n"
+_TIMES: Final = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
+_TIMES_DEFINITION: Final = "int32 sec\nuint32 nanosec\n"
 """The definition of both, in every distribution of ROS 2; a bag may leave it out."""
 _SHOWN: Final = 60
 _LINE_END: Final = re.compile(r"[ \t]*(?:\r\n?|\n)")
@@ -159,7 +157,6 @@ class _Unusable(Exception):  # noqa: N818 - becomes a BagError that names the to
 def message_types(channel: ChannelDefinition) -> tuple[Typestore, Definitions]:
     """Return the store that decodes the messages of ``channel``, and the types in it.
 
-    A message without fields has one byte in CDR, ``structure_needs_at_least_one_member``.
     Raises BagError when there is no definition or none that can be used.
     """
     if channel.encoding not in ("ros2msg", "ros2idl"):
@@ -170,9 +167,9 @@ def message_types(channel: ChannelDefinition) -> tuple[Typestore, Definitions]:
             f"topic {channel.topic}: its messages are serialised as "
             f"{channel.message_encoding!r}, which cannot be read (cdr can)"
         )
-    known = len(channel.definition) <= _REMEMBERED
+    remembered = len(channel.definition) <= _REMEMBERED
     try:
-        store = (_store if known else _store.__wrapped__)(
+        store = (_store if remembered else _store.__wrapped__)(
             channel.type_name, channel.encoding, channel.definition
         )
     except _Unusable as error:
@@ -189,8 +186,8 @@ def message_types(channel: ChannelDefinition) -> tuple[Typestore, Definitions]:
 @lru_cache(maxsize=64)
 def _store(type_name: str, encoding: str, definition: str) -> Typestore:
     """Return the store with the types of a definition: bags of one cell have the same ones."""
-    types = _always_known() | _parsed(type_name, encoding, definition)
-    _Tree(types).least_size(type_name)
+    types = _time_types() | _parsed(type_name, encoding, definition)
+    _TypeCheck(types).least_size(type_name)
     store = get_typestore(Stores.EMPTY)
     store.register(types)
     return store
@@ -205,8 +202,8 @@ def _parsed(type_name: str, encoding: str, definition: str) -> dict[str, Any]:
     return dict(get_types_from_msg(text, type_name))
 
 
-class _Tree:
-    """What contains what; refuses what no serialised message can look like."""
+class _TypeCheck:
+    """Refuses types that contain themselves or are too large to be those of real messages."""
 
     def __init__(self, types: Mapping[str, Any]) -> None:
         self._types = types
@@ -231,6 +228,7 @@ class _Tree:
             raise _Unusable(
                 f"{_short(name)} has {size} bytes at least, more than {LARGEST_MESSAGE}"
             )
+        # A message without fields has one byte in CDR, structure_needs_at_least_one_member.
         self._sizes[name] = max(1, size)
         return self._sizes[name]
 
@@ -268,8 +266,8 @@ def _short(text: str) -> str:
 
 
 @cache
-def _always_known() -> dict[str, Any]:
-    return {name: get_types_from_msg(_SECONDS, name)[name] for name in _ALWAYS_KNOWN}
+def _time_types() -> dict[str, Any]:
+    return {name: get_types_from_msg(_TIMES_DEFINITION, name)[name] for name in _TIMES}
 
 
 Fields = Sequence[tuple[str, Any]]
@@ -277,6 +275,8 @@ Definitions = Mapping[str, tuple[Any, Fields]]
 """Message type -> (constants, fields), as rosbags parses it."""
 
 _ENCAPSULATION: Final = 4
+"""Bytes before the fields in CDR, from behind which fields are aligned: the second one is 0 for
+big, 1 for little endian; other values stand for other encodings."""
 _ASCII: Final = 0x7F
 """Largest byte of a text that is UTF-8 whatever stands beside it."""
 NUMBERS: Final = {
@@ -330,7 +330,7 @@ class FieldLayout:
         if free:
             odd = same & (rows[:, _bytes(free)] > _ASCII).any(axis=1)
             for row in np.flatnonzero(odd):
-                same[row] = all(_readable(rows[row, begin:end]) for begin, end in free)
+                same[row] = all(_is_utf8(rows[row, begin:end]) for begin, end in free)
         return same
 
 
@@ -339,8 +339,8 @@ def _bytes(ranges: Sequence[tuple[int, int]]) -> Ints:
     return np.concatenate([np.arange(begin, end) for begin, end in ranges])
 
 
-def _readable(text: Bytes) -> bool:
-    """Whether a text is UTF-8."""
+def _is_utf8(text: Bytes) -> bool:
+
     try:
         text.tobytes().decode()
     except UnicodeDecodeError:
@@ -350,11 +350,11 @@ def _readable(text: Bytes) -> bool:
 
 def work_out_layout(message: bytes, type_name: str, definitions: Definitions) -> FieldLayout:
     """Return the layout of one serialised message; raises DamagedRecord when it is broken."""
-    return _Walk(message, definitions).layout(type_name)
+    return _LayoutFinder(message, definitions).layout(type_name)
 
 
-class _Walk:
-    """Steps through one message in classic CDR, either byte order."""
+class _LayoutFinder:
+    """Works out the layout of one message in classic CDR, of either byte order."""
 
     def __init__(self, message: bytes, definitions: Definitions) -> None:
         if len(message) < _ENCAPSULATION or message[0] != 0 or message[1] > 1:
@@ -405,20 +405,20 @@ class _Walk:
         if count == 0:
             self._layout.fields[name] = (np.dtype((item, (0,))), self._position)
             return
-        offset = self._take(item.itemsize, item.itemsize * (1 if count is None else count))
+        offset = self._skip(item.itemsize, item.itemsize * (1 if count is None else count))
         dtype = item if count is None else np.dtype((item, (count,)))
         self._layout.fields[name] = (dtype, offset)
 
     def _count(self) -> int:
         """Read the length of a list or text; it is part of the shape."""
-        offset = self._take(4, 4)
+        offset = self._skip(4, 4)
         self._layout.fixed.append((offset, offset + 4))
         order = "little" if self._order == "<" else "big"
         return int.from_bytes(self._message[offset : offset + 4], order)  # type: ignore[arg-type]
 
     def _text(self, places: list[tuple[int, int]]) -> str:
         length = self._count()
-        offset = self._take(1, length)
+        offset = self._skip(1, length)
         places.append((offset, offset + length))
         try:
             return self._message[offset : offset + length].rstrip(b"\0").decode()
@@ -430,8 +430,8 @@ class _Walk:
         if count > len(self._message):
             raise DamagedRecord(f"a list of {count} elements in {len(self._message)} bytes")
 
-    def _take(self, alignment: int, size: int) -> int:
-        """Align, step over ``size`` bytes and return where they begin."""
+    def _skip(self, alignment: int, size: int) -> int:
+        """Align, skip ``size`` bytes and return where they begin."""
         padding = -(self._position - _ENCAPSULATION) % alignment
         begin = self._position + padding
         if begin + size > len(self._message):

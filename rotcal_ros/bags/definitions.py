@@ -18,7 +18,7 @@ _SEPARATOR: Final = "=" * 80
 _BUILTIN: Final = {"bool", "byte", "char", "string", "wstring", "float32", "float64"} | {
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
-_OF_AN_ACTION: Final[dict[str, int | str]] = {
+_ACTION_MESSAGES: Final[dict[str, int | str]] = {
     "Goal": 0,
     "Result": 1,
     "Feedback": 2,
@@ -30,9 +30,10 @@ _OF_AN_ACTION: Final[dict[str, int | str]] = {
         "{0}/{1}SendGoalResponse[<=1] response\n"
     ),
 }
-"""Messages that ROS makes of an action: which part of its file, or their text.
+"""Messages that ROS makes of an action: the number of the part of its file, or their text.
 
-ROS has an underscore behind the name of the action; inside a definition not every reader takes it.
+The names that ROS gives them (``Calibrate_Goal``) have an underscore, which some readers refuse
+inside a definition: it is left out there.
 """
 _FIELD: Final = re.compile(r"^(?P<type>[A-Za-z][\w/]*)(<=\d+)?(\[[^\]]*\])?\s+\w+")
 
@@ -116,7 +117,8 @@ def _own_text(name: str, share: ShareLookup, wanted_by: str) -> str:
     try:
         package, kind, short = name.split("/")
         folder = share(package)
-        if text := _of_an_action(folder, package, short):
+        text = _action_message(folder, package, short)
+        if text is not None:
             return text
         if kind != "msg":
             raise LookupError(f"{name} is not a message")
@@ -128,10 +130,10 @@ def _own_text(name: str, share: ShareLookup, wanted_by: str) -> str:
         ) from error
 
 
-def _of_an_action(folder: Path, package: str, short: str) -> str:
-    """Return the text of what ROS makes of an action of a package; empty: it is none of that."""
+def _action_message(folder: Path, package: str, short: str) -> str | None:
+    """Return the text of a message that ROS makes of an action; None for any other message."""
     whole = short.replace("_", "")
-    for part, around in _OF_AN_ACTION.items():
+    for part, around in _ACTION_MESSAGES.items():
         file = folder / "action" / f"{whole.removesuffix(part)}.action"
         if not (whole.endswith(part) and file.exists()):
             continue
@@ -140,7 +142,7 @@ def _of_an_action(folder: Path, package: str, short: str) -> str:
         lines = file.read_text(encoding="utf-8").splitlines()
         ends = [-1, *(n for n, line in enumerate(lines) if line.strip() == "---"), len(lines)]
         return "\n".join(lines[ends[around] + 1 : ends[around + 1]]) + "\n"
-    return ""
+    return None
 
 
 def _dependencies(text: str, package: str) -> list[str]:

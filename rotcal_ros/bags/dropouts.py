@@ -1,9 +1,7 @@
-"""Dropouts: what is missing of a topic, from when to when, as a message in the stream itself.
+"""Dropouts: what is missing of a topic, from when to when, as messages in the bag itself.
 
 The recorder writes them as ``diagnostic_msgs/DiagnosticArray``, which every tool shows: stamped
 with the last good moment, one status per message, whose name is the topic.
-
-Finding the dropouts that the recorder wrote among the messages of a bag.
 """
 
 from __future__ import annotations
@@ -35,8 +33,8 @@ UNHEARD: Final = "a publisher whose quality of service nobody can receive"
 class Dropout:
     """``count`` messages of ``topic`` (0: unknown how many) missing within two log times (ns).
 
-    ``from_ns`` is the last moment when all was well, ``to_ns`` the first one again; ``gaps`` tells
-    how many gaps that were close together it stands for. Outside of it nothing is missing.
+    ``from_ns`` is the last moment before without a loss, ``to_ns`` the first one behind it;
+    ``gaps`` is how many gaps close together it stands for.
     """
 
     topic: str
@@ -79,7 +77,7 @@ class Dropout:
 
 
 def of_status(values: Mapping[str, str]) -> Dropout | None:
-    """Return the dropout that a status with these values tells of; None for any other."""
+    """Return the dropout in the values of a status; None for any other status."""
     try:
         dropout = Dropout(
             topic=values["topic"],
@@ -100,8 +98,8 @@ def counters(dropouts: Iterable[Dropout]) -> dict[str, int]:
     totals: dict[str, int] = {}
     for dropout in dropouts:
         name = f"{_COUNTER[dropout.reason]} {dropout.topic}"
-        once = dropout.reason in (SILENCE, UNHEARD)
-        totals[name] = totals.get(name, 0) + (dropout.gaps if once else dropout.count)
+        counts_gaps = dropout.reason in (SILENCE, UNHEARD)
+        totals[name] = totals.get(name, 0) + (dropout.gaps if counts_gaps else dropout.count)
     return totals
 
 
@@ -115,14 +113,14 @@ _COUNTER: Final = {
 
 
 class DropoutReader:
-    """Finds the dropouts in the blocks of one file; what is not as we write it is none."""
+    """Finds the dropouts in the blocks of one file; other messages on that topic are ignored."""
 
     def __init__(self) -> None:
         self.found: list[Dropout] = []
         self._decoders: dict[ChannelDefinition, Decoder | None] = {}
 
     def take(self, block: Block, channels: Mapping[int, ChannelDefinition]) -> None:
-        """Look through a block."""
+        """Add the dropouts in a block."""
         for number in block.counts():
             channel = channels[number]
             if channel.topic.rpartition("/")[2] != names.DROPOUTS:
@@ -138,7 +136,7 @@ class DropoutReader:
         for row in range(len(block) if decoder else 0):
             assert decoder is not None
             message = decoder.message(block.payload(row))
-            with suppress(AttributeError, TypeError):  # its definition may be anybody's
+            with suppress(AttributeError, TypeError):  # the bag may define its type otherwise
                 for status in () if message is None else message.status:
                     dropout = of_status({value.key: value.value for value in status.values})
                     if dropout is not None:

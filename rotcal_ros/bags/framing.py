@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from typing import BinaryIO, Final
 
 from rotcal_ros.bags import mcap_records as mcap
-from rotcal_ros.bags.verdict import Damage
+from rotcal_ros.bags.storage_scan import Damage
 
 MAX_DAMAGES: Final = 100
 _EXACT: Final = {mcap.FOOTER: mcap.FOOTER_CONTENT, mcap.DATA_END: 4}
-_PATIENCE: Final = 4
-"""Times the size of the file that may be read in vain: what keeps the time in proportion."""
+_MOST_REREAD: Final = 4
+"""Times its size that a file may be read again behind faults: the time stays in proportion."""
 _STEP: Final = 1 << 20
 
 
@@ -42,13 +42,15 @@ class Record:
 class Framing:
     """Walks forward over the records of ``file`` and notes every fault.
 
-    Records of more than ``largest`` bytes are not read. After the iteration ``damages`` holds
-    the faults, ``index_faults`` those of the index alone, ``truncated`` the offset where a file
-    without a footer ends (else None),
-    ``skipped`` tells whether bytes were left out, ``data_sound`` whether the data section is
-    without fault, ``data_proven`` whether a checksum says so, and ``summary_sound`` whether the
-    index agrees with its own. Memory is bounded by the largest record, time by the size of the
-    file.
+    Records of more than ``largest`` bytes are not read. After the iteration
+
+    * ``damages`` holds the faults, ``index_faults`` those of the index alone,
+    * ``truncated`` is the offset where a file without a footer ends, else None,
+    * ``skipped`` says whether bytes were left out,
+    * ``data_sound`` says whether the data section has no fault, ``data_proven`` whether its
+      checksum confirms that, ``summary_sound`` whether the summary agrees with its own.
+
+    Memory is bounded by the largest record, time by the size of the file.
     """
 
     def __init__(self, file: BinaryIO, size: int, largest: int) -> None:
@@ -70,7 +72,7 @@ class Framing:
         self._finished = False
         self._rejected = False
         self._fields_end: int | None = None
-        self._patience = _PATIENCE * size + _STEP
+        self._rereads_left = _MOST_REREAD * size + _STEP
 
     def reject(self, record: Record, what: str) -> None:
         """Note that the content of the record yielded last is broken."""
@@ -78,8 +80,8 @@ class Framing:
         fault(record.offset, what)
         self._rejected = True
 
-    def settle(self, record: Record, fields_end: int) -> None:
-        """Note where the fields end in the content of the record yielded last."""
+    def note_fields_end(self, record: Record, fields_end: int) -> None:
+        """Note where the known fields end in the content of the record yielded last."""
         self._fields_end = record.offset + mcap.HEADER_SIZE + fields_end
 
     def damage(self, offset: int, what: str) -> None:
@@ -93,7 +95,7 @@ class Framing:
             self.index_faults.append(Damage(offset, what))
 
     def records(self) -> Iterator[Record]:
-        """Yield all records that can be told apart, up to and with the footer."""
+        """Yield all records that can be recognised, up to and with the footer."""
         position: int | None = self._begin()
         while position is not None and not self._finished:
             if position + mcap.HEADER_SIZE > self._size:
@@ -111,10 +113,10 @@ class Framing:
             self._behind_chunk = record.opcode in (mcap.CHUNK, mcap.MESSAGE_INDEX)
             self._checksum(record, head)
             yield record
-            position = self._behind(record)
+            position = self._next_offset(record)
 
-    def _behind(self, record: Record) -> int | None:
-        """Return where the next record is; one that is broken or too long may lie about it."""
+    def _next_offset(self, record: Record) -> int | None:
+        """Return where the next record begins; the length of a broken one may be wrong."""
         rejected, self._rejected = self._rejected, False
         fields_end, self._fields_end = self._fields_end, None
         if rejected:
@@ -125,13 +127,13 @@ class Framing:
             return record.end if found is None else found
         if fields_end is None or fields_end == record.end:
             return record.end
-        return self._behind_extended(record, fields_end)
+        return self._next_offset_of_longer(record, fields_end)
 
-    def _behind_extended(self, record: Record, fields_end: int) -> int:
-        """Return where the next record is; behind the known fields may be those of the future.
+    def _next_offset_of_longer(self, record: Record, fields_end: int) -> int:
+        """Return where the next record begins behind one that is longer than its known fields.
 
-        A record may be extended at its end, so what follows its fields is passed over, unless
-        records can be read there: then its length is wrong.
+        Later versions of MCAP may add fields at the end of a record, so what follows the known
+        ones is skipped, unless records can be read there: then its length is wrong.
         """
         if not self._sound(fields_end):
             if self._sound(record.end):
@@ -181,7 +183,7 @@ class Framing:
             return len(content) == _EXACT[opcode]
         if mcap.HEADER <= opcode <= mcap.DATA_END:
             return True
-        # A kind that is not known here; one that is private or of the future may well be.
+        # MCAP allows private and future kinds of records; it is one if records follow it.
         if opcode == 0 or mcap.chunk_size(content) == len(content) > 0:
             return False
         return is_sound(self._file, end, self._size, links=0, unknown=0)
@@ -205,7 +207,7 @@ class Framing:
         return is_sound(self._file, offset, self._size, links=1)
 
     def _after_fault(self, offset: int, length: int) -> int | None:
-        """Note the fault at ``offset`` and return where reading can go on, or None."""
+        """Note the fault at ``offset`` and return where the next record begins, or None."""
         was_read = length <= self._largest and offset + mcap.HEADER_SIZE + length <= self._size
         found = self._search(offset + 1, length if was_read else 0)
         self.skipped = True
@@ -215,17 +217,21 @@ class Framing:
             self.damage(offset, f"{found - offset} bytes cannot be read")
         return found
 
-    def _search(self, start: int, wasted: int) -> int | None:
-        """Look for a record; ``wasted`` bytes were read in vain and may be read once more."""
+    def _search(self, start: int, read_before: int) -> int | None:
+        """Look for a record; of the bytes from here ``read_before`` were read already."""
         self._crc = None
-        self._patience -= wasted
-        if self._patience < 0:
+        self._rereads_left -= read_before
+        if self._rereads_left < 0:
             self.damage(start, "too much is damaged to go on")
             return None
         return find_record(self._file, start, self._size, chunked=self.chunked)
 
     def _checksum(self, record: Record, head: bytes) -> None:
-        """Follow the checksums of data section and summary, and judge them at their ends."""
+        """Continue the checksums of data section and summary, and compare them at their ends.
+
+        That of the data covers all from the magic bytes to DataEnd, that of the summary all from
+        there to the footer and its fields before the checksum itself. Zero means: not computed.
+        """
         content = record.content
         if record.opcode == mcap.DATA_END and not self.in_summary:
             self.in_summary = True
@@ -293,7 +299,7 @@ def find_record(file: BinaryIO, start: int, size: int, *, chunked: bool) -> int 
 
     ``size`` is the size of the file. In a ``chunked`` file messages stand only in chunks, so
     bytes that look like messages are the content of a damaged chunk and are not taken. The
-    time is proportional to the way from ``start`` to what is found.
+    time is proportional to the bytes from ``start`` to what is found.
     """
     position, width = start, _FIRST_WINDOW
     while position + mcap.HEADER_SIZE <= size:
@@ -361,7 +367,7 @@ def _fits(opcode: int, length: int, content: bytes) -> bool:
         return 0 < mcap.chunk_size(content) <= length
     if opcode == mcap.MESSAGE_INDEX:
         entries = int.from_bytes(content[2:6], "little")
-        return length >= 6 + entries and entries % 16 == 0
+        return length >= 6 + entries and entries % mcap.INDEX_ENTRY == 0
     if opcode in (mcap.FOOTER, mcap.DATA_END):
         return length == (mcap.FOOTER_CONTENT if opcode == mcap.FOOTER else 4)
     if opcode == mcap.MESSAGE:

@@ -1,9 +1,7 @@
-"""Checking the index of an MCAP file against its data, as a doctor would.
+"""Checking the index of an MCAP file against its data, and the order of its records.
 
-Reading does not need the index, so a fault in it costs nothing here; others look messages up in
-it and would miss them.
-
-Checking the order of the records of an MCAP file, which readers of streams count on.
+This package reads without the index, so a fault in it costs nothing here; other programs look up
+messages in it and would miss them, and readers of streams rely on the order.
 """
 
 from __future__ import annotations
@@ -40,7 +38,7 @@ _MOST_FACTS: Final = 1 << 22
 
 
 class IndexCheck:
-    """Is told of every sound record in file order, and reports where the index disagrees.
+    """Compares the index with the records, which are passed to it in file order.
 
     ``report_order`` is called for records that are out of place: readers of streams stop there.
     """
@@ -57,11 +55,11 @@ class IndexCheck:
         self._offsets_begin: int | None = None
 
     def chunk(self, record: Record, chunk: ChunkRecord) -> None:
-        """Take a chunk whose messages come next."""
+        """Add a chunk, before its messages."""
         self._chunk = _ChunkFacts(record, chunk, self._report)
 
     def messages(self, block: Block) -> None:
-        """Take messages of the chunk."""
+        """Add messages of the chunk."""
         if self._chunk is not None:
             self._chunk.messages(block)
 
@@ -70,12 +68,12 @@ class IndexCheck:
         self._chunk = None
 
     def message_index(self, record: Record, channel: int, entries: memoryview) -> None:
-        """Take a message index, which stands behind its chunk."""
+        """Compare a message index with the chunk before it."""
         if self._chunk is not None:
             self._chunk.index(record, channel, entries)
 
     def passed(self, record: Record) -> None:
-        """Take note of any record; a chunk and its indexes end before all but an index."""
+        """Note any record: all but a message index end the chunk and its indexes before it."""
         self._order.passed(record)
         if self._chunk is not None and record.opcode != mcap.MESSAGE_INDEX:
             chunk, self._chunk = self._chunk, None
@@ -84,18 +82,18 @@ class IndexCheck:
             self._indexes.add(chunk.record.offset, chunk.places())
 
     def attachment(self, record: Record, found: Attachment) -> None:
-        """Take an attachment."""
+        """Add an attachment."""
         times = (found.log_time, found.create_time)
         size = record.end - record.offset
         facts = (size, *times, len(found.data), found.name, found.media_type)
         self._attachments.add(record.offset, facts)
 
     def metadata(self, record: Record, found: Metadata) -> None:
-        """Take a metadata record."""
+        """Add a metadata record."""
         self._notes.add(record.offset, (record.end - record.offset, found.name))
 
-    def chunk_index(self, record: Record, index: ChunkIndex, *, clean: bool) -> None:
-        """Compare an index of a chunk; ``clean`` says that all data could be read."""
+    def chunk_index(self, record: Record, index: ChunkIndex, *, data_sound: bool) -> None:
+        """Compare an index of a chunk; ``data_sound``: all data could be read."""
         described = (
             index.chunk_length,
             index.message_start_time,
@@ -105,7 +103,7 @@ class IndexCheck:
             index.uncompressed_size,
         )
         offset = index.chunk_start_offset
-        self._compare(self._chunks, record, "chunk", offset, described, clean)
+        self._compare(self._chunks, record, "chunk", offset, described, data_sound)
         if index.message_index_offsets or index.message_index_length:
             places = (index.message_index_length, frozenset(index.message_index_offsets.items()))
             if self._indexes.differs(offset, places):
@@ -113,19 +111,21 @@ class IndexCheck:
                     record.offset, f"the places of the indexes behind chunk {offset} are wrong"
                 )
 
-    def attachment_index(self, record: Record, index: AttachmentIndex, *, clean: bool) -> None:
+    def attachment_index(
+        self, record: Record, index: AttachmentIndex, *, data_sound: bool
+    ) -> None:
         """Compare an index of an attachment."""
         times = (index.log_time, index.create_time)
         facts = (index.length, *times, index.data_size, index.name, index.media_type)
-        self._compare(self._attachments, record, "attachment", index.offset, facts, clean)
+        self._compare(self._attachments, record, "attachment", index.offset, facts, data_sound)
 
-    def metadata_index(self, record: Record, index: MetadataIndex, *, clean: bool) -> None:
+    def metadata_index(self, record: Record, index: MetadataIndex, *, data_sound: bool) -> None:
         """Compare an index of a metadata record."""
         facts = (index.length, index.name)
-        self._compare(self._notes, record, "metadata record", index.offset, facts, clean)
+        self._compare(self._notes, record, "metadata record", index.offset, facts, data_sound)
 
     def in_summary(self, record: Record) -> None:
-        """Take note of where a record of the summary stands."""
+        """Note where a record of the summary stands."""
         if record.opcode == mcap.SUMMARY_OFFSET:
             if self._offsets_begin is None:
                 self._offsets_begin = record.offset
@@ -198,16 +198,22 @@ class IndexCheck:
             self._report(offset, "the times of the statistics are not those of the messages")
 
     def _compare(
-        self, known: _Facts, record: Record, what: str, offset: int, facts: object, clean: bool
+        self,
+        known: _Facts,
+        record: Record,
+        what: str,
+        offset: int,
+        facts: object,
+        data_sound: bool,
     ) -> None:
         if known.differs(offset, facts):
             self._report(record.offset, f"the index of the {what} at byte {offset} is wrong")
-        elif not known.name(offset) and clean:
+        elif not known.name(offset) and data_sound:
             self._report(record.offset, f"an index points to byte {offset}, where no {what} is")
 
 
 class _Facts:
-    """What is known of the records of one kind, by offset, as hashes: 17 bytes for each."""
+    """The facts of the records of one kind, by offset, as hashes: 17 bytes for each."""
 
     def __init__(self) -> None:
         self._offsets, self._hashes = array("Q"), array("q")
@@ -325,7 +331,7 @@ _OF_SUMMARY: Final = (
 
 
 class RecordOrder:
-    """Is told of every record in file order, and reports (offset, words) those out of place."""
+    """Reports (offset, words) of records out of place; all are passed to it in file order."""
 
     def __init__(self, report: Callable[[int, str], None]) -> None:
         self._report = report
@@ -333,14 +339,14 @@ class RecordOrder:
         self._data_ended = False
 
     def passed(self, record: Record) -> None:
-        """Take note of the next record at the top level."""
+        """Check the next record at the top level."""
         fault = self._fault(record.opcode)
-        if fault:
+        if fault is not None:
             self._report(record.offset, fault)
         self._last = record.opcode
         self._data_ended |= record.opcode == mcap.DATA_END
 
-    def _fault(self, opcode: int) -> str:
+    def _fault(self, opcode: int) -> str | None:
         if (opcode == mcap.HEADER) != (self._last == 0):
             return "a second header" if self._last else "the file does not begin with a header"
         if opcode == mcap.MESSAGE_INDEX and self._last not in (mcap.CHUNK, mcap.MESSAGE_INDEX):
@@ -353,4 +359,4 @@ class RecordOrder:
             return f"a record {opcode} of the data stands in the summary"
         if opcode in _OF_SUMMARY and not self._data_ended:
             return f"a record {opcode} of the summary stands among the data"
-        return ""
+        return None

@@ -1,11 +1,9 @@
 """Closing a file whose recorder died: what is missing is appended, no whole record changes.
 
-The bytes of a torn last record, which no reader can use, stay in the file as an attachment: the
-file as the interruption left it is its first ``interrupted_at_byte`` bytes and that attachment.
-While a file is being closed a journal stands beside it; whoever dies meanwhile leaves what the
-next one needs to do it again.
-
-The index at the end of an MCAP file, made again from the records before it.
+The index at the end is made from the records before it. The bytes of a torn last record, which no
+reader can use, stay in the file as an attachment: the file as the interruption left it is its
+first ``interrupted_at_byte`` bytes and that attachment. While a file is being closed a journal
+stands beside it, from which an interrupted closing is done again.
 """
 
 from __future__ import annotations
@@ -43,13 +41,19 @@ from mcap.records import (
 )
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.mcap_file import LIBRARY
-from rotcal_ros.bags.mcap_records import MAGIC, parse
+from rotcal_ros.bags.mcap_records import (
+    HEADER_SIZE,
+    INDEX_ENTRY,
+    MAGIC,
+    parse,
+    parse_message_index,
+    record_header,
+)
 from rotcal_ros.bags.reader import bag_files, file_info, read_blocks
 from rotcal_ros.bags.rosbag2_metadata import FileInfo
 from rotcal_ros.bags.session_identity import file_head
-from rotcal_ros.bags.verdict import FileVerdict
-from rotcal_ros.bags.writer import BagWriter
+from rotcal_ros.bags.storage_scan import FileVerdict
+from rotcal_ros.bags.writer import LIBRARY, BagWriter
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.files import (
     remove_durably,
@@ -79,7 +83,7 @@ class InterruptedSession:
         """Read the bag in ``folder``; raises BagError when there is none."""
         files = bag_files(folder)
         heads = (file_head(file) for file in files)
-        session = next((head.session for head in heads if not head.silent), "")
+        session = next((head.session for head in heads if not head.says_nothing), "")
         scans = [scan for scan, block in read_blocks(files) if block is None]
         ends = tuple(end for scan in scans if (end := open_end(scan.verdict())) is not None)
         return cls(tuple(map(file_info, scans)), session, ends)
@@ -87,16 +91,16 @@ class InterruptedSession:
     def close_before(self, writer: BagWriter) -> None:
         """:meth:`close` for a writer that continues the session and watches its files."""
         self.close(writer.path.name)
-        writer.expect_earlier()
+        writer.watch_earlier_files()
 
     def close(self, continued_in: str = "") -> None:
-        """Close the files that the interruption left open; call it with the right to write.
+        """Close the files that the interruption left open; the caller holds the folder's lock.
 
-        More than one is left when the recorder died while it went on in a new file.
+        There are two when the recorder died while it began a new file.
         Raises BagError when that fails: nothing is lost, and the next call does it again.
         """
-        row = [file.name for file in self.files]
-        following = dict(zip(row, [*row[1:], continued_in], strict=True))
+        in_order = [file.name for file in self.files]
+        following = dict(zip(in_order, [*in_order[1:], continued_in], strict=True))
         try:
             for end in self.open_ends:
                 end.close(following[end.path.name])
@@ -109,35 +113,35 @@ class InterruptedSession:
 
 @dataclass(frozen=True)
 class OpenEnd:
-    """An interrupted file: ``torn`` stands behind the ``contents`` of its whole records."""
+    """An interrupted file of ``size`` bytes: whole records, then ``torn`` bytes of one."""
 
     path: Path
     size: int
     torn: bytes
-    contents: SummarySection
+    summary: SummarySection
 
     @property
     def end(self) -> int:
         """The byte at which the whole records end."""
-        return self.contents.end
+        return self.summary.end
 
     def close(self, continued_in: str = "") -> None:
-        """Append what is missing; the session goes on in the file ``continued_in``, if at all.
+        """Append what is missing; ``continued_in`` is the file that continues the session, if any.
 
         Raises OSError when the disk fails; the next call on the same file does it again.
         """
         if self.path.stat().st_size != self.size:
             raise BagError(f"{self.path} has changed since it was read; nothing was done to it")
         journal = _journal(self.path)
-        sync_file(self.path)  # the journal must not outlive bytes that it counts on
+        sync_file(self.path)  # the journal relies on the bytes before it
         if not journal.exists():
             head = json.dumps({"end": self.end}).encode() + b"\n"
             replace_atomically(journal, lambda path: write_durably(path, head + self.torn))
-        tail = self.contents.tail(self._record(continued_in), self.torn, LIBRARY)
+        tail = self.summary.tail(self._note(continued_in), self.torn, LIBRARY)
         replace_tail(self.path, self.end, tail)
         remove_durably(journal)
 
-    def _record(self, continued_in: str) -> Metadata:
+    def _note(self, continued_in: str) -> Metadata:
         return Metadata(
             name=names.CONTINUED,
             metadata={
@@ -160,20 +164,20 @@ def open_end(verdict: FileVerdict) -> OpenEnd | None:
         if verdict.state == "complete":
             remove_durably(journal)
         return None
-    begun = _begun(journal)
+    begun = _read_journal(journal)
     with path.open("rb") as file:
-        contents = SummarySection.of(file, begun[0] if begun else verdict.damages[0].offset)
-        file.seek(contents.end)
+        summary = SummarySection.of(file, begun[0] if begun else verdict.damages[0].offset)
+        file.seek(summary.end)
         torn = begun[1] if begun else file.read()
-    return OpenEnd(path, path.stat().st_size, torn, contents) if contents.plain else None
+    return OpenEnd(path, path.stat().st_size, torn, summary) if summary.like_ours else None
 
 
 def _journal(path: Path) -> Path:
     return path.with_name(path.name + JOURNAL_SUFFIX)
 
 
-def _begun(journal: Path) -> tuple[int, bytes] | None:
-    """Return where the data end and what stood there, from a closing that was interrupted."""
+def _read_journal(journal: Path) -> tuple[int, bytes] | None:
+    """Return where the data end and the torn bytes behind, of a closing that was interrupted."""
     if not journal.is_file():
         return None
     head, _, torn = journal.read_bytes().partition(b"\n")
@@ -181,30 +185,31 @@ def _begun(journal: Path) -> tuple[int, bytes] | None:
 
 
 PROFILE: Final = "ros2"
-_HEAD: Final = struct.Struct("<BQ")
 _MESSAGE: Final = struct.Struct("<HIQ")
-_INDEX: Final = struct.Struct("<HI")
+"""Of a message: channel, sequence and log time."""
 
 
-def _taken(builder: RecordBuilder) -> bytes:
+def _built(builder: RecordBuilder) -> bytes:
+    """Return what was written so far and empty the builder."""
     data: bytes = builder.end()  # type: ignore[no-untyped-call]
     return data
 
 
-def _inner(data: bytes) -> Iterator[tuple[int, int, int]]:
+def _records_in(data: bytes) -> Iterator[tuple[int, int, int]]:
     """Yield opcode, begin and length of the content of every record in an unpacked chunk."""
-    position, unpack = 0, _HEAD.unpack_from
+    position, unpack = 0, record_header.unpack_from
     while position < len(data):
         opcode, length = unpack(data, position)
-        yield opcode, position + _HEAD.size, length
-        position += _HEAD.size + length
+        yield opcode, position + HEADER_SIZE, length
+        position += HEADER_SIZE + length
 
 
 @dataclass
 class SummarySection:
-    """What the index at the end of a file says: collected from its records, in one pass.
+    """The index at the end of a file, collected from its records in one pass.
 
-    For files of our recorder whose records are known to be sound: messages stand in chunks.
+    For files of our recorder whose records are known to be sound: all messages are in chunks.
+    ``like_ours`` is False for any other file.
     """
 
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -215,39 +220,36 @@ class SummarySection:
     counts: Counter[int] = field(default_factory=Counter)
     end: int = 0
     header: bool = False
-    plain: bool = True
+    like_ours: bool = True
     _crc: int = 0
-    _last: bytes = b""
+    _last_chunk: bytes = b""
 
     @classmethod
     def of(cls, file: BinaryIO, end: int) -> SummarySection:
-        """Collect from the data section of ``file``; its whole records end at byte ``end``.
-
-        ``plain`` is False for a file that was not written like ours.
-        """
-        found = cls()
+        """Collect from the data section of ``file``; its whole records end at byte ``end``."""
+        summary = cls()
         file.seek(0)
-        found._crc = zlib.crc32(file.read(min(end, len(MAGIC))))
-        found.end = min(end, len(MAGIC))
-        while found.end + _HEAD.size <= end:
-            head = file.read(_HEAD.size)
-            opcode, length = _HEAD.unpack(head)
+        summary._crc = zlib.crc32(file.read(min(end, len(MAGIC))))
+        summary.end = min(end, len(MAGIC))
+        while summary.end + HEADER_SIZE <= end:
+            head = file.read(HEADER_SIZE)
+            opcode, length = record_header.unpack(head)
             if opcode == Opcode.DATA_END:
                 break
             content = file.read(length)
-            found._crc = zlib.crc32(content, zlib.crc32(head, found._crc))
-            found._take(opcode, content)
-            found.end += _HEAD.size + length
-        return found
+            summary._crc = zlib.crc32(content, zlib.crc32(head, summary._crc))
+            summary._add(opcode, content)
+            summary.end += HEADER_SIZE + length
+        return summary
 
-    def _take(self, opcode: int, content: bytes) -> None:
-        """Take in one record of the data section, which begins at ``end``."""
-        length = _HEAD.size + len(content)
+    def _add(self, opcode: int, content: bytes) -> None:
+        """Add one record of the data section, which begins at ``end``."""
+        length = HEADER_SIZE + len(content)
         if opcode == Opcode.CHUNK:
             self._chunk(parse(Chunk, content)[0], length)
         elif opcode == Opcode.MESSAGE_INDEX and self.chunks:
-            channel, size = _INDEX.unpack_from(content)
-            self.counts[channel] += size // 16
+            channel, entries, _ = parse_message_index(content)
+            self.counts[channel] += len(entries) // INDEX_ENTRY
             self.chunks[-1].message_index_offsets[channel] = self.end
             self.chunks[-1].message_index_length += length
         elif opcode == Opcode.ATTACHMENT:
@@ -258,7 +260,7 @@ class SummarySection:
         elif opcode == Opcode.HEADER:
             self.header = True
         else:
-            self.plain = False
+            self.like_ours = False
 
     def tail(self, note: Metadata, torn: bytes, library: str) -> bytes:
         """Return all that stands behind byte ``end`` of the closed file; call it once."""
@@ -277,22 +279,22 @@ class SummarySection:
             begin = end + data.count
             attachment.write(data)
             self._attachment(begin, end + data.count - begin, attachment)
-        written = _taken(data)
+        written = _built(data)
         DataEnd(zlib.crc32(written, self._crc)).write(data)
-        return written + (ended := _taken(data)) + self._summary(end + len(written) + len(ended))
+        return written + (ended := _built(data)) + self._summary(end + len(written) + len(ended))
 
     def _chunk(self, chunk: Chunk, length: int) -> None:
         packed = chunk.compression == "zstd"
-        self.plain &= packed or not chunk.compression
-        self._last = chunk.data
+        self.like_ours &= packed or not chunk.compression
+        self._last_chunk = chunk.data
         if packed:
-            self._last = zstandard.decompress(chunk.data, chunk.uncompressed_size)
-        for opcode, begin, size in _inner(self._last):
+            self._last_chunk = zstandard.decompress(chunk.data, chunk.uncompressed_size)
+        for opcode, begin, size in _records_in(self._last_chunk):
             if opcode == Opcode.SCHEMA:
-                schema = parse(Schema, self._last[begin : begin + size])[0]
+                schema = parse(Schema, self._last_chunk[begin : begin + size])[0]
                 self.schemas.setdefault(schema.id, schema)
             elif opcode == Opcode.CHANNEL:
-                channel = parse(Channel, self._last[begin : begin + size])[0]
+                channel = parse(Channel, self._last_chunk[begin : begin + size])[0]
                 self.channels.setdefault(channel.id, channel)
         self.chunks.append(
             ChunkIndex(
@@ -329,11 +331,11 @@ class SummarySection:
         if index.chunk_start_offset + index.chunk_length + index.message_index_length != self.end:
             return
         missing: dict[int, list[tuple[int, int]]] = {}
-        for opcode, begin, _ in _inner(self._last):
+        for opcode, begin, _ in _records_in(self._last_chunk):
             if opcode == Opcode.MESSAGE:
-                channel, _, log_time = _MESSAGE.unpack_from(self._last, begin)
+                channel, _, log_time = _MESSAGE.unpack_from(self._last_chunk, begin)
                 if channel not in index.message_index_offsets:
-                    missing.setdefault(channel, []).append((log_time, begin - _HEAD.size))
+                    missing.setdefault(channel, []).append((log_time, begin - HEADER_SIZE))
         for channel, entries in missing.items():
             index.message_index_offsets[channel] = self.end + data.count
             MessageIndex(channel, entries).write(data)
@@ -360,10 +362,10 @@ class SummarySection:
         offsets_start = start + summary.count
         for offset in offsets:
             offset.write(summary)
-        text = _taken(summary)
+        text = _built(summary)
         Footer(start, offsets_start, 0).write(summary)
-        # its last field, the CRC, covers the summary and the footer up to there (MCAP, Footer)
-        footer = _taken(summary)[:-4]
+        # The CRC is the footer's last field and covers the summary and the footer up to there.
+        footer = _built(summary)[:-4]
         crc = zlib.crc32(footer, zlib.crc32(text))
         return text + footer + crc.to_bytes(4, "little") + MAGIC
 

@@ -1,9 +1,9 @@
-"""The records of an MCAP file, parsed strictly: no field beyond its record, or DamagedRecord.
+"""The records of an MCAP file, parsed strictly: a field beyond its record raises DamagedRecord.
 
-The file readers of the mcap package stop at the first fault and trust lengths; a salvage reader
-must do neither, so only the package's record classes are used. A record may be longer than the
-fields that are known today: :func:`parse` says where they end. Layout: https://mcap.dev/spec
-(all numbers little-endian).
+The file readers of the mcap package stop at the first fault and trust lengths, which a reader of
+damaged files cannot, so only the package's record classes are used. A record may be longer than
+the fields of today: :func:`parse` says where they end. Layout: https://mcap.dev/spec (all
+numbers little-endian).
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ HEADER_SIZE: Final = 9
 """Bytes before the content of a record: opcode and length."""
 FOOTER_CONTENT: Final = 20
 MESSAGE_FIXED: Final = 22
-"""Bytes before the payload of a message."""
+"""Bytes before the payload of a message: channel, sequence, log and publish time."""
+INDEX_ENTRY: Final = 16
+"""Bytes of an entry of a message index: log time, and offset in the unpacked chunk."""
 
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = range(1, 8)
 CHUNK_INDEX, ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA = range(8, 13)
@@ -32,9 +34,11 @@ record_header = struct.Struct("<BQ")
 _index_header = struct.Struct("<HI")
 _chunk_fixed = struct.Struct("<QQQI")
 _MAP_ENTRY: Final = 10
+"""Bytes of an entry of such a map: channel and number."""
 _MAP_PLACE: Final = {CHUNK_INDEX: 32, STATISTICS: 42}
 """Where records that map channels to numbers say how many bytes the map has."""
 _CHANNEL_IDS: Final = 1 << 16
+"""There are no more: a channel id has two bytes."""
 
 
 class DamagedRecord(Exception):  # noqa: N818 - not an error for the user, but a finding
@@ -94,13 +98,13 @@ def parse(kind: type[R], content: bytes) -> tuple[R, int]:
     return record, fields.count
 
 
-def parse_texts(kind: type[N], content: bytes) -> tuple[N, int, str]:
+def parse_texts(kind: type[N], content: bytes) -> tuple[N, int, str | None]:
     """Parse a channel or metadata, which end with a map of texts: record, end, any fault."""
     record, end = parse(kind, content)
     place, texts = _BEFORE_TEXTS[kind]
     for _ in range(texts + 1):
         place += 4 + int.from_bytes(content[place : place + 4], "little")
-    return record, end, "" if place == end else "a map of texts has a broken size"
+    return record, end, None if place == end else "a map of texts has a broken size"
 
 
 def parse_attachment(content: bytes) -> tuple[Attachment, int]:
@@ -127,7 +131,7 @@ def parse_message_index(content: bytes) -> tuple[int, memoryview, int]:
         raise DamagedRecord("a message index is too short")
     channel, size = _index_header.unpack_from(content)
     end = _index_header.size + size
-    if size % 16 or end > len(content):
+    if size % INDEX_ENTRY or end > len(content):
         raise DamagedRecord("a message index has a broken entry")
     return channel, memoryview(content)[_index_header.size : end], end
 
@@ -135,7 +139,7 @@ def parse_message_index(content: bytes) -> tuple[int, memoryview, int]:
 def is_message_index(content: bytes) -> bool:
     """Tell whether the length inside a record is that of a message index that fills it."""
     size = int.from_bytes(content[2:6], "little")
-    return size % 16 == 0 and len(content) == _index_header.size + size
+    return size % INDEX_ENTRY == 0 and len(content) == _index_header.size + size
 
 
 def chunk_size(content: bytes) -> int:

@@ -1,12 +1,7 @@
 """Reading one MCAP file from begin to end, tolerantly: blocks of messages and a verdict.
 
-Yielding small blocks together: a small one costs as much as a large one.
-
-What may be kept of a file in memory while it is read.
-
-The schemas and channels of an MCAP file, each from the place that is to be trusted most.
-
-The definitions in the summary of an MCAP file, read before its data.
+The index is not needed. Schemas and channels stand in several places of a file, each of which may
+be damaged: they are taken from the one that is trusted most.
 """
 
 from __future__ import annotations
@@ -36,29 +31,29 @@ from mcap.records import (
 from rotcal_ros.bags import mcap_records as mcap
 from rotcal_ros.bags import names
 from rotcal_ros.bags.blocks import Block, Others, block_of_contents, joined, split_chunk
-from rotcal_ros.bags.definitions import ChannelDefinition, parse_definitions, schema_text
-from rotcal_ros.bags.file_compression import opened
-from rotcal_ros.bags.framing import Framing, Record
-from rotcal_ros.bags.index_check import IndexCheck
-from rotcal_ros.bags.mcap_records import DamagedRecord
-from rotcal_ros.bags.message_compression import (
+from rotcal_ros.bags.compression import (
+    Unpacker,
     declared_compression,
     decompressor,
     looks_packed,
-    unpacked,
+    open_storage_file,
+    unpacked_messages,
 )
-from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits, refusal
-from rotcal_ros.bags.storage_scan import Item, Scan
-from rotcal_ros.bags.unpacking import Unpacker
-from rotcal_ros.bags.verdict import Damage, FileVerdict, State
+from rotcal_ros.bags.definitions import ChannelDefinition, parse_definitions, schema_text
+from rotcal_ros.bags.framing import Framing, Record
+from rotcal_ros.bags.index_check import IndexCheck
+from rotcal_ros.bags.mcap_records import DamagedRecord
+from rotcal_ros.bags.settings import DEFAULT_LIMITS, ReadingLimits, refusal
+from rotcal_ros.bags.storage_scan import Damage, FileVerdict, Item, Scan, State
 from rotcal_ros.foundation.errors import BagError
 
-_RUN_BYTES: Final = 1 << 20
-_WHOLE: Final = re.compile(r"-?[0-9]{1,18}")
+_UNCHUNKED_BYTES: Final = 1 << 20
+"""Messages outside chunks are put together to blocks of this size."""
+_COUNT: Final = re.compile(r"-?[0-9]{1,18}")
 """A count that a recorder may have written."""
 _CDR: Final = "cdr"
-_LARGE: Final = (mcap.MESSAGE, mcap.CHUNK, mcap.MESSAGE_INDEX, mcap.ATTACHMENT)
-"""Records that hold data; the others hold texts and numbers by name."""
+_DATA: Final = (mcap.MESSAGE, mcap.CHUNK, mcap.MESSAGE_INDEX, mcap.ATTACHMENT)
+"""Records of data, which may be large; the others hold definitions, texts and numbers."""
 
 
 class McapScan(Scan):
@@ -75,13 +70,13 @@ class McapScan(Scan):
         self._check_index = check_index
         self._definitions = Definitions()
         self.channels = self._definitions.channels
-        self._keeping = Keeping(limits.kept_bytes)
+        self._memory = MemoryBudget(limits.kept_bytes)
         self._lost: Counter[int] = Counter()
-        self._unreadable: Counter[int] = Counter()
+        self._broken: Counter[int] = Counter()
         self._statistics: tuple[int, Statistics] | None = None
-        self._promised: dict[int, int] | None = None
-        self._read_of_chunk: Counter[int] | None = None
-        self._index_awaited = False
+        self._stated_counts: dict[int, int] | None = None
+        self._chunk_counts: Counter[int] | None = None
+        self._awaits_message_index = False
         self._loss_unknown = False
         self._size = 0
         self._damages: list[Damage] = []
@@ -96,14 +91,14 @@ class McapScan(Scan):
         """Yield messages, attachments and metadata in file order; raises as :meth:`blocks`."""
         self._require_known_compression()
         try:
-            with opened(self.path, self._limits) as file:
+            with open_storage_file(self.path, self._limits) as file:
                 self._size = self.path.stat().st_size
                 size = file.seek(0, 2)
                 self._unpacker = Unpacker(self._limits, self._size)
                 self._framing = Framing(file, size, self._limits.record_bytes)
                 report = self._framing.index_fault, self._framing.damage
                 self._index = IndexCheck(*report) if self._check_index else None
-                self._read_summary(file, size)
+                self._define_by_summary(file, size)
                 yield from self._items(self._framing)
         except OSError as error:
             raise BagError(f"cannot read {self.path}: {error.strerror or error}") from error
@@ -117,17 +112,17 @@ class McapScan(Scan):
             state = state if damages else "truncated"
             damages.append(Damage(self._truncated, "the file ends without its closing records"))
         damages += index_faults
-        lost = self._lost if self._promised is None else self._missing(self._promised)
+        lost = self._lost if self._stated_counts is None else self._missing(self._stated_counts)
         start_ns, end_ns = self._span or (None, None)
         return FileVerdict(
             path=self.path,
             size=self._size,
             state=state,
             damages=tuple(damages),
-            topics=self._topics(lost + self._unreadable),
+            topics=self._topics(lost + self._broken),
             start_ns=start_ns,
             end_ns=end_ns,
-            lost_exactly=self._promised is not None or not self._loss_unknown,
+            lost_exactly=self._stated_counts is not None or not self._loss_unknown,
             losses_recorded=_integers(self.metadata.get(names.LOSSES, {})),
             run=_integers(self.metadata.get(names.RUN, {})).get("number", 0),
             dropouts=tuple(self._dropouts.found),
@@ -141,42 +136,43 @@ class McapScan(Scan):
             raise BagError(f"cannot read {self.path}: {error}") from None
 
     def _items(self, framing: Framing) -> Iterator[Item]:
-        run: list[Record] = []
-        run_size = 0
-        held = Held()
+        unchunked: list[Record] = []
+        unchunked_size = 0
+        small = SmallBlocks()
         for record in framing.records():
             self.position = min(record.offset, self._size)
             if record.opcode not in (mcap.CHUNK, mcap.MESSAGE_INDEX):
-                yield from self._readable(held.released())  # it may speak of what comes after it
+                # The record may be about the messages behind it: those before it come first.
+                yield from self._defined(small.rest())
             if record.opcode == mcap.MESSAGE and record.content:
-                run.append(record)
-                run_size += len(record.content)
-            if run and (record.opcode != mcap.MESSAGE or run_size > _RUN_BYTES):
-                yield from self._readable((self._block_of_run(run),))
-                run, run_size = [], 0
+                unchunked.append(record)
+                unchunked_size += len(record.content)
+            if unchunked and (record.opcode != mcap.MESSAGE or unchunked_size > _UNCHUNKED_BYTES):
+                yield from self._defined((self._unchunked_block(unchunked),))
+                unchunked, unchunked_size = [], 0
             try:
-                for item in self._take(record):
+                for item in self._contents(record):
                     if isinstance(item, Block):
-                        yield from self._readable(held.grown(item))
+                        yield from self._defined(small.joined_with(item))
                     else:
                         yield item
             except (mcap.DamagedRecord, BagError) as fault:
                 framing.reject(record, str(fault))
-        yield from self._readable(held.released())
-        if run:
-            yield from self._readable((self._block_of_run(run),))
-        self._conclude(framing)
+        yield from self._defined(small.rest())
+        if unchunked:
+            yield from self._defined((self._unchunked_block(unchunked),))
+        self._judge(framing)
 
-    def _block_of_run(self, run: list[Record]) -> Block:
+    def _unchunked_block(self, records: list[Record]) -> Block:
         """Return the block of messages that stand outside chunks."""
-        block = block_of_contents([record.content for record in run])
-        self._require_defined(run[0].offset, block, {})
+        block = block_of_contents([record.content for record in records])
+        self._report_undefined(records[0].offset, block, {})
         return block
 
-    def _take(self, record: Record) -> Iterator[Item]:
-        """Take in one top-level record; yields what it holds."""
+    def _contents(self, record: Record) -> Iterator[Item]:
+        """Read one top-level record and yield what it holds."""
         opcode, content = record.opcode, record.content
-        self._admit(record)
+        self._note_record(record)
         if opcode == mcap.CHUNK:
             yield from self._chunk(record)
         elif opcode == mcap.MESSAGE_INDEX:
@@ -187,18 +183,18 @@ class McapScan(Scan):
             yield self._metadata(record)
         elif opcode in (mcap.SCHEMA, mcap.CHANNEL):
             trust = None if self._framing.in_summary else Trust.PLAIN_DATA
-            self._framing.settle(record, self._define(record, opcode, content, trust))
+            self._framing.note_fields_end(record, self._define(record, opcode, content, trust))
         elif opcode == mcap.HEADER:
-            self._framing.settle(record, mcap.parse(Header, content)[1])
+            self._framing.note_fields_end(record, mcap.parse(Header, content)[1])
         else:
-            self._take_index(record)
+            self._summary_record(record)
 
-    def _admit(self, record: Record) -> None:
-        """Take note of a record; raises DamagedRecord where it is larger than is allowed."""
+    def _note_record(self, record: Record) -> None:
+        """Note a record, for the index check too; raises DamagedRecord where it is too large."""
         opcode = record.opcode
         if opcode == mcap.CHUNK:
-            self._loss_unknown |= self._index_awaited
-            self._read_of_chunk, self._index_awaited = Counter(), True
+            self._loss_unknown |= self._awaits_message_index
+            self._chunk_counts, self._awaits_message_index = Counter(), True
         if self._index is not None:
             self._index.passed(record)
             if self._framing.in_summary and opcode not in (mcap.DATA_END, mcap.FOOTER):
@@ -207,12 +203,12 @@ class McapScan(Scan):
             self._loss_unknown |= opcode == mcap.MESSAGE
             what = f"a record has {record.size} bytes"
             raise mcap.DamagedRecord(refusal(what, "record_bytes", record.size))
-        if opcode not in _LARGE:
-            self._keeping.admit(record.content)
+        if opcode not in _DATA:
+            self._memory.check_record(record.content)
 
     def _chunk(self, record: Record) -> Iterator[Block]:
         chunk, end = mcap.parse_chunk(record.content)
-        self._framing.settle(record, end)
+        self._framing.note_fields_end(record, end)
         data = self._unpacker.chunk(chunk)
         trust = Trust.CHECKED_DATA if chunk.crc else Trust.PLAIN_DATA
         if self._index is not None:
@@ -220,57 +216,58 @@ class McapScan(Scan):
         try:
             for block, others in split_chunk(data, self._limits.other_records):
                 new = self._define_all(record, others, trust)
-                self._require_defined(record.offset, block, new)
+                self._report_undefined(record.offset, block, new)
                 if self._index is not None:
                     self._index.messages(block)
-                if self._read_of_chunk is not None:
-                    self._read_of_chunk.update(block.counts())
+                if self._chunk_counts is not None:
+                    self._chunk_counts.update(block.counts())
                 yield block
         except mcap.DamagedRecord:
             if self._index is not None:
                 self._index.chunk_lost()
             raise
-        self._read_of_chunk, self._index_awaited = None, False
+        self._chunk_counts, self._awaits_message_index = None, False
 
     def _define_all(self, record: Record, others: Others, trust: Trust) -> dict[int, int]:
-        """Take the definitions of a chunk; returns where those of new channels begin."""
-        places: dict[int, int] = {}
-        for place, opcode, content in others:
+        """Add the definitions in a chunk; return where those of new channels begin, by id."""
+        begins: dict[int, int] = {}
+        for begin, opcode, content in others:
             if opcode in (mcap.SCHEMA, mcap.CHANNEL):
                 before = len(self._definitions.from_data)
                 self._define(record, opcode, content, trust)
                 if len(self._definitions.from_data) > before:
-                    places[int.from_bytes(content[:2], "little")] = place
+                    begins[int.from_bytes(content[:2], "little")] = begin
             elif opcode <= mcap.DATA_END:
                 self._framing.damage(record.offset, f"a chunk holds a record {opcode}")
-        return places
+        return begins
 
-    def _require_defined(self, offset: int, block: Block, new: dict[int, int]) -> None:
-        """Report messages that stand before their channel; ``new``: where channels begin."""
-        known, numbers = self._definitions.from_data, block.counts().keys()
+    def _report_undefined(self, offset: int, block: Block, new: dict[int, int]) -> None:
+        """Report messages that stand before their channel; ``new``: where new channels begin."""
+        defined, numbers = self._definitions.from_data, block.counts().keys()
         channel = block.headers["channel"]
         late = {n for n in numbers & new.keys() if block.start[np.argmax(channel == n)] < new[n]}
-        for number in (numbers - known) | late:
+        for number in (numbers - defined) | late:
             what = f"messages of channel {number} stand before its definition"
             self._framing.damage(offset, what)
-            known.add(number)
+            defined.add(number)
 
     def _message_index(self, record: Record) -> None:
         channel, entries, end = mcap.parse_message_index(record.content)
-        self._framing.settle(record, end)
+        self._framing.note_fields_end(record, end)
         if self._index is not None:
             self._index.message_index(record, channel, entries)
-        if self._read_of_chunk is not None:
-            self._lost[channel] += max(0, len(entries) // 16 - self._read_of_chunk[channel])
-            self._index_awaited = False
+        if self._chunk_counts is not None:
+            stated = len(entries) // mcap.INDEX_ENTRY
+            self._lost[channel] += max(0, stated - self._chunk_counts[channel])
+            self._awaits_message_index = False
 
-    def _take_index(self, record: Record) -> None:
-        """Take a record of the summary, or one that is not known here."""
+    def _summary_record(self, record: Record) -> None:
+        """Read a record of the summary, or one of an unknown kind."""
         opcode, content, index = record.opcode, record.content, self._index
-        clean = self._framing.data_sound
+        data_sound = self._framing.data_sound
         if opcode == mcap.STATISTICS:
             statistics, end = mcap.parse_mapping(Statistics, opcode, content)
-            self._framing.settle(record, end)
+            self._framing.note_fields_end(record, end)
             if self._statistics is not None:
                 raise mcap.DamagedRecord("there are two statistics")
             self._statistics = record.offset, statistics
@@ -278,34 +275,34 @@ class McapScan(Scan):
             return
         elif opcode == mcap.CHUNK_INDEX:
             chunk, end = mcap.parse_mapping(ChunkIndex, opcode, content)
-            self._framing.settle(record, end)
-            index.chunk_index(record, chunk, clean=clean)
+            self._framing.note_fields_end(record, end)
+            index.chunk_index(record, chunk, data_sound=data_sound)
         elif opcode == mcap.ATTACHMENT_INDEX:
             attachment, end = mcap.parse(AttachmentIndex, content)
-            self._framing.settle(record, end)
-            index.attachment_index(record, attachment, clean=clean)
+            self._framing.note_fields_end(record, end)
+            index.attachment_index(record, attachment, data_sound=data_sound)
         elif opcode == mcap.METADATA_INDEX:
             metadata, end = mcap.parse(MetadataIndex, content)
-            self._framing.settle(record, end)
-            index.metadata_index(record, metadata, clean=clean)
+            self._framing.note_fields_end(record, end)
+            index.metadata_index(record, metadata, data_sound=data_sound)
         elif opcode == mcap.SUMMARY_OFFSET:
             place, end = mcap.parse(SummaryOffset, content)
-            self._framing.settle(record, end)
+            self._framing.note_fields_end(record, end)
             index.summary_offset(record, place)
         elif opcode == mcap.FOOTER:
             index.footer(record)
 
     def _attachment(self, record: Record) -> Attachment:
         attachment, end = mcap.parse_attachment(record.content)
-        self._framing.settle(record, end)
+        self._framing.note_fields_end(record, end)
         if self._index is not None:
             self._index.attachment(record, attachment)
         name = attachment.name
         earlier = self.attachments.get(name, attachment)
         changed = earlier.data != attachment.data
-        if changed and self._keeping.has_room(("replaced", name), len(earlier.data)):
+        if changed and self._memory.reserve(("replaced", name), len(earlier.data)):
             self.replaced[name] = earlier
-        if self._keeping.has_room(("attachment", name), len(attachment.data)):
+        if self._memory.reserve(("attachment", name), len(attachment.data)):
             self.attachments[name] = attachment
         if name == names.DEFINITIONS:
             for channel in parse_definitions(attachment.data):
@@ -314,34 +311,34 @@ class McapScan(Scan):
 
     def _metadata(self, record: Record) -> Metadata:
         metadata, end, fault = mcap.parse_texts(Metadata, record.content)
-        self._framing.settle(record, end)
+        self._framing.note_fields_end(record, end)
         if fault:
             self._framing.damage(record.offset, fault)
         if self._index is not None:
             self._index.metadata(record, metadata)
-        self._keeping.add(("metadata", metadata.name), cost_of_texts(metadata.metadata))
+        self._memory.require(("metadata", metadata.name), cost_of_texts(metadata.metadata))
         self.metadata[metadata.name] = metadata.metadata
         return metadata
 
     def _define(self, record: Record, opcode: int, content: bytes, trust: Trust | None) -> int:
-        """Take a schema or channel, without ``trust`` not at all; returns where its fields end."""
-        found: Schema | Channel
-        fault = ""
-        self._keeping.admit(content)
+        """Add a schema or channel, unless ``trust`` is None; return where its fields end."""
+        definition: Schema | Channel
+        fault: str | None = None
+        self._memory.check_record(content)
         if opcode == mcap.SCHEMA:
             schema, end = mcap.parse(Schema, content)
-            found, cost = schema, len(schema.data)
+            definition, cost = schema, len(schema.data)
         else:
             channel, end, fault = mcap.parse_texts(Channel, content)
-            found, cost = channel, cost_of_texts(channel.metadata)
+            definition, cost = channel, cost_of_texts(channel.metadata)
         if trust is not None:
-            self._keeping.add((opcode, found.id, trust), cost)
-            for what in filter(None, (fault, self._definitions.add(found, trust))):
+            self._memory.require((opcode, definition.id, trust), cost)
+            for what in filter(None, (fault, self._definitions.add(definition, trust))):
                 self._framing.damage(record.offset, what)
         return end
 
-    def _readable(self, blocks: tuple[Block, ...]) -> Iterator[Block]:
-        """Count the messages and yield those of known channels, as they were published."""
+    def _defined(self, blocks: tuple[Block, ...]) -> Iterator[Block]:
+        """Count the messages and yield those whose channel is defined, as they were published."""
         for block in blocks:
             numbers = block.counts()
             missing = numbers.keys() - self.channels.keys()
@@ -351,60 +348,63 @@ class McapScan(Scan):
                 block = block.select(~np.isin(block.headers["channel"], list(unknown)))
             if len(block):
                 self._count(block)
-                yield from self._plain(block)
+                yield from self._unpacked(block)
 
-    def _plain(self, block: Block) -> Iterator[Block]:
-        """Yield ``block``, unpacked where rosbag2 has packed message by message."""
+    def _unpacked(self, block: Block) -> Iterator[Block]:
+        """Yield ``block``, unpacked where rosbag2 has compressed message by message."""
         encoding = self.channels[int(block.headers["channel"][0])].message_encoding
         if encoding != _CDR or not looks_packed(block.payload(0)):
             yield block
             return
         broken = Counter[int]()
-        yield from unpacked(block, self._unpacker.message, broken)
+        yield from unpacked_messages(block, self._unpacker.message, broken)
         if broken:
-            self._unreadable += broken
+            self._broken += broken
             self._counts -= broken
-            self._framing.damage(self.position, f"{broken.total()} packed messages are broken")
+            self._framing.damage(self.position, f"{broken.total()} compressed messages are broken")
 
-    def _conclude(self, framing: Framing) -> None:
+    def _judge(self, framing: Framing) -> None:
+        """Conclude, at the end of the file, what is damaged and what is missing."""
         if framing.damages and self.position == 0:
             raise BagError(f"{self.path} is no MCAP file: nothing in it can be read")
         self._truncated = framing.truncated
         self._loss_unknown |= (
-            self._index_awaited or framing.skipped or (framing.truncated is not None)
+            self._awaits_message_index or framing.skipped or (framing.truncated is not None)
         )
         if self._index is not None and framing.data_sound and framing.truncated is None:
             self._index.complete(self.position)
-        with_index = self._definitions.with_index()
+        with_summary = self._definitions.numbers()
         self._definitions.recover_all(trusted=bool(framing.damages))
         if self._statistics is not None and framing.summary_sound:
-            self._compare_statistics(framing, *self._statistics, with_index)
+            self._compare_statistics(framing, *self._statistics, with_summary)
         self._damages, self._index_faults = framing.damages, framing.index_faults
 
     def _compare_statistics(
-        self, framing: Framing, offset: int, stated: Statistics, with_index: tuple[int, int]
+        self, framing: Framing, offset: int, stated: Statistics, with_summary: tuple[int, int]
     ) -> None:
         """Judge what is missing by the statistics, or by sound data that these are wrong."""
         if not framing.data_proven and (stated.channel_message_counts or not stated.message_count):
-            self._promised = stated.channel_message_counts
+            self._stated_counts = stated.channel_message_counts
         if not framing.data_sound:
             return
         if self._index is not None:
-            counts = self._counts + self._unreadable
+            counts = self._counts + self._broken
             data = len(self._definitions.schema_ids), len(self._definitions.from_data)
             self._index.statistics(
                 offset, stated, counts, self._span,
-                schemas=(data[0], with_index[0]), channels=(data[1], with_index[1]),
+                schemas=(data[0], with_summary[0]), channels=(data[1], with_summary[1]),
             )  # fmt: skip
-        promised = self._promised or {}
-        if not framing.damages and (self._missing(promised) or promised.keys() - self.channels):
+        stated_counts = self._stated_counts or {}
+        if not framing.damages and (
+            self._missing(stated_counts) or stated_counts.keys() - self.channels
+        ):
             framing.damage(0, "fewer messages than the index of the file promises")
 
-    def _missing(self, promised: dict[int, int]) -> Counter[int]:
-        return Counter(promised) - self._counts - self._unreadable
+    def _missing(self, stated_counts: dict[int, int]) -> Counter[int]:
+        return Counter(stated_counts) - self._counts - self._broken
 
-    def _read_summary(self, file: BinaryIO, size: int) -> None:
-        """Take schemas and channels from the index of a complete file, if it has any."""
+    def _define_by_summary(self, file: BinaryIO, size: int) -> None:
+        """Add schemas and channels from the summary of a complete file, before its data."""
         for record, checked in summary_definitions(file, size, self._limits.record_bytes):
             trust = Trust.CHECKED_INDEX if checked else Trust.PLAIN_INDEX
             try:
@@ -414,30 +414,30 @@ class McapScan(Scan):
 
 
 def _integers(texts: dict[str, str]) -> dict[str, int]:
-    return {name: int(text) for name, text in texts.items() if _WHOLE.fullmatch(text)}
+    return {name: int(text) for name, text in texts.items() if _COUNT.fullmatch(text)}
 
 
 _JOINED_BYTES: Final = 1 << 20
-"""Blocks are joined up to this size."""
+"""Small blocks are joined up to this size."""
 
 
-class Held:
-    """Blocks that wait for more; what is released keeps their order."""
+class SmallBlocks:
+    """Joins small blocks in their order: handling a small block costs as much as a large one."""
 
     def __init__(self) -> None:
         self._blocks: list[Block] = []
-        self._room = 0  # the first block goes at once: who wants no more need not wait
+        self._room = 0  # the first block goes at once: some readers want no more
 
-    def grown(self, block: Block) -> tuple[Block, ...]:
-        """Take ``block``; return what has become large enough."""
+    def joined_with(self, block: Block) -> tuple[Block, ...]:
+        """Add ``block``; return what has become large enough."""
         if len(block.data) >= _JOINED_BYTES:  # never copied
-            return (*self.released(), *((block,) if len(block) else ()))
+            return (*self.rest(), *((block,) if len(block) else ()))
         self._blocks.append(block)
         self._room -= len(block.data)
-        return () if self._room > 0 else self.released()
+        return () if self._room > 0 else self.rest()
 
-    def released(self) -> tuple[Block, ...]:
-        """Return what is held as one block, if anything is."""
+    def rest(self) -> tuple[Block, ...]:
+        """Return what is left as one block, if anything is."""
         if not self._blocks:
             return ()
         blocks, self._blocks, self._room = self._blocks, [], _JOINED_BYTES
@@ -447,26 +447,27 @@ class Held:
 _OVERHEAD: Final = 1000
 """Bytes that an entry takes beside its content, at most."""
 _TEXT_OVERHEAD: Final = 150
-_PARSED: Final = 4
-"""Times the size of a record that it may take while it is parsed."""
+"""Bytes that a text takes beside its characters, at most."""
+_PARSING_FACTOR: Final = 4
+"""Parsing a record takes this many times its size, at most."""
 
 
-class Keeping:
-    """Counts the bytes of all entries; one of a known key takes the place of the earlier one."""
+class MemoryBudget:
+    """Counts the bytes that stay in memory by key; an entry replaces the one of its key."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
         self._total = 0
         self._costs: dict[Hashable, int] = {}
 
-    def admit(self, content: bytes) -> None:
-        """Refuse a record that may take more memory than is allowed while it is parsed."""
-        if len(content) > self._limit // _PARSED:
+    def check_record(self, content: bytes) -> None:
+        """Raise DamagedRecord where parsing the record may take more memory than is allowed."""
+        if len(content) > self._limit // _PARSING_FACTOR:
             what = f"definitions or metadata have {len(content)} bytes"
-            raise DamagedRecord(refusal(what, "kept_bytes", _PARSED * len(content)))
+            raise DamagedRecord(refusal(what, "kept_bytes", _PARSING_FACTOR * len(content)))
 
-    def has_room(self, key: Hashable, size: int) -> bool:
-        """Count ``size`` bytes as kept under ``key``, unless that is too much."""
+    def reserve(self, key: Hashable, size: int) -> bool:
+        """Count ``size`` bytes under ``key``; False, and nothing counted, beyond the limit."""
         cost = size + _OVERHEAD
         total = self._total + cost - self._costs.get(key, 0)
         if total > self._limit:
@@ -474,9 +475,9 @@ class Keeping:
         self._total, self._costs[key] = total, cost
         return True
 
-    def add(self, key: Hashable, size: int) -> None:
-        """Count ``size`` bytes as kept under ``key``; raises DamagedRecord beyond the limit."""
-        if not self.has_room(key, size):
+    def require(self, key: Hashable, size: int) -> None:
+        """Count ``size`` bytes under ``key``; raises DamagedRecord beyond the limit."""
+        if not self.reserve(key, size):
             what = "definitions and metadata take too much memory"
             raise DamagedRecord(refusal(what, "kept_bytes", 2 * (self._total + size)))
 
@@ -494,7 +495,7 @@ _NO_SCHEMA: Final = Schema(id=0, data=b"", encoding="", name="")
 
 
 class Trust(IntEnum):
-    """Where a definition stands: data outrank the index, what has a checksum what has none."""
+    """Where a definition stands, least trusted first: a checksum counts most, then the data."""
 
     PLAIN_INDEX = 0
     PLAIN_DATA = 1
@@ -505,32 +506,32 @@ class Trust(IntEnum):
 class Definitions:
     """Schemas and channels by id; ``channels`` holds those that the data define.
 
-    What only the index or another copy knows is held back until :meth:`recover` needs it.
+    Those that stand only in the summary or in a copy are used where :meth:`recover` asks for them.
     """
 
     def __init__(self) -> None:
         self.channels: dict[int, ChannelDefinition] = {}
         self.schema_ids: set[int] = set()
-        """Of the schemas that the data define."""
+        """Ids of the schemas that the data define."""
         self.from_data: set[int] = set()
         """Ids of the channels that the data define."""
         self._schemas: dict[int, tuple[Trust, Schema]] = {}
         self._records: dict[int, tuple[Trust, Channel]] = {}
         self._copies: dict[int, ChannelDefinition] = {}
-        self._users: defaultdict[int, set[int]] = defaultdict(set)
+        self._channels_of_schema: defaultdict[int, set[int]] = defaultdict(set)
 
-    def add(self, record: Schema | Channel, trust: Trust) -> str:
-        """Take a schema or channel; returns what is wrong with it, or an empty text."""
+    def add(self, record: Schema | Channel, trust: Trust) -> str | None:
+        """Add a schema or channel; return what is wrong with it, None where nothing is."""
         if isinstance(record, Schema):
             return self._add_schema(record, trust)
         return self._add_channel(record, trust)
 
     def add_copy(self, channel: ChannelDefinition) -> None:
-        """Take a channel from a copy with a checksum of its own."""
+        """Add a channel from a copy, which has a checksum of its own."""
         self._copies.setdefault(channel.channel_id, channel)
 
     def recover(self, number: int) -> bool:
-        """Take a channel that the data do not define from elsewhere; False when nobody does."""
+        """Use another definition of a channel that the data do not define; False without any."""
         trust, record = self._records.get(number, (Trust.PLAIN_INDEX, None))
         if number in self._copies and trust < Trust.CHECKED_INDEX:
             self.channels[number] = self._copies[number]
@@ -539,33 +540,33 @@ class Definitions:
         return number in self.channels
 
     def recover_all(self, *, trusted: bool) -> None:
-        """Take all channels that the data do not define; ``trusted``: with a checksum only."""
+        """Use the other definitions of all channels; ``trusted``: those with a checksum only."""
         for number, (trust, _) in self._records.items():
             if number not in self.channels and (trust >= Trust.CHECKED_INDEX or not trusted):
                 self.recover(number)
         for number in self._copies.keys() - self.channels.keys():
             self.recover(number)
 
-    def with_index(self) -> tuple[int, int]:
-        """Return how many schemas and channels there are, those of the index among them."""
+    def numbers(self) -> tuple[int, int]:
+        """Return how many schemas and channels there are, in data and summary together."""
         return len(self._schemas), len(self._records)
 
-    def _add_schema(self, schema: Schema, trust: Trust) -> str:
+    def _add_schema(self, schema: Schema, trust: Trust) -> str | None:
         if schema.id == 0:
             return "a schema has the id 0, which means none"
         if trust in (Trust.PLAIN_DATA, Trust.CHECKED_DATA):
             self.schema_ids.add(schema.id)
-        fault = _take(self._schemas, schema, trust)
-        for number in self._users[schema.id] & self.channels.keys():
+        fault = _add_trusted(self._schemas, schema, trust)
+        for number in self._channels_of_schema[schema.id] & self.channels.keys():
             self.channels[number] = self._resolved(self._records[number][1])
         if not schema.encoding and schema.data:
             return fault or f"schema {schema.name!r} has no encoding"
         return fault
 
-    def _add_channel(self, channel: Channel, trust: Trust) -> str:
+    def _add_channel(self, channel: Channel, trust: Trust) -> str | None:
         in_data = trust in (Trust.PLAIN_DATA, Trust.CHECKED_DATA)
-        fault = _take(self._records, channel, trust)
-        self._users[channel.schema_id].add(channel.id)
+        fault = _add_trusted(self._records, channel, trust)
+        self._channels_of_schema[channel.schema_id].add(channel.id)
         if in_data:
             self.from_data.add(channel.id)
         if in_data or channel.id in self.channels:
@@ -593,17 +594,18 @@ class Definitions:
         )
 
 
-def _take(known: dict[int, tuple[Trust, T]], record: T, trust: Trust) -> str:
-    """Keep ``record`` if none of its id is to be trusted more; say if they disagree."""
+def _add_trusted(known: dict[int, tuple[Trust, T]], record: T, trust: Trust) -> str | None:
+    """Add ``record`` unless one of its id is trusted more; return where the two disagree."""
     before = known.get(record.id)
     if before is None or before[0] < trust:
         known[record.id] = trust, record
     if before is None or before[1] == record:
-        return ""
+        return None
     return f"two definitions of {type(record).__name__.lower()} {record.id} disagree"
 
 
 _TAIL: Final = mcap.HEADER_SIZE + mcap.FOOTER_CONTENT + len(mcap.MAGIC)
+"""Bytes from the footer to the end of a file."""
 _CRC_SIZE: Final = 4
 
 
@@ -624,6 +626,7 @@ def summary_definitions(file: BinaryIO, size: int, largest: int) -> Iterator[tup
     file.seek(start)
     summary = file.read(end - start)
     fields = footer[: -len(mcap.MAGIC)]
+    # The CRC is the footer's last field and covers summary and footer up to there; 0: none.
     stated = int.from_bytes(fields[-_CRC_SIZE:], "little")
     if stated and stated != zlib.crc32(fields[:-_CRC_SIZE], zlib.crc32(summary)):
         return

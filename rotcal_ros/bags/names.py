@@ -1,5 +1,8 @@
 """The names inside a bag: attachments, metadata records, topics and message types."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
 from typing import Final
 
 from rotcal_ros.foundation import session_folder
@@ -16,26 +19,26 @@ DEFINITIONS: Final = "definitions.json"
 LOSSES: Final = "rotcal_losses"
 """Metadata record: loss counters by name, the last one counts."""
 LOST: Final = "lost"
-"""How the counters begin of messages that did not reach the recorder."""
+"""First word of the counters of messages that did not reach the recorder."""
 QUEUE: Final = "queue"
-"""How the counters begin of messages that found the recorder's queue full."""
+"""First word of the counters of messages that found the recorder's queue full."""
 SILENT: Final = "silent"
-"""How the counters begin that count silences of a stream instead of messages."""
+"""First word of the counters of silences of a stream."""
 CLOCK_JUMPS: Final = "rotcal_clock_jumps"
 """Metadata record: how the recorder's system clock jumped since the bag was begun, by number."""
 UNHEARD: Final = "incompatible publisher"
-"""How the counters begin that count publishers whom nobody can receive."""
+"""First words of the counters of publishers that nobody can receive."""
 DROPOUTS: Final = "dropouts"
-"""Last name of the recorder's topic that says what is missing, and from when to when."""
+"""Last name of the recorder's topic with what is missing, and from when to when."""
 LEFT_ALONE: Final = "left_alone"
 """Last word of the recorder's topics with what somebody else published on a topic of the run."""
 RUN: Final = "rotcal_run"
 """Metadata record: ``number`` of the run of an interrupted plan that the file belongs to, and
 ``session``, which all files of all its runs have in common; ``earlier`` is RECORDED where the run
-went on from the observations that were recorded, not from what the streams of before tell."""
+continued from the recorded observations, not from those that the earlier streams give."""
 RECORDED: Final = "recorded"
 CONTINUED: Final = "rotcal_continued"
-"""Metadata record: ``in`` which file the session went on; after an interruption also where the
+"""Metadata record: ``in`` which file the session continues; after an interruption also where the
 file had ended, how many bytes of a torn record stood there, and when it was closed."""
 TORN: Final = "torn_record.bin"
 """Attachment: the bytes of a torn record that stood at the end of an interrupted file."""
@@ -65,7 +68,7 @@ TABLE_IN_FORCE: Final = "table_in_force"
 PAUSE: Final = "pause"
 HEARTBEAT: Final = "heartbeat"
 GOAL: Final = "calibrate/_action/send_goal/_service_event"
-"""What was asked of the action: ROS 2 tells it from Kilted on."""
+"""What was asked of the action: ROS 2 publishes it from Kilted on."""
 GOAL_STATUS: Final = "calibrate/_action/status"
 ACTION: Final = (GOAL, "calibrate/_action/feedback", GOAL_STATUS)
 """Topics of the action, hidden from people: goal, feedback and status."""
@@ -77,3 +80,14 @@ ROLES: Final = frozenset({
     RELATIVE_HUMIDITY, TABLE_ANGLE, PROBE_TARGET, OBSERVATION, STEP_CHOICE, TABLE_IN_FORCE,
 })  # fmt: skip
 """Topics that a replay needs, by their last name."""
+
+
+_DIGITS: Final = 9
+"""A number with more of them is none that a recorder wrote."""
+
+
+def run_number(metadata: Mapping[str, Mapping[str, str]], unknown: int = 0) -> int:
+    """Return the number of the run in the metadata of a file; ``unknown`` where it says none."""
+    number = metadata.get(RUN, {}).get("number", "")
+    is_one = number.isascii() and number.isdecimal() and len(number) <= _DIGITS
+    return int(number) if is_one else unknown

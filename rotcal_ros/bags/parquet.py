@@ -31,13 +31,13 @@ _ARROW: Final = {
 
 @dataclass(frozen=True)
 class TopicFile:
-    """What was written of a topic; ``broken`` messages could not be decoded, ``why`` says more."""
+    """What was written of a topic; ``broken`` messages could not be decoded, for a reason."""
 
     topic: str
     path: Path | None
     messages: int
     broken: int
-    why: str = ""
+    reason: str = ""
 
 
 def write_topics(
@@ -46,8 +46,8 @@ def write_topics(
     """Write every topic of the bag at ``path`` into the new ``folder``.
 
     Columns are the fields of the message under their dotted names, times and durations as int64
-    ns, lists as lists; before them stand log and publish time (int64 ns). A topic whose messages
-    are of no type that can be read is told, not written. Raises BagError when the bag cannot be
+    ns, lists as lists; before them stand log and publish time (int64 ns). A topic whose type
+    cannot be read is returned without a file. Raises BagError when the bag cannot be
     read or ``folder`` exists.
     """
     files = bag_files(path)
@@ -69,7 +69,7 @@ def write_topics(
                     target = folder / _file_name(channel.topic, {s.path for s in streams.values()})
                     streams[key] = open_files.enter_context(_Stream(channel, target))
                 streams[key].add(block.select(block.headers["channel"] == number))
-    judge_session(path, verdicts)  # so that a file that is missing is noted
+    judge_session(path, verdicts)  # notes files that are missing
     sync_folder(folder)
     return tuple(stream.summary() for stream in streams.values())
 
@@ -81,14 +81,16 @@ class _Stream:
         self.path = path
         self._channel = channel
         self._messages = 0
-        self._why = ""
+        self._reason = ""
         self._writer: Any = None
         self._decoder: Decoder | None = None
         try:
             self._decoder = Decoder(channel)
             fields = _columns(channel.type_name, self._decoder.definitions)
         except (BagError, KeyError, RecursionError) as error:
-            self._why = str(error) if isinstance(error, BagError) else "its definition is broken"
+            self._reason = (
+                str(error) if isinstance(error, BagError) else "its definition is broken"
+            )
             return
         pa, parquet = arrow()
         times = [(LOG_TIME, pa.int64()), (PUBLISH_TIME, pa.int64())]
@@ -127,7 +129,7 @@ class _Stream:
     def summary(self) -> TopicFile:
         broken = self._decoder.broken if self._decoder else self._messages
         if self._writer is None:
-            return TopicFile(self._channel.topic, None, 0, self._messages, self._why)
+            return TopicFile(self._channel.topic, None, 0, self._messages, self._reason)
         return TopicFile(self._channel.topic, self.path, self._messages, broken)
 
 

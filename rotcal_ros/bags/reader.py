@@ -1,4 +1,4 @@
-"""Reading a bag, whoever wrote it: a folder or a file, whole, cut off or damaged."""
+"""Reading a bag of any recorder: a folder or a file, whole, cut off or damaged."""
 
 from __future__ import annotations
 
@@ -6,18 +6,19 @@ import hashlib
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path, PurePath
-from typing import Final
+from typing import Final, TypeVar
 
 from rotcal_ros.bags.blocks import Block
-from rotcal_ros.bags.file_compression import plain_name
+from rotcal_ros.bags.compression import plain_name
 from rotcal_ros.bags.mcap_scan import McapScan
-from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.rosbag2_metadata import INFINITE_NS, FileInfo
-from rotcal_ros.bags.storage_scan import Item, Scan
+from rotcal_ros.bags.settings import DEFAULT_LIMITS, ReadingLimits
+from rotcal_ros.bags.storage_scan import FileVerdict, Item, Scan
 from rotcal_ros.bags.unread_data import note_verdict
-from rotcal_ros.bags.verdict import FileVerdict
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.untrusted import why
+
+Content = TypeVar("Content")
 
 Progress = Callable[[int, int], None]
 """Called with the bytes done and the bytes in all."""
@@ -32,7 +33,7 @@ _HASH_BYTES: Final = 1 << 20
 def bag_files(path: Path) -> tuple[Path, ...]:
     """Return the storage files of a bag, oldest first; ``metadata.yaml`` is not needed.
 
-    Raises BagError when there is no bag at ``path``, or none that one may look at.
+    Raises BagError when there is no bag at ``path``, or none that may be read.
     """
     try:
         if not path.exists():
@@ -46,7 +47,7 @@ def bag_files(path: Path) -> tuple[Path, ...]:
         raise BagError(f"cannot read {path}: {why(error)}") from error
     for suffix in SUFFIXES:
         found = [file for file in inside if _storage(file) == suffix]
-        # Of a file that was unpacked beside its packed form, the plain one is read.
+        # Where a file was unpacked beside its compressed form, the plain one is read.
         files = {plain_name(file).stem: file for file in reversed(found)}
         if files:
             return tuple(sorted(files.values(), key=_order))
@@ -67,8 +68,7 @@ def scan_file(
             f"{path} is no bag: expected a folder or a file ending in .mcap or .db3; a plain "
             "table is text with commas between its columns"
         )
-    # Few bags need it.
-    from rotcal_ros.bags.sqlite_scan import SqliteScan
+    from rotcal_ros.bags.sqlite_scan import SqliteScan  # few bags need it
 
     return SqliteScan(path, limits)
 
@@ -79,16 +79,7 @@ def read_blocks(
     limits: ReadingLimits = DEFAULT_LIMITS,
 ) -> Iterator[tuple[Scan, Block | None]]:
     """Yield the blocks of several files in order, each with its pass; None ends a file."""
-    total, done = sum(file.stat().st_size for file in files), 0
-    for file in files:
-        scan = scan_file(file, limits)
-        for block in scan.blocks():
-            yield scan, block
-            if progress is not None:
-                progress(done + scan.position, total)
-        done += file.stat().st_size
-        note_verdict(scan.verdict())
-        yield scan, None
+    return _read(files, lambda scan: scan.blocks(), progress, limits)
 
 
 def read_items(
@@ -97,10 +88,21 @@ def read_items(
     limits: ReadingLimits = DEFAULT_LIMITS,
 ) -> Iterator[tuple[Scan, Item | None]]:
     """Yield all that several files hold, and check their indexes; as :func:`read_blocks`."""
+    return _read(files, lambda scan: scan.items(), progress, limits, check_index=True)
+
+
+def _read(
+    files: tuple[Path, ...],
+    contents: Callable[[Scan], Iterator[Content]],
+    progress: Progress | None,
+    limits: ReadingLimits,
+    *,
+    check_index: bool = False,
+) -> Iterator[tuple[Scan, Content | None]]:
     total, done = sum(file.stat().st_size for file in files), 0
     for file in files:
-        scan = scan_file(file, limits, check_index=True)
-        for item in scan.items():
+        scan = scan_file(file, limits, check_index=check_index)
+        for item in contents(scan):
             yield scan, item
             if progress is not None:
                 progress(done + scan.position, total)
@@ -117,15 +119,6 @@ def check_files(
     """Read files and their indexes to the ends and return their verdicts."""
     found = read_items(files, progress, limits)
     return tuple(scan.verdict() for scan, item in found if item is None)
-
-
-def session_files(folder: Path, progress: Progress | None = None) -> tuple[FileInfo, ...]:
-    """Return the files of an interrupted session, for a BagWriter that continues it."""
-    return tuple(
-        file_info(scan)
-        for scan, block in read_blocks(bag_files(folder), progress)
-        if block is None
-    )
 
 
 def file_info(scan: Scan) -> FileInfo:

@@ -1,10 +1,12 @@
-"""Saving what can be saved of a damaged bag into a new, sound one."""
+"""Repairing a bag: into a new one, or its ``metadata.yaml`` as ``ros2 bag reindex`` does."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
+from itertools import count
 from pathlib import Path
 from typing import Final
 
@@ -12,17 +14,35 @@ from mcap.records import Attachment, Metadata
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.blocks import Block
+from rotcal_ros.bags.compression import plain_name
 from rotcal_ros.bags.definitions import ChannelDefinition
-from rotcal_ros.bags.mcap_file import Attached
-from rotcal_ros.bags.reader import Progress, bag_files, check_files, read_items
-from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
-from rotcal_ros.bags.repair_record import repair_record
-from rotcal_ros.bags.session_verdict import judge_session
-from rotcal_ros.bags.storage_scan import Scan
-from rotcal_ros.bags.verdict import FileVerdict, session_losses
-from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.bags.writer_settings import WriterSettings
+from rotcal_ros.bags.interrupted_files import InterruptedSession
+from rotcal_ros.bags.reader import (
+    Progress,
+    bag_files,
+    check_files,
+    file_info,
+    read_blocks,
+    read_items,
+)
+from rotcal_ros.bags.rosbag2_metadata import (
+    INFORMATION,
+    LIBRARY_KEY,
+    METADATA_FILE,
+    MISSING_KEY,
+    BagDescription,
+    FileInfo,
+    bag_information,
+    read_description,
+    yaml_text,
+)
+from rotcal_ros.bags.session_identity import require_one_session
+from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session, repair_record
+from rotcal_ros.bags.settings import DEFAULT_LIMITS, ReadingLimits, WriterSettings
+from rotcal_ros.bags.storage_scan import FileVerdict, Scan, session_losses
+from rotcal_ros.bags.writer import LIBRARY, Attached, BagWriter
 from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.files import FolderLock, sync_folder, write_atomically
 
 _MESSAGE_BYTES: Final = 31
 """What a message takes in a file beside its payload."""
@@ -91,7 +111,7 @@ class _Copier:
             )
 
     def attachment(self, found: Attachment) -> None:
-        """Copy an attachment; of those that every file of a session carries, the first."""
+        """Copy an attachment, but only once what every file of a session repeats."""
         key = sha256(repr((found.name, found.media_type)).encode() + found.data).digest()
         self._of_this_file.add(key)
         if found.name != names.DEFINITIONS and key not in self._of_earlier_files:
@@ -109,12 +129,12 @@ class _Copier:
             self._writer.note(record.name, record.metadata)
 
     def end_file(self) -> None:
-        """Take note that the next file begins."""
+        """Count what this file holds as copied before the next one begins."""
         self._of_earlier_files |= self._of_this_file
         self._of_this_file.clear()
 
     def _begin_run(self, run: dict[str, str]) -> None:
-        """Say which run of an interrupted plan the messages belong to that come now."""
+        """Note which run of an interrupted plan the following messages belong to."""
         if run != self._run:
             self._run = dict(run)
             self._writer.sync()  # closes the chunk: the record must not overtake its messages
@@ -135,3 +155,115 @@ def _compare(before: Sequence[FileVerdict], after: Sequence[FileVerdict], folder
             f"the repaired bag {folder} is not sound: {written} of {saved} messages were read "
             f"back; {'; '.join(bad) or 'the file is complete'}; check the disk and repair again"
         )
+
+
+@dataclass(frozen=True)
+class Reindexed:
+    """The new description at ``path``, the copy of the ``old`` one, and what the session lacks."""
+
+    path: Path
+    old: Path | None
+    messages: int
+    session: SessionVerdict
+
+
+def reindex(folder: Path, progress: Progress | None = None) -> Reindexed:
+    """Write ``metadata.yaml`` of the bag in ``folder`` from its files; a copy of the old stays.
+
+    It also names what is missing. Raises BagError, and changes nothing, for a single file and for
+    files that are damaged, left open or of several sessions: with no metadata.yaml could other
+    programs read them.
+    """
+    if not folder.is_dir():
+        raise BagError(f"{folder} is no folder: metadata.yaml describes the files in a folder")
+    files = bag_files(folder)
+    require_one_session(files)
+    infos: list[FileInfo] = []
+    verdicts: list[FileVerdict] = []
+    for scan, block in read_blocks(files, progress):
+        if block is None:
+            infos.append(file_info(scan))
+            verdicts.append(scan.verdict())
+    _require_sound(folder, verdicts)
+    session = judge_session(folder, verdicts)
+    try:
+        old = read_description(folder)
+    except BagError:
+        old = None
+    information = bag_information(
+        infos,
+        (),
+        ros_distro=old.ros_distro if old else "",
+        custom_data=_custom(old, session),
+        storage="mcap" if plain_name(files[0]).suffix.lower() == ".mcap" else "sqlite3",
+        compression_mode=_compression_mode(files, old),
+    )
+    path = folder / METADATA_FILE
+    try:
+        copy = _copy_old(path)
+        write_atomically(path, yaml_text({INFORMATION: information}))
+    except OSError as error:
+        raise BagError(f"cannot write {path}: {error.strerror or error}") from error
+    return Reindexed(path, copy, sum(v.messages for v in verdicts), session)
+
+
+def finish_interrupted(folder: Path) -> None:
+    """Close what an interruption left open in a session that is not continued.
+
+    Raises BagError when another process still writes there or the disk fails.
+    """
+    lock = FolderLock(folder)
+    try:
+        left = InterruptedSession.read(folder)
+        left.close()
+    finally:
+        lock.release()
+    if left.open_ends:
+        reindex(folder)
+
+
+def _compression_mode(files: Iterable[Path], old: BagDescription | None) -> str:
+    """Return rosbag2's name of how the bag is compressed: only zstd can be read.
+
+    Raises BagError where some files are compressed as a whole and others are not.
+    """
+    packed = {plain_name(file) != file for file in files}
+    if len(packed) > 1:
+        raise BagError(
+            "some files are compressed as a whole and others are not, which no metadata.yaml can "
+            "say: unpack them (zstd -d)"
+        )
+    stated = "" if old is None else old.compression_mode
+    return "FILE" if True in packed else stated.upper() if stated == "message" else ""
+
+
+def _require_sound(folder: Path, verdicts: Iterable[FileVerdict]) -> None:
+    bad = [f"{v.path.name} is {v.sentence()}" for v in verdicts if v.state != "complete"]
+    if bad:
+        raise BagError(
+            f"{'; '.join(bad)}: no metadata.yaml makes that readable for others; "
+            f"rotcal bag repair {folder} writes a sound bag with its own"
+        )
+
+
+def _custom(old: BagDescription | None, session: SessionVerdict) -> dict[str, str]:
+    custom = {LIBRARY_KEY: LIBRARY, **((old.custom if old else None) or {})}
+    custom.pop(MISSING_KEY, None)
+    if session.missing:
+        custom[MISSING_KEY] = "\n".join(session.missing)
+    return custom
+
+
+def _copy_old(path: Path) -> Path | None:
+    """Return a copy of the old metadata.yaml under a name of its own; None without an old one."""
+    if not path.is_file():
+        return None
+    for number in count():
+        copy = path.with_name(f"{path.name}.old{number or ''}")
+        try:
+            os.link(path, copy)
+        except FileExistsError:
+            continue
+        sync_folder(path.parent)
+        return copy
+    return None

@@ -12,8 +12,8 @@ import numpy as np
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import bag_files, scan_file
-from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
-from rotcal_ros.bags.rosbag2_reading import recorded_files
+from rotcal_ros.bags.rosbag2_metadata import recorded_files
+from rotcal_ros.bags.settings import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.foundation.errors import BagError
 
 _SHOWN: Final = 8
@@ -41,19 +41,19 @@ class FileHead:
 
     @property
     def session(self) -> str:
-        """The stated identity, else one that follows from the content, and a copy has as well."""
+        """The stated identity, else one that follows from the content, so that copies share it."""
         if self.stated:
             return self.stated
         return sha256(f"{self.configuration} {self.item} {self.first_ns}".encode()).hexdigest()
 
     @property
-    def silent(self) -> bool:
-        """Whether nothing tells the session: bags of other recorders, files without a message."""
+    def says_nothing(self) -> bool:
+        """Whether nothing identifies the session: another recorder, or no message in the file."""
         known = self.first_ns is not None and (self.configuration or self.item)
         return not (self.stated or known)
 
     def in_words(self) -> str:
-        """Return what tells the session from others."""
+        """Return what distinguishes the session from others."""
         begun = "" if self.first_ns is None else str(np.datetime64(self.first_ns // 10**9, "s"))
         known = (
             self.item,
@@ -104,11 +104,11 @@ def sessions_in(
     waiting: list[FileHead] = []
     name = ""
     for head in heads:
-        if head.silent and not name:
+        if head.says_nothing and not name:
             waiting.append(head)
             continue
-        if not head.silent:
-            name = _name(head, unnamed)
+        if not head.says_nothing:
+            name = _identity(head, unnamed)
         found.setdefault(name, []).extend((*waiting, head))
         waiting.clear()
     if waiting:
@@ -116,23 +116,14 @@ def sessions_in(
     return {name: tuple(members) for name, members in found.items()}
 
 
-def _name(head: FileHead, unnamed: dict[tuple[str, str], str]) -> str:
-    """Return the identity; ``unnamed`` keeps the one that later files of a session follow."""
+def _identity(head: FileHead, unnamed: dict[tuple[str, str], str]) -> str:
+    """Return the identity; ``unnamed`` holds that of the first file for the later ones."""
     key = (head.configuration, head.item)
     if head.stated:
         return head.stated
     if head.begins or key not in unnamed:
         unnamed[key] = head.session
     return unnamed[key]
-
-
-def foreign_files(files: Sequence[Path], limits: ReadingLimits = DEFAULT_LIMITS) -> str:
-    """Return why the files are not those of one session; empty when they are."""
-    try:
-        require_one_session(files, limits)
-    except BagError as error:
-        return str(error)
-    return ""
 
 
 def require_one_session(files: Sequence[Path], limits: ReadingLimits = DEFAULT_LIMITS) -> None:
@@ -153,7 +144,7 @@ def require_one_session(files: Sequence[Path], limits: ReadingLimits = DEFAULT_L
     (heads,) = found.values()
     by_start: dict[tuple[str, int], FileHead] = {}
     for head in heads:
-        if head.first_ns is None or head.silent:
+        if head.first_ns is None or head.says_nothing:
             continue
         twin = by_start.setdefault((head.run, head.first_ns), head)
         if twin is not head:

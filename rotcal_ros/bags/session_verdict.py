@@ -1,18 +1,23 @@
-"""The verdict on a whole session: which files are missing, where ``metadata.yaml`` is wrong."""
+"""The verdict on a whole session: which files are missing, where ``metadata.yaml`` is wrong.
+
+A repaired bag keeps a record of the one that it was made from; what that says counts too.
+"""
 
 from __future__ import annotations
 
+import json
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Final
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.file_compression import PACKED
-from rotcal_ros.bags.repair_record import missing_before_repair, repairs_in_words
-from rotcal_ros.bags.rosbag2_reading import (
+from rotcal_ros.bags.compression import COMPRESSED
+from rotcal_ros.bags.reader import sha256_of
+from rotcal_ros.bags.rosbag2_metadata import (
     METADATA_FILE,
     MISSING_KEY,
     BagDescription,
@@ -20,21 +25,21 @@ from rotcal_ros.bags.rosbag2_reading import (
     read_description,
     recorded_files,
 )
+from rotcal_ros.bags.storage_scan import FileVerdict
 from rotcal_ros.bags.unread_data import note_unread
-from rotcal_ros.bags.verdict import FileVerdict
 from rotcal_ros.foundation.errors import BagError
 
 _TOLERANCE_NS: Final = 1_000_000
-_NAMED: Final = 100
-"""Faults of a kind that are told one by one; nobody reads more, and anybody may list a million."""
+_MOST_SENTENCES: Final = 100
+"""Sentences of one kind: a damaged metadata.yaml may list a million files."""
 
 
 @dataclass(frozen=True)
 class SessionVerdict:
     """Sentences on what is not in order beyond the single files.
 
-    ``missing`` tells of data that are not there: a result from the rest is suspect. ``differing``
-    tells where metadata.yaml is wrong, ``repaired`` what was lost before the bag was repaired,
+    ``missing`` is about data that are not there: a result from the rest is suspect. ``differing``
+    says where metadata.yaml is wrong, ``repaired`` what was lost before the bag was repaired,
     ``closed`` which files were closed after an interruption, without a loss.
     """
 
@@ -45,7 +50,7 @@ class SessionVerdict:
 
     @property
     def sound(self) -> bool:
-        """Whether everything is there and metadata.yaml, if there is one, says so."""
+        """Whether everything is there and agrees with metadata.yaml, if there is one."""
         return not self.missing and not self.differing
 
     def sentences(self) -> tuple[str, ...]:
@@ -68,70 +73,74 @@ def judge_session(path: Path, verdicts: Sequence[FileVerdict]) -> SessionVerdict
     folder = path if path.is_dir() else path.parent
     wrong: list[str] = []
     try:
-        known = read_description(folder)
+        metadata = read_description(folder)
     except BagError as error:
-        known = None
+        metadata = None
         wrong.append(f"{error}; rebuild it: rotcal bag reindex {folder}")
-    present = _Present(verdicts)
-    listed = () if known is None else tuple(f for f in known.files if present.find(f) is None)
-    if known is not None and len(listed) == len(known.files) > 0:
-        wrong.append(f"{METADATA_FILE} is about other files: {', '.join(known.names[:3])}")
-        known, listed = None, ()
+    files = _FilesRead(verdicts)
+    listed = () if metadata is None else tuple(f for f in metadata.files if files.find(f) is None)
+    if metadata is not None and len(listed) == len(metadata.files) > 0:
+        wrong.append(f"{METADATA_FILE} is about other files: {', '.join(metadata.names[:3])}")
+        metadata, listed = None, ()
     if not path.is_dir():
-        wrong.clear()  # one file was named, the folder may be anybody's
-    missing = dict(_missing(folder, present, listed))
+        wrong.clear()  # one file was named: metadata.yaml may be about others
+    missing = dict(_missing_files(folder, files, listed))
     if path.is_dir():
-        missing = {**_gaps(folder, present, known), **missing}
-    short: list[str] = []
-    if known is not None:
-        wrong += _differences(known, present, whole=path.is_dir() and not missing)
-        short += _short(known, present)
-        missing |= {text: text for text in (known.custom or {}).get(MISSING_KEY, "").splitlines()}
+        missing = {**_missing_numbers(folder, files, metadata), **missing}
+    shortened: list[str] = []
+    if metadata is not None:
+        wrong += _differences(metadata, files, whole=path.is_dir() and not missing)
+        shortened += _shortened_files(metadata, files)
+        missing |= {
+            text: text for text in (metadata.custom or {}).get(MISSING_KEY, "").splitlines()
+        }
     before = (text for v in verdicts for text in missing_before_repair(v.notes))
-    lacking = _few(dict.fromkeys((*missing.values(), *short, *before)))
+    lacking = _first_sentences(dict.fromkeys((*missing.values(), *shortened, *before)))
     note_unread(lacking)
     return SessionVerdict(
         lacking,
-        _few(wrong),
+        _first_sentences(wrong),
         tuple(text for v in verdicts for text in repairs_in_words(v.notes)),
-        tuple(_closed(verdicts)),
+        tuple(_interruptions(verdicts)),
     )
 
 
-def _few(sentences: Iterable[str]) -> tuple[str, ...]:
+def _first_sentences(sentences: Iterable[str]) -> tuple[str, ...]:
     """Return the first ones, and how many more there are."""
     every = tuple(sentences)
-    more = len(every) - _NAMED
-    return every if more <= 0 else (*every[:_NAMED], f"and {more} more")
+    more = len(every) - _MOST_SENTENCES
+    return every if more <= 0 else (*every[:_MOST_SENTENCES], f"and {more} more")
 
 
-class _Present:
-    """The files that were read, under their names and those that they were recorded with."""
+class _FilesRead:
+    """The files that were read, by their names and the names under which they were recorded."""
 
     def __init__(self, verdicts: Sequence[FileVerdict]) -> None:
         self.verdicts = verdicts
         self.recorded = {v.path.name: recorded_files(v.notes) for v in verdicts}
-        own = {files[-1]: v for v in verdicts if (files := self.recorded[v.path.name])}
-        self.by_name = {**own, **{v.path.name: v for v in verdicts}}
+        by_recorded_name = {
+            files[-1]: v for v in verdicts if (files := self.recorded[v.path.name])
+        }
+        self.by_name = {**by_recorded_name, **{v.path.name: v for v in verdicts}}
 
     def find(self, entry: FileEntry) -> FileVerdict | None:
-        """Return the file that ``entry`` describes, be it renamed or unpacked."""
-        for name in (entry.name, entry.name.removesuffix(PACKED)):
+        """Return the file that ``entry`` describes, also one that was renamed or unpacked."""
+        for name in (entry.name, entry.name.removesuffix(COMPRESSED)):
             if name in self.by_name:
                 return self.by_name[name]
         if not entry.messages:
             return None
-        alike = (v for v in self.verdicts if v.start_ns == entry.start_ns)
-        return next((v for v in alike if v.messages == entry.messages), None)
+        same_start = (v for v in self.verdicts if v.start_ns == entry.start_ns)
+        return next((v for v in same_start if v.messages == entry.messages), None)
 
 
-def _missing(
-    folder: Path, present: _Present, listed: Sequence[FileEntry]
+def _missing_files(
+    folder: Path, files: _FilesRead, listed: Sequence[FileEntry]
 ) -> Iterator[tuple[str, str]]:
     """Yield (name, sentence) of every file that belongs to the session and was not read."""
     stated: dict[str, str] = {}
-    for verdict in present.verdicts:
-        for name in present.recorded[verdict.path.name]:
+    for verdict in files.verdicts:
+        for name in files.recorded[verdict.path.name]:
             stated.setdefault(name, f"it was there when {verdict.path.name} was recorded")
         following = verdict.notes.get(names.CONTINUED, {}).get("in", "")
         if following:
@@ -139,53 +148,55 @@ def _missing(
     for entry in listed:
         about = entry.in_words()
         stated[entry.name] = f"{METADATA_FILE} lists it{f' with {about}' if about else ''}"
-    for name, why in stated.items():
-        if name not in present.by_name:
-            yield name, _sentence(folder, name, why)
+    for name, evidence in stated.items():
+        if name not in files.by_name:
+            yield name, _missing_sentence(folder, name, evidence)
 
 
-def _sentence(folder: Path, name: str, why: str) -> str:
+def _missing_sentence(folder: Path, name: str, evidence: str) -> str:
     if "/" in name or not _exists(folder / name):
-        return f"the file {name} of the session is missing: {why}"
-    return f"the file {name} of the session was not read, only a part of it was named: {why}"
+        return f"the file {name} of the session is missing: {evidence}"
+    return f"the file {name} of the session was not read, only a part of it was named: {evidence}"
 
 
 def _exists(path: Path) -> bool:
     try:
         return path.exists()
-    except OSError:  # its name is too long, or leads to where nobody may look
+    except OSError:  # its name is too long, or leads to a folder that may not be read
         return False
 
 
-def _gaps(folder: Path, present: _Present, known: BagDescription | None) -> dict[str, str]:
+def _missing_numbers(
+    folder: Path, files: _FilesRead, metadata: BagDescription | None
+) -> dict[str, str]:
     """Return the files that are missing in the row of numbers of a recorder's files.
 
-    Other recorders may delete their oldest files: for theirs ``known`` says it, if it is there.
+    Other recorders may delete their oldest files: for theirs ``metadata`` counts, if any.
     """
-    renamed = {f.name for f in known.files if present.find(f) is not None} if known else set()
+    renamed = {f.name for f in metadata.files if files.find(f) is not None} if metadata else set()
     found: dict[str, str] = {}
     pattern = re.compile(r"(.+)_(\d{1,6})(\.\w+(?:\.zstd)?)$")
-    matches = [m for v in present.verdicts if (m := pattern.match(v.path.name))]
+    matches = [m for v in files.verdicts if (m := pattern.match(v.path.name))]
     for stem, ending in {(m[1], m[3]) for m in matches}:
         mine = [m for m in matches if (m[1], m[3]) == (stem, ending)]
-        ours = any(present.recorded[m[0]] for m in mine)
-        if not ours and (stem != folder.name or known is not None):
+        ours = any(files.recorded[m[0]] for m in mine)
+        if not ours and (stem != folder.name or metadata is not None):
             continue
         numbers = {int(m[2]) for m in mine}
         if ours and len(mine) == 1:
             continue  # a file may be renamed, and says itself which ones it follows
         for number in sorted(set(range(min(max(numbers), 10_000))) - numbers):
             name = f"{stem}_{number}{ending}"
-            if name in renamed or name in present.by_name:
+            if name in renamed or name in files.by_name:
                 continue
-            found[name] = _sentence(folder, name, "the files are numbered without a gap")
+            found[name] = _missing_sentence(folder, name, "the files are numbered without a gap")
     return found
 
 
-def _short(known: BagDescription, present: _Present) -> Iterator[str]:
+def _shortened_files(metadata: BagDescription, files: _FilesRead) -> Iterator[str]:
     """Yield which files hold less than was recorded, though nothing in them says so."""
-    for entry in known.files:
-        verdict = present.find(entry)
+    for entry in metadata.files:
+        verdict = files.find(entry)
         if verdict is None or not verdict.whole or entry.messages is None:
             continue
         if verdict.messages < entry.messages:
@@ -195,15 +206,15 @@ def _short(known: BagDescription, present: _Present) -> Iterator[str]:
             )
 
 
-def _differences(known: BagDescription, present: _Present, *, whole: bool) -> Iterator[str]:
-    """Yield where the description is wrong about files that are complete."""
-    described = {id(v) for entry in known.files if (v := present.find(entry)) is not None}
+def _differences(metadata: BagDescription, files: _FilesRead, *, whole: bool) -> Iterator[str]:
+    """Yield where metadata.yaml is wrong about files that are complete."""
+    described = {id(v) for entry in metadata.files if (v := files.find(entry)) is not None}
     if whole:
-        for verdict in present.verdicts:
+        for verdict in files.verdicts:
             if id(verdict) not in described:
                 yield f"{METADATA_FILE} does not list {verdict.path.name}"
-    for entry in known.files:
-        found = present.find(entry)
+    for entry in metadata.files:
+        found = files.find(entry)
         if found is None:
             continue
         yield from _another_name(entry, found)
@@ -214,14 +225,14 @@ def _differences(known: BagDescription, present: _Present, *, whole: bool) -> It
                 f"{METADATA_FILE} lists {entry.messages} messages in {found.path.name}, it "
                 f"holds {found.messages}"
             )
-    if whole and all(v.whole and id(v) in described for v in present.verdicts):
-        yield from _totals(known, present.verdicts)
+    if whole and all(v.whole and id(v) in described for v in files.verdicts):
+        yield from _totals(metadata, files.verdicts)
 
 
 def _another_name(entry: FileEntry, found: FileVerdict) -> Iterator[str]:
     """Yield that a file has another name than the one listed, or the content of another file."""
     name = found.path.name
-    if name not in (entry.name, entry.name.removesuffix(PACKED)):
+    if name not in (entry.name, entry.name.removesuffix(COMPRESSED)):
         yield (
             f"{METADATA_FILE} lists {entry.name}, which is called {name} here: others do not find "
             "it; give it its name again, or rebuild the list (rotcal bag reindex)"
@@ -235,32 +246,32 @@ def _another_name(entry: FileEntry, found: FileVerdict) -> Iterator[str]:
             )
 
 
-def _totals(known: BagDescription, verdicts: Sequence[FileVerdict]) -> Iterator[str]:
+def _totals(metadata: BagDescription, verdicts: Sequence[FileVerdict]) -> Iterator[str]:
     """Yield where counts by topic, begin or duration of the whole bag differ."""
     counted = Counter[str]()
     for verdict in verdicts:
         counted.update({name: topic.messages for name, topic in verdict.topics.items()})
-    for topic in sorted(known.topics.keys() | +counted):
-        if known.topics.get(topic, 0) != counted[topic]:
+    for topic in sorted(metadata.topics.keys() | +counted):
+        if metadata.topics.get(topic, 0) != counted[topic]:
             yield (
-                f"{METADATA_FILE} lists {known.topics.get(topic, 0)} messages of {topic}, there "
-                f"are {counted[topic]}"
+                f"{METADATA_FILE} lists {metadata.topics.get(topic, 0)} messages of {topic}, "
+                f"there are {counted[topic]}"
             )
     starts = [v.start_ns for v in verdicts if v.start_ns is not None]
     ends = [v.end_ns for v in verdicts if v.end_ns is not None]
-    if starts and abs(min(starts) - known.start_ns) > _TOLERANCE_NS:
+    if starts and abs(min(starts) - metadata.start_ns) > _TOLERANCE_NS:
         yield (
-            f"{METADATA_FILE} lets the bag begin at {known.start_ns} ns, its first message is of "
-            f"{min(starts)} ns"
+            f"{METADATA_FILE} lets the bag begin at {metadata.start_ns} ns, its first message is "
+            f"of {min(starts)} ns"
         )
-    if starts and abs(max(ends) - min(starts) - known.duration_ns) > _TOLERANCE_NS:
+    if starts and abs(max(ends) - min(starts) - metadata.duration_ns) > _TOLERANCE_NS:
         yield (
-            f"{METADATA_FILE} lists {known.duration_ns / 1e9:.3f} s, the messages span "
+            f"{METADATA_FILE} lists {metadata.duration_ns / 1e9:.3f} s, the messages span "
             f"{(max(ends) - min(starts)) / 1e9:.3f} s"
         )
 
 
-def _closed(verdicts: Sequence[FileVerdict]) -> Iterator[str]:
+def _interruptions(verdicts: Sequence[FileVerdict]) -> Iterator[str]:
     for verdict in verdicts:
         note = verdict.notes.get(names.CONTINUED, {})
         if "interrupted_at_byte" in note:
@@ -268,3 +279,54 @@ def _closed(verdicts: Sequence[FileVerdict]) -> Iterator[str]:
                 f"{verdict.path.name} was interrupted at byte {note['interrupted_at_byte']} and "
                 f"closed on {note.get('closed', 'an unknown day')}"
             )
+
+
+Notes = Mapping[str, Mapping[str, str]]
+_DATE: Final = "date"
+_MISSING: Final = "missing"
+_EARLIER: Final = "earlier"
+_DETAILS: Final = (" sha256", " lost", " damages")
+"""What follows the name of a file in the keys about it."""
+
+
+def repair_record(before: Sequence[FileVerdict], missing: Sequence[str]) -> dict[str, str]:
+    """Return the metadata record for the bag that is made from the files ``before``.
+
+    By file name the verdict, and behind it the hash, the messages known to be lost by topic and
+    the bytes at which it is damaged; ``missing`` are sentences about files that were not there.
+    A record of an earlier repair is kept inside.
+    """
+    record = {_DATE: f"{datetime.now(timezone.utc):%Y-%m-%dT%H:%M:%SZ}"}
+    for verdict in before:
+        hashed, lost, damages = (f"{verdict.path.name}{what}" for what in _DETAILS)
+        record[verdict.path.name] = verdict.sentence()
+        record[hashed] = sha256_of(verdict.path)
+        record[lost] = json.dumps({n: t.lost for n, t in verdict.topics.items() if t.lost})
+        record[damages] = json.dumps([[d.offset, d.what] for d in verdict.damages])
+        if earlier := verdict.notes.get(names.REPAIR):
+            record[_EARLIER] = json.dumps(dict(earlier))
+    if missing:
+        record[_MISSING] = json.dumps(list(missing))
+    return record
+
+
+def repairs_in_words(notes: Notes) -> tuple[str, ...]:
+    """Return a sentence for each damaged file that a repaired one was made from."""
+    record = notes.get(names.REPAIR, {})
+    date = record.get(_DATE, "")
+    return tuple(
+        f"repaired {f'on {date} ' if date else ''}from {name}: {sentence}"
+        for name, sentence in record.items()
+        if name not in (_DATE, _MISSING, _EARLIER)
+        and not name.endswith(_DETAILS)
+        and sentence != "complete"
+    )
+
+
+def missing_before_repair(notes: Notes) -> tuple[str, ...]:
+    """Return what was missing already when a repaired file was made."""
+    try:
+        sentences = json.loads(notes.get(names.REPAIR, {}).get(_MISSING, "[]"))
+        return tuple(str(sentence) for sentence in sentences)
+    except (ValueError, TypeError, RecursionError):
+        return ()

@@ -1,4 +1,4 @@
-"""Reading a rosbag2 sqlite3 file of any version, in the same blocks as an MCAP file.
+"""Reading a rosbag2 sqlite3 file of any version, as the same blocks that an MCAP file gives.
 
 A file is never changed; a damaged one is read as far as sqlite3 itself reads it. Version 1 of
 rosbag2's schema knows names and types of topics, 2 adds the quality of service, 3 the table
@@ -22,32 +22,34 @@ from urllib.parse import quote_from_bytes
 
 import numpy as np
 
-from rotcal_ros.bags import file_compression
 from rotcal_ros.bags.blocks import HEADER_TYPE, Block
-from rotcal_ros.bags.definitions import ChannelDefinition
-from rotcal_ros.bags.message_compression import (
+from rotcal_ros.bags.compression import (
     Unpack,
     declared_compression,
     decompressor,
     looks_packed,
     stated_compression,
-    unpacked,
+    unpacked_messages,
+    unpacked_storage_file,
 )
-from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, LARGEST_MESSAGE, ReadingLimits
-from rotcal_ros.bags.storage_scan import Scan
-from rotcal_ros.bags.verdict import Damage, FileVerdict, TopicCount
+from rotcal_ros.bags.definitions import ChannelDefinition
+from rotcal_ros.bags.settings import DEFAULT_LIMITS, LARGEST_MESSAGE, ReadingLimits
+from rotcal_ros.bags.storage_scan import Damage, FileVerdict, Scan, TopicCount
 from rotcal_ros.foundation.errors import BagError
 
 _BLOCK_BYTES: Final = 1 << 20
 _MAX_CHANNELS: Final = 1 << 16
 _LEAST_ROW: Final = 16
+"""Bytes of a row of messages, at least."""
 _NEEDED: Final = {"topics": ("id", "name", "type"), "messages": ("topic_id", "timestamp", "data")}
 _UNKNOWN: Final = "(unknown topic)"
-_NAMELESS: Final = "/unknown_topic_"
+_UNNAMED: Final = "/unknown_topic_"
 _NO_TYPE: Final = "unknown/msg/Unknown"
 _LEFT_BESIDE: Final = ("-wal", "-journal")
+"""Endings of the files in which sqlite3 has changes that are not in the database yet."""
 _MAX_FAULTS: Final = 20
 _NO_FAULT: Final = ("ok", "*** in database main ***")
+"""Lines of sqlite3's integrity check that report no fault."""
 _FAILURES: Final = (sqlite3.Error, UnicodeDecodeError, OverflowError)
 """What reading a damaged database raises; Python cannot decode every complaint of sqlite3."""
 _AT_PAGE: Final = re.compile(r"page (\d+)")
@@ -75,7 +77,7 @@ class Database:
         return tuple(_text(name).lower() for _, name, *_ in info)
 
     def select(self, table: str, wanted: tuple[str, ...], order: str = "") -> Iterator[Row]:
-        """Yield columns and expressions of all rows that sqlite3 reads; what it does not is noted.
+        """Yield columns and expressions of all rows that sqlite3 can read; note where it fails.
 
         A column that is not there is NULL. Rows come by ``order`` and their ids, in a damaged
         database by their ids alone.
@@ -88,7 +90,7 @@ class Database:
             ]
             what = ", ".join(names)
             if self.damages:
-                yield from self._rescued(table, what)
+                yield from self._rows_of_damaged(table, what)
                 return
             key = "id" if "id" in present else "rowid"
             yield from self.connection.execute(
@@ -97,18 +99,22 @@ class Database:
         except _FAILURES as error:
             self._note(table, _words(error))
 
-    def _rescued(self, table: str, what: str) -> Iterator[Row]:
-        """Yield the rows of a damaged table by their ids, before and behind what is damaged."""
+    def _rows_of_damaged(self, table: str, what: str) -> Iterator[Row]:
+        """Yield the rows of a damaged table by their ids, before and behind what is damaged.
+
+        Behind a damage it is tried again one id further, then twice as far every time.
+        """
         start, step = 0, 1
         while start < _LARGEST_ID:
-            last = yield from self._stretch(table, what, start)
+            last = yield from self._rows_above(table, what, start)
             step = 2 * step if last == start else 1
             start = last + step
 
-    def _stretch(self, table: str, what: str, start: int) -> Generator[Row, None, int]:
-        """Yield the rows with ids above ``start``; return the last id before a damage, or of all.
+    def _rows_above(self, table: str, what: str, start: int) -> Generator[Row, None, int]:
+        """Yield the rows with ids above ``start``; return the last id before a damage.
 
-        Ids have to ascend: the tree may lead to a page again and again.
+        Ids have to ascend: a damaged B-tree may lead to the same page again and again. Without a
+        damage the largest id is returned.
         """
         before = last = start
         query = f"SELECT rowid, {what} FROM {table} NOT INDEXED WHERE rowid > ? ORDER BY rowid"
@@ -124,16 +130,18 @@ class Database:
             return last
         return _LARGEST_ID
 
-    def _note(self, table: str, why: str) -> None:
+    def _note(self, table: str, reason: str) -> None:
         at = min((damage.offset for damage in self.damages), default=0)
-        what = f"its {table} cannot all be read ({why}); sqlite3 .recover may save more"
+        what = f"its {table} cannot all be read ({reason}); sqlite3 .recover may save more"
         if Damage(at, what) not in self.damages:
             self.damages.append(Damage(at, what))
 
     def check(self) -> None:
-        """Take note of what sqlite3's own integrity check says."""
+        """Note what sqlite3's own integrity check reports."""
         self.damages.extend(self._integrity())
-        if self.damages:  # else sqlite3 refuses a file that is cut off from its first page on
+        if self.damages:
+            # With this, sqlite3 tolerates a damaged schema; it refuses a file that is cut off
+            # otherwise. Nothing is written: the connection is read-only or to a copy.
             self.connection.execute("PRAGMA writable_schema = ON")
 
     def _integrity(self) -> list[Damage]:
@@ -150,19 +158,19 @@ class Database:
 def opened(path: Path, limits: ReadingLimits = DEFAULT_LIMITS) -> Iterator[Database]:
     """Open ``path`` for reading; texts come as bytes. Raises BagError when that is impossible.
 
-    A journal or write-ahead log that was left beside it belongs to the data, but to heed it
-    means to write: that happens in a temporary copy.
+    A journal or write-ahead log that was left beside it belongs to the data, but sqlite3 writes
+    into the database to use it: that happens in a temporary copy.
     """
     try:
-        with file_compression.unpacked(path, limits) as (plain, fault):
+        with unpacked_storage_file(path, limits) as (plain, damage):
             if not plain.is_file() or not plain.stat().st_size:
                 what = "is empty" if plain.is_file() else "is no file"
                 raise BagError(f"cannot read {path}: it {what}; there is nothing in it to be read")
             with (
-                _with_what_was_left(plain) as (file, how),
+                _with_pending_changes(plain) as (file, how),
                 closing(_connected(file, how)) as connection,
             ):
-                yield Database(connection, file, [Damage(0, fault)] if fault else [])
+                yield Database(connection, file, [damage] if damage else [])
     except _FAILURES as error:
         raise _refusal(path, _words(error)) from error
     except OSError as error:
@@ -177,12 +185,13 @@ def _refusal(path: Path, what: str) -> BagError:
 
 
 @contextmanager
-def _with_what_was_left(path: Path) -> Iterator[tuple[Path, str]]:
-    """Yield the file to be opened and how: where something was left beside it, a copy of both."""
+def _with_pending_changes(path: Path) -> Iterator[tuple[Path, str]]:
+    """Yield the file to open and how; where something was left beside it, a copy of both."""
     left = [file for end in _LEFT_BESIDE if (file := Path(f"{path}{end}")).is_file()]
     if not any(file.stat().st_size for file in left):
-        with path.open("rb"):  # for the system's own words, should it not let us
+        with path.open("rb"):  # raises OSError with the system's reason, which sqlite3 hides
             pass
+        # immutable: no locks and no files beside, so that read-only media work too
         yield path, "mode=ro&immutable=1"
         return
     with TemporaryDirectory(prefix="rotcal_") as folder:
@@ -208,7 +217,7 @@ def _connected(path: Path, how: str) -> sqlite3.Connection:
     connection.text_factory = bytes
     if sys.version_info >= (3, 11):
         connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 2 * LARGEST_MESSAGE)
-    # What a stranger's schema says must not run, nor take its time.
+    # Functions and checks in the schema of a foreign file must not run.
     for pragma in (
         "trusted_schema = OFF",
         "ignore_check_constraints = ON",
@@ -227,7 +236,7 @@ def _damage(line: str, page_size: int) -> Damage:
 class SqliteScan(Scan):
     """One pass over a sqlite3 file.
 
-    Whether it is sound says sqlite3's own integrity check. It has no checksums: a changed byte
+    sqlite3's own integrity check says whether it is sound. There are no checksums: a changed byte
     within a message is not noticed.
     """
 
@@ -318,7 +327,7 @@ class SqliteScan(Scan):
         odd = not self._damages and database.connection.execute(_ODD_TIMES).fetchone() is not None
         by = "CAST(timestamp AS INTEGER)" if odd else "timestamp"
         for topic_id, time_ns, data, length in database.select("messages", _MESSAGE, by):
-            if (message := self._understood(topic_id, time_ns, data, length)) is None:
+            if (message := self._message(topic_id, time_ns, data, length)) is None:
                 continue
             batch.append(message)
             size += len(message[2])
@@ -333,13 +342,13 @@ class SqliteScan(Scan):
         if batch:
             yield _block(batch)
 
-    def _understood(
+    def _message(
         self, topic_id: object, time_ns: object, data: object, size: object
     ) -> tuple[int, int, bytes] | None:
         """Return channel, log time and message of a row; what is wrong with it is counted."""
         number = self._numbers.get(topic_id) if isinstance(topic_id, int) else None
         if number is None and isinstance(topic_id, int):
-            number = self._nameless(topic_id)
+            number = self._unnamed_channel(topic_id)
         if number is None:
             self._oddities["messages of no topic"] += 1
             self._unreadable += 1
@@ -356,13 +365,13 @@ class SqliteScan(Scan):
             self._oddities["messages with a time before 1970, read as 1970"] += 1
         return number, max(0, time_ns), data
 
-    def _nameless(self, topic_id: int) -> int | None:
+    def _unnamed_channel(self, topic_id: int) -> int | None:
         """Return a new channel for a topic whose row is missing; None when there are too many."""
         number = len(self.channels)
         if number >= _MAX_CHANNELS:
             return None
         self._numbers[topic_id] = number
-        name = f"{_NAMELESS}{topic_id}".replace("-", "minus_")
+        name = f"{_UNNAMED}{topic_id}".replace("-", "minus_")
         self.channels[number] = ChannelDefinition(number, name, _NO_TYPE, "", "")
         self._oddities["topics without name and type; their messages are kept as they are"] += 1
         return number
@@ -372,7 +381,9 @@ class SqliteScan(Scan):
         if self._unpack is None and looks_packed(block.payload(0)):
             self._unpack = decompressor("message", "zstd")
         broken = Counter[int]()
-        for plain in (block,) if self._unpack is None else unpacked(block, self._unpack, broken):
+        for plain in (
+            (block,) if self._unpack is None else unpacked_messages(block, self._unpack, broken)
+        ):
             self._count(plain)
             yield plain
         if broken:
@@ -440,7 +451,9 @@ def read_channels(database: Database) -> Iterator[tuple[int, ChannelDefinition]]
     for topic_id, name, type_name, type_hash, qos, form in database.select("topics", _TOPIC):
         if isinstance(topic_id, int):
             key = _text(type_name), _text(type_hash)
-            encoding, definition = known.get(key) or known.get((key[0], "")) or _own(key[0])
+            encoding, definition = (
+                known.get(key) or known.get((key[0], "")) or _standard_definition(key[0])
+            )
             channel = ChannelDefinition(
                 0, _text(name), key[0], encoding, definition, key[1], _text(qos),
                 _text(form) or _CDR,
@@ -469,8 +482,8 @@ def _is_utf8(value: bytes | None) -> bool:
     return True
 
 
-def _own(type_name: str) -> tuple[str, str]:
-    """Return encoding and definition of one of ROS's own types: older bags carry none."""
+def _standard_definition(type_name: str) -> tuple[str, str]:
+    """Return encoding and definition of one of ROS's own types: versions before 4 have none."""
     from rosbags.typesys import Stores, get_typestore  # takes a while, and few bags need it
 
     store = get_typestore(Stores.LATEST)

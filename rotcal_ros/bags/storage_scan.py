@@ -1,29 +1,163 @@
-"""One pass over a storage file of a bag, whatever its format: what every scan has in common."""
+"""One pass over a storage file of a bag, whatever its format, and the verdict on the file."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections import Counter
-from collections.abc import Iterator
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Final, Literal
 
 from mcap.records import Attachment, Metadata
 
+from rotcal_ros.bags import names
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.definitions import ChannelDefinition
-from rotcal_ros.bags.dropouts import DropoutReader
-from rotcal_ros.bags.verdict import FileVerdict, TopicCount
+from rotcal_ros.bags.dropouts import Dropout, DropoutReader
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.untrusted import require_plain, why
 
+_SHOWN: Final = 20
+State = Literal["complete", "index wrong", "truncated", "damaged"]
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """A fault at a byte ``offset`` of the file."""
+
+    offset: int
+    what: str
+
+
+@dataclass(frozen=True, slots=True)
+class TopicCount:
+    """Messages read of one topic, and how many are known to be lost."""
+
+    type_name: str
+    messages: int
+    lost: int = 0
+
+
+@dataclass(frozen=True)
+class FileVerdict:
+    """The state of one file.
+
+    "index wrong" says that the data are sound: nothing is lost, but others may not find it.
+
+    ``lost_exactly`` is False when messages may be missing beyond those counted in ``topics``:
+    what stood behind the end of a truncated file is unknown, and so is the content of a
+    damaged chunk whose index is damaged too. ``losses_recorded`` counts from the beginning of
+    the ``run`` of an interrupted plan, over all files of it; ``dropouts`` are those of this file,
+    ``notes`` its metadata records by name, the last of each.
+    """
+
+    path: Path
+    size: int
+    state: State
+    damages: tuple[Damage, ...]
+    topics: Mapping[str, TopicCount]
+    start_ns: int | None
+    end_ns: int | None
+    lost_exactly: bool = True
+    losses_recorded: Mapping[str, int] = field(default_factory=dict)
+    run: int = 0
+    dropouts: tuple[Dropout, ...] = ()
+    notes: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+
+    @property
+    def whole(self) -> bool:
+        """Whether all data that were written can be read, index or not."""
+        return self.state in ("complete", "index wrong")
+
+    @property
+    def messages(self) -> int:
+        """Messages that can be read."""
+        return sum(topic.messages for topic in self.topics.values())
+
+    @property
+    def lost(self) -> int:
+        """Messages that are known to be lost."""
+        return sum(topic.lost for topic in self.topics.values())
+
+    @property
+    def losses_unread(self) -> dict[str, str]:
+        """Recorded losses whose count is no number, by their names."""
+        noted = self.notes.get(names.LOSSES, {})
+        return {name: text for name, text in noted.items() if name not in self.losses_recorded}
+
+    def sentence(self) -> str:
+        """Return the verdict in words."""
+        if self.state == "complete":
+            return "complete"
+        first = self.damages[0]
+        if self.state == "index wrong":
+            return f"data sound, index wrong at byte {first.offset}: {first.what}; nothing is lost"
+        lost = f"{self.lost} messages lost" if self.lost else "no message known to be lost"
+        more = "" if self.lost_exactly else "; more may be missing"
+        return f"{self.state} at byte {first.offset}: {first.what}; {lost}{more}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the machine-readable form."""
+        return {
+            "path": str(self.path),
+            "size": self.size,
+            "verdict": self.state,
+            "sentence": self.sentence(),
+            "offset": self.damages[0].offset if self.damages else None,
+            "damages": [{"offset": d.offset, "what": d.what} for d in self.damages],
+            "messages": self.messages,
+            "lost": self.lost,
+            "lost_exactly": self.lost_exactly,
+            "start_ns": self.start_ns,
+            "end_ns": self.end_ns,
+            "topics": {
+                name: {"type": t.type_name, "messages": t.messages, "lost": t.lost}
+                for name, t in self.topics.items()
+            },
+            "losses_recorded": dict(self.losses_recorded),
+            "dropouts": [dropout.to_dict() for dropout in self.dropouts],
+        }
+
+
+def session_losses(verdicts: Iterable[FileVerdict]) -> dict[str, int]:
+    """Return what was lost live in all runs together; within a run the counts never fall."""
+    of_run: defaultdict[int, Counter[str]] = defaultdict(Counter)
+    for verdict in verdicts:
+        of_run[verdict.run] |= Counter(verdict.losses_recorded)
+    total = Counter[str]()
+    for losses in of_run.values():
+        total.update(losses)
+    return {name: count for name, count in total.items() if count}
+
+
+def unread_losses(verdicts: Iterable[FileVerdict]) -> tuple[str, ...]:
+    """Return a sentence for each recorded loss whose count cannot be read."""
+    return tuple(
+        f"{verdict.path.name}: a loss was recorded ({name}), but its count is no number: "
+        f"{text[:_SHOWN]!r}"
+        for verdict in verdicts
+        for name, text in verdict.losses_unread.items()
+    )
+
+
+def losses_in_words(losses: Mapping[str, int]) -> tuple[str, ...]:
+    """Return one sentence per counter."""
+    return tuple(
+        f"{name.partition(' ')[2]} fell silent ({count} times)"
+        if name.startswith(names.SILENT)
+        else f"{count} lost live ({name})"
+        for name, count in losses.items()
+    )
+
+
 Item = Block | Attachment | Metadata
-"""What stands in a file: messages and what is beside them."""
+"""What a file holds, in its order."""
 
 
 @dataclass(eq=False)
 class StorageContents:
-    """What is known beside its messages of a storage file, or of several that are read as one."""
+    """What a storage file, or several that are read as one, hold beside their messages."""
 
     path: Path
     channels: dict[int, ChannelDefinition] = field(default_factory=dict)
@@ -42,7 +176,7 @@ class Scan(StorageContents, ABC):
     """
 
     def __init__(self, path: Path) -> None:
-        """Begin nothing yet; BagError where ``path`` is a pipe or a device, which may block."""
+        """Read nothing yet; raises BagError where ``path`` is a pipe or a device: it may block."""
         try:
             require_plain(path)
         except OSError as error:

@@ -1,4 +1,4 @@
-"""In which order of time the messages of a bag stand, and which of their times is the truth.
+"""In which order of time the messages of a bag stand, and which of their times is true.
 
 The capture lets streams run apart by seconds, and its windows go by stamps, so the order of a file
 is nearly always good as it is. It is not where topics or channels stand one behind the other, as
@@ -8,15 +8,13 @@ converters and merges write them: then the messages are sorted, by
 2. their publish times, else the stamps in their headers, where the streams have those in common
    but hardly any log time: then the log times are of the program that wrote the file.
 
-Where the log times of one and the same channel go back while its numbers go on, the clock of the
+Where the log times of one and the same channel go back while its numbers ascend, the clock of the
 recorder was set: the order of the file is the only one there is. Many writers number nothing; then
-the stamps tell. Where they go on, that clock was set; where they go back too, the clock of the
+the stamps decide. Where they ascend, that clock was set; where they go back too, the clock of the
 whole machine was, if what follows covers times that were there before, else the file's parts were
 exchanged.
 
-Messages in the order of a time, out of files that have another order, in bounded memory.
-
-Runs of messages are sorted and laid into a temporary file, then merged.
+Sorting takes bounded memory: runs of messages are sorted into a temporary file, then merged.
 """
 
 from __future__ import annotations
@@ -32,14 +30,14 @@ from numpy.typing import NDArray
 from rotcal_ros.bags.blocks import HEADER_TYPE, Block, gather
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
-from rotcal_ros.bags.run_number import run_number
+from rotcal_ros.bags.names import run_number
 from rotcal_ros.bags.storage_scan import Scan, StorageContents
 from rotcal_ros.foundation.arrays import Bools, Ints
 
 LEAST_NS: Final = 1_000_000_000
-"""Messages of several topics may stand a little out of their order."""
+"""Smaller disorder between topics is normal."""
 STANDSTILL_NS: Final = 20_000_000_000
-"""A recorder that stood still takes topic by topic what came meanwhile; nobody is warned."""
+"""A recorder that stood still writes what waited topic by topic: up to here nobody is warned."""
 LOG, PUBLISH, STAMP = range(3)
 IN_WORDS: Final = ("log times", "publish times", "the stamps in their headers")
 _SHARED, _APART = 0.5, 0.1
@@ -47,17 +45,18 @@ _SHARED, _APART = 0.5, 0.1
 _MOST_SETS: Final = 10
 """A clock is not set more often than that while a bag is recorded."""
 _STAMP_AT: Final = 4
+"""Byte of a message at which its header's stamp begins: behind the four of CDR's encapsulation."""
 _LARGEST: Final = (1 << 63) - 1
 
 
 @dataclass(frozen=True)
 class TimeOrder:
-    """What was found: ``sort_by`` is LOG, PUBLISH or STAMP, None where the file's order is good.
+    """The order of a bag: ``sort_by`` is LOG, PUBLISH or STAMP, None where it is good as it is.
 
-    ``back`` says how often log times of one and the same channel go back by a second or more and
-    ``back_ns`` how far at most, ``apart_ns`` how far messages stand behind later ones;
-    ``doubtful`` that the log times are not true and no other time is there for every stream;
-    ``rearranged`` that more than a standstill of the recorder has been at work.
+    ``back`` is how often log times of one channel go back by a second or more, ``back_ns`` how far
+    at most, ``apart_ns`` how far messages stand behind later ones. ``doubtful``: the log times are
+    not true and not every stream has another time. ``rearranged``: a standstill of the recorder
+    does not explain the order.
     """
 
     sort_by: int | None = None
@@ -70,13 +69,13 @@ class TimeOrder:
     def in_words(self) -> tuple[str, ...]:
         """Return what a reader of the messages should know, none where all is in order."""
         if self.sort_by is not None and self.rearranged:
-            why = (
+            reason = (
                 "its log times are those of the program that wrote it"
                 if self.sort_by != LOG
                 else f"some stand {self.apart_ns / 1e9:.1f} s behind later ones"
             )
             what = f"its messages were read by {IN_WORDS[self.sort_by]}"
-            return (f"the bag is not in the order of time ({why}): {what}",)
+            return (f"the bag is not in the order of time ({reason}): {what}",)
         if self.doubtful:
             return (
                 "the bag is not in the order of time, and not all of its streams have times that "
@@ -92,8 +91,8 @@ class TimeOrder:
 
 
 @dataclass
-class _Followed:
-    """How one channel or topic, or all together, went by the three times.
+class _Progress:
+    """How the three times of one channel or topic, or of all together, proceed.
 
     ``newest`` are the latest times so far, ``most`` how far any was behind them.
     """
@@ -102,10 +101,10 @@ class _Followed:
     most: Ints = field(default_factory=lambda: np.zeros(3, np.int64))
 
     def take(self, times: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Take times (3, n), negative where unknown; return how far each is behind."""
-        best = np.maximum.accumulate(np.column_stack([self.newest, times]), axis=1)
-        behind = np.where(times < 0, 0, best[:, 1:] - times)
-        self.newest = best[:, -1]
+        """Add times (3, n), negative where unknown; return how far each is behind the newest."""
+        newest = np.maximum.accumulate(np.column_stack([self.newest, times]), axis=1)
+        behind = np.where(times < 0, 0, newest[:, 1:] - times)
+        self.newest = newest[:, -1]
         self.most = np.maximum(self.most, behind.max(axis=1, initial=0))
         return behind
 
@@ -115,47 +114,50 @@ class _Unnumbered:
     """How the log times of a channel go back where its messages have no numbers.
 
     ``count`` is how often by a second or more, ``most_ns`` how far at most, ``small`` how often at
-    all; ``alike`` says that the stamps always went back with them. ``first`` and ``last`` are the
-    log times of the stretches without a gap, but the last one's end.
+    all; ``with_stamps`` says that the stamps always went back with them. ``first`` and ``last``
+    are the log times at which stretches without a gap begin and end, but for the last end.
     """
 
     count: int = 0
     most_ns: int = 0
     small: int = 0
-    alike: bool = True
+    with_stamps: bool = True
     first: list[int] = field(default_factory=list)
     last: list[int] = field(default_factory=list)
 
     def take(self, times: Ints, steps: Ints, before: int) -> None:
-        """Take log times and their ``steps`` from the ones before, at first from ``before``."""
+        """Add log times and their ``steps``; the first step is from ``before``."""
         self.small += int(np.count_nonzero(steps < 0))
         if self.small <= _MOST_SETS:
             breaks = np.flatnonzero(np.abs(steps) >= LEAST_NS)
             self.first += times[breaks].tolist()
             self.last += np.where(breaks > 0, times[breaks - 1], before).tolist()
 
-    def fall(self, far: Ints, *, alike: bool) -> None:
-        """Take how ``far`` (ns) they went back, and whether the stamps always did as well."""
-        if len(far):
-            self.count += len(far)
-            self.most_ns = max(self.most_ns, int(far.max()))
-            self.alike &= alike
+    def fall(self, by_ns: Ints, *, with_stamps: bool) -> None:
+        """Add by how much they went back, and whether the stamps always did as well."""
+        if len(by_ns):
+            self.count += len(by_ns)
+            self.most_ns = max(self.most_ns, int(by_ns.max()))
+            self.with_stamps &= with_stamps
 
-    def is_of_a_clock(self, newest: int) -> bool:
-        """Return whether a clock was set; ``newest`` is the last log time."""
-        if not self.alike:
+    def clock_was_set(self, newest: int) -> bool:
+        """Return whether a clock was set; ``newest`` is the last log time.
+
+        Then log times after a step back lie within stretches that were there before.
+        """
+        if not self.with_stamps:
             return True
         if self.small > _MOST_SETS:
             return False
         first, last = np.array(self.first), np.array([*self.last[1:], newest])
         order = np.argsort(first, kind="stable")
-        again = np.maximum.accumulate(last[order])[:-1] - first[order][1:]
-        return int(again.max(initial=0)) >= LEAST_NS // 2
+        overlap = np.maximum.accumulate(last[order])[:-1] - first[order][1:]
+        return int(overlap.max(initial=0)) >= LEAST_NS // 2
 
 
 @dataclass
-class _Channel(_Followed):
-    """A channel of one file: beside the above what tells a set clock from a sorted file."""
+class _Channel(_Progress):
+    """A channel of one file, and what distinguishes a clock that was set from a sorted file."""
 
     part: tuple[str, int] = ("", 0)
     stamp: int = -1
@@ -166,14 +168,14 @@ class _Channel(_Followed):
 
     def set_back(self) -> tuple[int, int]:
         """Return how often a clock was set back, and by how much at most (ns)."""
-        more = self.unnumbered
-        if not more.count or not more.is_of_a_clock(int(self.newest[LOG])):
+        steps = self.unnumbered
+        if not steps.count or not steps.clock_was_set(int(self.newest[LOG])):
             return self.back, self.back_ns
-        return self.back + more.count, max(self.back_ns, more.most_ns)
+        return self.back + steps.count, max(self.back_ns, steps.most_ns)
 
 
 @dataclass
-class _Topic(_Followed):
+class _Topic(_Progress):
     """A topic: first and last times, by which streams have time in common."""
 
     first: Ints = field(default_factory=lambda: np.full(3, _LARGEST, np.int64))
@@ -183,28 +185,28 @@ class _Topic(_Followed):
 
 
 class TimeOrders:
-    """Is told of the messages in the order of the files, and judges that order."""
+    """Looks at the messages in the order of the files, and judges that order."""
 
     def __init__(self) -> None:
         self._channels: dict[tuple[str, str, int], _Channel] = {}
         self._topics: dict[str, _Topic] = {}
-        self._all = _Followed()
+        self._all = _Progress()
 
     def look(
         self, block: Block, rows: Iterable[tuple[Decoder, Ints]], file: str = "", run: int = 0
     ) -> None:
-        """Take the next block of a ``file`` of a ``run``; ``rows`` are those that matter."""
-        every = list(rows)
-        if not every:
+        """Look at the next block of a ``file`` of a ``run``; ``rows``: by channel those wanted."""
+        by_channel = list(rows)
+        if not by_channel:
             return
         times = np.full((3, len(block)), -1, np.int64)
-        for decoder, mine in every:
+        for decoder, mine in by_channel:
             times[:, mine] = times_of(block, mine, decoder)
             self._channel(decoder.channel, block.headers[mine], times[:, mine], (file, run))
-        for topic in {decoder.channel.topic for decoder, _ in every}:
-            own = [(d.channel, mine) for d, mine in every if d.channel.topic == topic]
-            self._topic(topic, times, own)
-        self._all.take(times[:, np.sort(np.concatenate([mine for _, mine in every]))])
+        for topic in {decoder.channel.topic for decoder, _ in by_channel}:
+            of_topic = [(d.channel, mine) for d, mine in by_channel if d.channel.topic == topic]
+            self._topic(topic, times, of_topic)
+        self._all.take(times[:, np.sort(np.concatenate([mine for _, mine in by_channel]))])
 
     def judged(self, tolerance_ns: int = LEAST_NS) -> TimeOrder:
         """Return the order, in which streams may be apart by ``tolerance_ns``."""
@@ -217,10 +219,10 @@ class TimeOrders:
         back_ns = max((far for _, far in sets), default=0)
         if clock != LOG:
             lost = any(t.unknown[clock] for t in streams)
-            own = max((int(c.most[clock]) for c in self._channels.values()), default=0)
+            in_channels = max((int(c.most[clock]) for c in self._channels.values()), default=0)
             if apart <= tolerance_ns and not mixed:
                 return TimeOrder()
-            if lost or own > tolerance_ns:
+            if lost or in_channels > tolerance_ns:
                 return TimeOrder(apart_ns=apart, doubtful=True)
             return TimeOrder(clock, apart_ns=apart)
         if back:
@@ -244,15 +246,17 @@ class TimeOrders:
         numbers = np.diff(headers["sequence"].astype(np.int64), prepend=known.sequence)
         stamps = np.append(known.stamp, times[STAMP])
         falls = np.flatnonzero(steps <= -LEAST_NS)
-        alike = np.minimum(stamps[falls], stamps[falls + 1]) >= 0
-        alike &= np.abs(np.diff(stamps)[falls] - steps[falls]) < LEAST_NS
+        with_stamps = np.minimum(stamps[falls], stamps[falls + 1]) >= 0
+        with_stamps &= np.abs(np.diff(stamps)[falls] - steps[falls]) < LEAST_NS
         rearranged = numbers[falls] < 0
         if len(falls) and not falls[0] and part[0] != known.part[0] and part[1] == known.part[1]:
-            rearranged[0] |= alike[0]
-        silent = ~rearranged & (numbers[falls] == 0)
+            rearranged[0] |= with_stamps[0]
+        unnumbered = ~rearranged & (numbers[falls] == 0)
         known.unnumbered.take(times[LOG], steps, int(known.newest[LOG]))
-        known.unnumbered.fall(-steps[falls][silent], alike=bool(alike[silent].all()))
-        set_back = ~rearranged & ~silent
+        known.unnumbered.fall(
+            -steps[falls][unnumbered], with_stamps=bool(with_stamps[unnumbered].all())
+        )
+        set_back = ~rearranged & ~unnumbered
         known.back += int(np.count_nonzero(set_back))
         known.back_ns = max(known.back_ns, -int(steps[falls][set_back].min(initial=0)))
         known.take(times)
@@ -271,7 +275,7 @@ class TimeOrders:
         known.take(mine)
 
     def _true_clock(self) -> int:
-        """Return the time that the long streams have in common; LOG unless it surely is not."""
+        """Return the time that the long streams have in common; LOG in doubt."""
         for other in (PUBLISH, STAMP):
             spans = {
                 name: int(t.newest[other] - t.first[other])
@@ -380,12 +384,13 @@ RUN_BYTES: Final = 32 << 20
 _PIECE: Final = 1 << 18
 _ROWS: Final = 1 << 16
 _LEAST_BYTES: Final = 1 << 16
-_Taken = tuple[NDArray[Any], bytes]
+_Rows = tuple[NDArray[Any], bytes]
+"""Messages: key, size and header of each, and their payloads one behind the other."""
 _ROW: Final = np.dtype([("key", "<i8"), ("size", "<i8"), ("header", HEADER_TYPE)])
 
 
 class Sorting:
-    """Takes blocks with a key for each message, gives all messages by ascending key.
+    """Sorts the messages of blocks by a key that each has.
 
     Messages of equal key keep their order. ``run_bytes`` bounds the memory that is taken.
     """
@@ -416,7 +421,8 @@ class Sorting:
         for run in self._runs:
             run.portion = max(_LEAST_BYTES, portion)
         while runs := [run for run in self._runs if run.fill()]:
-            # Behind the first run whose portion ends something smaller may follow.
+            # A run with more in the file may go on with its last key. Up to the smallest of these
+            # keys all is here; messages with that very key in the runs behind have to wait.
             safe = min((r.last_key for r in runs if r.more), default=None)
             parts = []
             limited = False
@@ -440,7 +446,7 @@ class Sorting:
             self._close_run()
 
     def _close_run(self) -> None:
-        """Lay what waits into the file, sorted."""
+        """Write what waits into the file, sorted."""
         if self._file is None:
             self._file = tempfile.TemporaryFile(prefix="rotcal_")  # noqa: SIM115 - kept open
         rows = np.concatenate([rows for rows, _ in self._waiting])
@@ -489,7 +495,7 @@ class _Run:
             self._left -= len(self._rows)
         return len(self._rows) > 0
 
-    def up_to(self, key: int | None, side: Literal["left", "right"]) -> _Taken:
+    def up_to(self, key: int | None, side: Literal["left", "right"]) -> _Rows:
         """Return what of the portion has keys below ``key`` ("right": or equal; None: all)."""
         keys = self._rows["key"]
         self._taken = len(keys) if key is None else int(np.searchsorted(keys, key, side))
@@ -502,7 +508,7 @@ class _Run:
         self._rows = self._rows[self._taken :]
 
 
-def _joined(parts: list[_Taken]) -> Block:
+def _joined(parts: list[_Rows]) -> Block:
     """Return what was taken of all runs as one block; its log times are the keys."""
     rows = np.concatenate([rows for rows, _ in parts])
     data = b"".join(data for _, data in parts)

@@ -8,28 +8,28 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from rotcal_ros.bags.verdict import FileVerdict
+    from rotcal_ros.bags.storage_scan import FileVerdict
 
-_found: Final[ContextVar[dict[str, bool] | None]] = ContextVar("unread", default=None)
+_sentences: Final[ContextVar[dict[str, bool] | None]] = ContextVar("unread", default=None)
 
 
 @contextmanager
 def unread() -> Iterator[dict[str, bool]]:
     """Yield what is noted until the end: sentences, and whether they were printed already."""
-    found: dict[str, bool] = {}
-    token = _found.set(found)
+    sentences: dict[str, bool] = {}
+    token = _sentences.set(sentences)
     try:
-        yield found
+        yield sentences
     finally:
-        _found.reset(token)
+        _sentences.reset(token)
 
 
 def note_unread(sentences: Iterable[str]) -> None:
     """Note that something of a bag was not read; ignored outside of :func:`unread`."""
-    known = _found.get()
-    if known is not None:
+    noted = _sentences.get()
+    if noted is not None:
         for sentence in sentences:
-            known.setdefault(sentence, False)
+            noted.setdefault(sentence, False)
 
 
 def note_verdict(verdict: FileVerdict) -> None:
@@ -39,6 +39,6 @@ def note_verdict(verdict: FileVerdict) -> None:
 
 
 def note_told(line: str) -> None:
-    """Note a line that people have read."""
-    known = _found.get() or {}
-    known.update((sentence, True) for sentence in known if sentence in line)
+    """Note a line that was printed."""
+    noted = _sentences.get() or {}
+    noted.update((sentence, True) for sentence in noted if sentence in line)

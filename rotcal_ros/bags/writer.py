@@ -1,6 +1,7 @@
 """Writing a session into MCAP so that a crash costs little and nothing is ever overwritten.
 
-Noticing that somebody takes, swaps or cuts the files of a bag while it is recorded.
+Chunks are closed and synced at short intervals, and every definition is written a second time,
+beside the chunks. A file that is deleted, replaced or cut while it is recorded is noticed.
 """
 
 from __future__ import annotations
@@ -9,22 +10,28 @@ import errno
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
+from mcap.writer import CompressionType, Writer
+
+from rotcal_ros import __version__
 from rotcal_ros.bags import names
-from rotcal_ros.bags.definitions import ChannelDefinition
-from rotcal_ros.bags.mcap_file import LIBRARY, Attached, McapFile
-from rotcal_ros.bags.rosbag2_metadata import FileInfo, bag_information, yaml_text
-from rotcal_ros.bags.writer_settings import WriterSettings
+from rotcal_ros.bags.definitions import ChannelDefinition, dump_definitions, schema_bytes
+from rotcal_ros.bags.rosbag2_metadata import METADATA_FILE, FileInfo, bag_information, yaml_text
+from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.foundation import disk
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.foundation.files import FolderLock, make_folder, sync_folder, write_atomically
+from rotcal_ros.foundation.files import (
+    DurableFile,
+    FolderLock,
+    make_folder,
+    sync_folder,
+    write_atomically,
+)
 
 T = TypeVar("T")
-
-METADATA_FILE: Final = "metadata.yaml"
 
 _REASONS: Final = {
     errno.ENOSPC: "the disk is full",
@@ -40,12 +47,12 @@ _REASONS: Final = {
 class BagWriter:
     """One recording session: a new folder with ``<name>_0.mcap`` and ``metadata.yaml``.
 
-    The folder must not exist; with ``earlier`` (the files of an interrupted session, from
-    reader.session_files, or none) the session in an existing folder is continued in a new
-    file. One writer at a time holds the lock on its folder.
-    Data are on disk after :meth:`sync`; :meth:`tick` calls it when the interval has passed.
-    When the disk fails, or somebody else takes, swaps or cuts a file of the bag, the file is
-    closed at its last whole record and BagError is raised. The caller serialises the calls.
+    The folder must not exist; with ``earlier``, the files of an :class:`InterruptedSession` or
+    none, the session in an existing folder is continued in a new file. One writer at a time holds
+    the lock on its folder. Data are on disk after :meth:`sync`; :meth:`tick` calls it when the
+    interval has passed. When the disk fails, or somebody else deletes, replaces or cuts a file of
+    the bag, the file is closed at its last whole record and BagError is raised. The caller
+    serialises the calls.
     """
 
     def __init__(
@@ -67,7 +74,7 @@ class BagWriter:
         self._sequences: dict[int, int] = {}
         self._unsynced = 0
         self._last_sync_ns: int | None = None
-        self._presence = Presence(self.folder)
+        self._watched = WatchedFiles(self.folder)
         self._lock: FolderLock | None = None
         self._open_files: list[McapFile] = []
         self._guarded(lambda: self._begin(resume=earlier is not None))
@@ -83,11 +90,11 @@ class BagWriter:
         topics = [channel.topic for channel in self._channels.values()]
         return {t: sum(file.counts.get(t, 0) for file in self.files) for t in topics}
 
-    def expect_earlier(self) -> None:
-        """Take the earlier files of the session as they are now for the right ones."""
+    def watch_earlier_files(self) -> None:
+        """Watch the earlier files of the session, as they are now."""
         for file in self.files:
             if not self._open_files or file is not self.files[-1]:
-                self._presence.expect(self.folder / file.name)
+                self._watched.watch(self.folder / file.name)
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Put ``data`` beside the messages, in this file and in every later one."""
@@ -142,8 +149,8 @@ class BagWriter:
         There may be other publishers now, but a topic whose QoS differs from file to file is
         another connection for rosbags, which then leaves out its messages.
         """
-        known = (channel for file in self.files for channel in file.channels)
-        before = next((c for c in known if c.topic == wanted.topic), None)
+        earlier = (channel for file in self.files for channel in file.channels)
+        before = next((c for c in earlier if c.topic == wanted.topic), None)
         return wanted if before is None else replace(wanted, offered_qos=before.offered_qos)
 
     def write(
@@ -188,7 +195,7 @@ class BagWriter:
         """Return when all messages so far are on disk, in closed chunks, under their names."""
         if self._unsynced:
             self._guarded(self._sync)
-        self._require_presence()
+        self._require_undisturbed()
         if self._must_split():
             self._guarded(self._split)
         self._require_space()
@@ -197,7 +204,7 @@ class BagWriter:
         """Finish the file with its index, write ``metadata.yaml``, sync the folder."""
         if not self.closed:
             self._guarded(self._sync)
-            self._require_presence()
+            self._require_undisturbed()
             self._guarded(self._finish)
             self._release()
 
@@ -213,7 +220,7 @@ class BagWriter:
         elif not self.folder.is_dir():
             raise BagError(f"cannot continue {self.folder}: there is no such folder")
         self._lock = FolderLock(self.folder)
-        self.expect_earlier()
+        self.watch_earlier_files()
         self._begin_file()
 
     def _make_folder(self) -> None:
@@ -230,7 +237,7 @@ class BagWriter:
         file = McapFile(self.folder / name, self.settings.chunk_bytes)
         self._open_files.append(file)
         self.files.append(FileInfo(name))
-        self._presence.expect(file.path)
+        self._watched.watch(file.path)
         file.begin()
         self._describe()
         for attached in self._attachments:
@@ -244,7 +251,7 @@ class BagWriter:
 
     def _sync(self) -> None:
         self._file.sync()
-        self._presence.grown(self._file.path, self._file.size)
+        self._watched.grew(self._file.path, self._file.size)
         self._unsynced = 0
 
     def _must_split(self) -> bool:
@@ -269,7 +276,7 @@ class BagWriter:
         """Finish a file that is synced."""
         file.finish()
         self._open_files.remove(file)
-        self._presence.grown(file.path, file.size)
+        self._watched.grew(file.path, file.size)
 
     def _describe(self) -> None:
         """Write what rosbag2 wants to know, into the file and beside it."""
@@ -287,10 +294,11 @@ class BagWriter:
         self._file.note(names.ROSBAG2, {"serialized_metadata": yaml_text(information)})
         return information
 
-    def _require_presence(self) -> None:
-        if fault := self._guarded(self._presence.fault):
+    def _require_undisturbed(self) -> None:
+        disturbance = self._guarded(self._watched.disturbance)
+        if disturbance is not None:
             self._give_up()
-            raise self._disturbed(fault)
+            raise self._disturbed(disturbance)
 
     def _require_space(self) -> None:
         free = self._guarded(lambda: disk.free_bytes(self.folder))
@@ -314,9 +322,9 @@ class BagWriter:
         except OSError as error:
             raise self._failed(error) from error
 
-    def _disturbed(self, fault: str) -> BagError:
+    def _disturbed(self, disturbance: str) -> BagError:
         return BagError(
-            f"cannot go on with the bag {self.folder}: {fault}; recording stopped, since "
+            f"cannot go on with the bag {self.folder}: {disturbance}; recording stopped, since "
             "nothing would be safe there; see who else uses this folder, or choose another"
         )
 
@@ -325,8 +333,8 @@ class BagWriter:
         self._give_up()
         if error.errno == errno.ENOENT:
             with suppress(OSError):
-                if fault := self._presence.fault():
-                    return self._disturbed(fault)
+                if (disturbance := self._watched.disturbance()) is not None:
+                    return self._disturbed(disturbance)
         reason = _REASONS.get(error.errno or 0, error.strerror or str(error))
         return BagError(
             f"cannot write the bag {self.folder}: {reason}; what was synced before is safe, "
@@ -347,36 +355,36 @@ class BagWriter:
 
 _GONE: Final = (errno.ENOENT, errno.ENOTDIR, errno.ESTALE, errno.ENODEV, errno.ENOTCONN)
 
-Known = tuple[int, int, int]
-"""Device, number and size of a file."""
+FileState = tuple[int, int, int]
+"""Device, inode and size of a file."""
 
 
-class Presence:
-    """Whether the files of the bag in ``folder`` are still where, and what, they were.
+class WatchedFiles:
+    """The files of the bag in ``folder``: notices who else deletes, replaces or changes them.
 
-    A file that is written goes on well after its name is gone: nobody would notice before its
-    end. All of it raises OSError when the disk does not answer.
+    Writing to an open file succeeds after its name is gone: the loss would be noticed at the end
+    of the recording. All of it raises OSError when the disk does not answer.
     """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._known: dict[Path, Known] = {}
+        self._expected: dict[Path, FileState] = {}
 
-    def expect(self, path: Path) -> None:
-        """Take the file at ``path`` as it is now for the right one."""
-        self._known[path] = _known(path)
+    def watch(self, path: Path) -> None:
+        """Expect the file at ``path`` to stay as it is now."""
+        self._expected[path] = _file_state(path)
 
-    def grown(self, path: Path, size: int) -> None:
-        """Take for known that we wrote the file at ``path`` up to ``size``."""
-        self._known[path] = (*self._known[path][:2], size)
+    def grew(self, path: Path, size: int) -> None:
+        """Expect another size: we wrote the file at ``path`` up to ``size``."""
+        self._expected[path] = (*self._expected[path][:2], size)
 
-    def fault(self) -> str:
-        """Return what is wrong, empty where nothing is."""
-        # Asked first: nobody may write into a folder that is gone, which the files tell below.
+    def disturbance(self) -> str | None:
+        """Return what somebody else did to the files, None where all is as expected."""
+        # Asked first: a folder that is gone cannot be written either, which the files say better.
         may_write = disk.may_write(self._folder)
-        for path, known in self._known.items():
+        for path, expected in self._expected.items():
             try:
-                found = _known(path)
+                found = _file_state(path)
             except OSError as error:
                 if error.errno not in _GONE:
                     raise
@@ -384,15 +392,134 @@ class Presence:
                     f"{path} is no longer there: somebody deleted or moved it or its folder, "
                     "or its disk was taken away"
                 )
-            if found[:2] != known[:2]:
+            if found[:2] != expected[:2]:
                 return f"{path} is not the file that was recorded: somebody put another there"
-            if found[2] != known[2]:
-                return f"{path} has {found[2]} bytes, {known[2]} were written: somebody changed it"
+            if found[2] != expected[2]:
+                return (
+                    f"{path} has {found[2]} bytes, {expected[2]} were written: somebody changed it"
+                )
         if not may_write:
             return f"{self._folder} was made read-only"
-        return ""
+        return None
 
 
-def _known(path: Path) -> Known:
+def _file_state(path: Path) -> FileState:
     status = disk.status(path)
     return status.st_dev, status.st_ino, status.st_size
+
+
+LIBRARY: Final = f"rotcal_ros {__version__}"
+_QOS: Final = "offered_qos_profiles"
+_HASH: Final = "topic_type_hash"
+_MOST_CHANNELS: Final = 65_535
+"""A channel id has two bytes in MCAP; the writer counts from 1."""
+
+
+@dataclass(frozen=True, slots=True)
+class Attached:
+    """An attachment of ``time_ns``; created then too, unless ``created_ns`` says otherwise."""
+
+    name: str
+    media_type: str
+    data: bytes
+    time_ns: int
+    created_ns: int | None = None
+
+
+class McapFile:
+    """A new file at ``path``, which must not exist; :meth:`begin` it first.
+
+    Everything raises OSError when the disk fails: then only :meth:`abandon` is left to do.
+    """
+
+    def __init__(self, path: Path, chunk_bytes: int) -> None:
+        self.path = path
+        self._file = DurableFile(path)
+        self._writer = Writer(
+            self._file,  # type: ignore[arg-type]
+            chunk_size=chunk_bytes,
+            compression=CompressionType.ZSTD,
+            enable_crcs=True,
+            enable_data_crcs=True,
+        )
+        self._schemas: dict[tuple[str, str, str], int] = {}
+        self._undescribed: list[ChannelDefinition] = []
+
+    @property
+    def size(self) -> int:
+        """How many bytes were written."""
+        return self._file.tell()
+
+    def begin(self) -> None:
+        """Write what every file begins with."""
+        self._writer.start(profile="ros2", library=LIBRARY)
+
+    def attach(self, attached: Attached) -> None:
+        """Put a file beside the messages."""
+        created_ns = attached.time_ns if attached.created_ns is None else attached.created_ns
+        self._writer.add_attachment(
+            created_ns, attached.time_ns, attached.name, attached.media_type, attached.data
+        )
+
+    def note(self, name: str, texts: Mapping[str, str]) -> None:
+        """Write a metadata record."""
+        self._writer.add_metadata(name, dict(texts))
+
+    def register(self, channel: ChannelDefinition) -> ChannelDefinition:
+        """Add a channel and return it with its number; they count from 1 in every file."""
+        known = {_QOS: channel.offered_qos, _HASH: channel.type_hash}
+        number = self._writer.register_channel(
+            channel.topic,
+            channel.message_encoding,
+            self._schema(channel),
+            dict(channel.metadata) | {name: text for name, text in known.items() if text},
+        )
+        if number > _MOST_CHANNELS:
+            raise BagError(f"a bag has {_MOST_CHANNELS} channels at most")
+        self._undescribed.append(replace(channel, channel_id=number))
+        return self._undescribed[-1]
+
+    def _schema(self, channel: ChannelDefinition) -> int:
+        """Return the number of a channel's schema, new or known; 0 stands for none."""
+        key = (channel.type_name, channel.encoding, channel.definition)
+        if not any(key):
+            return 0
+        if key not in self._schemas:
+            self._schemas[key] = self._writer.register_schema(
+                channel.type_name, channel.encoding, schema_bytes(channel.definition)
+            )
+        return self._schemas[key]
+
+    def write(
+        self, channel: int, data: bytes, log_time_ns: int, publish_time_ns: int, sequence: int
+    ) -> None:
+        """Append a message."""
+        if self._undescribed:
+            self._describe()
+        self._writer.add_message(channel, log_time_ns, data, publish_time_ns, sequence)
+
+    def sync(self) -> None:
+        """Return when all so far is on the medium, in closed chunks."""
+        if self._undescribed:
+            self._describe()
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        self._file.sync()
+
+    def finish(self) -> None:
+        """Write the index, sync and close."""
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._file.sync()
+        self._file.close()
+
+    def abandon(self) -> None:
+        """Close the file where it ends, behind a whole record, as well as the disk allows."""
+        with suppress(OSError):
+            self._file.sync()
+        with suppress(OSError):
+            self._file.close()
+
+    def _describe(self) -> None:
+        """Put new definitions beside the chunks, before the first message that needs them."""
+        data = dump_definitions(self._undescribed)
+        self.attach(Attached(names.DEFINITIONS, "application/json", data, time.time_ns()))
+        self._undescribed.clear()

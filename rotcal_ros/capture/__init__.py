@@ -2,7 +2,7 @@
 
 The outcome depends on each stream's own order and stamps, never on how the streams interleave
 on arrival. The live node and the replay of a bag therefore give equal observations. The capture is
-loaded when it is first asked for: what can be set is told without it.
+loaded when it is first used: who needs only its settings does not pay for it.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any, Final
 from rotcal_ros.capture.settings import CaptureSettings
 
 if TYPE_CHECKING:
+    from rotcal_ros.capture.attempt import CaptureRules
     from rotcal_ros.capture.capture import Capture, Record
-    from rotcal_ros.capture.rules import CaptureRules
 
 __all__ = ["Capture", "CaptureRules", "CaptureSettings", "Record"]
-_MODULES: Final = {"Capture": "capture", "CaptureRules": "rules", "Record": "capture"}
-"""Name -> module, for those that are loaded when they are first asked for."""
+_MODULES: Final = {"Capture": "capture", "CaptureRules": "attempt", "Record": "capture"}
+"""Name -> module, for those that are loaded when they are first used."""
 
 
 def __getattr__(name: str) -> Any:

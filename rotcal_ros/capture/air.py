@@ -25,7 +25,7 @@ class Quantity:
     column: str
 
     def expected(self, settings: CaptureSettings) -> bool:
-        """Return whether an observation carries it and waits for it."""
+        """Return whether an observation holds it and waits for it."""
         return bool(getattr(settings, f"{self.name}_expected"))
 
 
@@ -34,12 +34,12 @@ QUANTITIES: Final[Mapping[type[AirSample], Quantity]] = {
     PressureSample: Quantity("pressure", "pressure_pa"),
     HumiditySample: Quantity("humidity", "humidity"),
 }
-"""What is known of the air, by the kind of its samples; observations have the same columns."""
+"""The quantities of the air, by the class of their samples; observations have these columns."""
 
 
 @dataclass(frozen=True, slots=True)
 class ObservedAir:
-    """What an observation says of the air; None: not known."""
+    """The air of an observation; None: not known."""
 
     temperature_c: float | None = None
     pressure_pa: float | None = None
@@ -64,12 +64,12 @@ class AirStreams:
         self._belated: Sequence[tuple[int, int]] = ()
 
     def begin_anew(self, belated: Sequence[tuple[int, int]], *, follows: bool) -> None:
-        """Forget what was read before a clock was set back; what was counted stays.
+        """Forget the readings from before a clock was set back; the counts stay.
 
-        What is stamped within ``belated`` may have been read before that and is left out: by its
-        stamp alone, so that it does not matter when it comes. What the new clock has stamped
-        stays: where a second stream ``follows`` the first one all of it, else what came behind
-        the latest.
+        Readings stamped within ``belated`` may be from before that and are left out: by their
+        stamp alone, so that it does not matter when they arrive. Readings stamped by the new
+        clock stay: where a second stream ``follows`` the first one all of them, else those that
+        came behind the latest.
         """
         self._belated = belated
         for name, stream in self.by_name.items():
@@ -98,7 +98,7 @@ class AirStreams:
     def missing(
         self, begin_ns: int, since_ns: int | None, settings: CaptureSettings
     ) -> Iterator[Missing]:
-        """Yield what to wait for before :meth:`at` is known for good."""
+        """Yield what to wait for before :meth:`at` is final."""
         wanted = _wanted(begin_ns, since_ns, settings)
         for quantity in QUANTITIES.values():
             stream = self.by_name[quantity.name]
@@ -113,9 +113,12 @@ class AirStreams:
         that later readings do not change.
         """
         wanted = _wanted(begin_ns, since_ns, settings)
-        known = (q for q in QUANTITIES.values() if q.expected(settings))
+        expected = (q for q in QUANTITIES.values() if q.expected(settings))
         return ObservedAir(
-            **{q.column: _reading(self.by_name[q.name], wanted, since_ns, settings) for q in known}
+            **{
+                q.column: _reading(self.by_name[q.name], wanted, since_ns, settings)
+                for q in expected
+            }
         )
 
 

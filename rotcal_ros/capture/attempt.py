@@ -1,7 +1,11 @@
-"""One attempt at a step, the streams it is judged by, and the observation that comes of it."""
+"""One attempt at a step: the streams and the rules that judge it, and the observation it becomes.
+
+The rules are those of a method: how its steps become observations, and which contradict others.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import nan
 from typing import Final
@@ -10,11 +14,16 @@ from rotcal_ros.capture.air import AirStreams, ObservedAir
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import NEVER, Stream
 from rotcal_ros.capture.window import ReducedWindow, TracerStream
-from rotcal_ros.foundation.observations import Observation, ProbeSample
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.observations import Observation, PointKind, ProbeSample
 from rotcal_ros.foundation.units import NANOSECOND
-from rotcal_ros.planning.plan import Step
+from rotcal_ros.planning.plan import Plan, Step
 
 UNKNOWN_AIR: Final = ObservedAir()
+
+
+class AttemptRejectedError(DataError):
+    """An attempt cannot become a measured value; the text is the reason in its observation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,11 +43,11 @@ class Wait:
 class AttemptStreams:
     """The streams that an attempt is judged by.
 
-    ``since_ns`` is the stamp of the first probe sample. What was read of the air before it is not
-    used: how much of it there is depends on when somebody began to listen; nor is what was read
-    before a clock was set back. ``counted_from`` is the epoch and the stamp from which the
-    segments of the beam are counted, ``settled_ns`` the stamp from which all streams have followed
-    a clock that was set back.
+    ``since_ns`` is the stamp of the first probe sample. Earlier readings of the air are not used:
+    how many there are depends on when the capture began to listen; nor are those from before a
+    clock was set back. ``counted_from`` is the epoch and the stamp from which the segments of the
+    beam are counted, ``settled_ns`` the stamp from which all streams have followed a clock that
+    was set back.
     """
 
     tracer: TracerStream
@@ -69,7 +78,7 @@ class AttemptStreams:
         self._times_set_back = times
 
     def before_set_back(self, stamp_ns: int) -> bool:
-        """Return whether what has come just now was stamped before the clock was set back."""
+        """Return whether a sample that has just come was stamped before the clock was set back."""
         if not any(self.settled_ns <= a <= stamp_ns <= b for a, b in self._belated):
             return False
         fast = (s.latest for s in (self.tracer, self.table) if s.set_back_at is not None)
@@ -110,7 +119,8 @@ class Attempt:
 
     ``samples`` are the probe samples so far. ``superseded_ns`` is the stamp of the first probe
     sample of the next attempt, once known: nothing later can belong to this one. ``search_ns``
-    is from when the table may be in position. A non-empty ``refusal`` needs no further look.
+    is from when the table may be in position. ``rejected`` is set as soon as it is certain that
+    nothing can come of it.
     """
 
     step: Step
@@ -118,7 +128,7 @@ class Attempt:
     run: int
     samples: list[ProbeSample]
     search_ns: int
-    refusal: str
+    rejected: AttemptRejectedError | None = None
     superseded_ns: int | None = None
 
     @property
@@ -154,7 +164,7 @@ class Attempt:
             n_samples=n_samples,
             n_used=reduced.n_used,
             accepted=not reduced.reason,
-            reason=reduced.reason,
+            reason=reduced.reason or "",
             table_angle_measured=table_angle_measured,
             temperature_c=air.temperature_c,
             pressure_pa=air.pressure_pa,
@@ -165,9 +175,9 @@ class Attempt:
             segment=segment,
         )
 
-    def rejection(self, reason: str) -> Observation:
+    def rejection(self, error: AttemptRejectedError) -> Observation:
         """Return the observation of an attempt that never came to a window."""
-        return self.observation(ReducedWindow(reason=reason))
+        return self.observation(ReducedWindow(reason=str(error)))
 
 
 def belated_stamps(stream: Stream, settling_ns: int) -> tuple[int, int]:
@@ -190,3 +200,27 @@ def nanoseconds(duration_s: float) -> int:
 def seconds(duration_ns: int) -> float:
     """Return a duration in seconds."""
     return duration_ns * NANOSECOND
+
+
+Decide = Callable[[Attempt, AttemptStreams, CaptureSettings], Observation | Wait]
+"""Returns the observation of an attempt, or what it waits for."""
+Check = Callable[[Observation], Observation]
+"""Returns an observation as it is, or rejected because it contradicts the earlier ones."""
+
+
+def no_checks(_plan: Plan) -> Sequence[Check]:
+    """Return nothing: every observation stands for itself."""
+    return ()
+
+
+@dataclass(frozen=True)
+class CaptureRules:
+    """How the streams of a method are understood.
+
+    ``decide`` has one entry for every kind of step in the method's plans; see
+    :mod:`~rotcal_ros.capture.length` and :mod:`~rotcal_ros.capture.points` for the two ways
+    there are. ``checks`` makes the checks of one run; they see the observations in their order.
+    """
+
+    decide: Mapping[PointKind, Decide]
+    checks: Callable[[Plan], Sequence[Check]] = no_checks

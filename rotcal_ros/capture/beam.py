@@ -1,8 +1,8 @@
-"""Is the beam that is read now still the one from before? Where not, a new segment begins.
+"""Where a tracer may have lost its beam: a new segment of lengths with a zero of its own begins.
 
-A tracer counts fringes: its zero stands while the beam is unbroken. It is lost when the status
+A tracer counts fringes: its zero holds while the beam is unbroken. It is lost when the status
 says so, when the readings' numbers start anew, when readings are missing for long, and when the
-length changes faster than any reflector is carried. What becomes of the zero is for the solver.
+length changes faster than any reflector is carried. The solver estimates a zero per segment.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Beam:
         number = np.append(self._last[1], sequence)
         steps = np.diff(number).astype(np.int64) % WRAP
         pause = np.abs(np.diff(np.append(self._last[0], stamps)))
-        anew = (steps == 0) | (steps >= WRAP // 2)
+        anew = (steps == 0) | (steps >= WRAP // 2)  # modulo 2^32 the upper half is a step back
         silent = (steps > 1) & (pause > self._silence_ns)
         lost = np.cumsum(broken | anew | silent)
         self._last = int(stamps[-1]), float(sequence[-1])

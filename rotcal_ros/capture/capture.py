@@ -1,6 +1,7 @@
 """The capture: records of all streams in, observations out.
 
-The machine's answers held against the orders: who does not echo them is told so at once.
+The machine's answers are compared with the orders: one that does not echo its order is reported
+at once.
 """
 
 from __future__ import annotations
@@ -15,13 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.capture.air import QUANTITIES, AirSample, AirStreams
-from rotcal_ros.capture.attempt import Attempt, AttemptStreams, Wait, nanoseconds, seconds
+from rotcal_ros.capture.attempt import (
+    Attempt,
+    AttemptRejectedError,
+    AttemptStreams,
+    CaptureRules,
+    Wait,
+    nanoseconds,
+    seconds,
+)
 from rotcal_ros.capture.beam import Beam
-from rotcal_ros.capture.length import no_shot
-from rotcal_ros.capture.rules import CaptureRules
+from rotcal_ros.capture.length import single_shot_missing
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import NEVER, Stream, StreamCounts
-from rotcal_ros.capture.table import VELOCITY, why_not_at_rest, wrongly_told
+from rotcal_ros.capture.table import VELOCITY, lasting_feedback_fault, why_not_at_rest
 from rotcal_ros.capture.window import TracerStream
 from rotcal_ros.foundation.arrays import Stamps
 from rotcal_ros.foundation.observations import (
@@ -39,11 +47,12 @@ Observations = tuple[Observation, ...]
 
 _MAX_PENDING = 64
 _SETTLED_NS: Final = 1_000_000_000
-"""What is stamped so soon behind a clock's setting back is not used: streams may follow late."""
+"""Samples stamped less than this after a clock was set back are not used: the other streams may
+follow later."""
 _PATIENCE_NS: Final = 3_000_000_000
-"""A table that is not at rest so long after the probe is in position is worth a word."""
+"""A table that is not at rest this long after the probe is in position is reported."""
 _NEAR_M: Final = 1e-6
-"""Points that answer one order are the same place so near to each other, whatever is stated."""
+"""Points closer than this are the same place, however small their stated deviations are."""
 _WORDS: Final = {"tracer": "tracer readings", "table": "table feedbacks"}
 """What the samples of a stream are called; those of the air after their stream."""
 
@@ -60,10 +69,10 @@ class Capture:
     clock is set back, what was undecided is rejected and what was before it is forgotten.
 
     ``rules`` are those of the method; ``run`` is the number of the run that is captured;
-    ``required_air`` names what of the air an observation is useless without; the tracer of a
-    ``single_shot`` is silent until it is asked. Nor does
-    it matter how long before the first attempt the capture began to listen. Commands are only
-    compared with the plan: what counts is what the machine did.
+    ``required_air`` names the air quantities without which an observation is useless; with
+    ``single_shot`` the tracer is silent until it is asked. It does not matter how long before the
+    first attempt the capture began to listen. Commands are only compared with the plan: what
+    counts is what the machine did.
     """
 
     def __init__(
@@ -145,10 +154,10 @@ class Capture:
         }
 
     @property
-    def waiting_for(self) -> str:
-        """What the oldest undecided attempt waits for, in words; empty: nothing is waited for."""
+    def waiting_for(self) -> str | None:
+        """What the oldest undecided attempt waits for, in words."""
         if not self._pending or self._waiting is None:
-            return self._answers.waited_for()
+            return self._answers.unanswered_order()
         attempt, wait = self._pending[0], self._waiting
         lag_s = seconds(self._streams.lag_ns(attempt, wait))
         return (
@@ -169,34 +178,33 @@ class Capture:
         tracer, table = self._streams.tracer, self._streams.table
         return self._waiting.stream is tracer and table.newest_ns >= self._waiting.stamp_ns
 
-    def complaint(self) -> str:
-        """Return what keeps the latest order from being measured, for people; empty: nothing.
+    def complaint(self) -> str | None:
+        """Return what keeps the latest order from being measured, for people.
 
-        That is said long before the attempt is given up.
+        It is reported long before the attempt is given up.
         """
         if not self._pending:
             return self._answers.complaint()
         attempt, table = self._pending[-1], self._streams.table
         reached_ns = self._streams.reached(table, attempt)
         if reached_ns - attempt.begin_ns < _PATIENCE_NS or attempt.search_ns <= reached_ns:
-            return ""
+            return None
         step = attempt.step
-        found = why_not_at_rest(
+        reason = why_not_at_rest(
             table, attempt.begin_ns, reached_ns, step.table_angle, self._settings
         )
-        return f"{step.in_words(attempt.number)}: {found}"
+        return f"{step.in_words(attempt.number)}: {reason}"
 
-    def hopeless(self) -> str:
-        """Return why no attempt will ever be accepted, with what to change; empty: one may be."""
+    def hopeless(self) -> str | None:
+        """Return why no attempt will ever be accepted, with what to change, if that is certain."""
         if (newest := self._newest) is None:
-            return ""
+            return None
         table = self._streams.table
         self._had_velocity |= bool(np.isfinite(table.values[:, VELOCITY]).any())
-        wrong_unit = wrongly_told(
+        fault = lasting_feedback_fault(
             table, newest.begin_ns, newest.step.table_angle, self._had_velocity
         )
-        attempt = f"step {newest.step.index}, attempt {newest.number}"
-        return f"{attempt}: {wrong_unit}" if wrong_unit else ""
+        return fault and f"step {newest.step.index}, attempt {newest.number}: {fault}"
 
     def remarks(self) -> tuple[str, ...]:
         """Return and clear what was wrong with records that belong to no observation."""
@@ -259,64 +267,76 @@ class Capture:
         self._next_attempt[sample.step] = sample.attempt + 1
         if newest is not None and newest.superseded_ns is None:
             newest.superseded_ns = sample.stamp_ns
-        refusal = self._refusal(step, sample)
-        stamp_ns = sample.stamp_ns
-        attempt = Attempt(step, sample.attempt, self._run, [sample], stamp_ns, refusal)
+        attempt = Attempt(step, sample.attempt, self._run, [sample], sample.stamp_ns)
+        self._check_sample(attempt, sample)
         self._pending.append(attempt)
         self._newest = attempt
 
     def _add_point(self, attempt: Attempt, sample: ProbeSample) -> None:
-        seen = {known.point for known in attempt.samples}
+        seen = {earlier.point for earlier in attempt.samples}
         if sample.point in seen or len(seen) >= attempt.step.n_points:
             self._count_again(attempt, sample)
             return
-        attempt.refusal = attempt.refusal or self._refusal(attempt.step, sample)
+        if attempt.rejected is None:
+            self._check_sample(attempt, sample)
         attempt.samples.append(sample)
 
     def _count_again(self, newest: Attempt | None, sample: ProbeSample) -> None:
         """Count a point that answers an order once more, and whether it says something else."""
         self._probe.duplicates += 1
         if newest and (newest.step.index, newest.number) == (sample.step, sample.attempt):
-            same = (known for known in newest.samples if known.point == sample.point)
-            self._probe.contradicting += any(_elsewhere(known, sample) for known in same)
+            same = (earlier for earlier in newest.samples if earlier.point == sample.point)
+            self._probe.contradicting += any(_elsewhere(earlier, sample) for earlier in same)
 
-    def _refusal(self, step: Step, sample: ProbeSample) -> str:
-        """Say what is wrong with a probe sample itself; empty: nothing."""
+    def _check_sample(self, attempt: Attempt, sample: ProbeSample) -> None:
+        """Reject an attempt whose probe sample is wrong by itself."""
+        try:
+            self._refuse_wrong_stamp(sample)
+            self._refuse_off_plan(attempt.step, sample)
+        except AttemptRejectedError as error:
+            attempt.rejected = error
+
+    def _refuse_wrong_stamp(self, sample: ProbeSample) -> None:
         if self._streams.before_set_back(sample.stamp_ns):
-            return "begun before a clock was set back"
+            raise AttemptRejectedError("begun before a clock was set back")
         if self._probe_stamp is not None and sample.stamp_ns <= self._probe_stamp:
             self._probe.backwards += 1
             back = seconds(self._probe_stamp - sample.stamp_ns)
-            return f"probe stamps go backwards: {back:.3g} s before the sample before it"
+            raise AttemptRejectedError(
+                f"probe stamps go backwards: {back:.3g} s before the sample before it"
+            )
         fast = (self._streams.tracer.latest, self._streams.table.latest)
         behind_ns = max((at for at in fast if at is not None), default=0) - sample.stamp_ns
         allowed_s = self._settings.clock_tolerance_s + self._settings.step_timeout_s
         if behind_ns > nanoseconds(allowed_s):
             self._probe.backwards += 1
-            return (
+            raise AttemptRejectedError(
                 f"the probe is stamped {seconds(behind_ns):.3g} s behind the other streams, "
                 f"allowed {allowed_s:g} s: another clock, or one of them was set"
             )
+
+    def _refuse_off_plan(self, step: Step, sample: ProbeSample) -> None:
         if not all(map(isfinite, sample.position)):
             self._probe.non_finite += 1
-            return f"probe position is not finite: {sample.position}"
+            raise AttemptRejectedError(f"probe position is not finite: {sample.position}")
         if (sample.kind, sample.target) != (step.kind, step.target):
             self._probe.off_plan += 1
-            return (
+            raise AttemptRejectedError(
                 f"probe reports {sample.kind.name} at target {sample.target}, "
                 f"the plan says {step.kind.name} at target {step.target}"
             )
         if sample.station != step.station:
             self._probe.off_plan += 1
-            return f"probe reports station {sample.station}, the plan says station {step.station}"
+            raise AttemptRejectedError(
+                f"probe reports station {sample.station}, the plan says station {step.station}"
+            )
         away = dist(sample.position, step.position)
         if step.kind == PointKind.REFLECTOR and away > self._settings.probe_tolerance_m:
             self._probe.implausible += 1
-            return (
+            raise AttemptRejectedError(
                 f"probe is {away:.6g} m from target {step.target}: reported {sample.position}, "
                 f"planned {step.position}, allowed {self._settings.probe_tolerance_m:g} m"
             )
-        return ""
 
     def _decide(self) -> Observations:
         """Admit what is staged and decide as many attempts as possible, the oldest first."""
@@ -344,39 +364,45 @@ class Capture:
             return
         self._set_backs = count
         stream = max(fast, key=lambda s: s.counts.set_back)
-        reason = (
+        error = AttemptRejectedError(
             f"the stamps of the {self._name(stream)} went back by "
             f"{seconds(stream.set_back_ns):.3g} s: their clock was set"
         )
         for attempt in self._pending:
-            attempt.refusal = attempt.refusal or reason
+            attempt.rejected = attempt.rejected or error
         self._streams.begin_anew(_SETTLED_NS)
         self._probe_stamp = None
 
     def _outcome(self, attempt: Attempt) -> Observation | Wait:
         """Return the observation of an attempt, or what it waits for."""
-        if attempt.refusal:
-            return attempt.rejection(attempt.refusal)
-        if attempt.begin_ns < self._streams.settled_ns and self._set_backs:
-            return attempt.rejection("begun while a clock was set back")
-        outcome = self._judge(attempt)
-        if not isinstance(outcome, Wait):
-            return outcome
-        lag_ns = self._streams.lag_ns(attempt, outcome)
-        if lag_ns > self._streams.patience_ns(outcome.stream, self._settings):
-            if outcome.stream.single_shot:
-                return attempt.rejection(no_shot(attempt, outcome, lag_ns))
-            return attempt.rejection(
-                f"{self._name(outcome.stream)} are {seconds(lag_ns):.3g} s behind the other "
-                f"streams, allowed {self._settings.clock_tolerance_s:g} s: silent, or stamped by "
-                f"another clock{self._never_came(outcome.stream)}"
-            )
-        if len(self._pending) > _MAX_PENDING:
-            return attempt.rejection(f"undecided while {_MAX_PENDING} later attempts were begun")
+        if attempt.rejected is not None:
+            return attempt.rejection(attempt.rejected)
+        try:
+            if attempt.begin_ns < self._streams.settled_ns and self._set_backs:
+                raise AttemptRejectedError("begun while a clock was set back")
+            outcome = self._judge(attempt)
+            if isinstance(outcome, Wait):
+                self._refuse_endless(attempt, outcome)
+        except AttemptRejectedError as error:
+            return attempt.rejection(error)
         return outcome
 
+    def _refuse_endless(self, attempt: Attempt, wait: Wait) -> None:
+        """Raise where what an attempt waits for is unlikely to come."""
+        lag_ns = self._streams.lag_ns(attempt, wait)
+        if lag_ns > self._streams.patience_ns(wait.stream, self._settings):
+            if wait.stream.single_shot:
+                raise single_shot_missing(attempt, wait, lag_ns)
+            raise AttemptRejectedError(
+                f"{self._name(wait.stream)} are {seconds(lag_ns):.3g} s behind the other "
+                f"streams, allowed {self._settings.clock_tolerance_s:g} s: silent, or stamped by "
+                f"another clock{self._never_came(wait.stream)}"
+            )
+        if len(self._pending) > _MAX_PENDING:
+            raise AttemptRejectedError(f"undecided while {_MAX_PENDING} later attempts were begun")
+
     def _judge(self, attempt: Attempt) -> Observation | Wait:
-        """Judge an attempt by the streams; what of the air is too far behind is done without."""
+        """Judge an attempt by the streams, without an air quantity that is too far behind."""
         since_ns, late = self._streams.since_ns, []
         for missing in self._streams.air.missing(attempt.begin_ns, since_ns, self._settings):
             wait = Wait(missing.stream, missing.stamp_ns)
@@ -388,16 +414,18 @@ class Capture:
         if late and isinstance(outcome, Observation):
             names = ", ".join(late)
             self._remarks.append(f"{attempt.step.in_words()}: no {names} came in time")
-        return outcome if isinstance(outcome, Wait) else self._with_air(attempt, outcome)
+        if isinstance(outcome, Observation) and outcome.accepted:
+            self._refuse_without_air(outcome)
+        return outcome
 
-    def _with_air(self, attempt: Attempt, outcome: Observation) -> Observation:
-        """Reject what is useless without the air that goes with it: it is measured again."""
-        missing = [q.name for q in self._required if getattr(outcome, q.column) is None]
-        if not outcome.accepted or not missing:
-            return outcome
-        return attempt.rejection(
-            f"no {', '.join(missing)} of the air came in time: the index of refraction is unknown"
-        )
+    def _refuse_without_air(self, observation: Observation) -> None:
+        """Raise where an observation lacks what its method requires of the air."""
+        missing = [q.name for q in self._required if getattr(observation, q.column) is None]
+        if missing:
+            raise AttemptRejectedError(
+                f"no {', '.join(missing)} of the air came in time: the index of refraction is "
+                "unknown"
+            )
 
     def _sleep(self, attempt: Attempt, wait: Wait) -> None:
         """Let every stream report when it brings what is needed, or gets too far ahead."""
@@ -412,10 +440,11 @@ class Capture:
         wait.stream.wait(wait.stamp_ns, wait.samples, wait.latest_ns)
 
     def _name(self, stream: Stream) -> str:
-        name = next(n for n, known in self._streams.by_name().items() if known is stream)
+        name = next(n for n, candidate in self._streams.by_name().items() if candidate is stream)
         return _WORDS.get(name, f"{name} readings")
 
     def _never_came(self, stream: Stream) -> str:
+        """Return a clause for a stream of which nothing has come so far."""
         if stream.latest is not None or stream.counts.received:
             return ""
         of_table = ": does cell.joint name a joint of the feedback?"
@@ -426,9 +455,9 @@ class Capture:
         return f"step {step}, which is not in the plan: it has the steps 0 to {last}"
 
 
-def _elsewhere(known: ProbeSample, again: ProbeSample) -> bool:
-    """Return whether a point is of another place than one before it, noise apart."""
-    axes = zip(known.position, again.position, again.position_std, strict=True)
+def _elsewhere(earlier: ProbeSample, again: ProbeSample) -> bool:
+    """Return whether two points differ in place by more than their noise."""
+    axes = zip(earlier.position, again.position, again.position_std, strict=True)
     return any(abs(a - b) > max(6.0 * std, _NEAR_M) for a, b, std in axes)
 
 
@@ -438,9 +467,9 @@ Key = tuple[int, int]
 
 
 class Answers:
-    """Orders and the probe points that follow; ``unanswered`` orders gave way to the next one.
+    """Orders and the probe points that follow; ``unanswered`` counts those replaced by the next.
 
-    What it says depends on the order of arrival: it is for people, never for a decision.
+    What it reports depends on the order of arrival: it is for people, never for a decision.
     """
 
     def __init__(self) -> None:
@@ -450,7 +479,7 @@ class Answers:
         self._wrong: Key | None = None
 
     def order(self, command: Command) -> None:
-        """Take an order; the same one again is none."""
+        """Take an order; a repetition of the latest one is ignored."""
         key = (command.step, command.attempt)
         if key == self._ordered:
             return
@@ -458,7 +487,7 @@ class Answers:
         self._ordered, self._wrong = key, None
 
     def hear(self, sample: ProbeSample) -> None:
-        """Take a probe point; one that was sent unasked answers nothing."""
+        """Take a probe point; one that was sent without an order answers none."""
         if sample.kind == PointKind.UNKNOWN:
             return
         key = (sample.step, sample.attempt)
@@ -468,10 +497,10 @@ class Answers:
         if len(self._answered) > _REMEMBERED:
             del self._answered[next(iter(self._answered))]
 
-    def waited_for(self) -> str:
-        """Say which order has no answer yet; empty: none is waited for."""
+    def unanswered_order(self) -> str | None:
+        """Return in words which order has no answer yet."""
         if not self._is_open():
-            return ""
+            return None
         assert self._ordered is not None
         step, attempt = self._ordered
         text = f"step {step}, attempt {attempt}: no point on probe_point answers the order"
@@ -483,9 +512,9 @@ class Answers:
             "echo both of the order"
         )
 
-    def complaint(self) -> str:
-        """Say that the last order was answered as another; empty: it was not."""
-        return self.waited_for() if self._wrong is not None else ""
+    def complaint(self) -> str | None:
+        """Return in words that the latest order was answered with another step or attempt."""
+        return None if self._wrong is None else self.unanswered_order()
 
     def _is_open(self) -> bool:
         return self._ordered is not None and self._ordered not in self._answered

@@ -1,7 +1,7 @@
-"""Who is heard: a run believes those who published its topics when it began, and nobody else.
+"""Which publishers count: a run accepts those of its topics when it began, and no others.
 
-Every listener of a cell judges message by message, each for itself, by the same words of the
-planner: what one leaves alone all leave alone, and the recorder keeps apart.
+Every listener of a cell judges message by message, each by itself, by the same list of the
+planner: what one ignores all ignore, and the recorder keeps apart.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from typing import Final, Generic, TypeVar
 T = TypeVar("T")
 
 GID_BYTES: Final = 16
-"""Bytes of a publisher's identity that tell it; some middlewares pad it with zeros."""
+"""Significant bytes of a publisher's identity; some middlewares pad it with zeros."""
 MOST_MISSED: Final = 10_000
-"""So many messages of a publisher without identity may be missing between two that come."""
+"""This many messages of a publisher without identity may be missing between two that arrive."""
 PATIENCE_S: Final = 2.0
-"""So long a plan waits for the planner to say that it is its own."""
+"""A plan waits this long for the planner to confirm that it is its own."""
 
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Where a message comes from: who published it, and as its how-manieth.
+    """Where a message comes from: its publisher, and its number among the publisher's messages.
 
-    ``publisher`` is empty and ``number`` None where the middleware does not say that.
+    ``publisher`` is empty and ``number`` None where the middleware does not provide them.
     """
 
     publisher: str = ""
@@ -40,20 +40,20 @@ def publisher_of(identity: Sequence[int]) -> str:
 
 @dataclass(frozen=True)
 class Believed:
-    """Who is believed on each topic (absolute name), as a run has found it; others are free."""
+    """The accepted publishers of each topic (absolute name); other topics accept everybody."""
 
     publishers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def in_a_beat(self) -> str:
-        """Return it as one line: equal ones are equal lines."""
+        """Return it as one line for a heartbeat; equal ones give equal lines."""
         return json.dumps(self.publishers, sort_keys=True) if self.publishers else ""
 
     @classmethod
     def read(cls, text: str) -> Believed:
-        """Return what a line says; what cannot be read believes everybody."""
+        """Return what a line holds; one that cannot be read accepts everybody."""
         try:
-            known = json.loads(text or "{}")
-            return cls({str(topic): tuple(map(str, gids)) for topic, gids in known.items()})
+            publishers = json.loads(text or "{}")
+            return cls({str(topic): tuple(map(str, gids)) for topic, gids in publishers.items()})
         except (ValueError, TypeError, AttributeError):
             return cls()
 
@@ -63,24 +63,24 @@ Offers = Mapping[str, Mapping[str, str]]
 
 
 def started_anew(began: Offers, now: Offers) -> dict[str, list[str]]:
-    """Return which nodes, heard when a run ``began``, publish ``now`` as others: their topics.
+    """Return the topics of the nodes that were restarted since a run ``began``, by node.
 
-    The one that was heard is gone, and a new one of its name is there. It may have lost its zero
-    or its reference, so that only another run can hear it.
+    The publisher of then is gone, and a new one of the same node name is there ``now``. It may
+    have lost its zero or its reference, so that only another run can accept it.
     """
-    found: dict[str, list[str]] = {}
+    restarted: dict[str, list[str]] = {}
     for topic, then in began.items():
         here = now.get(topic, {})
         back = {node for publisher, node in here.items() if publisher not in then}
         for publisher, node in then.items():
             if publisher not in here and node in back:
-                found.setdefault(node, []).append(topic)
-    return found
+                restarted.setdefault(node, []).append(topic)
+    return restarted
 
 
 @dataclass(frozen=True, slots=True)
 class Intruder:
-    """Somebody who is not believed on a ``topic``, and how many messages were left alone.
+    """A publisher that is not accepted on a ``topic``, and how many of its messages were ignored.
 
     ``since_s`` is the time of the first one; ``publisher`` is empty where that is not known.
     """
@@ -90,10 +90,10 @@ class Intruder:
     since_s: float
     count: int = 1
 
-    def in_words(self, node: str, *, anew: bool = False) -> str:
-        """Say it to people; ``node`` published them, empty: one that left or nobody knows.
+    def in_words(self, node: str | None, *, anew: bool = False) -> str:
+        """Return it for people; ``node`` published the messages, None: it is gone or not known.
 
-        ``anew``: it has the name of one that is heard, or that one is gone.
+        ``anew``: it has the name of an accepted node, or that one is gone.
         """
         who = f"node {node}" if node else "a node that is gone"
         if anew:
@@ -110,30 +110,30 @@ class Intruder:
 
 @dataclass
 class WhoIsHeard:
-    """The judge of one listener; ``intruders`` are those it has met since the run began."""
+    """Decides for one listener; ``intruders`` are those it has met since the run began."""
 
     believed: Believed = field(default_factory=Believed)
     intruders: dict[tuple[str, str], Intruder] = field(default_factory=dict)
     _last: dict[str, int] = field(default_factory=dict)
 
     def believe(self, believed: Believed) -> None:
-        """Believe these from now on; the same again changes nothing."""
+        """Accept these from now on; the same again changes nothing."""
         if believed != self.believed:
             self.believed = believed
             self.intruders.clear()
             self._last.clear()
 
     def hears(self, topic: str, origin: Origin, now_s: float) -> bool:
-        """Return whether a message counts; who is not believed is noted.
+        """Return whether a message counts; the publisher of one that does not is noted.
 
-        Without identities only the numbers tell: those of one publisher ascend, and somebody who
-        began later counts from 1 anew.
+        Without identities the numbers decide: those of one publisher ascend, and a publisher that
+        began later counts from 1.
         """
-        known = self.believed.publishers.get(topic)
-        if not known:
+        accepted = self.believed.publishers.get(topic)
+        if not accepted:
             return True
         if origin.publisher:
-            believed = origin.publisher in known
+            believed = origin.publisher in accepted
         else:
             believed = self._follows(topic, origin.number)
         if not believed:
@@ -159,7 +159,7 @@ class WhoIsHeard:
 
 
 class Whose(Enum):
-    """What a plan is: of the goal that runs, of nobody in particular, of a stranger to a goal."""
+    """Whose a plan is: that of the running goal, one without a goal, or one of another planner."""
 
     THE_GOALS = "the goal's"
     ANYBODYS = "anybody's"
@@ -175,12 +175,12 @@ class _WaitingPlan(Generic[T]):
 
 @dataclass
 class PlansHeard(Generic[T]):
-    """The plans that came in, each until it is known whose it is.
+    """The plans that arrived, each until it is known whose it is.
 
-    While a goal runs its plan alone counts: one that came meanwhile and is not vouched for in
-    time is a stranger's, even if the goal has ended by then. While the planner has no goal every
-    plan counts, and without a planner too, after a moment: who has just been started does not
-    know it yet.
+    While a goal runs its plan alone counts: one that arrived meanwhile and that the planner does
+    not confirm in time is a stranger's, even if the goal has ended by then. While the planner has
+    no goal every plan counts. Without a planner it does so too, after a moment: a node that has
+    just been started may not have heard of the planner yet.
     """
 
     _waiting: dict[str, _WaitingPlan[T]] = field(default_factory=dict)
@@ -190,10 +190,10 @@ class PlansHeard(Generic[T]):
         self._waiting.setdefault(run, _WaitingPlan(plan, now_s))
 
     def judged(self, goals_run: str | None, now_s: float) -> Iterator[tuple[T, Whose]]:
-        """Yield each plan of which it is known now whose it is, once.
+        """Yield each plan once, as soon as it is known whose it is.
 
-        ``goals_run`` is the run that the planner vouches for; empty: it has no goal, None: nobody
-        knows a planner.
+        ``goals_run`` is the run of the planner's goal, "" where it has none, and None where no
+        planner has been heard of.
         """
         for run, waiting in tuple(self._waiting.items()):
             waiting.in_a_goal |= bool(goals_run) and goals_run != run

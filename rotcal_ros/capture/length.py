@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
 from rotcal_ros.capture.attempt import (
     Attempt,
+    AttemptRejectedError,
     AttemptStreams,
     Wait,
     forgotten,
@@ -15,10 +18,17 @@ from rotcal_ros.capture.attempt import (
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import Stream
 from rotcal_ros.capture.table import arrival, departure, mean_angle, why_not_at_rest
-from rotcal_ros.capture.window import TracerStream, clock_jump, reduce_window
+from rotcal_ros.capture.window import SEQUENCE, TracerStream, reduce_window, sequence_steps
 from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.foundation.units import NANOSECOND
 
-_MEMORY = "samples of that time are no longer in memory: one stream is far behind the others"
+CLOCK_JUMP_S: Final = 0.5
+"""A pause this long between readings in a row is a jump of their clock, where it is also"""
+LONG_PAUSE: Final = 10.0
+"""so many times as long as they usually are apart."""
+_MEMORY: Final = (
+    "samples of that time are no longer in memory: one stream is far behind the others"
+)
 
 
 def decide_length(
@@ -29,15 +39,15 @@ def decide_length(
     The window is the first ``window_samples`` readings stamped at least ``settle_time_s`` after
     the table came to rest in position (not before the probe reached its target). When the table
     leaves its position before the window ends, the next rest counts. The window must end before
-    the deadline of the attempt.
+    the deadline of the attempt; raises AttemptRejectedError where there is none.
     """
     deadline = attempt.deadline_ns(settings)
     while True:
         start = _start(attempt, streams, settings, deadline)
-        if not isinstance(start, int):
+        if isinstance(start, Wait):
             return start
-        window = _window(attempt, streams, settings, deadline, start)
-        if not isinstance(window, tuple):
+        window = _window(streams.tracer, attempt, settings, deadline, start)
+        if isinstance(window, Wait):
             return window
         first, last = window
         end_ns = int(streams.tracer.stamps[last])
@@ -51,16 +61,16 @@ def decide_length(
 
 def _start(
     attempt: Attempt, streams: AttemptStreams, settings: CaptureSettings, deadline: int
-) -> int | Observation | Wait:
+) -> int | Wait:
     """Return the stamp of the table's arrival."""
     table, angle = streams.table, attempt.step.table_angle
     if forgotten(table, attempt.search_ns):
-        return attempt.rejection(f"table feedback: {_MEMORY}")
+        raise AttemptRejectedError(f"table feedback: {_MEMORY}")
     start = arrival(table, attempt.search_ns, angle, settings)
     if start is not None and start <= deadline:
         return start
     if table.knows(deadline):
-        return attempt.rejection(
+        raise AttemptRejectedError(
             why_not_at_rest(table, attempt.begin_ns, deadline, angle, settings)
         )
     if table.latest is not None:
@@ -70,31 +80,30 @@ def _start(
 
 
 def _window(
-    attempt: Attempt, streams: AttemptStreams, settings: CaptureSettings, deadline: int, start: int
-) -> tuple[int, int] | Observation | Wait:
+    tracer: TracerStream, attempt: Attempt, settings: CaptureSettings, deadline: int, start: int
+) -> tuple[int, int] | Wait:
     """Return the indices of the first and the last reading of the window."""
-    tracer = streams.tracer
     begin = start + nanoseconds(settings.settle_time_s)
     if forgotten(tracer, begin):
-        return attempt.rejection(f"tracer readings: {_MEMORY}")
+        raise AttemptRejectedError(f"tracer readings: {_MEMORY}")
     first = tracer.index(begin)
     last = first + settings.window_samples - 1
     if last < len(tracer.stamps) and tracer.stamps[last] <= deadline:
         return first, last
     if last >= len(tracer.stamps) and not tracer.knows(deadline):
         return Wait(tracer, begin, last + 1 - len(tracer.stamps), deadline)
-    return attempt.rejection(_too_few(attempt, tracer, settings, deadline, begin))
+    raise _too_few(attempt, tracer, settings, deadline, begin)
 
 
 def _too_few(
     attempt: Attempt, tracer: TracerStream, settings: CaptureSettings, deadline: int, begin: int
-) -> str:
-    """Say why there is no whole window from ``begin`` on, and what to change."""
+) -> AttemptRejectedError:
+    """Return that there is no whole window from ``begin`` on, and what to change."""
     first = tracer.index(begin)
-    found = max(0, tracer.index(deadline + 1) - first)
+    count = max(0, tracer.index(deadline + 1) - first)
     left_s = max(0.0, seconds(deadline - begin))
     reason = (
-        f"only {found} of {settings.window_samples} tracer readings in the {left_s:.3g} s that "
+        f"only {count} of {settings.window_samples} tracer readings in the {left_s:.3g} s that "
         "were left after settling"
     )
     pauses = np.diff(tracer.stamps[-settings.window_samples :])
@@ -104,12 +113,12 @@ def _too_few(
             f"; so many take {needed_s:.3g} s: a smaller capture.window_samples, or a longer "
             "capture.step_timeout_s and planner.step_timeout_s"
         )
-    if not found and first < len(tracer.stamps):
+    if not count and first < len(tracer.stamps):
         ahead = seconds(int(tracer.stamps[first]) - begin)
         reason += f"; the next is stamped {ahead:.3g} s after settling (another clock?)"
-    elif not found:
-        reason += _too_early(attempt, tracer, begin)
-    return reason
+    elif not count:
+        reason += _early_reading(attempt, tracer, begin)
+    return AttemptRejectedError(reason)
 
 
 def _observe(
@@ -120,8 +129,7 @@ def _observe(
     stamps, readings = tracer.stamps[first : last + 1], tracer.values[first : last + 1]
     begin_ns, end_ns = int(stamps[0]), int(stamps[-1])
     epoch, since_ns = streams.counted_from or (tracer.beam.epoch, attempt.begin_ns)
-    if jump := clock_jump(tracer, attempt.begin_ns, last):
-        return attempt.rejection(jump)
+    _refuse_clock_jump(tracer, attempt.begin_ns, last)
     return attempt.observation(
         reduce_window(stamps, readings, settings),
         n_samples=len(stamps),
@@ -132,18 +140,45 @@ def _observe(
     )
 
 
-def no_shot(attempt: Attempt, wait: Wait, lag_ns: int) -> str:
-    """Say that a single shot did not come."""
-    return (
+def _refuse_clock_jump(tracer: TracerStream, begin_ns: int, last: int) -> None:
+    """Raise where the tracer's clock was set ahead between ``begin_ns`` and the reading ``last``.
+
+    Of readings in a row, by their numbers, none may be stamped long behind the one before; those
+    of a single shot may.
+    """
+    if tracer.single_shot:
+        return
+    first = max(0, tracer.index(begin_ns) - 1)
+    pauses = np.diff(tracer.stamps[first : last + 1])
+    number = tracer.values[first : last + 1, SEQUENCE]
+    steps = sequence_steps(number[1:], number[0])
+    usual = float(np.median(pauses)) if len(pauses) else 0.0
+    limit = max(CLOCK_JUMP_S / NANOSECOND, LONG_PAUSE * usual)
+    at = np.flatnonzero((steps == 1) & (pauses > limit))
+    if len(at):
+        raise AttemptRejectedError(
+            "the stamps of the tracer readings jump ahead by "
+            f"{pauses[at[0]] * NANOSECOND:.3g} s from {int(number[at[0]])} to "
+            f"{int(number[at[0] + 1])}: their clock was set, "
+            "or the instrument stood still (one that always does: topics.length_single_shot)"
+        )
+
+
+def single_shot_missing(attempt: Attempt, wait: Wait, lag_ns: int) -> AttemptRejectedError:
+    """Return that a single shot did not come."""
+    return AttemptRejectedError(
         f"{wait.samples} tracer readings of the window have not come in {seconds(lag_ns):.3g} s: "
         "one for each order and step, taken at the earliest capture.settle_time_s after the table "
         "came to rest, or asked for by topics.length_trigger"
-        f"{_too_early(attempt, wait.stream, wait.stamp_ns)}"
+        f"{_early_reading(attempt, wait.stream, wait.stamp_ns)}"
     )
 
 
-def _too_early(attempt: Attempt, tracer: Stream, begin_ns: int) -> str:
-    """Say that a reading of this attempt came before it was settled; empty: none did."""
+def _early_reading(attempt: Attempt, tracer: Stream, begin_ns: int) -> str:
+    """Return a clause on the last reading of this attempt before it was settled, if there is one.
+
+    It ends the sentence about a window without readings.
+    """
     first = tracer.index(begin_ns)
     if not first or tracer.stamps[first - 1] <= attempt.begin_ns:
         return ""

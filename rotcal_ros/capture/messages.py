@@ -1,7 +1,8 @@
 """From messages to the records of rotcal_ros.foundation.observations: which field means what.
 
 The functions take any object whose attributes are the message's fields, be it made by rclpy
-or decoded from a bag, so that the live path and the replay build identical records.
+or decoded from a bag, so that the live path and the replay build identical records. An order comes
+as two messages, one for the table and one for the probe, which :class:`Orders` pairs.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from enum import IntEnum
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 from rotcal_ros.foundation.observations import (
     Approach,
@@ -42,14 +43,14 @@ def tracer_sample(message: Any) -> TracerSample:
         message.sequence,
         message.length,
         message.length_std,
-        _known(LengthStatus, message.status),
+        _member(LengthStatus, message.status),
     )
 
 
 def table_sample(message: Any, joint: str = "") -> TableSample | None:
     """Return the feedback of ``joint`` (empty: the first one); None when it is not there.
 
-    A drive that tells no velocity gives NaN, which the capture counts as not usable.
+    Without a velocity of the drive it is NaN, which the capture counts as not usable.
     """
     index = joint_index(message.name, joint)
     if index is None or index >= len(message.position):
@@ -59,11 +60,11 @@ def table_sample(message: Any, joint: str = "") -> TableSample | None:
 
 
 def joint_index(names: Iterable[str], joint: str) -> int | None:
-    """Return the place of ``joint`` among ``names``; empty means the first one."""
-    known = list(names)
+    """Return the index of ``joint`` among ``names``; empty means the first one."""
+    listed = list(names)
     if not joint:
-        return 0 if known else None
-    return known.index(joint) if joint in known else None
+        return 0 if listed else None
+    return listed.index(joint) if joint in listed else None
 
 
 def probe_sample(message: Any) -> ProbeSample:
@@ -73,7 +74,7 @@ def probe_sample(message: Any) -> ProbeSample:
         sequence=message.sequence,
         step=message.step,
         attempt=message.attempt,
-        kind=_known(PointKind, message.kind),
+        kind=_member(PointKind, message.kind),
         target=message.target,
         station=message.station,
         point=message.point,
@@ -110,8 +111,8 @@ def command(table: Any, probe: Any) -> Command:
         step=table.step,
         attempt=table.attempt,
         table_angle=table.angle,
-        approach=_known(Approach, table.approach),
-        kind=_known(PointKind, probe.kind),
+        approach=_member(Approach, table.approach),
+        kind=_member(PointKind, probe.kind),
         target=probe.target,
         position=_point(probe.position),
         station=probe.station,
@@ -127,7 +128,7 @@ def observation(message: Any) -> Observation:
         table_angle=message.table_angle,
         target=message.target,
         station=message.station,
-        kind=_known(PointKind, message.kind),
+        kind=_member(PointKind, message.kind),
         mean=_floats(message.mean),
         std=_floats(message.std),
         scatter=_floats(message.scatter),
@@ -154,17 +155,18 @@ def static_frames(message: Any) -> tuple[StaticFrame, ...]:
             str(each.header.frame_id),
             str(each.child_frame_id),
             _point(getattr(each.transform.translation, axis) for axis in "xyz"),
-            _turn(each.transform.rotation),
+            _quaternion(each.transform.rotation),
         )
         for each in message.transforms
     )
 
 
-def _turn(rotation: Any) -> tuple[float, float, float, float]:
+def _quaternion(rotation: Any) -> tuple[float, float, float, float]:
     return float(rotation.x), float(rotation.y), float(rotation.z), float(rotation.w)
 
 
-def _known(kind: type[E], number: int) -> E:
+def _member(kind: type[E], number: int) -> E:
+    """Return a member of an enumeration; its UNKNOWN, always 0, for a number without one."""
     try:
         return kind(number)
     except ValueError:
@@ -172,7 +174,7 @@ def _known(kind: type[E], number: int) -> E:
 
 
 def _number(value: float) -> float | None:
-    """Return a number of a message, in which NaN says that there is none."""
+    """Return a number of a message, in which NaN means that there is none."""
     return None if math.isnan(value) else value
 
 
@@ -183,3 +185,44 @@ def _floats(values: Iterable[Any]) -> tuple[float, ...]:
 def _point(values: Iterable[Any]) -> Point:
     x, y, z = values
     return float(x), float(y), float(z)
+
+
+WAITING_LIMIT: Final = 64
+"""Messages that wait for their partner at most; beyond that the oldest is forgotten."""
+
+
+class Orders:
+    """Pairs the messages of an order by step and attempt, whichever comes first.
+
+    A message that comes again before its partner replaces the earlier one. ``stamp_ns`` is the
+    stamp of the latest order that was complete.
+    """
+
+    def __init__(self) -> None:
+        self.stamp_ns = 0
+        self._waiting: dict[tuple[int, int], tuple[Any, Any]] = {}
+
+    def table_angle(self, message: Any) -> Command | None:
+        """Take a rotcal_msgs/TableAngle; return the order when it is complete."""
+        return self._pair(message, table=message)
+
+    def probe_target(self, message: Any) -> Command | None:
+        """Take a rotcal_msgs/ProbeTarget; return the order when it is complete."""
+        return self._pair(message, probe=message)
+
+    def clear(self) -> None:
+        """Forget what waits for its partner."""
+        self._waiting.clear()
+
+    def _pair(self, message: Any, table: Any = None, probe: Any = None) -> Command | None:
+        key = (message.step, message.attempt)
+        earlier_table, earlier_probe = self._waiting.pop(key, (None, None))
+        table = earlier_table if table is None else table
+        probe = earlier_probe if probe is None else probe
+        if table is not None and probe is not None:
+            self.stamp_ns = max(stamp_ns(table.header.stamp), stamp_ns(probe.header.stamp))
+            return command(table, probe)
+        self._waiting[key] = (table, probe)
+        if len(self._waiting) > WAITING_LIMIT:
+            del self._waiting[next(iter(self._waiting))]
+        return None

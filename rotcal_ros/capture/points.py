@@ -10,13 +10,14 @@ import numpy as np
 
 from rotcal_ros.capture.attempt import (
     Attempt,
+    AttemptRejectedError,
     AttemptStreams,
+    Decide,
     Wait,
     forgotten,
     nanoseconds,
     seconds,
 )
-from rotcal_ros.capture.rules import Decide
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.table import departure, farthest, mean_angle
 from rotcal_ros.capture.window import ReducedWindow, mean_and_scatter
@@ -33,10 +34,9 @@ def decide_points(
 ) -> Observation | Wait:
     """Return the observation of a step that only the probe measures, or what is needed.
 
-    ``reduce`` makes one value of the points.
-
-    All ``n_points`` points must come before the deadline, with the table at rest in position
-    from the first point to the last.
+    ``reduce`` makes one value of the points. All ``n_points`` of them must come before the
+    deadline, with the table at rest in position from the first point to the last; raises
+    AttemptRejectedError where they did not come, or are no longer known.
     """
     wanted, samples, table = attempt.step.n_points, attempt.samples, streams.table
     deadline = attempt.deadline_ns(settings)
@@ -44,7 +44,7 @@ def decide_points(
     if len(samples) < wanted and attempt.superseded_ns is None and not table.knows(patience):
         return Wait(table, patience)
     if len(samples) < wanted or samples[-1].stamp_ns > deadline:
-        return attempt.rejection(
+        raise AttemptRejectedError(
             f"only {len(samples)} of {wanted} probe points within "
             f"{seconds(deadline - attempt.begin_ns):.3g} s"
         )
@@ -52,7 +52,7 @@ def decide_points(
     if not table.knows(end_ns):
         return Wait(table, end_ns)
     if forgotten(table, begin_ns):
-        return attempt.rejection("table feedback at the time of the points is not in memory")
+        raise AttemptRejectedError("table feedback at the time of the points is not in memory")
     angle = attempt.step.table_angle
     reduced = reduce(samples, attempt.step, settings)
     if departure(table, begin_ns, end_ns, angle, settings) is not None:

@@ -1,19 +1,21 @@
-"""Why attempts were rejected: which reason is the commonest, what is worth a line just now."""
+"""Why attempts were rejected: the commonest reason, which to log now, and when to give up."""
 
 from __future__ import annotations
 
 import re
 from collections import Counter, deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
+from rotcal_ros.capture.window import BEAM_BROKEN
+from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Observation, place_in_words
 
 ALARM_AFTER: Final = 3
-"""Attempts rejected running from which on it is an alarm, no more a mere concern."""
+"""This many attempts rejected in a row are an alarm, fewer a warning."""
 REPEATED_S: Final = 10.0
-"""A kind of reason that has a line gets its next one after this time."""
+"""A kind of reason is logged again after this time at the earliest."""
 _REMEMBERED: Final = 1000
 _NUMBER: Final = re.compile(r"-?\b\d+(\.\d+)?(e[-+]?\d+)?")
 
@@ -57,20 +59,20 @@ class Rejections:
     _told_s: dict[str, float] = field(default_factory=dict)
     _untold: Counter[str] = field(default_factory=Counter)
 
-    def note(self, observation: Observation, now_s: float) -> str:
-        """Take an observation; return the line that it is worth, empty: none.
+    def note(self, observation: Observation, now_s: float) -> str | None:
+        """Take an observation; return a line for the log, if it is worth one.
 
         A new kind of reason is worth one at once, the same kind again only now and then.
         """
         if observation.accepted:
             self.running.clear()
-            return ""
+            return None
         reason = observation.reason
         self.running.append(reason)
         kind = kind_of(reason)
         if now_s - self._told_s.get(kind, float("-inf")) < REPEATED_S:
             self._untold[kind] += 1
-            return ""
+            return None
         self._told_s[kind] = now_s
         more = self._untold.pop(kind, 0)
         since = f" (and {more} more like this since the last line)" if more else ""
@@ -79,13 +81,57 @@ class Rejections:
 
     @property
     def alarming(self) -> bool:
-        """Whether so many running were rejected that nothing may come at all."""
+        """Whether so many were rejected in a row that all may be."""
         return len(self.running) >= ALARM_AFTER
 
-    def in_words(self) -> str:
-        """Return what was rejected running; empty: the last attempt was accepted."""
-        found = Commonest.of(self.running)
-        if found is None:
-            return ""
-        attempts = f"{found.total} attempts" if found.total > 1 else "an attempt"
-        return f"{attempts} rejected running, {found.in_words()}"
+    def in_words(self) -> str | None:
+        """Return what was rejected since the last accepted attempt."""
+        commonest = Commonest.of(self.running)
+        if commonest is None:
+            return None
+        attempts = f"{commonest.total} attempts" if commonest.total > 1 else "an attempt"
+        return f"{attempts} rejected running, {commonest.in_words()}"
+
+
+HIDDEN: Final = 10
+"""This many times the limit of steps may fail running because something stands in the beam: a
+fixture hides a row of targets, and the rest of the plan is worth measuring."""
+
+
+class TooManyFailedError(DataError):
+    """So many steps failed running that a calibration is given up."""
+
+
+@dataclass
+class FailedSteps:
+    """Counts the steps that failed running, all attempts used up; ``limit`` 0: never give up."""
+
+    limit: int
+    _steps: list[tuple[int, tuple[str, ...]]] = field(default_factory=list)
+
+    def note(self, step: int, reasons: Sequence[str]) -> None:
+        """Take the end of a step: why its attempts were rejected; none when it was captured."""
+        if reasons:
+            self._steps.append((step, tuple(reasons)))
+        else:
+            self._steps.clear()
+
+    def check(self) -> None:
+        """Raise TooManyFailedError where the calibration is to be given up."""
+        hidden = [step for step, reasons in self._steps if all(map(_in_the_beam, reasons))]
+        failed = len(self._steps)
+        if not self.limit or max(failed - len(hidden), failed / HIDDEN) < self.limit:
+            return
+        commonest = Commonest.of(r for _, reasons in self._steps for r in reasons)
+        assert commonest is not None
+        steps = f"{failed} steps running" if failed > 1 else "a step"
+        raise TooManyFailedError(
+            f"given up: {steps} failed; of their attempts {commonest.in_words()}. Put that right, "
+            "then go on with 'rotcal run --resume', which measures these steps again "
+            f"(planner.max_failed_steps = {self.limit} says how many may fail running)"
+        )
+
+
+def _in_the_beam(reason: str) -> bool:
+    """Return whether an attempt was rejected because something stood in the beam."""
+    return BEAM_BROKEN in reason

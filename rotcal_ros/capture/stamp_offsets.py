@@ -1,8 +1,8 @@
-"""Clocks of instruments that differ: stamps held against the times at which they arrive.
+"""Clocks of instruments that differ: stamps are compared with the times of arrival.
 
-The streams of one clock arrive alike: that one is always so much later than the other is an
-offset of their clocks (or a delay as long, which spoils as much). Stamps that do not run at the
-pace of arrival, as those of a simulation in fast motion, are not judged.
+Streams stamped by one clock arrive equally late: a constant difference is an offset of their
+clocks (or a delay as long, which does the same harm). Stamps that do not run at the pace of
+arrival, as those of an accelerated simulation, are not judged.
 """
 
 from __future__ import annotations
@@ -21,22 +21,23 @@ from rotcal_ros.foundation.units import NANOSECOND
 
 LENGTHS: Final = "tracer_length"
 REFERENCE: Final = "joint_states"
-"""The stream that the others are held against: it never pauses."""
+"""The stream that the others are compared with: it never pauses."""
 _OPENING: Final = "by the times of arrival the stamps of "
-"""How the reason begins for which clocks that differ reject an observation."""
+"""How the reason begins with which an observation is rejected because clocks differ."""
 _OWNERS: Final = {"tracer_length": "length", "joint_states": "table", "probe_point": "probe"}
 """How the settings of a stream's clock begin, in the group ``topics``."""
 _BUCKET_NS: Final = 250_000_000
 _BUCKETS: Final = 3
-"""An offset is known when it is the same in so many intervals running."""
+"""An offset is known when it is the same in this many intervals in a row."""
 _SPREAD_NS: Final = 200_000_000
+"""Offsets that differ by less are the same."""
 _EVENTS: Final = 4
-"""Of a stream that comes now and then, so many messages must agree."""
+"""Of a stream that comes now and then, this many messages must agree."""
 DOUBT_S: Final = 0.2
-"""So much is told, though nothing is rejected for it, when it lasts for ``_LASTING`` intervals."""
+"""An offset reported, though nothing is rejected for it, when it lasts ``_LASTING`` intervals."""
 _LASTING: Final = 8
 _NEWEST: Final = _LASTING + 1
-"""So many intervals of many messages matter."""
+"""Of many messages at once, those of this many intervals matter."""
 _Far = tuple[str, int, int | None]
 """A stream, by how much it is ahead of the reference, and that of its arrival, ns."""
 
@@ -87,8 +88,8 @@ class StampOffsets:
             self._keep(stream, bucket, int(ahead.max()))
             self._keep_event(stream, bucket, int(ahead[0]))
 
-    def in_words(self) -> str:
-        """Return which stream differs from the table's by how much; empty: none is known to."""
+    def reason_to_reject(self) -> str | None:
+        """Return which stream differs from the table's by how much, if by more than allowed."""
         if far := self._far(self.limits.at_once_s, _BUCKETS, _BUCKETS):
             return (
                 f"{_OPENING}{_constantly(far, 1)}, allowed {self.limits.at_once_s:g} s "
@@ -101,19 +102,19 @@ class StampOffsets:
                 "be of the motion before; two clocks, or feedback that comes late (a longer time "
                 f"outlasts it){self._advice(*far)}"
             )
-        return ""
+        return None
 
-    def doubt_in_words(self) -> str:
-        """Return which stream differs by more than ``DOUBT_S`` and is accepted; empty: none."""
-        if self._offset_ns(REFERENCE, _LASTING) is None or self.in_words():
-            return ""
+    def doubt(self) -> str | None:
+        """Return which stream differs by more than ``DOUBT_S``, though nothing is rejected."""
+        if self._offset_ns(REFERENCE, _LASTING) is None or self.reason_to_reject():
+            return None
         if far := self._far(DOUBT_S, _LASTING, _EVENTS):
             return (
                 f"stamps of {_constantly(far, 2)} by the times of arrival: a clock is off, or a "
                 "stream comes late; nothing is rejected for so little, but it may be of another "
                 f"moment than it seems{self._advice(*far)}"
             )
-        return ""
+        return None
 
     def compared(self) -> tuple[str, ...]:
         """Return the streams of which it is known how far they are from the table's."""
@@ -151,33 +152,35 @@ class StampOffsets:
 
     def judged(self, observation: Observation) -> Observation:
         """Return an observation, rejected where the clocks of its streams differ."""
-        return rejected_for(self.in_words(), observation)
+        return rejected_for(self.reason_to_reject(), observation)
 
     def _advice(self, stream: str, difference_ns: int, reference_ns: int | None) -> str:
-        """Say whose clock it is, as far as that is known, and what to do."""
-        far, off_ns, which = stream, difference_ns, ""
+        """Return whose clock it is, as far as that is known, and what to do."""
+        far, sign, text = stream, 1.0, ""
         if reference_ns is not None:
-            own_ns = difference_ns + reference_ns
-            if abs(own_ns) <= abs(reference_ns):
-                far, off_ns = REFERENCE, -difference_ns
-            which = f"; it is {far} whose stamps are not the time of arrival"
+            arrival_ns = difference_ns + reference_ns  # stamps of the stream - times of arrival
+            if abs(arrival_ns) <= abs(reference_ns):
+                far, sign = REFERENCE, -1.0
+            text = f"; it is {far} whose stamps are not the time of arrival"
         owner = _OWNERS.get(far, "length")
-        return (
-            f"{which}; where it stays so, add {off_ns * NANOSECOND:.2f} to "
-            f"topics.{owner}_clock_offset_s{self._drift(stream, difference_ns, far)}"
+        text += (
+            f"; where it stays so, add {sign * difference_ns * NANOSECOND:.2f} to "
+            f"topics.{owner}_clock_offset_s"
         )
+        if (drift := self._drift(stream, difference_ns)) is not None:
+            text += (
+                f"; but it drifts, by {1e3 * sign * drift:+.3g} ms in a second: take the times of "
+                f"sending (topics.{owner}_clock: sent)"
+            )
+        return text
 
-    def _drift(self, stream: str, difference_ns: int, far: str) -> str:
-        """Say at what rate the clock of ``far`` drifts, and what to do; empty: it does not."""
+    def _drift(self, stream: str, difference_ns: int) -> float | None:
+        """Return the drift (s/s) of the clock of ``stream`` against the table's, if it is sure."""
         bucket, first_ns = self._first.get(stream, (0, difference_ns))
         seconds = (max(self._ahead[stream]) - bucket) * _BUCKET_NS * NANOSECOND
         if abs(difference_ns - first_ns) < _SPREAD_NS or seconds <= 0.0:
-            return ""
-        rate = (difference_ns - first_ns) * NANOSECOND / seconds * (-1.0 if far != stream else 1.0)
-        return (
-            f"; but it drifts, by {1e3 * rate:+.3g} ms in a second: take the times of sending "
-            f"(topics.{_OWNERS.get(far, 'length')}_clock: sent)"
-        )
+            return None
+        return (difference_ns - first_ns) * NANOSECOND / seconds
 
     def _keep_event(self, stream: str, bucket: int, ahead_ns: int) -> None:
         """Keep the first message of an interval, for a stream that comes now and then."""
@@ -191,10 +194,10 @@ class StampOffsets:
                 del events[next(iter(events))]
 
     def _keep(self, stream: str, bucket: int, ahead_ns: int) -> None:
-        known = self._ahead.setdefault(stream, {})
-        known[bucket] = max(ahead_ns, known.get(bucket, ahead_ns))
-        for old in [b for b in known if b < bucket - _LASTING]:
-            del known[old]
+        ahead = self._ahead.setdefault(stream, {})
+        ahead[bucket] = max(ahead_ns, ahead.get(bucket, ahead_ns))
+        for old in [b for b in ahead if b < bucket - _LASTING]:
+            del ahead[old]
 
     def _offset_ns(self, stream: str, intervals: int = _BUCKETS) -> int | None:
         """Return how far the stamps of a stream are ahead of their arrival; None: not constant."""
@@ -208,8 +211,8 @@ class StampOffsets:
         return _agreed([known[bucket] for bucket in wanted])
 
 
-def rejected_for(reason: str, observation: Observation) -> Observation:
-    """Return an observation, rejected where there is a ``reason``; its own one stays."""
+def rejected_for(reason: str | None, observation: Observation) -> Observation:
+    """Return an observation, rejected where there is a ``reason``; one of its own stays."""
     if not reason or not observation.accepted:
         return observation
     return replace(observation, accepted=False, reason=reason)

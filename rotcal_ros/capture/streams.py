@@ -15,10 +15,12 @@ CAPACITY = 1 << 17
 """Samples that a stream remembers at least: two minutes of a 1 kHz stream."""
 
 _NEW_CLOCK_AFTER = 10
-"""Samples in a row beyond the tolerance: the stream had paused; before the latest: set back,"""
+"""This many samples in a row beyond the tolerance mean that the stream had paused; this many
+behind the latest one, that its clock was set back,"""
 _SET_BACK_AFTER_NS = 100_000_000
-"""when they span so much time."""
+"""where they span this much time."""
 _STAGE = 4096
+"""Samples that are staged at most before a decision is made."""
 NEVER = 1 << 63
 
 Sample = tuple[int, Floats]
@@ -31,9 +33,9 @@ class StreamCounts:
 
     ``lost`` counts the samples missing according to the sequence numbers, ``out_of_order``
     sequence numbers going backwards (two publishers?). Samples that are ``duplicates``, stamped
-    ``backwards`` or by a ``foreign_clock`` are dropped; ``contradicting`` are those of them that
-    say something else for the same moment, or order. ``set_back`` is how often the clock was.
-    Commands are ``unanswered`` when the next one came before any probe sample echoed them.
+    ``backwards`` or by a ``foreign_clock`` are dropped; ``contradicting`` are those of them with
+    other values for the same stamp, or order. ``set_back`` counts how often the clock was set
+    back. Commands are ``unanswered`` when the next one came before any probe sample echoed them.
     """
 
     received: int = 0
@@ -60,20 +62,20 @@ class Stream:
     takes arrays. Both ways end in the same state. A stamp that does not ascend is dropped; so
     is one that jumps ahead by more than the clock tolerance, unless ten in a row do (then the
     stream had paused). When ten in a row ascend behind the latest one, over 0.1 s, the clock
-    was set back: the stream begins anew with them, and what it remembered is forgotten. A
-    ``single_shot`` stream comes now and then, one sample or a burst: no pause is too long.
+    was set back: the stream begins anew with them, and the earlier ones are forgotten. A
+    ``single_shot`` stream sends now and then, one sample or a burst: no pause is too long.
     """
 
     def __init__(self, width: int, clock_tolerance_ns: int, *, single_shot: bool = False) -> None:
         self.single_shot = single_shot
         self.counts = StreamCounts()
         self.latest: int | None = None
-        self.forgotten: int | None = None  # stamp of the newest sample that memory let go
-        self.wake_ns = NEVER  # a staged stamp from here on is worth a new decision
-        self.wake_samples = 1  # once so many are staged,
-        self.wake_latest_ns = NEVER  # and from this stamp on in any case
+        self.forgotten: int | None = None  # stamp of the newest sample no longer in memory
+        # A new decision is due at a staged stamp from wake_ns on, once wake_samples are staged;
+        # from wake_latest_ns on in any case.
+        self.wake_ns, self.wake_samples, self.wake_latest_ns = NEVER, 1, NEVER
         self._tolerance_ns = NEVER if single_shot else clock_tolerance_ns
-        self.set_back_ns = 0  # how far the clock was set back when it was last,
+        self.set_back_ns = 0  # how far the clock was set back the last time,
         self.set_back_at: int | None = None  # and the latest stamp before that
         self._ahead = 0
         self._behind: list[Sample] = []
@@ -152,7 +154,7 @@ class Stream:
         return list(zip(self.stamps.tolist(), self.values, strict=True))
 
     def take_behind(self) -> list[Sample]:
-        """Return what has ascended behind the latest sample, which then counts as good."""
+        """Return the samples that ascended behind the latest one; they then count as good."""
         taken, self._behind = self._behind, []
         self.counts.backwards -= len(taken)
         return taken
@@ -189,7 +191,7 @@ class Stream:
             stamps, values = self._begin_anew(stamps[taken:], values[taken:])
 
     def _begin_anew(self, stamps: Stamps, values: Floats) -> tuple[Stamps, Floats]:
-        """Forget what was before the clock was set back; return what has come since."""
+        """Forget the samples before the clock was set back; return those that came since."""
         assert self.latest is not None
         self.counts.set_back += 1
         behind = self.take_behind()
@@ -206,9 +208,9 @@ class Stream:
         return values
 
     def _in_order(self, stamps: Stamps, values: Floats) -> tuple[NDArray[np.intp] | None, int]:
-        """Return the indices of the samples to keep, None: all, and how many were looked at.
+        """Return the indices of the samples to keep, None: all, and how many were examined.
 
-        It stops where the clock is found to have been set back.
+        It stops where the clock turns out to have been set back.
         """
         first = int(stamps[0]) - 1 if self.latest is None else self.latest
         steps = steps_from(first, stamps)
@@ -245,7 +247,7 @@ class Stream:
         return self._is_set_back()
 
     def _is_set_back(self) -> bool:
-        """Return whether the samples behind the latest are no belated ones, but a clock's."""
+        """Return whether the samples behind the latest are not late, but of a clock set back."""
         if len(self._behind) < _NEW_CLOCK_AFTER:
             return False
         return self._behind[-1][0] - self._behind[0][0] >= _SET_BACK_AFTER_NS
@@ -258,7 +260,7 @@ class Stream:
         return self._ahead > 0
 
     def _append(self, stamps: Stamps, values: Floats) -> None:
-        """Remember samples; what exceeds the memory is forgotten, the oldest first."""
+        """Remember samples; beyond the capacity the oldest are forgotten."""
         size = self._size + len(stamps)
         if size > 2 * CAPACITY:
             self._forget(size - CAPACITY)
@@ -272,7 +274,7 @@ class Stream:
         self._size = size
 
     def _forget(self, count: int) -> None:
-        """Let the ``count`` oldest samples go."""
+        """Forget the ``count`` oldest samples."""
         self.forgotten = int(self._stamps[count - 1])
         self._size -= count
         self._stamps[: self._size] = self._stamps[count : count + self._size]

@@ -18,13 +18,15 @@ ANGLE, VELOCITY = range(2)
 """Columns of the table stream, rad and rad/s."""
 
 STANDING_NS: Final = 1_000_000_000
-"""So long a feedback that is wrong by its unit has to last before it is called hopeless."""
-_SAME = 0.05 * DEGREE  # a table this close to its angle is there, in the unit in question
-_CHUNK = 512  # arrivals are found soon or not at all
+"""A feedback in a wrong unit must last this long before it is called hopeless."""
+_SAME: Final = 0.05 * DEGREE
+"""A table this close to its angle has arrived, in the unit in question."""
+_CHUNK: Final = 512
+"""Feedbacks examined at a time: an arrival is usually among the first."""
 
 
 def offset(angles: Floats, commanded: float) -> Floats:
-    """Return measured - commanded angle, in [-pi, pi]: full turns do not count."""
+    """Return measured - commanded angle, in [-pi, pi]: full turns are left out."""
     difference = angles - commanded
     centred: Floats = difference - 2 * pi * np.round(difference / (2 * pi))
     return centred
@@ -88,7 +90,7 @@ def farthest(table: Stream, begin_ns: int, end_ns: int, commanded: float) -> flo
 def why_not_at_rest(
     table: Stream, begin_ns: int, end_ns: int, commanded: float, settings: CaptureSettings
 ) -> str:
-    """Say in words and numbers how far the table was off between two stamps."""
+    """Return in words and numbers how far the table was off between two stamps."""
     first, last = table.index(begin_ns), table.index(end_ns + 1)
     limit = (end_ns - begin_ns) * NANOSECOND
     if first == last:
@@ -112,50 +114,56 @@ def why_not_at_rest(
     )
 
 
-def wrongly_told(table: Stream, since_ns: int, commanded: float, had_velocity: bool) -> str:
-    """Say why nothing will ever be measured with this feedback; empty: nothing is known.
+def lasting_feedback_fault(
+    table: Stream, since_ns: int, commanded: float, had_velocity: bool
+) -> str | None:
+    """Return why nothing will ever be measured with this feedback, if that is certain.
 
-    It has said so for :data:`STANDING_NS`, from ``since_ns`` on at the earliest. One that
-    ``had_velocity`` before lacks it for a while, as while a joint has not begun to obey.
+    The fault must have lasted for :data:`STANDING_NS`, from ``since_ns`` on at the earliest. A
+    feedback that ``had_velocity`` before may lack it for a while, until the joint begins to obey.
     """
     if table.latest is None or table.latest - since_ns < STANDING_NS:
-        return ""
+        return None
     rows = table.values[table.index(table.latest - STANDING_NS) :]
     if had_velocity and np.isnan(rows[-1, VELOCITY]):
-        return ""
-    found = [_wrongly_told(a, v, commanded) for a, v in (rows[0].tolist(), rows[-1].tolist())]
+        return None
+    ends = (rows[0].tolist(), rows[-1].tolist())
+    first, last = (_feedback_fault(angle, velocity, commanded) for angle, velocity in ends)
     near = np.abs(offset(rows[:, ANGLE], commanded)) <= _SAME
-    if not all(found) or (near.any() and not np.isnan(rows[-1, VELOCITY])):
-        return ""
-    return found[-1].removeprefix("; ")
+    if first is None or (near.any() and not np.isnan(rows[-1, VELOCITY])):
+        return None
+    return last
 
 
 def off_in_words(
     angle: float, velocity: float, commanded: float, settings: CaptureSettings
 ) -> str:
-    """Say how far (rad, rad/s) the last feedback is off the commanded angle, and what is wrong."""
+    """Return how far (rad, rad/s) the last feedback is off its order, and what is wrong."""
     off = float(offset(np.array([angle]), commanded)[0])
+    fault = _feedback_fault(angle, velocity, commanded)
     return (
         f"the last feedback is {off / ARCSEC:.4g} arcsec off the commanded "
         f"{commanded / DEGREE:.4f} deg (allowed {settings.position_tolerance_arcsec:g}) at "
         f"{velocity / DEGREE:.3g} deg/s (allowed {settings.velocity_tolerance_deg_s:g})"
-        f"{_wrongly_told(angle, velocity, commanded)}"
+        f"{'' if fault is None else f'; {fault}'}"
     )
 
 
-def _wrongly_told(angle: float, velocity: float, commanded: float) -> str:
-    """Say what a feedback that is never in position has wrong by itself; empty: nothing."""
+def _feedback_fault(angle: float, velocity: float, commanded: float) -> str | None:
+    """Return what is wrong with a feedback by itself, so that it is never in position."""
     if isnan(velocity):
-        return f"; the feedback has no velocity: {PUBLISH_VELOCITY}"
+        return f"the feedback has no velocity: {PUBLISH_VELOCITY}"
     if in_degrees(angle, commanded):
         return (
-            f"; it says {angle:.6g} where {commanded:.6g} rad = {commanded / DEGREE:.6g} deg was "
+            f"it says {angle:.6g} where {commanded:.6g} rad = {commanded / DEGREE:.6g} deg was "
             "commanded: degrees? Publish radians, or say topics.angle_unit: deg"
         )
+    # A settings file with angle_unit: deg for a drive that publishes radians: the number before
+    # the conversion is the commanded angle.
     angle_deg = angle / DEGREE
     same = abs(remainder(angle_deg - commanded, 2.0 * pi)) <= _SAME
     if same and abs(angle - commanded) > DEGREE:
         return (
-            f"; in position if its {angle_deg:.6g} are radians, not degrees: see topics.angle_unit"
+            f"in position if its {angle_deg:.6g} are radians, not degrees: see topics.angle_unit"
         )
-    return ""
+    return None

@@ -15,17 +15,13 @@ from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import Stream
 from rotcal_ros.foundation.arrays import Floats, Ints, Stamps, steps_from
 from rotcal_ros.foundation.observations import LengthStatus
-from rotcal_ros.foundation.units import MICROMETRE, NANOSECOND
+from rotcal_ros.foundation.units import MICROMETRE
 
 SEQUENCE, LENGTH, STATUS = range(3)
 """Columns of the tracer stream; the last one holds the :class:`ReadingFault` once admitted."""
 
-CLOCK_JUMP_S = 0.5
-"""A pause this long between readings in a row is a jump of their clock, where it is also"""
-LONG_PAUSE = 10.0
-"""so many times as long as they usually are apart."""
-
-_MAD_TO_STD = 1.4826  # of a normal distribution
+_MAD_TO_STD = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
 
 BEAM_BROKEN: Final = "beam broken"
 """What a reason says when something stood in the beam."""
@@ -60,13 +56,13 @@ _STATUS_FAULT = {
 
 @dataclass(frozen=True, slots=True)
 class ReducedWindow:
-    """Numbers of a window, empty where there are none, and the ``reason`` for a rejection."""
+    """Numbers of a window, empty where there are none, and the ``reason`` to reject it, if any."""
 
     mean: tuple[float, ...] = ()
     std: tuple[float, ...] = ()
     scatter: tuple[float, ...] = ()
     n_used: int = 0
-    reason: str = ""
+    reason: str | None = None
 
 
 class TracerStream(Stream):
@@ -157,30 +153,6 @@ def reduce_window(stamps: Stamps, readings: Floats, settings: CaptureSettings) -
     )
 
 
-def clock_jump(tracer: TracerStream, begin_ns: int, last: int) -> str:
-    """Say where the clock was set ahead between ``begin_ns`` and the reading ``last``; empty: not.
-
-    Of readings in a row, by their numbers, none may be stamped long behind the one before; those
-    of a single shot may.
-    """
-    if tracer.single_shot:
-        return ""
-    first = max(0, tracer.index(begin_ns) - 1)
-    pauses = np.diff(tracer.stamps[first : last + 1])
-    number = tracer.values[first : last + 1, SEQUENCE]
-    steps = sequence_steps(number[1:], number[0])
-    usual = float(np.median(pauses)) if len(pauses) else 0.0
-    limit = max(CLOCK_JUMP_S / NANOSECOND, LONG_PAUSE * usual)
-    at = np.flatnonzero((steps == 1) & (pauses > limit))
-    if not len(at):
-        return ""
-    return (
-        f"the stamps of the tracer readings jump ahead by {pauses[at[0]] * NANOSECOND:.3g} s from "
-        f"{int(number[at[0]])} to {int(number[at[0] + 1])}: their clock was set, "
-        "or the instrument stood still (one that always does: topics.length_single_shot)"
-    )
-
-
 def mean_and_scatter(values: Floats) -> tuple[float, float]:
     """Return mean and standard deviation of one of the ``values`` (n,), n >= 2."""
     mean = fsum(values) / len(values)
@@ -205,13 +177,14 @@ def _drift(stamps: Stamps, length: Floats, mean: float) -> float:
     return float(fsum(time * (length - mean)) / fsum(time * time) * (time[-1] - time[0]))
 
 
-def _gap(sequence: Floats) -> str:
-    """Say which readings are missing inside a window; empty: none."""
+def _gap(sequence: Floats) -> str | None:
+    """Return as a reason which readings are missing inside a window."""
     steps = sequence_steps(sequence[1:], sequence[0])
     at = np.flatnonzero(steps != 1)
     if not len(at):
-        return ""
+        return None
     before, after = int(sequence[at[0]]), int(sequence[at[0] + 1])
+    # Modulo 2^32, a number in the upper half is a step back.
     if (steps[at] >= WRAP // 2).any() or (steps[at] == 0).any():
         return (
             f"tracer sequence goes from {before} to {after} in the window; expected {before + 1}"
@@ -237,8 +210,8 @@ def _too_few(faults: Ints, length: Floats, settings: CaptureSettings) -> str:
     return text
 
 
-def _unrest(scatter: float, drift: float, settings: CaptureSettings) -> str:
-    """Say why a window is not stable; empty: it is."""
+def _unrest(scatter: float, drift: float, settings: CaptureSettings) -> str | None:
+    """Return as a reason how a window is not stable."""
     if scatter > settings.max_std_m:
         return (
             f"unstable: standard deviation {scatter / MICROMETRE:.3g} um of the readings, "
@@ -249,4 +222,4 @@ def _unrest(scatter: float, drift: float, settings: CaptureSettings) -> str:
             f"drifting: {drift / MICROMETRE:+.3g} um over the window, "
             f"allowed {settings.max_drift_m / MICROMETRE:g} um"
         )
-    return ""
+    return None

@@ -1,4 +1,4 @@
-"""``rotcal bag``: describe, check and repair recorded bags.
+"""``rotcal bag``: describe, check, repair and convert recorded bags.
 
 ``--set reading.NAME=VALUE``: limits of what reading a bag may take.
 """
@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotcal_ros.bags.reading_limits import ReadingLimits, changed_limits
-from rotcal_ros.cli.bag_parquet import command as parquet
+from rotcal_ros.bags.settings import ReadingLimits, changed_limits
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.foundation.circumstances import NOTHING_MEASURED
+from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.report.terminal.console import progress, say, tell
 
 if TYPE_CHECKING:
-    from rotcal_ros.recordings.placed_dropouts import PlacedDropout
+    from rotcal_ros.recordings.missing_data import PlacedDropout
 
 
 def _limits(
@@ -42,9 +42,6 @@ limits_option = click.option(
 @click.group()
 def command() -> None:
     """Check, repair and describe recorded bags."""
-
-
-command.add_command(parquet)
 
 
 @command.command()
@@ -76,15 +73,19 @@ def check(bag: Path, limits: ReadingLimits, as_json: bool) -> int:
     and where metadata.yaml is wrong. The exit code is 0 when all is in order, 1 otherwise.
     """
     from rotcal_ros.bags.reader import bag_files, check_files
-    from rotcal_ros.bags.session_identity import foreign_files
+    from rotcal_ros.bags.session_identity import require_one_session
     from rotcal_ros.bags.session_verdict import judge_session
-    from rotcal_ros.recordings.placed_dropouts import placed_in
+    from rotcal_ros.recordings.missing_data import placed_in
 
     files = bag_files(bag)
     with progress("checking") as shown:
         verdicts = check_files(files, shown, limits)
     session = judge_session(bag, verdicts)
-    mixed = foreign_files(files, limits)
+    mixed = ""
+    try:
+        require_one_session(files, limits)
+    except BagError as error:
+        mixed = str(error)
     dropouts = placed_in(verdicts, limits)
     if as_json:
         print_json({
@@ -110,7 +111,7 @@ def check(bag: Path, limits: ReadingLimits, as_json: bool) -> int:
 @json_option
 def reindex(bag: Path, as_json: bool) -> int:
     """Write metadata.yaml of the folder BAG again from its files; the old one is kept too."""
-    from rotcal_ros.bags.reindex import reindex as reindex_bag
+    from rotcal_ros.bags.repair import reindex as reindex_bag
 
     with progress("reading") as shown:
         outcome = reindex_bag(bag, shown)
@@ -206,9 +207,48 @@ def repair(bag: Path, output: Path | None, limits: ReadingLimits, as_json: bool)
     return 0
 
 
+@command.command()
+@click.argument("bag", type=path_type)
+@click.option("-o", "--output", type=path_type, required=True, help="New folder for the files.")
+@json_option
+def parquet(bag: Path, output: Path, as_json: bool) -> int:
+    """Write the raw streams of BAG as Parquet: one file per topic, one row per message.
+
+    Columns are the fields of the message; times are int64 nanoseconds. The exit code is 1 when
+    messages could not be decoded.
+    """
+    from rotcal_ros.bags.parquet import write_topics
+
+    with progress("reading") as shown:
+        topics = write_topics(bag, output, shown)
+    for topic in topics:
+        if topic.broken:
+            say(
+                f"{topic.topic}: {topic.broken} messages cannot be decoded"
+                + (topic.reason and f": {topic.reason}")
+            )
+    if as_json:
+        rows = [
+            {
+                "topic": topic.topic,
+                "path": None if topic.path is None else str(topic.path.absolute()),
+                "messages": topic.messages,
+                "broken": topic.broken,
+                "why": topic.reason,
+            }
+            for topic in topics
+        ]
+        print_json({"folder": str(output.absolute()), "topics": rows})
+    else:
+        for topic in topics:
+            if topic.path is not None:
+                click.echo(f"{topic.path}  {topic.messages} messages of {topic.topic}")
+    return int(any(topic.broken for topic in topics))
+
+
 def _tell(dropouts: Sequence[PlacedDropout]) -> None:
     """Say what the recorder missed, and when."""
-    from rotcal_ros.recordings.placed_dropouts import sentences
+    from rotcal_ros.recordings.missing_data import sentences
 
     for sentence in sentences(dropouts):
         say(sentence)
@@ -216,7 +256,7 @@ def _tell(dropouts: Sequence[PlacedDropout]) -> None:
 
 def _print(summary: dict[str, Any]) -> None:
     """Print files, facts, attachments, losses and topics."""
-    from rotcal_ros.bags.verdict import losses_in_words
+    from rotcal_ros.bags.storage_scan import losses_in_words
 
     for file in summary["files"]:
         tell(f"{file['path']}")

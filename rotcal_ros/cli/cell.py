@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rotcal_ros.cli.completion import configurations
 from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.cli.options import configurations
 from rotcal_ros.report.terminal.console import say
 
 if TYPE_CHECKING:

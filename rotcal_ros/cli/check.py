@@ -8,9 +8,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from rotcal_ros.cli.check_options import rule_of, rule_options
 from rotcal_ros.cli.console import json_option, path_type, print_json
-from rotcal_ros.cli.curve_options import align_option, component_option, reference_option
+from rotcal_ros.cli.options import (
+    align_option,
+    component_option,
+    reference_option,
+    rule_of,
+    rule_options,
+)
 from rotcal_ros.foundation.components import unit_of
 
 if TYPE_CHECKING:

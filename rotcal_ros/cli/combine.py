@@ -14,7 +14,7 @@ from rotcal_ros.cli.console import (
     path_type,
     print_json,
 )
-from rotcal_ros.cli.curve_options import polygon_faces, reference_option
+from rotcal_ros.cli.options import polygon_faces, reference_option
 from rotcal_ros.report.terminal.console import say
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rotcal_ros.cli.console import NamedFile, draw, json_option, path_type, print_json
-from rotcal_ros.cli.curve_options import (
+from rotcal_ros.cli.options import (
     align_option,
     component_option,
     polygon_faces,

@@ -18,11 +18,10 @@ from typing import Final
 import click
 
 from rotcal_ros.cli.console import json_option, path_type, print_json
-from rotcal_ros.foundation.distribution import SUPPORTED, distribution, rclpy_version
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.machine_load import patient
-from rotcal_ros.foundation.middleware import middleware
+from rotcal_ros.foundation.middleware import SUPPORTED, distribution, middleware, rclpy_version
 from rotcal_ros.sessions.domains import free_domain
 
 COMPILERS: Final = (("CC", "cc"), ("CXX", "c++"))
@@ -134,7 +133,8 @@ def ros() -> Check:
         return Check("ROS 2", False, "no rclpy", advice)
     version = rclpy_version()
     name, sourced = distribution(version), os.environ.get("ROS_DISTRO", "")
-    found = f"{name.capitalize() or 'unknown distribution'}, rclpy {version or 'of no version'}"
+    title = name.capitalize() if name else "unknown distribution"
+    found = f"{title}, rclpy {version or 'of no version'}"
     if name and sourced not in ("", name):
         advice = "open a shell that has sourced one ROS installation, or none"
         return Check("ROS 2", False, f"{found}, but ROS_DISTRO={sourced}", advice)

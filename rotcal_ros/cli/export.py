@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from rotcal_ros.cli.completion import formats
 from rotcal_ros.cli.console import json_option, path_type, print_json
-from rotcal_ros.cli.input_options import setup_options
+from rotcal_ros.cli.options import formats, setup_options
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.report.terminal.console import say, tell
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from rotcal_ros.compensation.agreement import Accepted, MachineIdentity
     from rotcal_ros.compensation.export import ExportFiles
     from rotcal_ros.compensation.table import CompensationTable
-    from rotcal_ros.foundation.results import Result
     from rotcal_ros.recordings.result_sources import ResultSource
 
 VOLUMETRIC: Final = "volumetric"
@@ -55,7 +53,7 @@ DEFAULT_AXIS: Final = "C"
 @click.option("--machine-ini", type=path_type, metavar="FILE", help="LinuxCNC's; see below.")
 @click.option(
     "--set",
-    "options",
+    "settings",
     multiple=True,
     metavar="[GROUP.]NAME=VALUE",
     help="Setting of the controller; with its GROUP one of the configuration.",
@@ -78,29 +76,7 @@ DEFAULT_AXIS: Final = "C"
     help="Write files although something about the controller is not verified.",
 )
 @json_option
-def command(
-    source: Path,
-    setup: Path | None,
-    targets: Path | None,
-    controller: str,
-    out: Path,
-    spacing: float | None,
-    axis: str | None,
-    serial: str | None,
-    reference: float | None,
-    reverse: Path | None,
-    harmonics: int | None,
-    revolutions: str | None,
-    machine_ini: Path | None,
-    options: tuple[str, ...],
-    name: str | None,
-    replace: bool,
-    add_to: Path | None,
-    accept: tuple[str, ...],
-    max_age: float | None,
-    accept_unverified: bool,
-    as_json: bool,
-) -> int:
+def command(as_json: bool, **options: Any) -> int:
     """Write the table of BAG (a folder, .mcap, .db3), TABLE or RESULT (.json) for a controller.
 
     The files are read back and applied by the controller's own rule before they are written, all
@@ -113,170 +89,190 @@ def command(
     --machine-ini is read for what it says about the joint, and a copy of it that uses the table is
     written beside the table. The same as --set machine_ini=FILE.
     """
-    from rotcal_ros.compensation.agreement import (
-        LARGEST_AGE_DAYS,
-        Accepted,
-        MachineIdentity,
-        words_of,
-    )
-    from rotcal_ros.compensation.earlier_export import to_be_in_force
-    from rotcal_ros.compensation.export import prepare_export
     from rotcal_ros.compensation.writing import write_files
-    from rotcal_ros.foundation.components import check_axis
 
-    changes = tuple(option for option in options if _of_configuration(option))
-    own = tuple(option for option in options if option not in changes)
-    forward = _read(source, setup, targets, changes)
-    asked = _Asked(
-        machine=MachineIdentity(check_axis(axis) if axis else "", serial or ""),
-        accepted=Accepted(words_of(accept), LARGEST_AGE_DAYS if max_age is None else max_age),
-        measured_axis=_axis_of(forward) or axis or DEFAULT_AXIS,
-        now=datetime.now(timezone.utc),
-    )
-    if controller == VOLUMETRIC:
-        _refuse_unused({
-            "--spacing": spacing, "--reference": reference, "--reverse": reverse,
-            "--harmonics": harmonics, "--revolutions": revolutions,
-            "--machine-ini": machine_ini, "--set": own, "--replace": replace,
-            "--add-to": add_to, "--accept-unverified": accept_unverified,
-        })  # fmt: skip
-        _show(_write_volumetric(forward.result, asked, name, out), as_json)
-        return 0
-    backward = None if reverse is None else _read(reverse, setup, targets, changes)
-    table = _table(forward, backward, asked.measured_axis, harmonics, spacing)
-    export = prepare_export(
-        to_be_in_force(
-            table,
-            controller,
-            asked.machines,
-            asked.accepted,
-            asked.now_ns,
-            replaces=replace,
-            add_to=add_to,
-        ),
-        controller,
-        now=asked.now,
-        spacing=_radians(spacing),
-        reference_angle=_radians(reference),
-        settings=_settings(own, revolutions, machine_ini),
-        stem=name,
-        accept_unverified=accept_unverified,
-        sources={**forward.sha256, **(backward.sha256 if backward else {})},
-    )
-    _show_export(export, write_files(export.with_machine_files(), out), as_json)
+    asked = _Asked(**options)
+    forward = asked.read(asked.source)
+    if asked.controller == VOLUMETRIC:
+        _show(_write_volumetric(forward, asked), as_json)
+    else:
+        export = _export(forward, asked)
+        _show_export(export, write_files(export.with_machine_files(), asked.out), as_json)
     return 0
 
 
 @dataclass(frozen=True)
 class _Asked:
-    """The ``machine`` of the export, what is ``accepted``, and what was measured."""
+    """What the command line asks for, option by option; ``now`` is when it was called."""
 
-    machine: MachineIdentity
-    accepted: Accepted
-    measured_axis: str
-    now: datetime
+    source: Path
+    setup: Path | None
+    targets: Path | None
+    controller: str
+    out: Path
+    spacing: float | None
+    axis: str | None
+    serial: str | None
+    reference: float | None
+    reverse: Path | None
+    harmonics: int | None
+    revolutions: str | None
+    machine_ini: Path | None
+    settings: tuple[str, ...]
+    name: str | None
+    replace: bool
+    add_to: Path | None
+    accept: tuple[str, ...]
+    max_age: float | None
+    accept_unverified: bool
+    now: datetime = field(default_factory=lambda: datetime.now(timezone.utc))
 
     @property
     def now_ns(self) -> int:
         return int(self.now.timestamp()) * 1_000_000_000
 
-    @property
     def machines(self) -> dict[str, MachineIdentity]:
-        return {"the export (--axis, --serial)": self.machine}
+        """Return the machine that the files are for, by what says so."""
+        from rotcal_ros.compensation.agreement import MachineIdentity
+        from rotcal_ros.foundation.components import check_axis
+
+        axis = check_axis(self.axis) if self.axis else ""
+        return {"the export (--axis, --serial)": MachineIdentity(axis, self.serial or "")}
+
+    def accepted(self) -> Accepted:
+        """Return the contradictions that are accepted."""
+        from rotcal_ros.compensation.agreement import LARGEST_AGE_DAYS, Accepted, words_of
+
+        largest_age = LARGEST_AGE_DAYS if self.max_age is None else self.max_age
+        return Accepted(words_of(self.accept), largest_age)
+
+    def measured_axis(self, forward: ResultSource) -> str:
+        """Return the letter of the axis that was measured."""
+        return _recorded_axis(forward) or self.axis or DEFAULT_AXIS
+
+    def read(self, path: Path) -> ResultSource:
+        """Read a result, a bag or a table with the set-up that is given."""
+        from rotcal_ros.recordings.inputs import Input
+        from rotcal_ros.recordings.result_sources import read_source
+
+        changes = tuple(filter(_is_of_configuration, self.settings))
+        return read_source(path, Input(path, self.setup, self.targets, changes))
+
+    def controller_options(self) -> tuple[str, ...]:
+        """Return the ``--set`` that are about the controller."""
+        return tuple(s for s in self.settings if not _is_of_configuration(s))
+
+    def controller_settings(self) -> dict[str, Any]:
+        """Return the settings of the controller."""
+        from rotcal_ros.compensation.controllers import parse_options, parse_revolutions
+
+        settings = parse_options(self.controller_options())
+        if self.revolutions is not None:
+            settings |= parse_revolutions(self.revolutions)
+        if self.machine_ini is not None:
+            settings["machine_ini"] = str(self.machine_ini)
+        return settings
+
+    def refuse_what_only_controllers_take(self) -> None:
+        """Raise ConfigurationError for options that a volumetric table would ignore."""
+        only_controllers = {
+            "--spacing": self.spacing, "--reference": self.reference, "--reverse": self.reverse,
+            "--harmonics": self.harmonics, "--revolutions": self.revolutions,
+            "--machine-ini": self.machine_ini, "--set": self.controller_options() or None,
+            "--replace": self.replace or None, "--add-to": self.add_to,
+            "--accept-unverified": self.accept_unverified or None,
+        }  # fmt: skip
+        if given := [name for name, value in only_controllers.items() if value is not None]:
+            raise ConfigurationError(
+                f"{', '.join(given)}: not for a volumetric table, which holds the deviations as "
+                "they were measured; leave it out"
+            )
 
 
-def _refuse_unused(options: dict[str, Any]) -> None:
-    """Raise ConfigurationError for options that a volumetric table would ignore."""
-    unsaid = (None, (), False)
-    if given := [n for n, value in options.items() if not any(value is no for no in unsaid)]:
+def _export(forward: ResultSource, asked: _Asked) -> ExportFiles:
+    """Return the files for a controller, which were read back and simulated."""
+    from rotcal_ros.compensation.earlier_export import to_be_in_force
+    from rotcal_ros.compensation.export import prepare_export
+
+    machines, accepted = asked.machines(), asked.accepted()
+    backward = None if asked.reverse is None else asked.read(asked.reverse)
+    return prepare_export(
+        to_be_in_force(
+            _table(forward, backward, asked),
+            asked.controller,
+            machines,
+            accepted,
+            asked.now_ns,
+            replaces=asked.replace,
+            add_to=asked.add_to,
+        ),
+        asked.controller,
+        now=asked.now,
+        spacing=_radians(asked.spacing),
+        reference_angle=_radians(asked.reference),
+        settings=asked.controller_settings(),
+        stem=asked.name,
+        accept_unverified=asked.accept_unverified,
+        sources={**forward.sha256, **(backward.sha256 if backward else {})},
+    )
+
+
+def _table(
+    forward: ResultSource, backward: ResultSource | None, asked: _Asked
+) -> CompensationTable:
+    """Return the correction table at the measured angles, or on rows of a harmonic fit."""
+    from rotcal_ros.compensation.table import table_from_result
+
+    axis = asked.measured_axis(forward)
+    if backward is not None and _recorded_axis(backward) not in (None, axis):
         raise ConfigurationError(
-            f"{', '.join(given)}: not for a volumetric table, which holds the deviations as they "
-            "were measured; leave it out"
+            f"the forward run is of axis {axis}, the reverse run of axis "
+            f"{_recorded_axis(backward)}"
         )
+    return table_from_result(
+        forward.result,
+        reverse=None if backward is None else backward.result,
+        axis=axis,
+        harmonics=asked.harmonics,
+        # A fit knows its curve between the measured angles; a spline is sampled at export.
+        spacing=None if asked.harmonics is None else _radians(asked.spacing),
+    )
 
 
-def _write_volumetric(
-    result: Result, asked: _Asked, name: str | None, out: Path
-) -> tuple[Path, ...]:
-    """Write all deviations of ``result``; contradictions are refused, or printed if accepted."""
+def _write_volumetric(forward: ResultSource, asked: _Asked) -> tuple[Path, ...]:
+    """Write all deviations; contradictions are refused, or printed if accepted."""
     from rotcal_ros.compensation.agreement import MachineIdentity, require
     from rotcal_ros.compensation.volumetric import volumetric_files
     from rotcal_ros.compensation.writing import write_files
     from rotcal_ros.foundation.in_force import in_words
 
-    measured = MachineIdentity(asked.measured_axis, result.circumstances.identity.serial)
+    machines, accepted = asked.machines(), asked.accepted()
+    asked.refuse_what_only_controllers_take()
+    axis, result = asked.measured_axis(forward), forward.result
+    measured = MachineIdentity(axis, result.circumstances.identity.serial)
     begun_ns = result.circumstances.begun_ns or 0
-    for note in require(measured, begun_ns, asked.machines, asked.accepted, asked.now_ns):
+    for note in require(measured, begun_ns, machines, accepted, asked.now_ns):
         say(f"warning: {note}")
     say(in_words(result.measured_on))
-    letter = asked.machine.axis or asked.measured_axis
-    return write_files(
-        volumetric_files(result, name or f"{letter}_{VOLUMETRIC}".lower(), letter), out
-    )
-
-
-def _settings(
-    options: tuple[str, ...], revolutions: str | None, machine_ini: Path | None
-) -> dict[str, Any]:
-    """Return the settings of the controller that the command line states."""
-    from rotcal_ros.compensation.options import parse_options, parse_revolutions
-
-    settings = parse_options(options)
-    if revolutions is not None:
-        settings |= parse_revolutions(revolutions)
-    if machine_ini is not None:
-        settings["machine_ini"] = str(machine_ini)
-    return settings
+    letter = next(machine.axis for machine in machines.values()) or axis
+    name = asked.name or f"{letter}_{VOLUMETRIC}".lower()
+    return write_files(volumetric_files(result, name, letter), asked.out)
 
 
 def _radians(degrees: float | None) -> float | None:
     return None if degrees is None else degrees * DEGREE
 
 
-def _of_configuration(option: str) -> bool:
-    """Return whether ``option`` names its group, as settings of a configuration do."""
+def _is_of_configuration(setting: str) -> bool:
+    """Return whether a ``--set`` names its group, as settings of a configuration do."""
     from rotcal_ros.methods.configuration import GROUPS
 
-    return option.partition("=")[0].partition(".")[0] in GROUPS
+    return setting.partition("=")[0].partition(".")[0] in GROUPS
 
 
-def _read(
-    path: Path, setup: Path | None, targets: Path | None, changes: tuple[str, ...]
-) -> ResultSource:
-    """Read a result, a bag or a table."""
-    from rotcal_ros.recordings.inputs import Input
-    from rotcal_ros.recordings.result_sources import read_source
-
-    return read_source(path, Input(path, setup, targets, changes))
-
-
-def _table(
-    forward: ResultSource,
-    backward: ResultSource | None,
-    axis: str,
-    harmonics: int | None,
-    spacing: float | None,
-) -> CompensationTable:
-    """Return the correction table at the measured angles, or on rows of a harmonic fit."""
-    from rotcal_ros.compensation.table import table_from_result
-
-    if backward is not None and _axis_of(backward) not in ("", axis):
-        raise ConfigurationError(
-            f"the forward run is of axis {axis}, the reverse run of axis {_axis_of(backward)}"
-        )
-    return table_from_result(
-        forward.result,
-        reverse=None if backward is None else backward.result,
-        axis=axis,
-        harmonics=harmonics,
-        # A fit knows its curve between the measured angles; a spline is sampled at export.
-        spacing=None if harmonics is None else _radians(spacing),
-    )
-
-
-def _axis_of(source: ResultSource) -> str:
-    """Return the axis that was measured, as session, bag or result say; empty: not known."""
-    return source.axis or source.result.circumstances.axis
+def _recorded_axis(source: ResultSource) -> str | None:
+    """Return the axis that was measured, as session, bag or result say; None: they do not."""
+    return source.axis or source.result.circumstances.axis or None
 
 
 def _show(paths: Iterable[Path], as_json: bool, **facts: Any) -> None:

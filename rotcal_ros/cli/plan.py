@@ -1,34 +1,38 @@
-"""``rotcal plan``: what to measure; here ball plates, their effort and their order.
-
-The forecast of an order of measurement for people and for programs.
-"""
+"""``rotcal plan``: what to measure; here plans of ball plates, and what any plan could hide."""
 
 from __future__ import annotations
 
-from functools import partial
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
-from rotcal_ros.cli import plan_check, reliability, sequence, tracer_design, trade
-from rotcal_ros.cli.completion import configurations
+from rotcal_ros.cli import plan_tracer, trade
 from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.cli.options import (
+    configurations,
+    numbers,
+    positive,
+    set_option,
+    shown_option,
+    whole_numbers,
+)
+from rotcal_ros.cli.plan_tracer import NOISE_SEED
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
-from rotcal_ros.foundation.errors import PlanError
+from rotcal_ros.foundation.errors import DataError, PlanError
 from rotcal_ros.foundation.protection import TOLERABLE
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, HOUR, MICROMETRE
+from rotcal_ros.report.terminal.columns import Column, column_of, print_table, print_words
 from rotcal_ros.report.terminal.console import progress
 
 if TYPE_CHECKING:
+    from rotcal_ros.foundation.observations import Observation
+    from rotcal_ros.methods import Calibration
     from rotcal_ros.methods.ball_plate.design.ball_layout import BallLayout
     from rotcal_ros.methods.ball_plate.design.ball_plan import BallPlan, Kinematics
     from rotcal_ros.methods.ball_plate.design.order_forecast import OrderForecast, UnitEffect
 
-
-positive = click.FloatRange(min=0.0, min_open=True)
-shown_option = partial(click.option, show_default=True)
 
 grid_option = click.option(
     "--grid", type=click.IntRange(min=3), required=True, help="Table positions in a turn."
@@ -54,10 +58,9 @@ def command() -> None:
     """Plan what to measure, in what order, and what it could hide: lengths, plates, checks."""
 
 
-command.add_command(reliability.command, "reliability")
-command.add_command(plan_check.command, "check")
-command.add_command(sequence.command, "sequence")
-command.add_command(tracer_design.command, "tracer")
+command.add_command(plan_tracer.check)
+command.add_command(plan_tracer.sequence)
+command.add_command(plan_tracer.tracer)
 command.add_command(trade.command, "trade")
 
 
@@ -107,8 +110,8 @@ def plate(
             grid,
             balls,
             min_gap=min_gap,
-            subset_of=None if subset_of is None else _integers(subset_of, "--subset-of"),
-            weights=_numbers(weights, "--weights"),
+            subset_of=None if subset_of is None else whole_numbers(subset_of, "--subset-of"),
+            weights=numbers(weights, "--weights"),
             seed=seed,
             starts=starts,
             progress=shown,
@@ -238,6 +241,96 @@ def order(
     return 0
 
 
+@command.command()
+@click.argument("configuration", type=path_type, metavar="CONFIG", shell_complete=configurations)
+@set_option
+@click.option(
+    "--alpha",
+    type=click.FloatRange(1e-9, 0.5),
+    default=0.001,
+    show_default=True,
+    help="Significance of the test of one observation.",
+)
+@click.option(
+    "--power",
+    type=click.FloatRange(0.5, 0.999999),
+    default=0.8,
+    show_default=True,
+    help="Probability that an error of the size shown is found.",
+)
+@click.option(
+    "--worst",
+    type=click.IntRange(min=1),
+    default=8,
+    show_default=True,
+    help="How many observations to list; each is solved again.",
+)
+@json_option
+def reliability(
+    configuration: Path,
+    changes: tuple[str, ...],
+    alpha: float,
+    power: float,
+    worst: int,
+    as_json: bool,
+) -> int:
+    """Print the smallest error in one observation of a plan that would be found (Baarda).
+
+    The observations are listed by what a slightly smaller error, which may stay unseen, would do
+    to the deviations, in their standard uncertainties.
+    """
+    from rotcal_ros.evaluation.reliability import effects_on_deviations
+    from rotcal_ros.evaluation.reliability import reliability as reliability_of
+    from rotcal_ros.methods import changed, prepare_whole, read_configuration
+
+    calibration = prepare_whole(changed(read_configuration(configuration), changes)).of_distances
+    observations = _predicted_observations(calibration)
+    result = calibration.solve(observations)
+    if result.residuals is None:
+        raise DataError(f"the method {result.method} gives no residuals, and so no reliability")
+    found = reliability_of(result.residuals, alpha, power)
+    which = found.worst(worst)
+    effects = effects_on_deviations(calibration, observations, result, found, which)
+    data = found.to_dict(worst, effects)
+    if as_json:
+        print_json(data)
+    else:
+        _print_reliability(data)
+    return 0
+
+
+def _predicted_observations(calibration: Calibration) -> tuple[Observation, ...]:
+    """Return observations of the plan with their stated noise, exact ones where none is known."""
+    if calibration.method.disturbances is None:
+        return calibration.nominal_observations()
+    return calibration.measured({}, NOISE_SEED).observations
+
+
+def _print_reliability(data: dict[str, Any]) -> None:
+    print_words(
+        f"{data['n_observations']} observations, mean redundancy {data['mean_redundancy']:.2f}, "
+        f"{data['n_unchecked']} checked by no other",
+        f"smallest error found with {100.0 * data['power']:g} % (alpha {data['alpha']:g}), and "
+        "what it does to the deviations:",
+    )
+    worst = data["worst"]
+    print_table(
+        [
+            Column("position", [row["table_index"] for row in worst]),
+            Column("target", [row["target"] for row in worst]),
+            Column("redundancy", [row["redundancy"] for row in worst], ".3f"),
+            _sizes("error/um", [row.get("detectable_m") for row in worst], MICROMETRE),
+            _sizes("error/std", [row["detectable_std"] for row in worst]),
+            _sizes("effect/std", [row["effect_std"] for row in worst]),
+        ]
+    )
+
+
+def _sizes(heading: str, values: list[float | None], unit: float = 1.0) -> Column:
+    """Return a column of sizes; an observation that nothing checks has none."""
+    return Column(heading, ["any" if v is None else v / unit for v in values], ".3f")
+
+
 def _orders(layout: BallLayout, radius: float, kinematics: Kinematics) -> dict[str, BallPlan]:
     """Return the measurement of a layout in every known order."""
     from rotcal_ros.methods.ball_plate.design.ball_plan import Order, plan_measurement
@@ -270,8 +363,6 @@ def _print_layout(layout: BallLayout, std: dict[str, float]) -> None:
 
 
 def _print_effort(component: str, limit: float, rows: list[dict[str, Any]]) -> None:
-    from rotcal_ros.report.terminal.columns import Column, column_of, print_table, print_words
-
     unit, label = unit_of(component)
     print_words(f"for U({component}) <= {limit:g} {label} (k = 2), the least work first:")
     print_table(
@@ -305,24 +396,10 @@ def _order_in_words(name: str, rows: BallPlan) -> str:
 def _need(text: str) -> tuple[str, float]:
     """Return component and limit of 'ECC=0.05'."""
     component, _, value = text.partition("=")
-    limit = _numbers(value, "--need")
+    limit = numbers(value, "--need")
     if len(limit) != 1:
         raise PlanError(f"--need {text}: expected COMPONENT=LIMIT, e.g. ECC=0.05")
     return component.strip().upper(), limit[0]
-
-
-def _integers(text: str, option: str) -> list[int]:
-    numbers = _numbers(text, option)
-    if not all(map(float.is_integer, numbers)):
-        raise PlanError(f"{option} {text}: expected whole numbers")
-    return [int(number) for number in numbers]
-
-
-def _numbers(text: str, option: str) -> tuple[float, ...]:
-    try:
-        return tuple(float(part) for part in text.replace(",", " ").split())
-    except ValueError:
-        raise PlanError(f"{option} {text}: expected numbers separated by commas") from None
 
 
 _WORDS = {"drift": "CMM drifts in", "shift": "plate shifted along", "turn": "plate turned about"}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rotcal_ros.cli.console import VERDICT_EXIT_CODES, NamedFile
-from rotcal_ros.cli.input_options import set_option, setup_options
+from rotcal_ros.cli.options import set_option, setup_options
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.report.terminal.console import say
@@ -91,8 +91,8 @@ def command(
     # Figures take a second to load; a wrong option should not wait for them.
     from rotcal_ros.recordings.inputs import Input
     from rotcal_ros.recordings.result_sources import read_source
+    from rotcal_ros.report.page import write_measured, write_result
     from rotcal_ros.report.printing import require_writable
-    from rotcal_ros.report.recorded import write_measured, write_result
 
     session = SessionFolder(source)
     source = session.bag if session.bag.is_dir() else source
@@ -120,8 +120,8 @@ def _acting(result: Result, in_force: Path | None) -> int:
 
     effect = effect_in_force(result, in_force)
     if effect is not None:
-        say(f"warning: {effect.wrong}" if effect.wrong else f"table acts: {effect.in_words()}")
-    return 1 if effect is not None and effect.wrong else 0
+        say(f"warning: {effect.fault}" if effect.fault else f"table acts: {effect.in_words()}")
+    return 1 if effect is not None and effect.fault else 0
 
 
 def _truth(path: Path) -> dict[str, Any]:
@@ -152,7 +152,7 @@ def page_beside(source: Path) -> Path:
 
 def bag_around(path: Path, bag: Path | None = None) -> Path | None:
     """Return the folder of a bag, or ``bag``, that ``path`` lies in or would lie in."""
-    from rotcal_ros.bags.writer import METADATA_FILE
+    from rotcal_ros.bags.rosbag2_metadata import METADATA_FILE
 
     folders = path.absolute().parents
     known = None if bag is None else bag.absolute()

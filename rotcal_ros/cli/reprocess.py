@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 import click
 
 from rotcal_ros.bags.unread_data import note_unread
-from rotcal_ros.cli.completion import configurations
 from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.cli.options import configurations
 from rotcal_ros.foundation.session_folder import OVERVIEW, RESULTS_TABLE
 from rotcal_ros.report.terminal.console import progress, say, tell
 
 if TYPE_CHECKING:
-    from rotcal_ros.recordings.outcome_cache import BagOutcome
+    from rotcal_ros.recordings.batch_solving import BagOutcome
     from rotcal_ros.recordings.results_dataset import ResultsDataset
 
 
@@ -119,7 +119,7 @@ class _Tally:
         self.repeated += outcome.cached
         self.healed += outcome.healed
         self.bad += bool(outcome.error)
-        if outcome.error.startswith("set aside"):
+        if outcome.set_aside:
             self.aside.append(f"{outcome.source}: {outcome.error}")
 
 
@@ -152,9 +152,9 @@ def _print(tally: _Tally, table: Path, overview: Path) -> None:
 
 def _print_json(table: Path, overview: Path) -> None:
     """Print one object per bag, as the dataset has it, in order of recording."""
-    from rotcal_ros.report.fleet_queries import asked, bags_by_table
+    from rotcal_ros.report.fleet_queries import bags_by_table, connected
 
-    with asked(table) as connection:
+    with connected(table) as connection:
         bags = sorted(
             bags_by_table(connection),
             key=lambda b: (b.start_ns is None, b.start_ns or 0, b.source),
@@ -168,7 +168,7 @@ def _print_json(table: Path, overview: Path) -> None:
             "warnings": list(bag.warnings),
             "error": bag.error,
             "twin_of": bag.twin_of,
-            "alarm": bag.alarm,
+            "alarm": bag.alarm or "",
         }
         for bag in bags
     ]

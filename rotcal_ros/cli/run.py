@@ -8,8 +8,8 @@ from pathlib import Path
 
 import click
 
-from rotcal_ros.cli.completion import configurations
 from rotcal_ros.cli.console import json_option, path_type, print_outcome
+from rotcal_ros.cli.options import configurations, set_option
 from rotcal_ros.report.terminal.console import tell
 
 
@@ -18,9 +18,7 @@ from rotcal_ros.report.terminal.console import tell
 @click.option(
     "-o", "--output", "--out", type=path_type, help="New folder for everything; default: out/NAME."
 )
-@click.option(
-    "--set", "changes", multiple=True, metavar="GROUP.NAME=VALUE", help="Change a setting."
-)
+@set_option
 @click.option(
     "--resume",
     type=path_type,

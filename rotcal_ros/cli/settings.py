@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from rotcal_ros.cli.completion import method_names
 from rotcal_ros.cli.console import json_option, print_json
+from rotcal_ros.cli.options import method_names
 
 if TYPE_CHECKING:
     from rotcal_ros.foundation.settings import Declaration

@@ -16,7 +16,7 @@ from rotcal_ros.cli.console import (
     path_type,
     print_json,
 )
-from rotcal_ros.cli.input_options import set_option, setup_options
+from rotcal_ros.cli.options import set_option, setup_options
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.report.terminal.console import progress, say, tell
 

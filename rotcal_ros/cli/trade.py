@@ -7,20 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
+from math import inf
 from pathlib import Path
 from typing import Any
 
 import click
 
 from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.cli.options import numbers, positive, shown_option, whole_numbers
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.units import ARCSEC, HOUR, MICROMETRE
 from rotcal_ros.report.terminal.columns import Column, column_of, print_table, print_words
-
-shown_option = partial(click.option, show_default=True)
-positive = click.FloatRange(min=0.0, min_open=True)
 
 
 @click.group(invoke_without_command=True)
@@ -73,8 +71,8 @@ def tracer(
     """
     table = tracer_table(
         need_arcsec,
-        _numbers(radius_m, "--radius-m"),
-        _numbers(sigma_um, "--sigma-um"),
+        _positive(radius_m, "--radius-m"),
+        _positive(sigma_um, "--sigma-um"),
         target_um,
         elevation_deg,
         zero,
@@ -102,7 +100,7 @@ def plate(
     as_json: bool,
 ) -> int:
     """Show what a plate of so many balls gives, and how much a better plan could save."""
-    counts = _whole(balls, "--balls")
+    counts = _positive_whole(balls, "--balls")
     return _print(plate_table(need_arcsec, grid, counts, radius_m, sigma_um, centre_s), as_json)
 
 
@@ -126,8 +124,8 @@ def mirror(
     """Hours and U of a plane mirror by stations and reflectors, for CONFIG or the usual case."""
     table = mirror_table(
         configuration,
-        _whole(stations, "--stations"),
-        _whole(reflectors, "--reflectors"),
+        _positive_whole(stations, "--stations"),
+        _positive_whole(reflectors, "--reflectors"),
         move_s,
         pair_s,
         nest_s,
@@ -148,22 +146,18 @@ def _show(table: TradeTable) -> None:
     print_words(*table.notes)
 
 
-def _whole(text: str, option: str) -> list[int]:
-    numbers = _numbers(text, option)
-    if not all(map(float.is_integer, numbers)):
-        raise PlanError(f"{option} {text}: expected whole numbers")
-    return [int(number) for number in numbers]
+def _positive_whole(text: str, option: str) -> list[int]:
+    """Return positive whole numbers separated by commas."""
+    _positive(text, option)
+    return whole_numbers(text, option)
 
 
-def _numbers(text: str, option: str) -> list[float]:
+def _positive(text: str, option: str) -> tuple[float, ...]:
     """Return positive numbers separated by commas."""
-    try:
-        numbers = [float(part) for part in text.replace(",", " ").split()]
-    except ValueError:
-        numbers = []
-    if not numbers or not all(0.0 < number < float("inf") for number in numbers):
+    found = numbers(text, option)
+    if not found or not all(0.0 < number < inf for number in found):
         raise PlanError(f"{option} {text}: expected positive numbers separated by commas")
-    return numbers
+    return found
 
 
 @dataclass(frozen=True)
@@ -250,7 +244,7 @@ def plate_table(
     centre_s: float = 35.0,
 ) -> TradeTable:
     """Return what each number of balls gives, and what radius or noise it takes."""
-    from rotcal_ros.methods.ball_plate.design.trade import plate_trade
+    from rotcal_ros.methods.ball_plate.design.effort import plate_trade
 
     rows = plate_trade(
         grid,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from rotcal_ros.cli.console import json_option, path_type, print_json
-from rotcal_ros.cli.input_options import set_option, setup_options
+from rotcal_ros.cli.options import set_option, setup_options
 from rotcal_ros.foundation.circumstances import NOTHING_MEASURED
 from rotcal_ros.report.terminal.console import progress, say
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rotcal_ros.cli.completion import configurations, controller_names
 from rotcal_ros.cli.console import (
     INTERRUPTED,
     VERDICT_EXIT_CODES,
@@ -19,6 +18,7 @@ from rotcal_ros.cli.console import (
     print_line,
     print_verdict,
 )
+from rotcal_ros.cli.options import configurations, controller_names
 from rotcal_ros.foundation.circumstances import SIMULATED
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.report.terminal.console import say, tell
@@ -165,7 +165,7 @@ def _print(verification: Verification) -> None:
             "left was added to the table"
         )
     if verification.effect is not None:
-        click.echo(verification.wrong or f"table acts:    {verification.effect.in_words()}")
+        click.echo(verification.fault or f"table acts:    {verification.effect.in_words()}")
     for line in verification.reserves:
         click.echo(line)
     mark = f" ({SIMULATED})" if verification.simulated else ""

@@ -1,7 +1,7 @@
 """Whether a table belongs to the machine that it is meant for: axis, serial number, age.
 
-``rotcal export`` and the bridge ask the same function. What contradicts is refused; a person may
-say that it is meant all the same, by the word that names the contradiction.
+``rotcal export`` and the bridge use the same function. A table that contradicts is refused; a
+person may accept it all the same, by the word for the kind of contradiction.
 """
 
 from __future__ import annotations

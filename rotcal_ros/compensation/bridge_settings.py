@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 from rotcal_ros.compensation.agreement import LARGEST_AGE_DAYS, Accepted
+from rotcal_ros.compensation.controllers import parse_options
 from rotcal_ros.compensation.network_settings import AdsSettings, OpcUaSettings
-from rotcal_ros.compensation.options import parse_options
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.settings import group, setting
@@ -93,7 +93,7 @@ class BridgeSettings:
     ads: AdsSettings = group(AdsSettings)
 
     def __post_init__(self) -> None:
-        self.accepted  # noqa: B018  a misspelt word is told here
+        self.accepted  # noqa: B018  raises for a misspelt word
         if self.transport != "folder":
             getattr(self, self.transport).check()
             if not self.controller_folder:

@@ -17,8 +17,7 @@ import numpy as np
 from rotcal_ros.compensation.effect import effect_on
 from rotcal_ros.compensation.held_table import HeldTable
 from rotcal_ros.compensation.interpolation_uncertainty import between_std
-from rotcal_ros.compensation.lookup import Correction
-from rotcal_ros.compensation.resample import resample
+from rotcal_ros.compensation.resample import Correction, resample
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable, check_verdict
 from rotcal_ros.curves.directional import DirectionalCurve
 from rotcal_ros.curves.interpolation import SAME_ANGLE, interpolation_matrix
@@ -68,9 +67,9 @@ def combined(
             f"{held.in_force[:12]}; measure again with what the controller holds now"
         )
     acts = effect_on(table, held)
-    if acts is not None and acts.wrong:
+    if acts is not None and acts.fault:
         raise DataError(
-            f"not added: {acts.wrong}. Correct that and measure again, or remove the table "
+            f"not added: {acts.fault}. Correct that and measure again, or remove the table "
             "(restore), measure without one and replace it"
         )
     return added(table, held)

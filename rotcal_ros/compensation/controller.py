@@ -147,7 +147,7 @@ class Controller(ABC):
 
     @property
     def unverified(self) -> tuple[str, ...]:
-        """What nobody has confirmed yet on a real control."""
+        """What has not been confirmed yet on a real control."""
         return ()
 
     @property

@@ -1,14 +1,33 @@
-"""Where a controller keeps its table, as the feed sees it: a few files that have names."""
+"""Where a controller keeps its table: a few named files, behind one protocol.
+
+The files are in a folder, often on another machine, or behind a link to the controller, whose
+records (lock, journal, old tables) are then in a folder of this machine. Either may stop answering
+at any moment, and a call then blocks for ever: every access happens in a thread of its own, for a
+limited time.
+"""
 
 from __future__ import annotations
 
+import fcntl
+import os
+import socket
+import stat
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeout
-from typing import Final, Protocol, TypeVar
+from contextlib import suppress
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Final, Protocol, TypeVar
 
-from rotcal_ros.foundation.errors import ControllerError
+from rotcal_ros.compensation import journal
+from rotcal_ros.compensation.bridge_settings import BridgeSettings
+from rotcal_ros.compensation.controller import Controller
+from rotcal_ros.compensation.writing import PROVENANCE, check_file_name
+from rotcal_ros.foundation.errors import ConfigurationError, ControllerError
+from rotcal_ros.foundation.files import make_folder, sync_folder, write_atomically
+from rotcal_ros.foundation.untrusted import read_bytes, read_text
 
 T = TypeVar("T")
 
@@ -25,8 +44,8 @@ class ControllerStore(Protocol):
     def close(self) -> None:
         """Let others feed the controller."""
 
-    def busy(self) -> str:
-        """Return what the machine is doing; empty when it rests or cannot be asked."""
+    def busy(self) -> str | None:
+        """Return what the machine is doing; None when it rests or cannot be asked."""
 
     def read(self, names: Iterable[str]) -> dict[str, str]:
         """Return those of the files that exist."""
@@ -35,7 +54,7 @@ class ControllerStore(Protocol):
         """Replace the files, each of them whole; None takes a file away."""
 
     def address(self, name: str) -> str:
-        """Return where people find the file."""
+        """Return the path or address of a file, for people."""
 
 
 def answered(action: Callable[[], T], timeout_s: float, place: str, what: str) -> T:
@@ -63,3 +82,239 @@ def answered(action: Callable[[], T], timeout_s: float, place: str, what: str) -
         raise ControllerError(
             f"the controller in {place} does not answer: cannot {what}: {error.strerror or error}"
         ) from error
+
+
+STATE_FOLDER: Final = ".rotcal"
+"""Below the controller's folder: lock, journal, and the tables that were there before."""
+LOCK: Final = "lock"
+OWNER: Final = "controller"
+"""In the state folder: the address of the controller that the journal is about."""
+
+
+class ControllerFolder:
+    """The folder of one controller; ``timeout_s`` limits every access.
+
+    ``owner`` is the address of a controller elsewhere, for which this folder only keeps the
+    records: lock, journal, old tables, provenance. Every method raises ControllerError when the
+    folder does not answer.
+    """
+
+    def __init__(self, folder: Path, timeout_s: float, owner: str = "") -> None:
+        self.folder = folder
+        self._timeout_s = timeout_s
+        self._owner = owner
+        self._lock: int | None = None
+
+    def lock(self) -> None:
+        """Take the sole right to feed this controller, until :meth:`close` or the process ends.
+
+        A lock whose folder was moved away in the meantime locks nothing: it is taken again.
+        """
+        if self._lock is not None and self._answered(self._lost_lock, "lock"):
+            self.close()
+        if self._lock is None:
+            self._lock = self._answered(self._take_lock, "lock")
+
+    def busy(self) -> None:
+        """Return None: a folder does not know what the machine is doing."""
+
+    def close(self) -> None:
+        """Let others feed the controller."""
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+    def read(self, names: Iterable[str]) -> dict[str, str]:
+        """Return those of the files that exist."""
+        wanted = [check_file_name(name) for name in names]
+        return self._answered(lambda: self._read(wanted), "read")
+
+    def write(self, files: Mapping[str, str | None]) -> None:
+        """Replace the files, each of them whole; None takes a file away."""
+        for name in files:
+            check_file_name(name)
+        self._answered(lambda: self._write(files), "write")
+
+    def address(self, name: str) -> str:
+        """Return the path of a file."""
+        return str(self.folder / name)
+
+    def _lost_lock(self) -> bool:
+        assert self._lock is not None
+        try:
+            there = (self.folder / STATE_FOLDER / LOCK).lstat()
+        except FileNotFoundError:
+            return True
+        return not os.path.samestat(there, os.fstat(self._lock))
+
+    def _take_lock(self) -> int:
+        state = self.folder / STATE_FOLDER
+        if not state.exists():
+            self._make(state)
+        if state.is_symlink():
+            raise ControllerError(f"{state} is a link: expected a folder of its own")
+        descriptor = os.open(state / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            owner = os.read(descriptor, 200).decode(errors="replace").strip() or "another process"
+            os.close(descriptor)
+            raise ControllerError(
+                f"the controller in {self.folder} is fed by {owner} already: one controller has "
+                "one bridge; end the other one"
+            ) from None
+        try:
+            self._own(state)
+        except BaseException:
+            os.close(descriptor)
+            raise
+        os.ftruncate(descriptor, 0)
+        os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
+        return descriptor
+
+    def _make(self, state: Path) -> None:
+        if not self._owner:
+            self.folder.stat()  # a folder that is gone is not created again
+        with suppress(FileExistsError):
+            make_folder(state)
+
+    def _own(self, state: Path) -> None:
+        """Refuse a journal of another controller: its old tables would go to the wrong machine."""
+        path = state / OWNER
+        noted = read_text(path) if path.exists() else ""
+        if noted == self._owner:
+            return
+        if noted or (state / journal.FILE).exists():
+            raise ControllerError(
+                f"the journal in {state} is that of {noted or 'this folder itself'}, not of "
+                f"{self._owner or 'this folder itself'}: give every controller a folder of its own"
+            )
+        write_atomically(path, self._owner)
+
+    def _read(self, names: list[str]) -> dict[str, str]:
+        self.folder.stat()  # a folder that is gone is not an empty one
+        paths = {name: self.folder / name for name in names}
+        return {n: read_bytes(p).decode(ENCODING) for n, p in paths.items() if _is_file(p)}
+
+    def _write(self, files: Mapping[str, str | None]) -> None:
+        for name in files:
+            _is_file(self.folder / name)
+        for name, text in files.items():
+            path = self.folder / name
+            if text is None:
+                path.unlink(missing_ok=True)
+            else:
+                write_atomically(path, text, ENCODING)
+        sync_folder(self.folder)
+
+    def _answered(self, action: Callable[[], T], what: str) -> T:
+        return answered(action, self._timeout_s, str(self.folder), what)
+
+
+def _is_file(path: Path) -> bool:
+    """Return whether there is a file; ControllerError for what would not be replaced but lost.
+
+    A link must remain one: a file in its place would cut the controller off from its target.
+    """
+    try:
+        status = path.lstat()
+    except FileNotFoundError:
+        return False
+    if not stat.S_ISREG(status.st_mode):
+        kind = "a link" if stat.S_ISLNK(status.st_mode) else "no plain file"
+        raise ControllerError(
+            f"{path} is {kind}: set controller_folder to the folder that holds the table itself; "
+            "nothing was changed"
+        )
+    if status.st_nlink > 1:
+        raise ControllerError(
+            f"{path} has {status.st_nlink} names (hard links), of which only this one would get "
+            "the new table: leave it one name; nothing was changed"
+        )
+    return True
+
+
+GRACE_S: Final = 2.0
+"""s, for a link to clean up after its own time limit."""
+
+
+class TableLink(Protocol):
+    """A way to a controller; it stops what takes longer than the time that it was given."""
+
+    address: str
+
+    def read(self, names: list[str]) -> dict[str, str]:
+        """Return those of the tables that exist; ControllerError when that is not known."""
+
+    def write(self, tables: Mapping[str, str | None]) -> None:
+        """Replace the tables, None takes one away; ControllerError when not all is done."""
+
+
+class NetworkStore:
+    """The store of a controller behind ``link``; lock and provenance are in a local folder."""
+
+    def __init__(self, records: ControllerFolder, link: TableLink, timeout_s: float) -> None:
+        self._records, self._link = records, link
+        self._timeout_s = timeout_s + GRACE_S
+
+    def lock(self) -> None:
+        """Take the sole right on this machine to feed this controller."""
+        self._records.lock()
+
+    def close(self) -> None:
+        """Let others feed the controller."""
+        self._records.close()
+
+    def busy(self) -> None:
+        """Return None: the link does not know what the machine is doing."""
+
+    def address(self, name: str) -> str:
+        """Return the path or address of a file, for people."""
+        return self._records.address(name) if _is_side(name) else f"{self._link.address}/{name}"
+
+    def read(self, names: Iterable[str]) -> dict[str, str]:
+        """Return those of the files that exist."""
+        wanted = list(names)
+        tables = [name for name in wanted if not _is_side(name)]
+        found = answered(
+            lambda: self._link.read(tables), self._timeout_s, self._link.address, "read"
+        )
+        return found | self._records.read(filter(_is_side, wanted))
+
+    def write(self, files: Mapping[str, str | None]) -> None:
+        """Replace the files, tables first: the provenance never describes what is not there."""
+        tables = {name: text for name, text in files.items() if not _is_side(name)}
+        answered(lambda: self._link.write(tables), self._timeout_s, self._link.address, "write")
+        self._records.write({name: text for name, text in files.items() if _is_side(name)})
+
+
+def make_store(settings: BridgeSettings, controller: Controller) -> ControllerStore:
+    """Return the store that ``settings.transport`` names.
+
+    Raises ConfigurationError, with the extra to install, when its client is missing, and for a
+    controller whose tables it cannot carry.
+    """
+    folder, timeout_s = Path(settings.controller_folder), settings.answer_timeout_s
+    if settings.transport == "folder":
+        return ControllerFolder(folder, timeout_s)
+    if settings.transport == "opcua":
+        link = _client("opcua").OpcUaLink(settings.opcua, timeout_s)
+    else:
+        link = _client("ads").AdsLink(settings.ads, timeout_s, controller)
+    return NetworkStore(ControllerFolder(folder, timeout_s, link.address), link, timeout_s)
+
+
+def _client(transport: str) -> Any:
+    """Return the module of a link; what it needs is installed as an extra."""
+    try:
+        return import_module(f"rotcal_ros.compensation.{transport}_link")
+    except ModuleNotFoundError as error:
+        package = str(error.name).partition(".")[0]
+        raise ConfigurationError(
+            f"bridge.transport {transport} needs the package {package}: "
+            f"pip install 'rotcal_ros[{transport}]'"
+        ) from error
+
+
+def _is_side(name: str) -> bool:
+    return name.endswith(PROVENANCE)

@@ -1,14 +1,16 @@
-"""All controllers that are installed, by name."""
+"""All controllers that are installed, by name, with settings as people write them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from rotcal_ros.compensation.controller import Controller
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.settings import load
+from rotcal_ros.foundation.untrusted import load_yaml
 
 
 def controller_names() -> tuple[str, ...]:
@@ -35,3 +37,34 @@ def make_controller(
             f"the controller {name!r} is {found!r}, no subclass of Controller"
         )
     return load(found, values, where or name)
+
+
+def parse_options(texts: Iterable[str]) -> dict[str, Any]:
+    """Return ``name=value`` texts as a mapping; values are YAML scalars.
+
+    Raises ConfigurationError for a text of another form and for a name given twice.
+    """
+    options: dict[str, Any] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals or not name.strip():
+            raise ConfigurationError(f"controller setting {text!r}: expected NAME=VALUE")
+        if name.strip() in options:
+            raise ConfigurationError(f"controller setting {name.strip()!r} is given twice")
+        options[name.strip()] = load_yaml(value, f"controller setting {text!r}")
+    return options
+
+
+def parse_revolutions(text: str) -> dict[str, int]:
+    """Return the settings of a travel ``FIRST:LAST`` in revolutions; "-1:2" is -360 .. 720 deg.
+
+    For controllers whose tables do not wrap. Raises ConfigurationError for any other text.
+    """
+    match = re.fullmatch(r"([+-]?\d{1,4}):([+-]?\d{1,4})", text.strip())
+    first, last = (int(match[1]), int(match[2])) if match else (0, 0)
+    if last <= first:
+        raise ConfigurationError(
+            f"revolutions {text!r}: expected FIRST:LAST with LAST above FIRST, such as -1:2 for a "
+            "travel of -360 .. 720 degrees"
+        )
+    return {"first_turn": first, "turns": last - first}

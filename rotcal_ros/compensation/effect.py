@@ -23,9 +23,9 @@ from rotcal_ros.foundation.gum_numbers import value_with_uncertainty
 from rotcal_ros.foundation.results import Result
 
 WRONG: Final = ((-1.5, -0.75), (0.75, 1.5), (1.5, 2.5))
-"""Factors of a table that acts twice, does not act, or acts with the wrong sign. More than that is
-left of a table that corrects a small part only; to add to it is right."""
-WHY: Final = (
+"""Factors of a table that acts twice, does not act, or acts with the wrong sign. A larger factor
+is that of a table that corrects a small part only; to add to it is right."""
+CAUSES: Final = (
     "it acts twice (at two places of the control, or in the control and in software)",
     "it is inactive, or on the wrong axis: check whether the control has loaded it (restart, "
     "reference run, its switch), and for this axis",
@@ -51,14 +51,13 @@ class Effect:
     share: float
 
     @property
-    def wrong(self) -> str:
-        """What the table in force does wrong, in words; empty where nothing shows that it does."""
+    def fault(self) -> str | None:
+        """What the table in force does wrong, in words, if that is certain."""
         sure = abs(self.factor) - COVERAGE_FACTOR * self.std > SURE and self.share >= SHARE
-        near = (low <= self.factor < high for low, high in WRONG)
-        why = next((text for text, is_near in zip(WHY, near, strict=True) if is_near), "")
-        if not (sure and why):
-            return ""
-        return f"the table in force does not do what it should: {self.in_words()}; {why}"
+        for (low, high), cause in zip(WRONG, CAUSES, strict=True):
+            if sure and low <= self.factor < high:
+                return f"the table in force does not do what it should: {self.in_words()}; {cause}"
+        return None
 
     def in_words(self) -> str:
         """Return the factor with its expanded uncertainty."""

@@ -1,6 +1,6 @@
-"""From a table to the texts of a controller's files, proven by the controller's own rule.
+"""From a table to the texts of a controller's files, verified by the controller's own rule.
 
-The proof tells what the controller's table can remove of the deviation and what it cannot.
+The verification shows how much of the deviation the controller's table removes, and what is left.
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ from rotcal_ros.compensation.controller import Controller, Lag, Rule
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.held_table import in_force_of
 from rotcal_ros.compensation.interpolation_uncertainty import CERTAIN
-from rotcal_ros.compensation.lookup import Correction
-from rotcal_ros.compensation.resample import averaged, resample
+from rotcal_ros.compensation.resample import Correction, averaged, resample
 from rotcal_ros.compensation.table import (
     DIRECTIONS,
     SIGN_CONVENTION,
@@ -95,8 +94,8 @@ def prepare_export(
     and ``reference_angle`` are radians (without a spacing see :func:`chosen_rows`),
     ``settings`` go to the controller, ``stem`` is the file
     name without extension (else axis and controller, and that of a simulation says so),
-    ``sources`` maps what the numbers come from (a bag, a result) to its SHA-256. What nobody has
-    verified about a controller is refused unless ``accept_unverified``.
+    ``sources`` maps what the numbers come from (a bag, a result) to its SHA-256. What has not
+    been verified about a controller is refused unless ``accept_unverified``.
 
     Raises DataError for a verdict other than "ok" or a file that would make things worse, and
     ConfigurationError for limits, names and settings. Writes nothing.
@@ -217,8 +216,8 @@ def _warnings(table: CompensationTable, controller: Controller) -> tuple[str, ..
     if table.simulated:
         reserve = (f"{NOTHING_MEASURED} table", *reserve)
     unverified = (f"not verified: {text}" for text in controller.unverified)
-    known = averaged(table).warnings if controller.one_direction else table.warnings
-    return (*reserve, *known, *unverified)
+    of_the_table = averaged(table).warnings if controller.one_direction else table.warnings
+    return (*reserve, *of_the_table, *unverified)
 
 
 def _too_wide(
@@ -251,8 +250,8 @@ def _origin(table: CompensationTable, now: datetime, sources: Mapping[str, str])
         "axis": table.axis,
         "item": table.item,
         "serial": table.serial,
-        "measured_from": _day(table.measured_from_ns),
-        "measured_until": _day(table.measured_until_ns),
+        "measured_from": utc(table.measured_from_ns) if table.measured_from_ns else "",
+        "measured_until": utc(table.measured_until_ns) if table.measured_until_ns else "",
         "simulated": table.simulated,
         "method": table.method,
         "verdict": table.verdict,
@@ -266,10 +265,8 @@ def _origin(table: CompensationTable, now: datetime, sources: Mapping[str, str])
     }
 
 
-def _day(time_ns: int) -> str:
-    """Return the time (ns since 1970) for people; empty for 0, which is not known."""
-    if not time_ns:
-        return ""
+def utc(time_ns: int) -> str:
+    """Return a time (ns since 1970) for people."""
     time = datetime.fromtimestamp(time_ns * NANOSECOND, timezone.utc)
     return time.isoformat(timespec="seconds")
 

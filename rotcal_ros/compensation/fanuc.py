@@ -121,7 +121,7 @@ class Fanuc(Controller):
 
     @property
     def unverified(self) -> tuple[str, ...]:
-        """What nobody has confirmed on a real control."""
+        """What has not been confirmed on a real control."""
         return UNVERIFIED if self.one_direction else UNVERIFIED + UNVERIFIED_BACK
 
     def __post_init__(self) -> None:

@@ -19,8 +19,7 @@ from rotcal_ros.compensation.agreement import NO_MACHINE, MachineIdentity, agree
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.cascaded_tables import Combination, combined
 from rotcal_ros.compensation.controller import Controller
-from rotcal_ros.compensation.controller_folder import STATE_FOLDER
-from rotcal_ros.compensation.controller_store import ControllerStore
+from rotcal_ros.compensation.controller_store import STATE_FOLDER, ControllerStore, make_store
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.export import (
     FIRST_ANGLE_DEG,
@@ -29,6 +28,7 @@ from rotcal_ros.compensation.export import (
     ExportFiles,
     default_stem,
     prepare_export,
+    utc,
 )
 from rotcal_ros.compensation.held_table import HeldTable, held_table, in_force_of, machine_of
 from rotcal_ros.compensation.journal import (
@@ -39,7 +39,6 @@ from rotcal_ros.compensation.journal import (
     contents_hash,
     texts_of,
 )
-from rotcal_ros.compensation.network_store import make_store
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
 from rotcal_ros.compensation.writing import PROVENANCE, of_the_controller, write_files
 from rotcal_ros.foundation.arrays import Floats
@@ -54,13 +53,13 @@ from rotcal_ros.foundation.untrusted import load_json, read_bytes
 class Applied:
     """What was done: where the controller's files are, the old ones' folder, change in rad.
 
-    ``unfinished`` names an earlier change that was begun and never finished, empty if none.
+    ``unfinished`` describes an earlier change that was begun and never finished, if there was one.
     """
 
     files: tuple[str, ...]
     backup: Path
     largest_change: float
-    unfinished: str = ""
+    unfinished: str | None = None
 
 
 class Feed:
@@ -116,28 +115,27 @@ class Feed:
         """Forget the table that was offered."""
         self.offer = None
 
-    def never(self) -> str:
-        """Return why the offered table cannot be applied at all; empty: it can."""
-        if self.offer is None or not self.offer.table.simulated or self._takes_simulated:
-            return ""
-        return (
-            "the table is SIMULATED, no instrument measured it, and this is the bridge of a real "
-            "cell; bridge.accept_simulated accepts it all the same"
-        )
+    def refuse_simulated(self) -> None:
+        """Raise DataError where the offered table is simulated and the cell is real."""
+        if self.offer is not None and self.offer.table.simulated and not self._takes_simulated:
+            raise DataError(
+                "the table is SIMULATED, no instrument measured it, and this is the bridge of a "
+                "real cell; bridge.accept_simulated accepts it all the same"
+            )
 
     def in_force(self) -> str:
         """Return which table the controller holds: its hash, "none", or "unknown".
 
-        Missing files prove nothing: "none" is returned where the journal says so too or, before
-        the first change, the settings. See :meth:`contradiction`.
+        Without files it is "none" only where the journal says so too or, before the first change,
+        the settings; else "unknown". See :meth:`contradiction`.
         """
         if not self.settings.controller_folder or self._journal.unfinished():
             return UNKNOWN
         held = in_force_of(self._present())
         return held if held != NONE else self._noted()
 
-    def contradiction(self, held: str) -> str:
-        """Return in words what contradicts that ``held`` is in force; empty when nothing does."""
+    def contradiction(self, held: str) -> str | None:
+        """Return in words what contradicts that ``held`` is in force, if anything does."""
         if held == UNKNOWN and known_hash(noted := self._last_noted()):
             return (
                 "the controller shows no table, but according to the journal it was given "
@@ -149,10 +147,10 @@ class Feed:
                 f"cell.table_in_force says {self._stated[:12]}, and the controller holds "
                 f"{held[:12]}: correct the setting, or leave it to this bridge"
             )
-        return ""
+        return None
 
     def _noted(self) -> str:
-        """Return what is in force where no file is seen."""
+        """Return what is in force where the controller has no file."""
         if not self._journal.entries():
             return NONE if self._stated == NONE else UNKNOWN
         return UNKNOWN if known_hash(self._last_noted()) else NONE
@@ -161,8 +159,8 @@ class Feed:
         history = self._journal.history()
         return history[-1][1] if history else ""
 
-    def open(self) -> str:
-        """Become the only one who feeds the controller; return what was left unfinished."""
+    def open(self) -> str | None:
+        """Become the only one who feeds the controller; return the change left unfinished."""
         self._refuse_no_controller()
         self._store.lock()
         return self.unfinished()
@@ -174,8 +172,7 @@ class Feed:
         anything else afterwards the old table is put back and ControllerError raised.
         """
         offer = self._confirmed(confirmation)
-        if why := self.never():
-            raise DataError(why)
+        self.refuse_simulated()
         self._refuse_unfinished()
         self._refuse_stale(offer)
         self._refuse_unused(offer)
@@ -212,29 +209,29 @@ class Feed:
                 ) from error
         else:
             self._refuse_large(change, max_change_arcsec or self.settings.max_change_arcsec)
-        table_hash = self._journal.table_of(contents_hash(kept))
+        table_hash = self._journal.table_of(contents_hash(kept)) or ""
         done = self._exchange(("restoring", "restored"), present, kept, change, table_hash)
         return replace(done, unfinished=unfinished)
 
-    def next_restore(self) -> str:
-        """Return the hash that undoes the last change; empty when there is nothing to undo."""
+    def next_restore(self) -> str | None:
+        """Return the hash that undoes the last change, if there is one."""
         entry = self._journal.to_undo()
-        return "" if entry is None else entry.before_hash
+        return None if entry is None else entry.before_hash
 
-    def unfinished(self) -> str:
-        """Return in words a change that was begun and never ended; empty if there is none."""
+    def unfinished(self) -> str | None:
+        """Return in words the change that was begun and never ended, if there is one."""
         entry = self._journal.unfinished()
         if entry is None:
-            return ""
+            return None
         kept = self._journal.kept(entry.backup)
         held = self._store.read(kept)
-        known = {entry.before_hash: "the old files", entry.after_hash: "the new files"}
-        found = known.get(contents_hash({name: held.get(name) for name in kept}))
+        whole = {entry.before_hash: "the old files", entry.after_hash: "the new files"}
+        found = whole.get(contents_hash({name: held.get(name) for name in kept}))
         what = (
             f"{entry.action} table {entry.table_hash[:12]}" if entry.table_hash else entry.action
         )
         return (
-            f"{what}, begun at {_utc(entry.time_ns)}, was never finished: the "
+            f"{what}, begun at {utc(entry.time_ns)}, was never finished: the "
             f"controller holds {found or 'neither the old nor the new files whole'}; restore "
             f"{entry.before_hash} before the axis moves"
         )
@@ -262,11 +259,11 @@ class Feed:
         if entry is not None:
             return entry
         undo = self.next_restore()
-        if not undo:
+        if undo is None:
             raise DataError("no table was applied here, so that none can be taken back")
         raise DataError(
             f"nothing with the hash {kept_hash or 'none'} was kept; the last change is undone by "
-            f"{undo}. {self.unfinished()}".rstrip()
+            f"{undo}. {self.unfinished() or ''}".rstrip()
         )
 
     def _refuse_no_controller(self) -> None:
@@ -312,7 +309,7 @@ class Feed:
         raise DataError(
             f"{claim}, but according to the journal of this bridge the controller held "
             f"{f'the table {held[:12]}' if known_hash(held) else 'no table'} then (since "
-            f"{_utc(since_ns)}): the measurement is not what it is said to be, and used as such "
+            f"{utc(since_ns)}): the measurement is not what it is said to be, and used as such "
             "it would spoil the correction. Measure again, and let this bridge announce what is "
             "in force (leave cell.table_in_force out)"
         )
@@ -339,7 +336,7 @@ class Feed:
         base = offer.table.adds_to
         if base and (found := self.in_force()) != base:
             since = [ns for ns, held in self._journal.history() if held == base]
-            when = f", which it was given at {_utc(since[-1])}" if since else ""
+            when = f", which it was given at {utc(since[-1])}" if since else ""
             raise DataError(
                 f"the table adds to the table {base[:12]}{when}, and what is in force now is "
                 f"{found[:12]}: measure again with what the controller holds now"
@@ -352,8 +349,11 @@ class Feed:
 
     def _usual_names(self) -> tuple[str, ...]:
         """Return how our files for this controller are named, before there is a journal."""
-        stem, own = default_stem(self.axis, self.settings.controller), self._controller.suffixes
-        return tuple(stem + suffix for suffix in (*own, PROVENANCE)) if own else ()
+        stem, suffixes = (
+            default_stem(self.axis, self.settings.controller),
+            self._controller.suffixes,
+        )
+        return tuple(stem + suffix for suffix in (*suffixes, PROVENANCE)) if suffixes else ()
 
     def _held(self) -> HeldTable | None:
         """Return the table in force, None where there is none."""
@@ -371,7 +371,7 @@ class Feed:
     def _refuse_busy(self) -> None:
         command = self.settings.busy_command or self._controller.busy_command
         timeout_s = self.settings.answer_timeout_s
-        if work := self._store.busy() or work_of(command, timeout_s):
+        if work := self._store.busy() or ask_busy(command, timeout_s):
             raise ControllerError(f"the machine is at work: {work}; nothing was changed")
 
     def _exchange(
@@ -386,11 +386,6 @@ class Feed:
         entry = self._exchanging.make(words, held, wanted, table_hash)
         paths = tuple(map(self._store.address, texts_of(wanted)))
         return Applied(paths, self._journal.folder / entry.backup, change)
-
-
-def _utc(time_ns: int) -> str:
-    time = datetime.fromtimestamp(time_ns * NANOSECOND, timezone.utc)
-    return time.isoformat(timespec="seconds")
 
 
 GRID_STEP: Final = 0.25 * DEGREE
@@ -447,15 +442,15 @@ def _correction(
     return rule.correction(grid, approach)
 
 
-def work_of(command: Sequence[str], timeout_s: float) -> str:
-    """Return what the machine is doing in words, empty when it rests or nobody can tell.
+def ask_busy(command: Sequence[str], timeout_s: float) -> str | None:
+    """Return what the machine is doing in words; None when it rests or cannot be asked.
 
     ``command`` ends with exit code 0 when the machine rests, and with 1 and a line that says why
-    when it does not; an empty command: nobody can tell. Raises ControllerError when there is no
-    answer within ``timeout_s``, or another exit code: an unknown state does not count as rest.
+    when it does not; an empty command: the machine cannot be asked. Raises ControllerError when
+    there is no answer within ``timeout_s``, or another exit code: an unknown state is not rest.
     """
     if not command:
-        return ""
+        return None
     name = " ".join(command)
     try:
         done = subprocess.run(
@@ -472,7 +467,7 @@ def work_of(command: Sequence[str], timeout_s: float) -> str:
             f"it is not known whether the machine is at work ({name} ended with code "
             f"{done.returncode}: {last}): nothing was changed"
         )
-    return (last or f"{name} says so") if done.returncode else ""
+    return (last or f"{name} says so") if done.returncode else None
 
 
 @dataclass(frozen=True)
@@ -568,7 +563,7 @@ def write_steps(held: Mapping[str, str], wanted: Contents) -> list[dict[str, str
 MAX_STD_RATIO: Final = 3.0
 """Ratio of standard uncertainty and largest correction above which a table is refused."""
 MAX_AHEAD_NS: Final = 1_000_000_000
-"""The clock of the solver may be ahead of ours by so much."""
+"""The clock of the solver may be ahead of ours by this much."""
 
 
 @dataclass(frozen=True)

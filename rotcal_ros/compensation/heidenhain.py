@@ -54,7 +54,7 @@ class Heidenhain(Controller):
 
     @property
     def unverified(self) -> tuple[str, ...]:
-        """What nobody has confirmed yet; differences contradict the manual."""
+        """What has not been confirmed yet; differences contradict the manual."""
         return OPEN if self.backlash == ABSOLUTE else (*OPEN, DIFFERENCE)
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:

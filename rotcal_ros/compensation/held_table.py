@@ -52,14 +52,14 @@ class HeldTable:
 
 def in_force_of(files: Mapping[str, str]) -> str:
     """Return the SHA-256 of a controller's own ``files``, without side files; "none" for none."""
-    own = of_the_controller(files)
-    return contents_hash(own) if own else NONE
+    tables = of_the_controller(files)
+    return contents_hash(tables) if tables else NONE
 
 
 def held_table(controller: Controller, files: Mapping[str, str]) -> HeldTable:
     """Return the table in ``files``, which hold its side file too.
 
-    Raises DataError when they do not tell where the rows are, BagError when they are damaged.
+    Raises DataError when the angles of the rows are missing, BagError for damaged files.
     """
     try:
         known = load_json(_side(files))
@@ -88,8 +88,8 @@ def held_table(controller: Controller, files: Mapping[str, str]) -> HeldTable:
 def machine_of(files: Mapping[str, str]) -> MachineIdentity:
     """Return what ``files`` were made for, as far as the side file among them says it."""
     try:
-        known = load_json(_side(files))
-        axis, serial = (known.get(name, "") for name in ("axis", "serial"))
+        side = load_json(_side(files))
+        axis, serial = (side.get(name, "") for name in ("axis", "serial"))
     except (ValueError, TypeError, AttributeError):
         return MachineIdentity()
     return MachineIdentity(*(text if isinstance(text, str) else "" for text in (axis, serial)))

@@ -64,9 +64,9 @@ def between_std(curve: DirectionalCurve, weights: Weights, reference: float) -> 
         content = content_of(curve.angles, values, covariance)
         missed = np.sqrt(content.missed(inside, curve.angles, at.ravel()))
         missed += np.sqrt(content.missed(zero, curve.angles, here))
-        # an error common to all values shifts the curve, and bends it nowhere between them
-        own = centring @ covariance @ centring
-        gained = variances(inside, own) - np.max(variances(rows, own))
+        # An error common to all values shifts the curve, and bends it nowhere between them.
+        bending = centring @ covariance @ centring
+        gained = variances(inside, bending) - np.max(variances(rows, bending))
         total = (missed**2 + np.maximum(gained, 0.0)).reshape(at.shape)
         variance = np.maximum(variance, total)
     return np.asarray(np.sqrt(variance.max(axis=1)), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""What was done to a controller: one line per event, and the tables that were there before."""
+"""The journal of a controller: one line per change, and the files that were replaced."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class Entry:
     """One event at ``time_ns``; ``backup`` names the folder with what was there before.
 
     ``before_hash`` and ``after_hash`` (:func:`contents_hash`) are what the controller held and
-    what it was to hold; ``table_hash`` is empty for
-    contents that are not known to be a table of ours. ``in_force`` is what the controller holds
-    from then on, as :func:`in_force_of`; empty while that is open.
+    what it was to hold; ``table_hash`` is empty for contents that are not known to be a table of
+    rotcal. ``in_force`` is what the controller holds from then on, as :func:`in_force_of`; empty
+    while that is open.
     """
 
     action: Action
@@ -137,9 +137,9 @@ class Journal:
 
     def _undo(self, stack: list[Entry], restored: Entry) -> None:
         """Remove the changes that are undone; a restore of anything else is itself a change."""
-        for place in range(len(stack) - 2, -1, -1):
-            if stack[place].before_hash == restored.after_hash:
-                del stack[place:]
+        for index in range(len(stack) - 2, -1, -1):
+            if stack[index].before_hash == restored.after_hash:
+                del stack[index:]
                 return
 
     def change_from(self, kept_hash: str) -> Entry | None:
@@ -167,10 +167,10 @@ class Journal:
         before = [event for event in history if event[0] <= from_ns]
         return (*before[-1:], *(event for event in history if from_ns < event[0] <= until_ns))
 
-    def table_of(self, held_hash: str) -> str:
-        """Return the hash of the table that was applied as these contents; empty: not known."""
+    def table_of(self, held_hash: str) -> str | None:
+        """Return the hash of the table that was applied as these contents, if one was."""
         done = (e for e in reversed(self.entries()) if e.action == "applied")
-        return next((e.table_hash for e in done if e.after_hash == held_hash), "")
+        return next((e.table_hash for e in done if e.after_hash == held_hash), None)
 
     def last_ns(self) -> int:
         """Return the time of the last event, 0 if there is none."""

@@ -134,8 +134,10 @@ class LinuxCnc(Controller):
                 "linuxcnc: an arc cannot be repeated, set turns 1, first_turn 0"
             )
         require_at_most(len(angles), MAX_ROWS, "linuxcnc: rows", "choose a wider spacing")
-        if self.machine_ini and (beyond := self._joint(table.axis).beyond(angles[0], angles[-1])):
-            raise ConfigurationError(beyond)
+        if self.machine_ini:
+            beyond = self._joint(table.axis).travel_beyond(angles[0], angles[-1])
+            if beyond is not None:
+                raise ConfigurationError(beyond)
         if self.file_type == 0:
             up, down = angles - up, angles - down
         lines = [
@@ -216,8 +218,9 @@ class LinuxCnc(Controller):
             return ()
         name, _ = only_file(files, ".comp")
         rows, joint = self.read(files).nominal_deg, self._joint(axis)
-        wrong = joint.not_using(folder / name, self.file_type)
-        return tuple(text for text in (*wrong, joint.beyond(rows[0], rows[-1])) if text)
+        reasons = joint.not_using(folder / name, self.file_type)
+        beyond = joint.travel_beyond(rows[0], rows[-1])
+        return tuple(reasons) if beyond is None else (*reasons, beyond)
 
     def machine_files(self, axis: str, files: Mapping[str, str]) -> dict[str, str]:
         """Return a copy of ``machine_ini`` with the lines of ``files`` in the joint's section."""
@@ -225,8 +228,8 @@ class LinuxCnc(Controller):
             return {}
         joint = self._joint(axis)
         _, lines = only_file(files, ".ini")
-        own = Ini(joint.ini.path, lines)
-        values = {key: own.value(joint.section, key) or "" for key in LINES}
+        written = Ini(joint.ini.path, lines)
+        values = {key: written.value(joint.section, key) or "" for key in LINES}
         return {joint.ini.path.name: joint.ini.merged(joint.section, values)}
 
     def _joint(self, axis: str) -> Joint:
@@ -506,5 +509,5 @@ def _complaints(joint: Joint, table: Path) -> Iterator[str]:
             f"read as type {joint.table_type} the largest trim is {largest:.4g} deg: "
             f"COMP_FILE_TYPE is {joint.table_type} and the table of another type"
         )
-    if beyond := joint.beyond(float(loaded.nominal_deg[0]), float(loaded.nominal_deg[-1])):
+    if beyond := joint.travel_beyond(float(loaded.nominal_deg[0]), float(loaded.nominal_deg[-1])):
         yield beyond

@@ -107,11 +107,11 @@ class Joint:
         """COMP_FILE_TYPE; without one LinuxCNC takes 0."""
         return int(self.ini.number(self.section, "COMP_FILE_TYPE", 0))
 
-    def beyond(self, first_deg: float, last_deg: float) -> str:
-        """Return in words where the travel leaves a table from first to last; empty: nowhere."""
+    def travel_beyond(self, first_deg: float, last_deg: float) -> str | None:
+        """Return in words where the travel leaves a table from first to last, if it does."""
         lower, upper = self.travel_deg
         if lower >= first_deg - SAME_DEG and upper <= last_deg + SAME_DEG:
-            return ""
+            return None
         first, last = int(np.floor(lower / 360.0)), int(np.ceil(upper / 360.0))
         return (
             f"{self._where} may travel from {lower:.9g} to {upper:.9g} deg and the table holds "

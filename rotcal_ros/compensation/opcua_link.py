@@ -39,7 +39,7 @@ T = TypeVar("T")
 GOODBYE_S: Final = 1.0
 """s, for the end of a session: a server that is gone does not answer to it."""
 
-logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # what matters is raised, and told once
+logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # errors are raised, and reported once
 
 
 class OpcUaLink:

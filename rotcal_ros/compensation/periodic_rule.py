@@ -13,7 +13,7 @@ from rotcal_ros.foundation.units import DEGREE
 
 
 def periodic(angle: Floats, rows_deg: Floats, values: Floats | Ints) -> Floats:
-    """Interpolate ``values`` at ``rows_deg`` 0 .. 360 linearly at ``angle`` (rad), every turn."""
+    """Interpolate ``values`` at ``rows_deg`` 0 .. 360 linearly at ``angle`` (rad) of any turn."""
     within = np.mod(np.asarray(angle) / DEGREE, 360.0)
     return np.asarray(np.interp(within, rows_deg, values), dtype=np.float64)
 

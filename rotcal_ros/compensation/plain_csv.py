@@ -65,8 +65,10 @@ class PlainCsv(Controller):
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the table, closed with a row at 360 deg when it is a full circle."""
         angles, up, down = columns_deg(table)
-        known = [table.std] if table.std_reverse is None else [table.std, table.std_reverse]
-        std = [np.append(s, s[0]) if table.closed else s for s in known]
+        uncertainties = (
+            [table.std] if table.std_reverse is None else [table.std, table.std_reverse]
+        )
+        std = [np.append(s, s[0]) if table.closed else s for s in uncertainties]
         columns = [angles, up * 3600.0, down * 3600.0, *(s / ARCSEC for s in std)]
         if table.std_reverse is None:
             columns.append(np.full(len(angles), SAME_STD))

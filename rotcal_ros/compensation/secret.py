@@ -1,4 +1,4 @@
-"""The secret of those who may change a controller, in a file that only the operator can read."""
+"""The secret that permits to change a controller, in a file that only the operator can read."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SHORTEST: Final = 16
 
 
 class Secret:
-    """What a request has to carry; never part of a text, a parameter or a log."""
+    """A secret that a request must contain; never part of a text, a parameter or a log."""
 
     def __init__(self, path: Path) -> None:
         """Read the file; ConfigurationError when others could read or write it too."""
@@ -36,7 +36,7 @@ class Secret:
             )
 
     def is_in(self, request: str) -> bool:
-        """Return whether ``request`` is the secret, in a time that tells nothing about it."""
+        """Return whether ``request`` is the secret, in a time that does not depend on it."""
         return hmac.compare_digest(request.strip().encode(errors="backslashreplace"), self._secret)
 
 

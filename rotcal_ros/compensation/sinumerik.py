@@ -79,7 +79,7 @@ class Sinumerik(Controller):
 
     @property
     def unverified(self) -> tuple[str, ...]:
-        """What nobody has confirmed yet: the sign of CEC."""
+        """What has not been confirmed yet: the sign of CEC."""
         if self.tables == ENC_COMP:
             return ()
         return (

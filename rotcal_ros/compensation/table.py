@@ -1,4 +1,4 @@
-"""The correction of a rotary axis: one model, whatever measured it and whoever will use it.
+"""The correction of a rotary axis: one model for all methods and all controllers.
 
 Correction = -deviation = commanded - actual, radians: what must be *added* to the command.
 """
@@ -59,9 +59,9 @@ class CompensationTable:
     the one that the corrections contain. ``item`` says what was measured and ``serial`` is its
     number, empty where that is not known; ``simulated``: no instrument measured it.
     ``measured_from_ns`` and ``measured_until_ns`` are when (ns since 1970) the first and the last
-    measurement that counts was made; 0: not known. ``open_zeros`` says which offsets within the
-    table nobody has measured, so that no uncertainty holds between its parts; empty: none. Such a
-    table is fed to no controller, see :func:`check_verdict`. Raises DataError when the arrays do
+    measurement that counts was made; 0: not known. ``open_zeros`` names the offsets within the
+    table that were not measured, so that no uncertainty holds between its parts; empty: none. Such
+    a table is fed to no controller, see :func:`check_verdict`. Raises DataError when the arrays do
     not fit together.
 
     >>> import rotcal_ros as rc
@@ -341,8 +341,8 @@ def _item(result: Result, reverse: Result | None) -> str:
 
 def _serial(result: Result, reverse: Result | None) -> str:
     """Return the number of the item of both directions, which do not contradict each other."""
-    known = (r.circumstances.identity.serial for r in (result, reverse) if r is not None)
-    return next(filter(None, known), "")
+    serials = (r.circumstances.identity.serial for r in (result, reverse) if r is not None)
+    return next(filter(None, serials), "")
 
 
 def _measured_on(result: Result, reverse: Result | None) -> str:

@@ -87,7 +87,7 @@ class TwinCatNc(Controller):
 
     @property
     def unverified(self) -> tuple[str, ...]:
-        """What nobody has confirmed yet on a real control."""
+        """What has not been confirmed yet on a real control."""
         return OPEN if self.one_direction else (*OPEN, TWO_BLOCKS)
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:

@@ -13,9 +13,9 @@ from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.files import make_folder, scratch_folder, sync_folder, write_durably
 
 PROVENANCE: Final = ".provenance.json"
-"""How the name of the file ends that is for people and not for the controller."""
+"""The ending of the side file, which is for people and not for the controller."""
 SCHEMA: Final = 1
-"""Schema of these side files, which tells a reader what their entries mean."""
+"""Version of the entries of a side file."""
 
 
 def write_files(files: Mapping[str, str], folder: Path) -> tuple[Path, ...]:

@@ -1,10 +1,10 @@
-"""What a curve may do between the angles where it was measured, as its own values tell it.
+"""How far a curve may deviate between the angles where it was measured, from its own values.
 
 A deviation repeats after a turn. Its harmonics k = 1, 2, ... are taken for independent, with a
-variance S^2 r^k of cosine and sine that falls off geometrically. How large and how fast the values
-tell, given their covariance; what they leave open of both is averaged over (marginal likelihood,
-MacKay, Information Theory, chapters 28 and 45). The sum over all harmonics is a kernel in closed
-form, and with it the variance of what any line through the values misses.
+variance S^2 r^k of cosine and sine that falls off geometrically. S and r are estimated from the
+values and their covariance; what these leave open is averaged over (marginal likelihood, MacKay,
+Information Theory, chapters 28 and 45). The sum over all harmonics is a kernel in closed form, and
+with it the variance of what any line through the values misses.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ SIZES: Final = np.geomspace(1e-3, 30.0, 46)
 NOTHING: Final = 1e-20
 """Range (rad or m) of values below any meaning."""
 QUIET: Final = 1e-3
-"""Part of their uncertainty below which the range of values is not told from this part."""
+"""A range of values below this part of their uncertainty is raised to this part."""
 EXACT: Final = 1e-6
 """Part of their range to which values are believed, even where no uncertainty is stated."""
 
@@ -49,10 +49,10 @@ class Content:
         ``weights`` (m, n), whose rows add up to 1, are a line through exact values at ``nodes``
         (n,) rad: what is left is what the sampling cannot see.
         """
-        own = float(self.covariance(np.zeros(1))[0])
+        variance = float(self.covariance(np.zeros(1))[0])
         across = np.sum(weights * self.covariance(at[:, None] - nodes), axis=1)
-        known = np.sum((weights @ self.covariance(nodes[:, None] - nodes)) * weights, axis=1)
-        return np.asarray(np.maximum(own - 2.0 * across + known, 0.0), dtype=np.float64)
+        of_the_line = np.sum((weights @ self.covariance(nodes[:, None] - nodes)) * weights, axis=1)
+        return np.asarray(np.maximum(variance - 2.0 * across + of_the_line, 0.0), dtype=np.float64)
 
 
 def content_of(nodes: Floats, values: Floats, covariance: Floats) -> Content:

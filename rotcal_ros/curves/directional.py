@@ -58,10 +58,10 @@ def directional_curve(result: Result, reverse: Result | None = None) -> Directio
     DataError when the curves do not close or are at other angles, ConfigurationError when both
     sides are known already and ``reverse`` comes on top.
     """
-    own = result.directions.get(COMPONENT)
+    both = result.directions.get(COMPONENT)
     if reverse is None:
-        return _single(result) if own is None else _merged(result, own)
-    if own is not None or COMPONENT in reverse.directions:
+        return _single(result) if both is None else _merged(result, both)
+    if both is not None or COMPONENT in reverse.directions:
         raise ConfigurationError(
             f"a result ({result.method}) holds both directions already: leave out the second "
             "result of the reverse direction, or give two results of one direction each"

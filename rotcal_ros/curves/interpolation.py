@@ -148,7 +148,7 @@ def harmonic_estimator(nodes: Floats, order: int, covariance: Floats) -> Floats:
     singular = np.linalg.svd(white / np.linalg.norm(white, axis=0), compute_uv=False)
     if singular[-1] < 1e-8 * singular[0]:
         raise DataError(
-            f"the {len(nodes)} angles cannot tell harmonics up to order {order} apart: "
+            f"the {len(nodes)} angles cannot separate harmonics up to order {order}: "
             "lower the order or measure evenly around the whole circle"
         )
     q, r = np.linalg.qr(white)
@@ -166,7 +166,7 @@ def regular_root(covariance: Floats) -> Floats:
     if scale <= 0.0:
         return np.eye(n)
     regular = covariance / scale + 1.0
-    regular[np.diag_indices(n)] += 1e-12
+    regular[np.diag_indices(n)] += 1e-12  # regular also where two values are fully correlated
     try:
         return np.asarray(np.linalg.cholesky(regular) * np.sqrt(scale), dtype=np.float64)
     except np.linalg.LinAlgError as error:

@@ -1,7 +1,7 @@
-"""Where the uncertainty of a result comes from, as far as the result itself tells.
+"""The sources of the uncertainty of a result, as far as the result holds them.
 
 A method that splits its uncertainty has ``budget`` among the details: standard uncertainties of
-ECC by source, which add in squares. Of another one only the whole is known, and that is said.
+ECC by source, which add in squares. Of any other method only the whole is known and reported.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SOURCES: Final[Mapping[str, str]] = {
 }
 """The names that methods give their sources, in words."""
 WHOLE: Final = "Observations and all that is estimated with them"
-REST: Final = "Not told apart"
+REST: Final = "Not separated"
 NOTHING: Final = 1e-3
 """Share of the variance below which a rest is rounding."""
 

@@ -51,7 +51,7 @@ class CombinationInput:
     """One input: its curves by component, where it comes from, and how far to trust it.
 
     ``verdict`` is that on each part with a zero of its own. ``circumstances`` are None for a
-    reference that tells none; ``measured_on`` is the table in force, see :mod:`..in_force`.
+    reference without any; ``measured_on`` is the table in force, see :mod:`..in_force`.
     """
 
     name: str
@@ -98,7 +98,7 @@ class CombinationInput:
         bare = [c for c, curve in measured.curves.items() if not np.any(curve.covariance)]
         if bare:
             raise DataError(
-                f"{name}: {', '.join(bare)} without uncertainty: nothing tells its weight"
+                f"{name}: {', '.join(bare)} without uncertainty: it can be given no weight"
             )
         return measured
 
@@ -120,7 +120,7 @@ def combine(inputs: Sequence[CombinationInput], enlarge: Enlargement = "birge") 
     (chi-square, 1 % over all groups of components) the uncertainties are enlarged as ``enlarge``
     says and the verdict is suspect. An offset that one input leaves open, such as that between two
     groups of table positions, comes from the others, and a sentence says from which and what it
-    adds to U. A component whose offset no input tells is left out where others are whole; where
+    adds to U. A component whose offset no input holds is left out where others are whole; where
     none is, all stay and the result keeps the open :class:`Zeros`. The order of the inputs does
     not matter. Raises DataError for inputs that cannot be joined.
     """
@@ -154,10 +154,10 @@ def combine(inputs: Sequence[CombinationInput], enlarge: Enlargement = "birge") 
 
 def _require_one_table(inputs: Sequence[CombinationInput]) -> None:
     """Raise DataError where inputs say that they are of two items, two axes or two tables."""
-    known = [(m.name, m.circumstances) for m in inputs if m.circumstances]
+    circumstances = [(m.name, m.circumstances) for m in inputs if m.circumstances]
     require_one_table({
-        "serial number": {name: around.identity.serial for name, around in known},
-        "axis": {name: around.axis for name, around in known},
+        "serial number": {name: around.identity.serial for name, around in circumstances},
+        "axis": {name: around.axis for name, around in circumstances},
         "compensation in force": {
             m.name: m.measured_on[:12] for m in inputs if m.measured_on != UNKNOWN
         },

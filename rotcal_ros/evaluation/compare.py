@@ -34,7 +34,7 @@ from rotcal_ros.foundation.results import plain_fields
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 SURE: Final = 0.01
-"""Two curves disagree when so much disagreement comes by chance this rarely."""
+"""Two curves disagree when the probability of their differences by chance is below this."""
 OFFSETS_OFF: Final = "; such offsets are taken off, as the zero is"
 TOO_ALIKE: Final = (
     "they agree better than independent measurements do: the same data, an error that both have "
@@ -125,7 +125,7 @@ def compare(
     normalised = _normalised(difference, std)
     p_value = 0.0 if exact and np.any(normalised) else chi2_sf(chi2, dof)
     agree = _agree(normalised, p_value)
-    why = _why(both.first, both.second, second, angles, agree)
+    why = None if agree else _suspicion(both.first, both.second, second, angles)
     if both.shared is None and not exact:
         bare = pair(of_observations_alone(first), of_observations_alone(second), names)
         least = _align(raw, _of_difference(bare), basis)[2]
@@ -157,8 +157,8 @@ def _of_difference(both: PairedCurves) -> Floats:
     covariance = both.first_covariance + both.second_covariance
     if both.shared is None:
         return covariance
-    own = covariance - both.shared - both.shared.T
-    return np.asarray(own + floor(0.5 * covariance), dtype=np.float64)
+    apart = covariance - both.shared - both.shared.T
+    return np.asarray(apart + floor(0.5 * covariance), dtype=np.float64)
 
 
 def _align(raw: Floats, covariance: Floats, basis: Floats) -> tuple[Floats, Floats, float, int]:
@@ -201,7 +201,7 @@ def compare_all(
 def _agree(normalised: Floats, p_value: float) -> bool:
     """All |E_n| <= 1, or no more above 1 than chance gives, singly and together."""
     above = int(np.sum(np.abs(normalised) > 1.0))
-    expected = 2.0 * normal_sf(COVERAGE_FACTOR)
+    expected = 2.0 * normal_sf(COVERAGE_FACTOR)  # E_n has k = 2 in it: above 1 is beyond 2 sigma
     usual = above <= binomial_quantile(1.0 - SURE, len(normalised), expected)
     return above == 0 or (usual and p_value >= SURE)
 
@@ -223,7 +223,7 @@ def _turned(comparison: Comparison) -> Comparison:
     )
 
 
-def _notes(both: PairedCurves, why: str, exact: bool) -> list[str]:
+def _notes(both: PairedCurves, why: str | None, exact: bool) -> list[str]:
     notes = []
     if np.any(both.interpolated):
         notes.append(
@@ -255,10 +255,8 @@ def too_alike(chi2: float, dof: int, level: float = SURE) -> bool:
     return dof > 0 and 1.0 - chi2_sf(chi2, dof) < level
 
 
-def _why(first: Floats, second: Floats, curve: MeasuredCurve, angles: Floats, agree: bool) -> str:
-    """Return what may be wrong with one of two curves that disagree."""
-    if agree:
-        return ""
+def _suspicion(first: Floats, second: Floats, curve: MeasuredCurve, angles: Floats) -> str | None:
+    """Return what may be wrong with one of two curves that disagree, ``curve`` the second."""
     mirrored = None
     if curve.period:
         mirrored = -interpolation_matrix(curve.angles, -angles, TURN) @ curve.deviation
@@ -268,7 +266,6 @@ def _why(first: Floats, second: Floats, curve: MeasuredCurve, angles: Floats, ag
 ALIKE: Final = 0.9
 """Correlation from which on two curves have the same shape."""
 SCALES: Final = {
-    1.0: "",
     3600.0: "degrees taken for arcseconds",
     180.0 / pi * 3600.0: "radians taken for arcseconds",
     60.0: "arcminutes taken for arcseconds",
@@ -276,11 +273,11 @@ SCALES: Final = {
 }
 
 
-def suspicion(first: Floats, second: Floats, second_mirrored: Floats | None) -> str:
-    """Return what may be wrong with one of two curves, or an empty text.
+def suspicion(first: Floats, second: Floats, second_mirrored: Floats | None) -> str | None:
+    """Return what may be wrong with one of two curves, if their shapes show it.
 
     ``first`` and ``second`` are the values at the same angles, ``second_mirrored`` the negative
-    values of the second curve at the negative angles, if it goes round.
+    values of the second curve at the negative angles, if it covers a full turn.
     """
     if second_mirrored is not None:
         straight, mirrored = _likeness(first, second), _likeness(first, second_mirrored)
@@ -291,19 +288,16 @@ def suspicion(first: Floats, second: Floats, second_mirrored: Floats | None) -> 
             )
     likeness = _likeness(first, second)
     if abs(likeness) < ALIKE:
-        return ""
+        return None
     ratio = float(np.std(first) / np.std(second))
-    sign = "its sign is turned (commanded - actual?)" if likeness < 0.0 else ""
-    scale = next(
-        (
-            why
-            for factor, why in SCALES.items()
-            if abs(ratio / factor - 1.0) < 0.2 or abs(ratio * factor - 1.0) < 0.2
-        ),
-        "",
-    )
-    wrong = " and ".join(text for text in (sign, scale) if text)
-    return f"both curves have one shape, but for one of them {wrong}" if wrong else ""
+    mistakes = ["its sign is turned (commanded - actual?)"] if likeness < 0.0 else []
+    for factor, mistake in SCALES.items():
+        if abs(ratio / factor - 1.0) < 0.2 or abs(ratio * factor - 1.0) < 0.2:
+            mistakes.append(mistake)
+            break
+    if not mistakes:
+        return None
+    return f"both curves have one shape, but for one of them {' and '.join(mistakes)}"
 
 
 def _likeness(first: Floats, second: Floats) -> float:

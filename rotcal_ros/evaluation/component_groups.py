@@ -45,7 +45,7 @@ OPEN: Final = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """An offset of one component (m or rad) that ``input`` leaves open and ``others`` tell.
+    """An offset of one component (m or rad) that ``input`` leaves open and ``others`` measured.
 
     ``name`` as in :class:`FreeDirection`; ``offset`` is how far the values of the input are off,
     with standard uncertainty ``std``, ``share`` the most that this adds to that of any value.
@@ -80,7 +80,7 @@ class ComponentGroup:
     the standard uncertainties (Birge), ``common_std`` was added to those of all values (Mandel
     and Paule), rad or m. ``farthest`` is the input that fits worst.
     The estimate is known up to any multiple of the columns of ``open`` (unknowns, q), besides what
-    no method knows; ``links`` are offsets that one input leaves open and others tell.
+    no method knows; ``links`` are offsets that one input leaves open and others measured.
     """
 
     inputs: tuple[str, ...]
@@ -250,7 +250,7 @@ def _with_open(
 def _links(
     group: ComponentGroup, inputs: Mapping[str, Curves], parts: Sequence[ComponentInput]
 ) -> Iterator[Link]:
-    """Yield the offsets of single components that the group tells and one input alone does not."""
+    """Yield the offsets of single components that the group holds and one input leaves open."""
     for (name, curves), part in zip(inputs.items(), parts, strict=True):
         start = 0
         own = [c for c in group.joined if c in curves]
@@ -499,9 +499,9 @@ class ComponentInput:
 
 @dataclass(frozen=True, eq=False)
 class Pooled:
-    """The estimate (n,) with ``covariance`` (n, n), both without what nobody knows.
+    """The estimate (n,) with ``covariance`` (n, n), both without the unknown offsets.
 
-    ``variance_parts`` (k, n) tell which part of each variance comes from each input; they sum to
+    ``variance_parts`` (k, n) are the parts of each variance that come from each input; they sum to
     one. ``free`` holds the estimated unknowns (q,) of every input. ``chi2`` has ``dof`` degrees
     of freedom.
     """

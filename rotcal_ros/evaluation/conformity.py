@@ -113,7 +113,7 @@ def _whole_curve(values: Floats, covariance: Floats, tolerance: float) -> float:
 
 
 def _percent(probability: float) -> str:
-    """Return a probability in percent, never as certain as the draws cannot tell."""
+    """Return a probability in percent, no closer to 0 or 100 than the draws can resolve."""
     if probability > 0.999:
         return "above 99.9 %"
     return "below 0.1 %" if probability < 0.001 else f"{100.0 * probability:.1f} %"

@@ -24,9 +24,9 @@ CHI2_95: Final = 5.991464547107979
 class HarmonicContent:
     """Arrays (orders,) for the orders 1, 2, ...; amplitudes in the unit of the curve, phases rad.
 
-    ``amplitude_std`` and ``phase_std`` are standard uncertainties (k = 1). ``significant`` tells
-    that the order differs from zero at the 95 % level; the phase of one that does not means
-    nothing. ``residual_rms`` is what all orders together leave.
+    ``amplitude_std`` and ``phase_std`` are standard uncertainties (k = 1). ``significant``: the
+    order differs from zero at the 95 % level; the phase of one that does not is
+    meaningless. ``residual_rms`` is what all orders together leave.
     """
 
     orders: Ints

@@ -8,7 +8,7 @@ one-directional figures.
 The uncertainty of the figures of ISO 230-2, by the law of propagation (JCGM 100).
 
 Every figure is piecewise linear in the means and standard deviations of the targets that decide
-it. Two parts are told apart: *sampling*, how far the figures of as many other runs would lie
+it. It has two parts: *sampling*, how far the figures of as many other runs would lie
 off, from the scatter of the runs (a mean s / sqrt(n), s itself s / sqrt(2 (n - 1)), JCGM 100,
 E.4.3); and *measurement*, errors that all runs share and that no repetition shows. They cancel
 in the reversal and leave the repeatability alone. Noise of the measurement is in the scatter.
@@ -229,7 +229,7 @@ class FigureUncertainty:
     @property
     def expanded(self) -> float:
         """The expanded uncertainty of 95 % with Student's factor, rad (JCGM 100, G.4)."""
-        # Beyond so many degrees of freedom the factor is the normal one; stdtrit knows no inf.
+        # stdtrit does not take infinite degrees of freedom: these are close enough to normal.
         factor = float(stdtrit(min(self.dof, 1e9), 0.5 + 0.5 * PROBABILITY))
         return factor * self.std
 
@@ -267,10 +267,13 @@ def figure_uncertainties(statistics: TargetStatistics) -> dict[str, FigureUncert
 def _propagated(statistics: TargetStatistics, of_mean: Floats, of_s: Floats) -> FigureUncertainty:
     """Return the uncertainty of sum(of_mean * mean) + sum(of_s * s)."""
     n = statistics.n
+    # Of n normal values: var(mean) = s^2 / n, var(s) = s^2 / (2 (n - 1)), independently.
     terms = statistics.s**2 * (of_mean**2 / n + of_s**2 / (2.0 * (n - 1)))
+    # An error that all runs share moves the means of both directions alike.
     shared = of_mean.sum(axis=0)
     sampling = float(terms.sum())
     measurement = max(float(shared @ statistics.common @ shared), 0.0)
+    # Welch and Satterthwaite: n - 1 degrees of freedom per term, no limit for the measurement.
     share = float(np.sum(terms**2)) / (n - 1)
     dof = (sampling + measurement) ** 2 / share if share > 0.0 else inf
     return FigureUncertainty(sqrt(sampling), sqrt(measurement), dof)

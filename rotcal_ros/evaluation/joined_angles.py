@@ -17,7 +17,7 @@ from rotcal_ros.foundation.units import DEGREE
 SAME: Final = 1e3 * SAME_ANGLE
 """rad; angles of two curves that are closer than this are common, as in a comparison."""
 LINKING: Final = 2
-"""Common angles that join two curves; with one they could not be told from a shifted pair."""
+"""Common angles that join two curves; with a single one a shift between them would not show."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +25,7 @@ class Joined:
     """The angles (n,) rad of a combined curve, ascending, and how each input sees the curve.
 
     ``designs`` holds for every input the matrix (m_k, n) and ``rows`` which of its values (m_k,)
-    are used. ``interpolated`` (k,) tells which inputs share too few angles with the others.
+    are used. ``interpolated`` (k,) marks inputs with too few angles in common.
     """
 
     angles: Floats
@@ -77,11 +77,11 @@ def _merged(at: Sequence[Floats], turn: bool) -> tuple[Floats, list[Ints]]:
         every = np.where(TURN - every < SAME, every - TURN, every)
     order = np.argsort(every, kind="stable")
     new = np.append(True, np.diff(every[order]) > SAME)
-    place = np.empty(len(every), dtype=np.int64)
-    place[order] = np.cumsum(new) - 1
+    index = np.empty(len(every), dtype=np.int64)
+    index[order] = np.cumsum(new) - 1
     nodes = every[order][new]
     nodes[np.abs(nodes) < SAME] = 0.0
-    return nodes, np.split(place, np.cumsum([len(a) for a in at])[:-1])
+    return nodes, np.split(index, np.cumsum([len(a) for a in at])[:-1])
 
 
 def _linked(groups: list[set[int]]) -> list[set[int]]:

@@ -1,22 +1,29 @@
-"""What people see first of a result: two marks, which answer two questions.
+"""What may be shown of a result: its two marks, and whether its uncertainty is believed.
 
 *Measurement*: may the numbers be believed (ok, suspect, failed)? *Tolerance*: is the table as it
 was agreed (within, beyond, undecided)? A good measurement of a bad table is ok and beyond. Page,
 report and terminal show the marks of this module and no others.
+
+A band that is drawn or a U that is printed is believed, whatever is written beside it. So neither
+is shown as valid where the model behind it is contradicted: by the verdict, or by the deviations
+that a simulation injected. The numbers stay in result.json.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
+
+import numpy as np
 
 from rotcal_ros.evaluation.conformity import decide, tolerance_of
-from rotcal_ros.evaluation.withheld import withheld
-from rotcal_ros.foundation.arrays import Floats
-from rotcal_ros.foundation.components import unit_of
+from rotcal_ros.foundation.arrays import Bools, Floats
+from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
+from rotcal_ros.foundation.gum_numbers import uncertainty
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import DEGREE
 
 WITHIN: Final = "within"
 BEYOND: Final = "beyond"
@@ -55,14 +62,14 @@ class Mark:
         return f"{self.name}: {self.words}"
 
 
-def marks(result: Result, doubt: str | None = None) -> tuple[Mark, ...]:
+def marks(result: Result, truth: Mapping[str, Any] | None = None) -> tuple[Mark, ...]:
     """Return the marks of a result; no second one where no tolerance is agreed.
 
-    ``doubt`` says why no uncertainty may be stated, empty where it may; None asks the result.
+    ``truth`` is the content of the truth.json of a simulation.
     """
     covered = bool(result.protections) and not result.unprotected
     about = measurement(result.verdict, result.verdict_line, covered=covered)
-    doubt = withheld(result) if doubt is None else doubt
+    doubt = withheld(result, truth)
     against = tolerance(result.deviations, result.std, result.circumstances.identity, doubt)
     return (about,) if against is None else (about, against)
 
@@ -74,7 +81,10 @@ def measurement(verdict: str, verdict_line: str, *, covered: bool) -> Mark:
 
 
 def tolerance(
-    deviations: Mapping[str, Floats], std: Mapping[str, Floats], identity: Identity, doubt: str
+    deviations: Mapping[str, Floats],
+    std: Mapping[str, Floats],
+    identity: Identity,
+    doubt: str | None,
 ) -> Mark | None:
     """Return the mark of deviations (SI, by component) with their standard uncertainties.
 
@@ -99,3 +109,62 @@ def _all(agreed: Mapping[str, float]) -> str:
         unit, label = unit_of(name)
         by_limit.setdefault(f"±{limit / unit:g} {label}", []).append(name)
     return ", ".join(f"{limit} ({', '.join(names)})" for limit, names in by_limit.items())
+
+
+SURELY_WRONG: Final = 2.0
+"""Times U, hence four standard uncertainties: no honest curve is that far from the truth."""
+
+
+def withheld(result: Result, truth: Mapping[str, Any] | None = None) -> str | None:
+    """Return why no uncertainty of ``result`` may be stated; None where it may.
+
+    ``truth`` is the content of the truth.json of a simulation.
+    """
+    if reason := withheld_by(result.verdict, result.warnings):
+        return reason
+    return None if truth is None else _contradicted(result, truth)
+
+
+def withheld_by(verdict: str, warnings: Sequence[str]) -> str | None:
+    """Return why a verdict forbids to state an uncertainty; None where it does not."""
+    if verdict == "ok":
+        return None
+    return f"the verdict is {verdict}: {'; '.join(warnings) or 'its reason is not recorded'}"
+
+
+def not_covered(result: Result) -> tuple[str, ...]:
+    """Return the effects that a stated uncertainty leaves out."""
+    if not result.protections:
+        return ("what drift, knocks and the like may have done (not stated by the method)",)
+    return result.unprotected
+
+
+def at_angles(angles: Floats, truth: Mapping[str, Any], component: str) -> tuple[Floats, Bools]:
+    """Return the injected values (n,), SI, at ``angles`` (n,), and where they are known."""
+    values = truth.get("deviations", {}).get(component)
+    if values is None:
+        return np.zeros(len(angles)), np.zeros(len(angles), dtype=np.bool_)
+    injected_at = np.asarray(truth["angles_rad"], dtype=np.float64)
+    apart = np.abs(angles[:, None] - injected_at)
+    nearest = apart.argmin(axis=1)
+    return np.asarray(values, dtype=np.float64)[nearest], apart.min(axis=1) < 1e-9
+
+
+def _contradicted(result: Result, truth: Mapping[str, Any]) -> str | None:
+    """Return in words where the injected deviations lie far outside the band, if anywhere."""
+    for name in result.components:
+        injected, known = at_angles(result.angles, truth, name)
+        expanded = COVERAGE_FACTOR * result.std[name]
+        error = np.abs(result.deviations[name] - injected)
+        times = np.divide(error, expanded, out=np.zeros_like(error), where=known & (expanded > 0))
+        worst = int(times.argmax())
+        if times[worst] > SURELY_WRONG:
+            unit, label = unit_of(name)
+            stated = uncertainty(float(expanded[worst]) / unit)
+            return (
+                f"{name} at {result.angles[worst] / DEGREE:g} degrees is "
+                f"{error[worst] / unit:.2g} {label} off what the simulation injected, "
+                f"{times[worst]:.1f} times its U of {stated} {label}: "
+                "the model lacks something"
+            )
+    return None

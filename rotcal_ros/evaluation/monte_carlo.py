@@ -37,11 +37,11 @@ BLOCK: Final = 2000
 
 @dataclass(frozen=True)
 class Propagation:
-    """What the trials say about n output quantities, in their own units.
+    """The distribution of n output quantities over the trials, in their own units.
 
     ``mean``, ``std``, ``low``, ``high`` (n,); low and high bound the probabilistically symmetric
-    interval of ``probability``. ``covariance`` is (n, n). ``stable`` tells whether all of them
-    are stable to ``digits`` significant digits of the standard deviation, or the trials ran out.
+    interval of ``probability``. ``covariance`` is (n, n). ``stable``: all of them are
+    stable to ``digits`` significant digits of the standard deviation, or the trials ran out.
     """
 
     mean: Floats
@@ -116,7 +116,7 @@ def compare_with_linear(
 
     JCGM 101, 8.1: the ends of value +- k std are compared with those of the trials; they shall
     agree within the numerical tolerance of std, here at least 5 % of std, because an interval that
-    is wrong by less misleads nobody.
+    is wrong by less does no harm.
     """
     cover = normal_isf(0.5 - 0.5 * result.probability)
     tolerance = np.maximum(numerical_tolerance(std, result.digits), 0.05 * std)
@@ -242,7 +242,7 @@ class Propagated:
         """Return the verdict in one line."""
         verdict = "CONTRADICT" if self.warnings else "confirm"
         open_zeros = self.result.zeros.in_words()
-        within = f"; {open_zeros}: no trial tells it" if open_zeros else ""
+        within = f"; {open_zeros}: no trial shows it" if open_zeros else ""
         stable = "stable to" if self.spread.stable else "not yet stable to"
         return (
             f"{self.spread.trials} trials {verdict} the solver's uncertainty; {stable} "

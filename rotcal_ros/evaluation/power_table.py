@@ -1,14 +1,13 @@
-"""What could be wrong with a method, and would its verdict say so: found by measuring.
+"""Which effects spoil a result before its verdict shows it, found by simulated measurements.
 
 Every effect that a method lists is added to a simulated measurement of a plan, until the verdict
-turns with the wanted probability. The rule: what does more than TOLERABLE standard uncertainties
-before that is named in the verdict line.
+turns with the wanted probability. An effect that changes the result by more than TOLERABLE
+standard uncertainties before that must be named in the verdict line.
 
-From which size on an effect turns the verdict, and what it does to a result up to there.
-
-A *trial* measures once, with an effect of a size, and tells whether that was noticed and what it
-did. The size that is noticed with a wanted probability is bracketed by doubling and halved from
-there; between the last two sizes the probability is interpolated as a probit of the logarithm.
+A *trial* measures once, with an effect of a size, and records whether that was noticed and how
+much it changed the result. The size that is noticed with a wanted probability is
+bracketed by doubling and halved from there; between the last two sizes the probability is
+interpolated as a probit of the logarithm.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ class PowerRow:
 
     @property
     def misleads(self) -> bool:
-        """Whether the effect may spoil a result whose verdict does not tell."""
+        """Whether the effect may spoil a result without a trace in the verdict."""
         return not self.named and not self.error <= TOLERABLE
 
 
@@ -176,7 +175,7 @@ GLANCE: Final = 20
 """Trials after which a size is given up that is noticed far too seldom, or always."""
 SELDOM: Final = 0.6
 ENOUGH: Final = 3
-"""Unnoticed trials from which an error can be told."""
+"""Unnoticed trials needed to state an error."""
 
 
 @dataclass(frozen=True)
@@ -198,7 +197,7 @@ Try = Callable[[float, int], Trial]
 class Share:
     """How many trials of a size were noticed; ``error`` is the largest rms error of the others.
 
-    Over the trials of which nobody noticed anything, at the worst of all angles and components,
+    Over the trials that were not noticed, at the worst of all angles and components,
     in stated standard uncertainties; None with fewer than ENOUGH of them.
     """
 
@@ -301,9 +300,9 @@ def _error_at(size: float, shares: list[Share]) -> float:
 
     inf where no size left enough trials unnoticed.
     """
-    known = [share for share in shares if share.error is not None]
-    if not known:
+    with_error = [share for share in shares if share.error is not None]
+    if not with_error:
         return float("inf")
-    nearest = min(known, key=lambda share: abs(log(share.size / size)))
+    nearest = min(with_error, key=lambda share: abs(log(share.size / size)))
     assert nearest.error is not None
     return nearest.error * size / nearest.size

@@ -42,25 +42,28 @@ def read_reference(text: str, name: str, std: float | None = None) -> MeasuredCu
         raise DataError(f"{name}: {len(rows)} rows, expected at least 3")
     data = np.array([[*row, (std or 0.0) / ARCSEC][:3] for row in rows])
     data = data[np.argsort(data[:, 0])]
-    angles, deviation, own = data[:, 0] * DEGREE, data[:, 1] * ARCSEC, data[:, 2] * ARCSEC
+    angles, deviation, uncertainty = data[:, 0] * DEGREE, data[:, 1] * ARCSEC, data[:, 2] * ARCSEC
     if np.any(np.diff(angles) < SAME_ANGLE):
         twice = angles[np.argmax(np.diff(angles) < SAME_ANGLE)] / DEGREE
         raise DataError(f"{name}: the angle {twice:.6g} deg is there twice")
     period = period_of(angles)
     if period and abs(angles[-1] - angles[0] - TURN) < SAME_ANGLE:
-        gap, limit = abs(deviation[-1] - deviation[0]), 4.0 * math.hypot(own[0], own[-1])
+        gap, limit = (
+            abs(deviation[-1] - deviation[0]),
+            4.0 * math.hypot(uncertainty[0], uncertainty[-1]),
+        )
         if gap > limit + SAME_ANGLE:
             raise DataError(
                 f"{name}: the rows at {angles[0] / DEGREE:g} and {angles[-1] / DEGREE:g} deg "
                 f"differ by {gap / ARCSEC:.4g} arcsec, expected the same table position to agree"
             )
-        angles, deviation, own = angles[:-1], deviation[:-1], own[:-1]
+        angles, deviation, uncertainty = angles[:-1], deviation[:-1], uncertainty[:-1]
     if std is None and head != COLUMNS:
         raise DataError(
             f"{name} states no uncertainty, and nothing is exact: add a column u_arcsec, or state "
             "one for all rows with --reference-u (standard uncertainty, k = 1)"
         )
-    return _sorted(angles, deviation, own, period, name)
+    return _sorted(angles, deviation, uncertainty, period, name)
 
 
 def without_polygon(reading: MeasuredCurve, polygon: MeasuredCurve) -> MeasuredCurve:

@@ -39,7 +39,7 @@ class Reliability:
     error in standard deviations of the observation, for one of several coordinates in the mean
     over the directions; inf where nothing checks it. ``effect`` (n,) bounds what such an error
     does to any deviation, in standard uncertainties of that. ``std`` (n,) is the standard
-    deviation of the observations in metres, None where they do not tell it.
+    deviation of the observations in metres, None where it is not known.
     """
 
     alpha: float
@@ -138,14 +138,14 @@ def effects_on_deviations(
     The largest one over all angles and components, by solving again with a small error in each
     coordinate; inf where nothing checks the observation. ``observations`` (n,) are those of
     ``result``; what only closes a plan has no residual. Raises DataError when a residual belongs
-    to none of them, or when the observations tell no standard deviation.
+    to none of them, or when the observations have no standard deviation.
     """
     metres = found.detectable_m()
     if result.residuals is None:
-        raise DataError("the result has no residuals: no effect can be told")
+        raise DataError("the result has no residuals: no effect can be calculated")
     places = _observation_of(result.residuals, observations)
     if found.std is None or metres is None or not np.all(found.std[which] > 0.0):
-        raise DataError("the observations tell no standard deviation: state the noise in solver")
+        raise DataError("the observations have no standard deviation: state the noise in solver")
     effects = np.full(len(which), np.inf)
     for k, index in enumerate(which.tolist()):
         if np.isfinite(metres[index]):
@@ -165,7 +165,7 @@ def _observation_of(residuals: Residuals, observations: Sequence[Observation]) -
     if len(found) < len(rows):
         raise DataError(
             f"{len(rows) - len(found)} residuals are not those of one observation each: no effect "
-            "can be told"
+            "can be calculated"
         )
     return found
 
@@ -196,8 +196,8 @@ def _in_std(result: Result, again: Result) -> Floats:
     changes = []
     for name in result.components:
         std = result.std[name]
-        known = std > 0.0
-        changes.append((again.deviations[name] - result.deviations[name])[known] / std[known])
+        stated = std > 0.0
+        changes.append((again.deviations[name] - result.deviations[name])[stated] / std[stated])
     return np.concatenate(changes)
 
 

@@ -29,7 +29,7 @@ def shared_covariance(
 ) -> Floats | None:
     """Return the covariance (n1, n2) of two curves of one component by what they share.
 
-    None where they share nothing. Raises DataError where nothing tells how it goes into both.
+    None where they share nothing. Raises DataError where its effect on both is not known.
     """
     here, there = first.raw_data.shared_with(second.raw_data)
     if not len(here):
@@ -38,9 +38,9 @@ def shared_covariance(
     if ours is None or theirs is None:
         raise DataError(
             f"{names[0]} and {names[1]} rest on {len(here)} observations that are the same "
-            f"(of {len(first.raw_data.hashes)} and {len(second.raw_data.hashes)}), and nothing "
-            "tells how their errors go into both: take results of different measurements, or one "
-            "of the two"
+            f"(of {len(first.raw_data.hashes)} and {len(second.raw_data.hashes)}), and it is "
+            "not known how their errors affect both: take results of different measurements, or "
+            "one of the two"
         )
     causes = [cause for cause in ours.causes if cause in set(theirs.causes)]
     both = _columns(ours, here, causes) @ _columns(theirs, there, causes).T
@@ -57,8 +57,8 @@ def of_observations_alone(curve: MeasuredCurve) -> MeasuredCurve:
     influence = curve.raw_data.influence
     if influence is None or not np.any(_matrix(influence)):
         return curve
-    own = curve.shown * _matrix(influence)
-    return replace(curve, covariance=own @ own.T) if np.any(own) else curve
+    matrix = curve.shown * _matrix(influence)
+    return replace(curve, covariance=matrix @ matrix.T) if np.any(matrix) else curve
 
 
 def _matrix(influence: Influence) -> Floats:
@@ -71,8 +71,8 @@ def _columns(influence: Influence, wanted: Ints, causes: list[str]) -> Floats:
     """Return the influences of the ``wanted`` observations, zero for unused ones, and causes."""
     matrix, c = _matrix(influence), influence.coordinates
     width = len(influence.rows) * c
-    place = {row: at for at, row in enumerate(influence.rows.tolist())}
-    at = np.array([place.get(row, -1) for row in wanted.tolist()], dtype=np.int64)
+    index = {row: at for at, row in enumerate(influence.rows.tolist())}
+    at = np.array([index.get(row, -1) for row in wanted.tolist()], dtype=np.int64)
     by_row = matrix[:, :width].reshape(len(matrix), -1, c)[:, at]
     by_row[:, at < 0] = 0.0
     of_causes = matrix[:, [width + influence.causes.index(cause) for cause in causes]]
@@ -92,8 +92,8 @@ def _rest(first: MeasuredCurve, second: MeasuredCurve) -> Floats:
 def _root(curve: MeasuredCurve) -> Floats:
     """Return the symmetric root (n, n) of the covariance beyond the influences."""
     assert curve.raw_data.influence is not None
-    own = _matrix(curve.raw_data.influence)
-    values, vectors = np.linalg.eigh(curve.covariance - own @ own.T)
+    matrix = _matrix(curve.raw_data.influence)
+    values, vectors = np.linalg.eigh(curve.covariance - matrix @ matrix.T)
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
 
 

@@ -1,4 +1,4 @@
-"""Before and after compensation: what a correction table has removed, and whether that is all."""
+"""Before and after compensation: how much a correction table has removed, and what is left."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Verification:
     """Two measurements of one axis, without and with its correction table.
 
     ``stated`` (rad) is what the table should leave. ``iso`` holds ISO 230-2 evaluations of
-    the axis itself under "before", "after" and "again", where somebody knows its true angle.
+    the axis itself under "before", "after" and "again", where its true angle is known.
     ``verdict_lines`` are those of the measurements, by the same names. ``again`` is a third
     one, after what the second found was added to the table. ``effect`` says how much is left of
     what the table corrects, ``simulated`` that no instrument measured.
@@ -76,9 +76,9 @@ class Verification:
     simulated: bool = False
 
     @property
-    def wrong(self) -> str:
-        """What the table does wrong at the control, in words; empty where nothing shows it."""
-        return "" if self.effect is None else self.effect.wrong
+    def fault(self) -> str | None:
+        """What the table does wrong at the control, in words, if that is certain."""
+        return None if self.effect is None else self.effect.fault
 
     @property
     def ratio(self) -> float:
@@ -107,7 +107,7 @@ class Verification:
         A table that does not act, or acts with the wrong sign, has failed.
         """
         rounds = [self.after] if self.again is None else [self.after, self.again]
-        if self.wrong or any(run.systematic >= self.before.systematic for run in rounds):
+        if self.fault or any(run.systematic >= self.before.systematic for run in rounds):
             return "failed"
         return "ok" if all(_left(run) <= self.expected for run in rounds) else "suspect"
 
@@ -124,7 +124,7 @@ class Verification:
             "after": self.after.to_dict(),
         }
         if self.effect is not None:
-            data["effect"] = {**asdict(self.effect), "words": self.wrong or self.effect.in_words()}
+            data["effect"] = {**asdict(self.effect), "words": self.fault or self.effect.in_words()}
         if self.again is not None:
             data["again"] = self.again.to_dict()
         if self.iso:

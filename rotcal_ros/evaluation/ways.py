@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from rotcal_ros.evaluation.withheld import withheld
+from rotcal_ros.evaluation.marks import withheld
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result

@@ -85,9 +85,9 @@ def _draw_band(
     ax.set_ylabel(f"±U / {unit}")
     if truth is None or name not in truth.get("deviations", {}):
         return
-    known_at, first = np.unique(np.asarray(truth["angles_rad"]), return_index=True)
-    known = np.interp(result.angles, known_at, np.asarray(truth["deviations"][name])[first])
-    error = (result.deviations[name] - known) / factor
+    injected_at, first = np.unique(np.asarray(truth["angles_rad"]), return_index=True)
+    injected = np.interp(result.angles, injected_at, np.asarray(truth["deviations"][name])[first])
+    error = (result.deviations[name] - injected) / factor
     ax.plot(angles, error, "s:", color=style.ORANGE, ms=3, lw=0.9, label="measured − injected")
     ax.set_ylabel(f"error, ±U / {unit}")
 
@@ -126,12 +126,12 @@ def adjacent(result: Result) -> str:
 @style.styled
 def temperature(observations: Sequence[Observation]) -> str:
     """Draw the temperature at the observations over the time since the first one."""
-    known = [
+    readings = [
         (o.window_end_ns, o.temperature_c) for o in observations if o.temperature_c is not None
     ]
-    if len(known) < 2:
+    if len(readings) < 2:
         return ""
-    stamps, values = np.array(known, dtype=np.float64).T
+    stamps, values = np.array(readings, dtype=np.float64).T
     (ax,) = style.grid(height=2.2)
     ax.plot(
         (stamps - stamps.min()) * NANOSECOND / 60.0, values, ".", color=style.GREEN, markersize=3

@@ -8,9 +8,12 @@ from __future__ import annotations
 import functools
 import io
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Final, ParamSpec
 
+import numpy as np
+
+from rotcal_ros.figures import style
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.escapes import printable_lines, shortened
 
@@ -18,6 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes as Axes
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
+
 
 P = ParamSpec("P")
 
@@ -156,7 +160,7 @@ def curve_with_band(
 ) -> None:
     """Draw measured points with their expanded uncertainty as a band.
 
-    One that is not ``valid`` is grey, hatched and says so: nobody shall take it for the truth.
+    One that is not ``valid`` is grey, hatched and labelled, so that it is not taken for valid.
     """
     band_about(ax, x, y, band, colour, valid=valid)
     label = label if valid else label.split(",")[0]
@@ -175,3 +179,20 @@ def band_about(
         x, y - band, y + band, facecolor="none", edgecolor=GREY, hatch="////", linewidth=0.5,
         label=NOT_VALID,
     )  # fmt: skip
+
+
+COVERED_MM: Final = 20.0
+"""Places nearer to each other than that in a view share a name there."""
+
+
+def name_places(
+    ax: style.Axes, numbers: Sequence[int], points: Floats, covered: float = COVERED_MM
+) -> None:
+    """Write names beside ``points`` (p, 2); those within ``covered`` of each other share one."""
+    left = list(zip(numbers, points.tolist(), strict=True))
+    while left:
+        x, y = left[0][1]
+        near = [number for number, at in left if np.hypot(at[0] - x, at[1] - y) < covered]
+        left = [pair for pair in left if pair[0] not in near]
+        names = ", ".join(map(str, near))
+        ax.annotate(names, (x, y), xytext=(4, 4), textcoords="offset points", fontsize=7)

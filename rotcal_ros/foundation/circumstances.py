@@ -1,4 +1,4 @@
-"""Under which circumstances a result came about: who and what, when, how warm, how many.
+"""The circumstances of a result: item and people, time, temperature, number of steps.
 
 They follow from the configuration and the observations that count, live and offline alike.
 """
@@ -27,9 +27,9 @@ class Range:
 
     @classmethod
     def of(cls, values: Collection[float | None]) -> Range | None:
-        """Return the range of the values that are known; None without any."""
-        known = [value for value in values if value is not None]
-        return cls(sum(known) / len(known), min(known), max(known)) if known else None
+        """Return the range of the values that are not None; None without any."""
+        given = [value for value in values if value is not None]
+        return cls(sum(given) / len(given), min(given), max(given)) if given else None
 
 
 @dataclass(frozen=True, slots=True)

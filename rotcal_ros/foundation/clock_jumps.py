@@ -1,4 +1,4 @@
-"""Jumps of the system clock: seen against the monotonic clock, told in words, kept in a bag."""
+"""Jumps of the system clock: found by the monotonic clock, reported, and recorded in a bag."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from datetime import datetime, timedelta, timezone
 from typing import Final
 
 LEAST_NS: Final = 50_000_000
-"""A smaller step is none: two clocks are not read at one instant."""
+"""A smaller step does not count: two clocks are not read at one instant."""
 NAMED_NS: Final = 30_000_000_000
-"""From this step on a person is told at once."""
+"""From this step on it is reported to a person at once."""
 _CLOSE_NS: Final = 5_000_000
 _TRIES: Final = 10
 _REMEMBERED: Final = 100
@@ -29,7 +29,7 @@ class ClockJump:
 
     @property
     def named(self) -> bool:
-        """Whether it is one to tell a person at once."""
+        """Whether it is reported to a person at once."""
         return abs(self.ahead_ns) >= NAMED_NS
 
     def in_words(self) -> str:
@@ -70,7 +70,7 @@ def noted(jumps: Iterable[ClockJump]) -> dict[str, str]:
 
 
 def read_note(note: Mapping[str, str]) -> tuple[ClockJump, ...]:
-    """Return the jumps that a metadata record tells of; what cannot be read is left out."""
+    """Return the jumps that a metadata record holds; those that cannot be read are left out."""
     found = []
     for text in note.values():
         with suppress(ValueError, OverflowError, TypeError):

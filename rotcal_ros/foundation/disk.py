@@ -33,17 +33,17 @@ def truncate(descriptor: int, size: int) -> None:
 
 
 def close(descriptor: int) -> None:
-    """Give a descriptor back; it is gone even when the system complains."""
+    """Close a descriptor; it is closed even when the system reports an error."""
     os.close(descriptor)
 
 
 def lock(descriptor: int) -> None:
-    """Take the only lock there is; BlockingIOError when somebody else has it."""
+    """Take the exclusive lock; BlockingIOError when another process has it."""
     fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def replace(source: Path, target: Path) -> None:
-    """Give ``source`` the name ``target``, whoever had that."""
+    """Rename ``source`` to ``target``, replacing any file of that name."""
     source.replace(target)
 
 
@@ -58,7 +58,7 @@ def make_folder(path: Path, mode: int = 0o777) -> None:
 
 
 def remove(path: Path) -> None:
-    """Take a file's name away."""
+    """Remove a file."""
     path.unlink()
 
 

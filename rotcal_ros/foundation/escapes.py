@@ -1,8 +1,8 @@
-"""Names and texts of others, safe to show: one function for each medium.
+"""Names and texts from elsewhere, made safe to show: one function for each medium.
 
-What a bag, a file name or a configuration says may hold line ends, sequences that command a
-terminal, characters that turn the direction of reading, or bytes that are no text. Everybody who
-writes for people writes it through here; nothing is refused for how it looks.
+Texts of a bag, a file name or a configuration may hold line ends, control sequences of a terminal,
+characters that reverse the direction of reading, or bytes that are no text. All output for people
+goes through here; no text is refused because of such characters.
 """
 
 from __future__ import annotations

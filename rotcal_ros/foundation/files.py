@@ -103,7 +103,7 @@ def replace_atomically(path: Path, write: Callable[[Path], object]) -> None:
     """Let ``write`` make a file at the path it gets, sync it, and put it in the place of ``path``.
 
     ``path`` holds either the old or the new content, never half. What ``write`` raises is passed
-    on; the unfinished file is removed. It is made in a folder of its own that nobody else may
+    on; the unfinished file is removed. It is made in a folder that no other user may
     enter: under a name that can be guessed, a planted link would lead the writing elsewhere.
     OSError where ``path`` is a device, a pipe or a folder.
     """
@@ -189,7 +189,7 @@ def make_folder(path: Path) -> None:
     Raises FileExistsError when there is anything at ``path``.
     """
     for folder in reversed([above for above in path.parents if not above.exists()]):
-        with suppress(FileExistsError):  # somebody else was as quick
+        with suppress(FileExistsError):  # another process made it at the same time
             disk.make_folder(folder)
         sync_folder(folder.parent)
     disk.make_folder(path)

@@ -19,7 +19,7 @@ _OF_THE_ITEM: Final = ("item", "maker", "model", "serial")
 
 @dataclass(frozen=True)
 class InstrumentIdentity:
-    """One instrument that took part; empty texts are not known."""
+    """One instrument that took part; a text that is not known is empty."""
 
     maker: str = setting("", doc="manufacturer")
     model: str = setting("", doc="type or model")
@@ -33,7 +33,7 @@ class InstrumentIdentity:
 
     @property
     def known(self) -> bool:
-        """Whether anything is said about it."""
+        """Whether anything about it is stated."""
         return self != InstrumentIdentity()
 
 
@@ -52,14 +52,14 @@ class Instruments:
 
     @property
     def known(self) -> Mapping[str, InstrumentIdentity]:
-        """Those of which anything is said, by name."""
+        """Those about which anything is stated, by name."""
         named = {field.name: getattr(self, field.name) for field in fields(self)}
         return {name: instrument for name, instrument in named.items() if instrument.known}
 
 
 @dataclass(frozen=True)
 class Identity:
-    """What a calibration is about: the item, the place, the people; empty texts are not known.
+    """The item that was calibrated, the place, the people; a text that is not known is empty.
 
     The axis is that of the group ``cell``. ``tolerance_arcsec`` is the largest deviation, either
     way, that a rotation (ECC, EAC, EBC) may have, ``tolerance_um`` that of a displacement.
@@ -101,7 +101,7 @@ class Identity:
 
     @property
     def title(self) -> str:
-        """The item in one line; empty when nothing is said about it."""
+        """The item in one line, from as much of it as is stated."""
         words = [self.item, self.maker, self.model, f"no. {self.serial}" if self.serial else ""]
         return " ".join(word for word in words if word)
 
@@ -110,8 +110,8 @@ class Identity:
         """Return the identity of all ``parts``, or of the item alone, as far as they agree."""
         if parts and all(part == parts[0] for part in parts):
             return parts[0]
-        known = {name: {getattr(part, name) for part in parts} - {""} for name in _OF_THE_ITEM}
-        return cls(**{name: texts.pop() for name, texts in known.items() if len(texts) == 1})
+        stated = {name: {getattr(part, name) for part in parts} - {""} for name in _OF_THE_ITEM}
+        return cls(**{name: texts.pop() for name, texts in stated.items() if len(texts) == 1})
 
     def to_dict(self) -> dict[str, Any]:
         """Return what is known, without the empty texts, in plain types."""
@@ -125,7 +125,8 @@ class Identity:
 
 def _check_date(name: str, text: str) -> None:
     try:
-        # It takes 20260331 and 2026-W14-2 as well, which no xs:date of a certificate may be.
+        # fromisoformat takes 20260331 and 2026-W14-2 too, but the xs:date of a certificate must
+        # be 2026-03-31: so the text must be what isoformat writes.
         whole = not text or date.fromisoformat(text).isoformat() == text
     except ValueError:
         whole = False

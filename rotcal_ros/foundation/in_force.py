@@ -1,4 +1,4 @@
-"""Which table a controller held while it was measured: a hash, none, or not known."""
+"""Which compensation table a controller held during a measurement: a hash, none, or unknown."""
 
 from __future__ import annotations
 
@@ -29,43 +29,43 @@ def _is_state(state: str) -> bool:
 def of_axis(announcements: Iterable[tuple[str, str]], axis: str) -> tuple[str, ...]:
     """Return the states among ``announcements`` (axis, state) that are about ``axis``.
 
-    One that names no axis is about the only one that its cell has.
+    An announcement without an axis is about the only one that its cell has.
     """
     return tuple(state for about, state in announcements if about in ("", axis))
 
 
 def agreed(states: Iterable[str]) -> str:
-    """Return what all ``states`` agree on; else it is unknown.
+    """Return what all ``states`` agree on, else "unknown".
 
-    A hash outlives "unknown": whoever adds to it finds this very table at the controller, or is
-    refused. "none" does not: nobody can tell later that there was no table. What a foreign cell
-    announces may be no state at all: then nothing is known.
+    A hash and "unknown" give the hash: who adds to it later must find this very table at the
+    controller, or is refused. "none" and "unknown" give "unknown": it cannot be verified later
+    that there was no table. A foreign cell may announce text that is no state at all: "unknown".
     """
     stated = set(states) - {""}
-    known = stated - {UNKNOWN}
-    if len(known) != 1 or not all(map(_is_state, known)) or stated == {NONE, UNKNOWN}:
+    definite = stated - {UNKNOWN}
+    if len(definite) != 1 or not all(map(_is_state, definite)) or stated == {NONE, UNKNOWN}:
         return UNKNOWN
-    return known.pop()
+    return definite.pop()
 
 
-def contradiction(states: Iterable[str]) -> str:
-    """Return in words how ``states`` contradict each other; empty when they do not."""
+def contradiction(states: Iterable[str]) -> str | None:
+    """Return in words how ``states`` contradict each other, if they do."""
     stated = set(states) - {""}
     if stated == {NONE, UNKNOWN}:
         return (
-            f"'{NONE}' was stated as the table in force, and '{UNKNOWN}' was announced too, by "
-            f"somebody who could not tell: which was is {UNKNOWN}"
+            f"'{NONE}' was stated as the table in force, and '{UNKNOWN}' was announced too: which "
+            f"table was in force is {UNKNOWN}"
         )
-    known = sorted(stated - {UNKNOWN})
-    if wrong := [state for state in known if not _is_state(state)]:
+    definite = sorted(stated - {UNKNOWN})
+    if wrong := [state for state in definite if not _is_state(state)]:
         return (
             f"the cell announced {wrong[0]!r}, which is no table in force (a SHA-256, '{NONE}' or "
-            f"'{UNKNOWN}'): which was is {UNKNOWN}"
+            f"'{UNKNOWN}'): which one was is {UNKNOWN}"
         )
-    if len(known) < 2:
-        return ""
+    if len(definite) < 2:
+        return None
     return (
-        f"more than one table was in force ({', '.join(s[:12] for s in known)}): which is "
+        f"more than one table was in force ({', '.join(s[:12] for s in definite)}): which is "
         f"{UNKNOWN}"
     )
 

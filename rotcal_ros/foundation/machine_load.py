@@ -1,7 +1,7 @@
 """How busy this machine is, and time that counts only while this process gets its turns.
 
-A busy machine is no fault: what is judged by elapsed time is given more of it there, and nobody is
-blamed for a standstill of the one who judges.
+A busy machine is no fault: time-outs are longer there, and a standstill of the process that waits
+does not use them up.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from math import inf
 from typing import Final
 
 MOST_CROWDED: Final = 10.0
-"""Time-outs are so many times as long at most."""
+"""Time-outs become this many times as long at most."""
 LONGEST_TURN_S: Final = 0.5
-"""What is longer between two looks is a standstill of the looker; so much of it counts."""
+"""A longer time between two looks is a standstill of this process; this much of it counts."""
 _KNOWN_S: Final = 1.0
 
 
@@ -27,7 +27,7 @@ def cores() -> int:
 
 
 def load() -> float:
-    """Return how many processes wanted a core in the last minute; 0 where nobody knows."""
+    """Return how many processes wanted a core in the last minute; 0 where that is not known."""
     try:
         return os.getloadavg()[0]
     except (AttributeError, OSError):

@@ -1,12 +1,16 @@
-"""How our nodes talk to each other: over UDP, so that a killed one hangs nobody."""
+"""The middleware of ROS 2: its distribution, and discovery and transport of our nodes.
+
+They talk over UDP: a node that is killed then blocks no other.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib.metadata import distributions
 from importlib.resources import files
 from typing import Final
 
-from rotcal_ros.foundation.distribution import distribution, rclpy_version
+from rotcal_ros.foundation.errors import ConfigurationError
 
 RANGE: Final = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 LOCALHOST: Final = "LOCALHOST"
@@ -15,7 +19,7 @@ _PROFILES: Final = {
     "FASTDDS_DEFAULT_PROFILES_FILE": "fastdds",
     "FASTRTPS_DEFAULT_PROFILES_FILE": "fastrtps",
 }
-"""Variable -> how our files for it begin: of Fast DDS 3, and of Fast DDS 2 (Jazzy)."""
+"""Variable -> how the names of our files for it begin: of Fast DDS 3, and of 2 (Jazzy)."""
 _OF_DISTRIBUTION: Final = {
     "jazzy": "FASTRTPS_DEFAULT_PROFILES_FILE",
     "kilted": "FASTDDS_DEFAULT_PROFILES_FILE",
@@ -28,11 +32,11 @@ _FAST_DDS: Final = ("", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
 
 
 def middleware(environment: Mapping[str, str], default_range: str = LOCALHOST) -> dict[str, str]:
-    """Return the variables that settle discovery and transport.
+    """Return the environment variables that decide about discovery and transport.
 
     ``environment`` holds what the user has set, ``default_range`` the range of discovery
-    otherwise. Profiles and peers of the user's own, and other middlewares than Fast DDS, are left
-    alone.
+    otherwise. Profiles and peers that the user has set, and other middlewares than Fast DDS, are
+    left alone.
 
     ROS's own LOCALHOST makes Fast DDS use shared memory, whatever its profile says; therefore
     our profile confines it to the loopback interface instead.
@@ -50,21 +54,23 @@ def middleware(environment: Mapping[str, str], default_range: str = LOCALHOST) -
 def _profiles(kind: str) -> dict[str, str]:
     """Return the profile of the Fast DDS that is here: each prints errors about the other's."""
     folder = files("rotcal_ros") / "nodes"
-    variable = _OF_DISTRIBUTION.get(distribution(rclpy_version()))
+    variable = _OF_DISTRIBUTION.get(distribution(rclpy_version()) or "")
     wanted = _PROFILES if variable is None else {variable: _PROFILES[variable]}
     return {name: str(folder / f"{begin}_{kind}") for name, begin in wanted.items()}
 
 
-def without_security(environment: Mapping[str, str], why: str) -> str:
-    """Return what it means that ROS does not start with its security on; empty: it is off."""
-    if environment.get("ROS_SECURITY_ENABLE", "").lower() != "true":
-        return ""
-    return (
-        f"ROS does not start with ROS_SECURITY_ENABLE=true ({why.splitlines()[0]}): the Fast DDS "
-        "of the wheels has no security plug-ins, and a keystore must be there; use a full ROS 2 "
-        "installation, or unset ROS_SECURITY_ENABLE and shut the network off instead "
-        "(docs/security.md)"
-    )
+def explain_start_failure(environment: Mapping[str, str], message: str) -> None:
+    """Raise ConfigurationError where ROS may have failed to start because its security is on.
+
+    ``message`` is what ROS said.
+    """
+    if environment.get("ROS_SECURITY_ENABLE", "").lower() == "true":
+        raise ConfigurationError(
+            f"ROS does not start with ROS_SECURITY_ENABLE=true ({message.splitlines()[0]}): the "
+            "Fast DDS of the wheels has no security plug-ins, and a keystore must be there; use a "
+            "full ROS 2 installation, or unset ROS_SECURITY_ENABLE and shut the network off "
+            "instead (docs/security.md)"
+        )
 
 
 def discovery_in_words(environment: Mapping[str, str]) -> str:
@@ -76,3 +82,21 @@ def discovery_in_words(environment: Mapping[str, str]) -> str:
         f"looked for with ROS_DOMAIN_ID={domain} and {RANGE}={reach}: others need the same domain"
         + (f", and those on other machines {RANGE}=SUBNET here" if reach == LOCALHOST else "")
     )
+
+
+SUPPORTED: Final = ("jazzy", "kilted")
+_OF_RCLPY: Final = {3: "humble", 4: "iron", 7: "jazzy", 9: "kilted"}
+_PACKAGES: Final = ("rclpy", "ros-rclpy")
+"""The name in an installation of ROS, and that of the wheels."""
+
+
+def rclpy_version() -> str | None:
+    """Return the version of rclpy, if one is installed."""
+    installed = (found for package in _PACKAGES for found in distributions(name=package))
+    return next((package.version for package in installed), None)
+
+
+def distribution(rclpy: str | None) -> str | None:
+    """Return the distribution with this version of rclpy, as in ROS_DISTRO, if it is known."""
+    major = (rclpy or "").partition(".")[0]
+    return _OF_RCLPY.get(int(major)) if major.isdecimal() else None

@@ -157,7 +157,7 @@ class Command:
 
 
 def place_in_words(table_position: int, target: int, attempt: int = 0) -> str:
-    """Return what people are told of a step: where it is, and which attempt from the second on.
+    """Return a step for people: where it is, and from the second on which attempt.
 
     The number of a step in its plan is no count of what was done: a policy takes them in any
     order, and few of them.

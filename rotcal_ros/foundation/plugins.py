@@ -1,4 +1,4 @@
-"""What installed packages bring: methods, controllers, instruments, verbs, by entry points.
+"""Plug-ins of installed packages: methods, controllers, instruments, verbs, by entry points.
 
 The built-in ones are found the same way, and so are the extensions of this package, see
 ``setup.py``; there is no built-in instrument.
@@ -18,15 +18,15 @@ from rotcal_ros.foundation.errors import ConfigurationError
 
 METHODS: Final = "rotcal_ros.methods"
 METHOD_SETTINGS: Final = "rotcal_ros.method_settings"
-"""Of those methods whose settings can be told without loading the method."""
+"""The settings of a method, where they can be read without loading the method."""
 CONTROLLERS: Final = "rotcal_ros.controllers"
 INSTRUMENTS: Final = "rotcal_ros.instruments"
 SETTINGS: Final = "rotcal_ros.settings"
 """Group of a configuration -> the class that declares its settings."""
 DRIVER_CHECKS: Final = "rotcal_ros.driver_checks"
-"""Group of a configuration -> what a check of a cell says of the driver that it asks for."""
+"""Group of a configuration -> what a check of a cell reports about its driver."""
 VERBS: Final = "rotcal_ros.verbs"
-"""Of each a :class:`Verb`, which tells of it without loading it."""
+"""A :class:`Verb` each, which describes a command without loading it."""
 CERTIFICATES: Final = "rotcal_ros.certificates"
 """What writes certificates for ``rotcal report``."""
 KINDS: Final = {
@@ -37,7 +37,7 @@ KINDS: Final = {
 }
 _OWN: Final = "rotcal_ros"
 _LONGEST: Final = 80
-"""Characters of a name that is compared with those that are known."""
+"""Characters of an unknown name that are compared with the existing ones."""
 
 
 class Verb(NamedTuple):
@@ -63,17 +63,17 @@ def names(group: str) -> tuple[str, ...]:
 
 @cache
 def load(group: str, name: str, what: str) -> Any:
-    """Return what the entry point ``name`` of ``group`` names.
+    """Load the entry point ``name`` of ``group``.
 
-    Raises ConfigurationError, with the nearest name, when there is none; ``what`` says in words
-    what was looked for.
+    Raises ConfigurationError, with the nearest name, when there is none; ``what`` is the kind of
+    plug-in in words.
     """
     found = _found(group)
     if name not in found:
         raise ConfigurationError(f"unknown {what} {name!r:.80}{nearest(name, found)}")
     try:
         return found[name].load()
-    except Exception as error:  # of somebody else's code
+    except Exception as error:  # code of another package may raise anything
         why = error if isinstance(error, ImportError) else f"{type(error).__name__}: {error}"
         package = _package(found[name])
         raise ConfigurationError(
@@ -82,10 +82,10 @@ def load(group: str, name: str, what: str) -> Any:
 
 
 def extension(group: str, name: str, what: str) -> Any:
-    """Return what the entry point ``name`` of ``group`` names, which ``what`` needs.
+    """Load the entry point ``name`` of ``group``, which ``what`` needs.
 
-    Raises ConfigurationError, with what to install, where it, or a package that it needs, is
-    missing: pip brings both with the extra ``name`` of this package.
+    Raises ConfigurationError, with the extra to install, where it, or a package that it needs, is
+    missing: pip installs both with the extra ``name`` of this package.
     """
     try:
         if name not in _found(group):
@@ -108,32 +108,32 @@ def node_module(name: str) -> str:
     raise ConfigurationError(f"the node {name!r} is not installed: pip install '{_OWN}[ros]'")
 
 
-def culprit(error: BaseException) -> str:
-    """Return in words in which plug-in of another package ``error`` came up; empty: in none.
+def culprit(error: BaseException) -> str | None:
+    """Return in words the plug-in of another package in which ``error`` was raised, if any.
 
     It is the innermost one on the way from where the error was caught to where it was raised, also
-    when it was raised by what the plug-in had called. Of several plug-ins in one package it is the
-    one whose module, and whose object, was at work; all of them where nothing tells.
+    when a function that the plug-in called raised it. Of several plug-ins in one package it is the
+    one whose module, and whose object, was at work; all of them where that does not decide.
     """
     frames = reversed(list(walk_tb(error.__traceback__)))
-    place, suspects = "", []
+    line_of_code, suspects = "", []
     for frame, line in frames:
         module = str(frame.f_globals.get("__name__", ""))
-        if not place:
+        if not line_of_code:
             suspects = _foreign(module.partition(".")[0])
-            place = f"{frame.f_code.co_filename}, line {line}" if suspects else ""
+            line_of_code = f"{frame.f_code.co_filename}, line {line}" if suspects else ""
         for nearer in (_in_module, _at_work):
             suspects = [s for s in suspects if nearer(s[1], frame)] or suspects
     if not suspects:
-        return ""
+        return None
     named = " or ".join(f"{what} {point.name!r}" for what, point in suspects)
-    return f"in the {named} ({_package(suspects[0][1])}: {place})"
+    return f"in the {named} ({_package(suspects[0][1])}: {line_of_code})"
 
 
 def in_words(error: BaseException) -> str:
-    """Return an exception that nobody expected, with the plug-in that it came up in."""
-    place = culprit(error)
-    return f"{type(error).__name__}{f' {place}' if place else ''}: {error}"
+    """Return an unexpected exception in words, with the plug-in that it was raised in."""
+    plug_in = culprit(error)
+    return f"{type(error).__name__}{f' {plug_in}' if plug_in else ''}: {error}"
 
 
 def _foreign(package: str) -> list[tuple[str, EntryPoint]]:
@@ -165,7 +165,7 @@ def _package(point: EntryPoint) -> str:
 
 
 def nearest(name: str, known: Any) -> str:
-    """Return a hint at the name that was probably meant, or at all that are known."""
+    """Return a hint at the name that was probably meant, or the list of all."""
     near = difflib.get_close_matches(name[:_LONGEST], list(known), n=1)
     if near:
         return f"; did you mean {near[0]!r}?"

@@ -1,8 +1,8 @@
-"""What a calibration does about each effect that could spoil it: the language of trust.
+"""How a calibration treats each effect that could spoil it.
 
-A small sigma0 proves nothing about an effect that the residuals cannot show. So every method says,
-effect by effect, whether it is estimated, tested, bounded by a statement, harmless, or *not
-protected*; people never read the verdict without the last of these.
+A small sigma0 proves nothing about an effect that the residuals cannot show. So every method
+states, effect by effect, whether it is estimated, tested, bounded by a statement, harmless, or
+*not protected*; the verdict is never shown without the last of these.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ PARTICULAR: Final[tuple[Effect, ...]] = (
     "numbering",
     "sign of z",
 )
-"""Effects that only those methods speak of whose instruments have them: counted fringes, an
-instrument that rides on the table, which mount or cable may shift along its circle, one that
-drifts between two looks at its nests, what gathers in one place among many; table positions that
-are all numbered off, and a z axis that points down, where nothing measured would tell."""
+"""Effects that only those methods list whose instruments have them: counted fringes; an instrument
+on the table, which its mount or cable may shift along its circle; one that drifts between two
+measurements of its nests; an error that gathers in one place among many; table positions that are
+all numbered wrong; and a z axis that points down, where no measurement would show it."""
 ALL_EFFECTS: Final[tuple[Effect, ...]] = get_args(Effect)
-"""In the order in which people are shown them."""
+"""In the order in which they are shown."""
 EFFECTS: Final[tuple[Effect, ...]] = tuple(e for e in ALL_EFFECTS if e not in PARTICULAR)
-"""Those that every method speaks of."""
+"""Those that every method lists."""
 Treatment = Literal["estimated", "tested", "bounded", "harmless", "not protected"]
 TREATMENTS: Final[tuple[Treatment, ...]] = get_args(Treatment)
 

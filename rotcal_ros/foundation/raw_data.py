@@ -1,8 +1,9 @@
 """Which observations a result rests on, and what an error of each does to its deviations.
 
 The same data are one datum, however often they are evaluated: two results that share observations
-are not independent. What they share is told by when it was measured, or, of tables without time,
-by a hash of each value; what it does to both is told by their influences, where these are linear.
+are not independent. The shared observations are found by the time of measurement or, in tables
+without time, by a hash of each value; their effect on both results follows from their influences,
+where these are linear.
 """
 
 from __future__ import annotations

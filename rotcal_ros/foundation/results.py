@@ -179,7 +179,7 @@ class Zeros:
         return tuple(c for c in COMPONENTS if any(c in d.columns for d in self.free))
 
     def in_words(self, components: Iterable[str] = COMPONENTS) -> str:
-        """Return which offsets of ``components`` are open; empty where there is none."""
+        """Return in one clause each which offsets of ``components`` are open."""
         wanted = set(components)
         touched: dict[str, set[str]] = {}
         for direction in self.free:
@@ -207,7 +207,7 @@ class Result:
     meanwhile: the hash of the controller's files, "none" or "unknown". ``circumstances`` say who
     measured what, when and how warm it was; a method leaves them to those who call it. ``zeros``
     say what the deviations count from, and what of that is open. ``raw_data``: the observations
-    that it rests on, so that nobody counts them twice.
+    that it rests on, so that they are not counted twice.
 
     >>> import rotcal_ros as rc
     >>> result = rc.read_result("examples/data/result_ball_plate.json")

@@ -1,8 +1,8 @@
-"""What others wrote, read within bounds: plain files, JSON and YAML.
+"""Input from elsewhere, read within bounds: plain files, JSON and YAML.
 
-A path may lead to a pipe that nobody writes to or a device without an end; a text may nest without
-end, or grow when its references are followed. Every reader of such input goes through here, so
-that it ends at once with a value or with an error that has one sentence.
+A path may lead to a pipe without a writer or a device without an end; a text may nest without end,
+or grow when its references are followed. Every reader of such input goes through here, so that it
+ends at once, with a value or with an error of one sentence.
 """
 
 from __future__ import annotations
@@ -159,7 +159,7 @@ and something else in YAML 1.2: write a plain number such as 1.5, or a text in q
         what = " ".join(str(error).split())
         raise ConfigurationError(f"{source}: not valid YAML: {what}") from error
     except (ValueError, TypeError, LookupError, AttributeError, ArithmeticError) as error:
-        # What stands behind a tag, as a date that there is not, is nobody's business but yaml's.
+        # Tagged values, such as an impossible date, raise errors of yaml's own constructors.
         raise ConfigurationError(f"{source}: a value cannot be read: {error}") from error
 
 

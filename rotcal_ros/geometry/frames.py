@@ -1,7 +1,7 @@
-"""Frames that stand still in each other, and where one lies in another: a tree of transforms.
+"""Static frames and the transforms between them, as a tree.
 
-Named and used as ROS does (REP 103, REP 105): right-handed, metres; a transform tells where the
-child's origin and axes are in its parent. Quaternions are (x, y, z, w).
+Named and used as in ROS (REP 103, REP 105): right-handed, metres; a transform holds the origin and
+the axes of the child in its parent. Quaternions are (x, y, z, w).
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ class Spheres:
     that of the radius, m, 0 where it is known.
     ``residuals`` (B, n), metres, distance to the sphere, outside positive, also of unused
     points; ``used`` (B, n). ``form_deviation`` (B,), metres: largest minus smallest residual of
-    the used points. ``reason`` says why a ball was refused, empty for a good one; the numbers
+    the used points. ``reason`` says why a ball was refused, None for a good one; the numbers
     of refused balls are NaN.
     """
 
@@ -48,7 +48,7 @@ class Spheres:
     residuals: Floats
     used: Bools
     form_deviation: Floats
-    reason: tuple[str, ...]
+    reason: tuple[str | None, ...]
 
     @property
     def covariance(self) -> Floats:
@@ -122,9 +122,10 @@ def _checked(points: Floats, used: Bools | None) -> tuple[Floats, Bools]:
     return np.where(finite[:, :, None], points, 0.0), finite
 
 
-def _too_few(mask: Bools, unknowns: int) -> list[str]:
+def _too_few(mask: Bools, unknowns: int) -> list[str | None]:
+    """Return the reason for balls with too few points to check the fit."""
     return [
-        ""
+        None
         if count > unknowns
         else f"{count} usable touch points, at least {unknowns + 1} are needed (one to check)"
         for count in mask.sum(axis=1)
@@ -145,7 +146,7 @@ def _gauss_newton(
     design = np.empty((*mask.shape, 4 if free else 3))
     for _ in range(MAX_STEPS):
         away = points - centres[:, None]
-        distance = np.maximum(np.linalg.norm(away, axis=2), 1e-300)
+        distance = np.maximum(np.linalg.norm(away, axis=2), 1e-300)  # never 0 / 0
         design[..., :3] = -away / distance[..., None] * weight[..., None]
         if free:
             design[..., 3] = -weight
@@ -222,8 +223,8 @@ def _worst(
     """
     leverage = np.einsum("bni,bij,bnj->bn", design, inverse, design)
     share = np.clip(1.0 - leverage, 1e-9, 1.0)
-    level = FALSE_ALARM / np.maximum(mask.sum(axis=1), 1) / 2.0
-    gain = residuals**2 / share
+    level = FALSE_ALARM / np.maximum(mask.sum(axis=1), 1) / 2.0  # of all points, both signs
+    gain = residuals**2 / share  # by so much the sum of squares falls without the point
     others = np.maximum(dof - 1, 1)
     variance = np.maximum(square[:, None] - gain, 0.0) / others[:, None]
     critical = np.where(dof > 1, stdtrit(others, 1.0 - level), np.inf)
@@ -236,9 +237,9 @@ def _worst(
 
 
 def _badly_spread(
-    reason: list[str], spread: Floats, inverse: Floats, centres: Floats, free: bool
-) -> list[str]:
-    """Add the reason for balls whose points hardly fix the centre."""
+    reason: list[str | None], spread: Floats, inverse: Floats, centres: Floats, free: bool
+) -> list[str | None]:
+    """Add the reason for balls whose points hardly determine the centre."""
     weakest = np.sqrt(np.maximum(np.linalg.eigvalsh(inverse[:, :3, :3])[:, -1], 0.0))
     found = []
     for ball, why in enumerate(reason):

@@ -1,1 +1,1 @@
-"""Instruments as they are: messages of any kind become records in SI; nothing here knows ROS."""
+"""Messages of instruments, of any type and unit, become records in SI, without ROS."""

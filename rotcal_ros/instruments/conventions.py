@@ -1,4 +1,4 @@
-"""In which units an instrument speaks and by which clock it stamps: its numbers become SI."""
+"""The units of an instrument and the clock of its stamps: its numbers become SI."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.topic_settings import LENGTH_UNITS, TopicSettings
+from rotcal_ros.bags.settings import LENGTH_UNITS, TopicSettings
 from rotcal_ros.foundation.observations import (
     HumiditySample,
     PressureSample,
@@ -32,11 +32,11 @@ _OWNERS: Final = {
     names.JOINT_STATES: "table",
     names.PROBE_POINT: "probe",
 }
-"""How the settings of a role's clock begin."""
+"""The prefix of the settings of a role's clock."""
 
 
 def single_shots(settings: TopicSettings) -> tuple[str, ...]:
-    """Return the roles that say nothing before they are asked, or have arrived."""
+    """Return the roles that send nothing before they are asked, or have arrived."""
     silent = {
         names.TRACER_LENGTH: settings.length_single_shot,
         names.PROBE_POINT: settings.probe_single_shot,
@@ -46,7 +46,7 @@ def single_shots(settings: TopicSettings) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Conventions:
-    """What the ``settings`` say of units and clocks, applied to the numbers of each role."""
+    """Units and clocks of the ``settings``, applied to the numbers of each role."""
 
     settings: TopicSettings
 
@@ -59,7 +59,7 @@ class Conventions:
         return value * self.settings.angle_rad
 
     def position(self, values: Any) -> tuple[float, float, float]:
-        """Return a place (x, y, z), or its standard deviations, in m."""
+        """Return a position (x, y, z), or its standard deviations, in m."""
         unit = LENGTH_UNITS[self.settings.position_unit]
         x, y, z = (float(value) * unit for value in values)
         return x, y, z
@@ -123,16 +123,16 @@ class Conventions:
 
     @property
     def nameless(self) -> TopicSettings:
-        """The settings without what the topics are called."""
+        """The settings without the names of the topics."""
         named: dict[str, Any] = dict.fromkeys(self.settings.renamed(), "")
         return replace(self.settings, **named)
 
     @property
     def plain(self) -> bool:
-        """Whether nothing is to be changed: SI, and the stamps of the headers."""
-        untouched: dict[str, Any] = {
+        """Whether nothing is to be converted: SI, and the stamps of the headers."""
+        irrelevant: dict[str, Any] = {
             "length_single_shot": False,
             "probe_single_shot": False,
             "length_trigger": "",
         }
-        return replace(self.nameless, **untouched) == TopicSettings()
+        return replace(self.nameless, **irrelevant) == TopicSettings()

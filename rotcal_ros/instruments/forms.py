@@ -1,4 +1,4 @@
-"""Message types that the instruments of others speak: where their numbers stand.
+"""Message types of other packages that instruments use: which fields hold their numbers.
 
 Fields are named by their dotted path, which is an attribute of a live message and a column of a
 bag alike.
@@ -20,13 +20,14 @@ from rotcal_ros.bags.names import (
     TRACER_LENGTH,
 )
 from rotcal_ros.capture.messages import stamp_ns
+from rotcal_ros.foundation.errors import ConfigurationError
 
 STAMP: Final = ("header.stamp.sec", "header.stamp.nanosec")
 
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """A message type with its ``numbers``; ``limits`` are fields between which they are valid."""
+    """The fields of a message type: its ``numbers``, and the ``limits`` of their valid range."""
 
     numbers: tuple[str, ...]
     stamped: bool = True
@@ -34,7 +35,7 @@ class Form:
 
     @property
     def fields(self) -> tuple[str, ...]:
-        """All fields that are needed: numbers, limits, and the stamp where there is one."""
+        """All fields that are read: numbers, limits, and the stamp where there is one."""
         return (*self.numbers, *self.limits, *(STAMP if self.stamped else ()))
 
     def row(self, message: Any) -> tuple[float, ...]:
@@ -42,7 +43,7 @@ class Form:
         return tuple(float(attrgetter(name)(message)) for name in (*self.numbers, *self.limits))
 
     def stamp_ns(self, message: Any, sent_ns: int) -> int:
-        """Return the stamp of a live message; one that has none was taken when it was sent."""
+        """Return the stamp of a live message; the time of sending where it has none."""
         return stamp_ns(message.header.stamp) if self.stamped else sent_ns
 
 
@@ -66,7 +67,7 @@ FORMS: Final[Mapping[str, Mapping[str, Form]]] = {
     AIR_PRESSURE: _SCALARS,
     RELATIVE_HUMIDITY: _SCALARS,
 }
-"""What each role may be told in, beside its own type, by the names of the types."""
+"""The types that each role accepts beside its own, by name."""
 OWN: Final[Mapping[str, str]] = {
     TRACER_LENGTH: "rotcal_msgs/msg/TracerLength",
     JOINT_STATES: "sensor_msgs/msg/JointState",
@@ -75,17 +76,16 @@ OWN: Final[Mapping[str, str]] = {
     AIR_PRESSURE: "sensor_msgs/msg/FluidPressure",
     RELATIVE_HUMIDITY: "sensor_msgs/msg/RelativeHumidity",
 }
-"""The type of each role that says the most: numbers, status, step."""
+"""The type made for each role: with numbers, status, step."""
 
 
 def form_of(role: str, type_name: str) -> Form | None:
-    """Return the form of a foreign type in its role; None: it is no such type."""
+    """Return the form of a foreign type that the role accepts; None for any other type."""
     return FORMS.get(role, {}).get(type_name)
 
 
-def not_understood(role: str, type_name: str) -> str:
-    """Say that a type cannot be used in a role; empty: it can."""
-    if type_name == OWN.get(role) or form_of(role, type_name) is not None:
-        return ""
-    known = ", ".join([OWN[role], *FORMS[role]])
-    return f"{role}: {type_name} is no message for it; it may be {known}"
+def check_type(role: str, type_name: str) -> None:
+    """Raise ConfigurationError unless messages of a type can be used in a role."""
+    if type_name != OWN.get(role) and form_of(role, type_name) is None:
+        usable = ", ".join([OWN[role], *FORMS[role]])
+        raise ConfigurationError(f"{role}: {type_name} is no message for it; it may be {usable}")

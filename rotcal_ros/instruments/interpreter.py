@@ -1,8 +1,13 @@
-"""What an instrument says, whatever its message type: records in SI, by the common clock."""
+"""Messages of an instrument, of whatever type, become records in SI by the common clock.
+
+The same code reads live messages and bags. Bare numbers have no status, no sequence, no velocity:
+these follow from the numbers themselves.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from math import pi, remainder
 from operator import attrgetter
 from typing import Any, Final
 
@@ -10,19 +15,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.topic_settings import TopicSettings
+from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.capture import messages
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.observations import (
     HumiditySample,
+    LengthStatus,
     PressureSample,
     TableSample,
     TemperatureSample,
+    TracerSample,
 )
 from rotcal_ros.instruments.conventions import Conventions
-from rotcal_ros.instruments.conversion import BareAngles, BareLengths, tracer_samples
 from rotcal_ros.instruments.forms import Form, form_of
 from rotcal_ros.instruments.steps import Position
+from rotcal_ros.planning.table_motion import TableSpeed
 
 Sent = tuple[Any, int]
 """A message, and when it was sent (ns)."""
@@ -43,7 +50,7 @@ _OWN: Final[Mapping[str, Callable[[Any], Any]]] = {
 
 
 class Interpreter:
-    """Understands the instruments of one cell, as ``settings`` describe them.
+    """Reads the messages of the instruments of one cell, as ``settings`` describe them.
 
     ``joint`` names the table among joint states; empty: the first.
     """
@@ -54,12 +61,12 @@ class Interpreter:
         self._lengths, self._angles = BareLengths(settings), BareAngles(settings)
 
     def records(self, role: str, type_name: str, sent: Sequence[Sent]) -> list[Any]:
-        """Return the records of messages of one topic; what says nothing of use is left out."""
+        """Return the records of messages of one topic, without those of other joints."""
         form = form_of(role, type_name)
         if form is not None and role in FAST:
             return self._fast(role, form, sent)
-        found = (self.record(role, type_name, message, sent_ns) for message, sent_ns in sent)
-        return [record for record in found if record is not None]
+        records = (self.record(role, type_name, message, sent_ns) for message, sent_ns in sent)
+        return [record for record in records if record is not None]
 
     def record(self, role: str, type_name: str, message: Any, sent_ns: int) -> Any:
         """Return the record of a message of a slow role, or of any role's own type."""
@@ -79,7 +86,7 @@ class Interpreter:
     def bare(
         self, role: str, rows: Ints, stamps: Ints, sent_ns: Ints, values: Floats
     ) -> NDArray[np.void]:
-        """Return readings or feedback of bare ``values`` (n, numbers and limits); see there."""
+        """Return the readings or the feedback of bare ``values`` (n, numbers and limits)."""
         taken = self.conventions.taken_ns(role, stamps, sent_ns)
         if role == names.TRACER_LENGTH:
             return self._lengths.readings(rows, taken, values)
@@ -89,10 +96,8 @@ class Interpreter:
         values = np.array([form.row(message) for message, _ in sent], np.float64)
         stamps = np.array([form.stamp_ns(*pair) for pair in sent], np.int64)
         sent_ns = np.array([time_ns for _, time_ns in sent], np.int64)
-        found = self.bare(role, np.arange(len(sent)), stamps, sent_ns, values)
-        if role == names.TRACER_LENGTH:
-            return list(tracer_samples(found))
-        return table_samples(found)
+        rows = self.bare(role, np.arange(len(sent)), stamps, sent_ns, values)
+        return tracer_samples(rows) if role == names.TRACER_LENGTH else table_samples(rows)
 
     def _own(self, role: str, message: Any) -> Any:
         if role == names.JOINT_STATES:
@@ -103,3 +108,82 @@ class Interpreter:
 def table_samples(feedback: Iterable[Any]) -> list[Any]:
     """Return feedback (n,) as records."""
     return [TableSample(int(s), float(a), float(v)) for _, s, a, v in feedback]
+
+
+READING: Final = np.dtype(
+    [
+        ("row", np.int64),
+        ("stamp_ns", np.int64),
+        ("sequence", np.int64),
+        ("length", np.float64),
+        ("status", np.int64),
+    ]
+)
+FEEDBACK: Final = np.dtype(
+    [("row", np.int64), ("stamp_ns", np.int64), ("angle", np.float64), ("velocity", np.float64)]
+)
+_WRAP: Final = 1 << 32
+
+
+class BareLengths:
+    """Turns bare numbers into tracer readings, numbered in the order of arrival.
+
+    NaN, an infinite number or one outside the limits in its message is a reading of a broken
+    beam: a type without a status has no other way to report it.
+    """
+
+    def __init__(self, settings: TopicSettings) -> None:
+        self._unit = settings.length_m
+        self._counted = 0
+
+    def readings(self, rows: Ints, stamps: Ints, values: Floats) -> NDArray[np.void]:
+        """Return the readings (n,) of ``values`` (n, 1), or (n, 3) with their limits."""
+        readings = np.zeros(len(rows), READING)
+        readings["row"], readings["stamp_ns"] = rows, stamps
+        readings["length"] = values[:, 0] * self._unit
+        readings["sequence"] = (self._counted + np.arange(len(rows))) % _WRAP
+        good = np.isfinite(values[:, 0])
+        if values.shape[1] > 1:
+            stated = values[:, 2] > values[:, 1]  # limits left out are equal, both zero
+            within = (values[:, 0] >= values[:, 1]) & (values[:, 0] <= values[:, 2])
+            good &= ~stated | within
+        readings["status"] = np.where(good, int(LengthStatus.OK), int(LengthStatus.BEAM_BROKEN))
+        self._counted += len(rows)
+        return readings
+
+
+class BareAngles:
+    """Turns bare angles into feedback with a velocity; full turns are no motion."""
+
+    def __init__(self, settings: TopicSettings) -> None:
+        self._unit = settings.angle_rad
+        self._speed = TableSpeed(settings.angle_span_s)
+        self._unwrapped: float | None = None
+
+    def feedback(self, rows: Ints, stamps: Ints, values: Floats) -> NDArray[np.void]:
+        """Return the feedback (m,), m <= n, of ``values`` (n, 1 or more).
+
+        The first ones have no velocity yet and are left out.
+        """
+        rows_with_velocity = []
+        angles = (values[:, 0] * self._unit).tolist()
+        for row, stamp_ns, angle in zip(rows.tolist(), stamps.tolist(), angles, strict=True):
+            sample = self._speed.feed(stamp_ns, self._unwrap(angle))
+            if sample is not None:
+                rows_with_velocity.append((row, stamp_ns, angle, sample.velocity))
+        return np.array(rows_with_velocity, FEEDBACK)
+
+    def _unwrap(self, angle: float) -> float:
+        """Return an angle with the full turns that bring it nearest to the one before."""
+        before = angle if self._unwrapped is None else self._unwrapped
+        if np.isfinite(angle - before):
+            self._unwrapped = before + remainder(angle - before, 2.0 * pi)
+        return angle if self._unwrapped is None else self._unwrapped
+
+
+def tracer_samples(readings: NDArray[np.void]) -> list[TracerSample]:
+    """Return readings (n,) as records."""
+    return [
+        TracerSample(stamp_ns, sequence, length, 0.0, LengthStatus(status))
+        for _, stamp_ns, sequence, length, status in readings.tolist()
+    ]

@@ -1,4 +1,7 @@
-"""Which unit an instrument seems to speak in, when it is not the stated one."""
+"""Which unit the numbers of an instrument seem to have, when it is not the stated one.
+
+Each function returns what is implausible in words that follow the name of a topic, or None.
+"""
 
 from __future__ import annotations
 
@@ -7,27 +10,27 @@ from math import isfinite, pi
 from typing import Final
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.topic_settings import ANGLE_UNITS, LENGTH_UNITS, TopicSettings
+from rotcal_ros.bags.settings import ANGLE_UNITS, LENGTH_UNITS, TopicSettings
 from rotcal_ros.planning.plan import Plan
 
 _FULL_TURN: Final = 2.0 * pi
 _NEAR_M: Final = 1.0
-"""Nothing at rest before a calibration is much further than this from the plan's own size."""
+"""A smaller plan is taken as this large: before a calibration the probe may be parked."""
 _THOUSAND: Final = 1e3
 _NEARLY: Final = 3.0
-"""So many times shorter or longer than in the plan a reading may be before it begins."""
+"""Before a plan begins, a reading may be this many times shorter or longer than in the plan."""
 _AIR: Final = {
     names.TEMPERATURE: ("temperature_unit", -20.0, 60.0, "degrees Celsius"),
     names.AIR_PRESSURE: ("pressure_unit", 50e3, 120e3, "pascal"),
     names.RELATIVE_HUMIDITY: ("humidity_unit", 0.0, 1.0, "a share from 0 to 1"),
 }
-"""Setting, plausible values, and what they are in."""
+"""Setting of the unit, lowest and highest plausible value, and their unit."""
 _OTHERS: Final = {
     names.TEMPERATURE: (("K", 253.0, 333.0), ("degF", 60.0, 140.0)),
     names.AIR_PRESSURE: (("hPa", 500.0, 1200.0), ("kPa", 50.0, 120.0)),
     names.RELATIVE_HUMIDITY: (("percent", 1.0, 100.0),),
 }
-"""Other units, and what is plausible in them."""
+"""Other units, with the lowest and highest plausible value in each."""
 
 
 def likely_unit(
@@ -35,7 +38,7 @@ def likely_unit(
 ) -> str | None:
     """Return the unit in which a ``value`` in SI, read as ``stated``, is at most ``largest``.
 
-    None: it is as it stands, or is in none of them.
+    None where it is plausible as it stands, or in none of them.
     """
     if abs(value) <= largest:
         return None
@@ -44,10 +47,10 @@ def likely_unit(
     return next(fitting, None)
 
 
-def length_in_words(value: float, largest: float, settings: TopicSettings) -> str:
-    """Say that a length (m) is implausible, and which unit it may be in; empty: it is not."""
+def implausible_length(value: float, largest: float, settings: TopicSettings) -> str | None:
+    """Return that a length (m) is implausible, and which unit it may have."""
     if not isfinite(value) or abs(value) <= largest:
-        return ""
+        return None
     unit = likely_unit(value, largest, settings.length_unit, LENGTH_UNITS)
     return (
         f"says {value:.6g} m, plausible are {largest:g} m (capture.max_length_m)"
@@ -55,10 +58,10 @@ def length_in_words(value: float, largest: float, settings: TopicSettings) -> st
     )
 
 
-def angle_in_words(value: float, settings: TopicSettings) -> str:
-    """Say that the table's angle (rad) is turns away from zero; empty: it is not."""
+def implausible_angle(value: float, settings: TopicSettings) -> str | None:
+    """Return that the table's angle (rad) is more than a turn away from zero."""
     if not isfinite(value) or abs(value) <= _FULL_TURN:
-        return ""
+        return None
     unit = likely_unit(value, _FULL_TURN, settings.angle_unit, ANGLE_UNITS)
     return (
         f"says {value:.6g} rad, {abs(value) / _FULL_TURN:.1f} turns from zero"
@@ -66,14 +69,14 @@ def angle_in_words(value: float, settings: TopicSettings) -> str:
     )
 
 
-def position_in_words(
+def implausible_position(
     position: tuple[float, float, float], plan: Plan, settings: TopicSettings
-) -> str:
-    """Say that the probe is far outside the plan; empty: it is not."""
+) -> str | None:
+    """Return that the probe is far outside the plan."""
     far = max(map(abs, position))
     largest = 10.0 * max(_NEAR_M, *(abs(x) for step in plan.steps for x in step.position))
     if not isfinite(far) or far <= largest:
-        return ""
+        return None
     unit = likely_unit(far, largest, settings.position_unit, LENGTH_UNITS)
     return (
         f"says {far:.6g} m, more than ten times as far as the plan goes"
@@ -81,15 +84,17 @@ def position_in_words(
     )
 
 
-def small_in_words(value: float, plan_m: tuple[float, float], stated: str, setting: str) -> str:
-    """Say that a number (m) is a thousand times too small for the plan; empty: it is not.
+def thousandth_of_plan(
+    value: float, plan_m: tuple[float, float], stated: str, setting: str
+) -> str | None:
+    """Return that a number (m) is a thousand times too small for the plan.
 
-    ``plan_m`` is the least and the largest that the plan makes of it. Zero says nothing: anything
-    may stand there, or have been set to zero.
+    ``plan_m`` is its least and largest value in the plan. Zero is always plausible: the probe may
+    be parked there, or the instrument set to zero.
     """
     least, largest = plan_m
     if not isfinite(value) or not least / _NEARLY <= abs(value) * _THOUSAND <= largest * _NEARLY:
-        return ""
+        return None
     larger = LENGTH_UNITS[stated] * _THOUSAND
     unit = next((name for name, factor in LENGTH_UNITS.items() if factor == larger), None)
     twice = _instead(setting, unit) or ": is it converted to metres twice?"
@@ -99,8 +104,8 @@ def small_in_words(value: float, plan_m: tuple[float, float], stated: str, setti
     )
 
 
-def air_in_words(values: Mapping[str, float]) -> Iterator[tuple[str, str]]:
-    """Yield role and what is implausible of the air's ``values`` in SI, by role."""
+def implausible_air(values: Mapping[str, float]) -> Iterator[tuple[str, str]]:
+    """Yield those roles of the air whose ``values`` (SI, by role) are implausible, and why."""
     for role, value in values.items():
         name, low, high, unit = _AIR[role]
         if low <= value <= high:
@@ -111,4 +116,5 @@ def air_in_words(values: Mapping[str, float]) -> Iterator[tuple[str, str]]:
 
 
 def _instead(setting: str, unit: str | None) -> str:
+    """Return a clause that asks for another unit, if there is one that fits."""
     return f": is it in {unit}? Then set {setting}: {unit}" if unit else ""

@@ -1,4 +1,4 @@
-"""How often an instrument speaks, from the stamps of what it said."""
+"""How often an instrument sends, from the stamps of its messages."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from typing import Final
 
 from rotcal_ros.foundation.units import NANOSECOND
 
-_KEPT: Final = 500
+_REMEMBERED: Final = 500
+"""Stamps of a stream over which its rate is taken."""
 _LEAST: Final = 5
+"""Messages from which on there is a rate."""
 _LONGEST_NS: Final = 60_000_000_000
-"""A longer pause is a new beginning, or a clock that was set."""
+"""After a longer pause, or a clock that was set, the rate is counted anew."""
 
 
 class Rates:
@@ -21,20 +23,20 @@ class Rates:
 
     def note(self, role: str, stamp_ns: int) -> None:
         """Take the stamp of a message."""
-        stamps = self._stamps.setdefault(role, deque(maxlen=_KEPT))
+        stamps = self._stamps.setdefault(role, deque(maxlen=_REMEMBERED))
         if stamps and not 0 <= stamp_ns - stamps[-1] < _LONGEST_NS:
             stamps.clear()
         stamps.append(stamp_ns)
 
     def forget(self, role: str) -> None:
-        """Begin anew with a stream."""
+        """Count a stream anew."""
         self._stamps.pop(role, None)
 
     def hertz(self) -> dict[str, float]:
-        """Return the rates of the streams that are known by now; 0: its stamps stand still."""
-        found = {}
+        """Return the rates of the streams with enough messages; 0 where the stamps stand still."""
+        rates = {}
         for role, stamps in self._stamps.items():
             span_ns = stamps[-1] - stamps[0]
             if len(stamps) >= _LEAST:
-                found[role] = (len(stamps) - 1) / (span_ns * NANOSECOND) if span_ns > 0 else 0.0
-        return found
+                rates[role] = (len(stamps) - 1) / (span_ns * NANOSECOND) if span_ns > 0 else 0.0
+        return rates

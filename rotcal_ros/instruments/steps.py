@@ -1,8 +1,8 @@
-"""Which step a bare position belongs to: found from the orders, or from the plan without any.
+"""To which step a bare position belongs: by the orders, or by the plan where there are none.
 
-``geometry_msgs`` say where the probe is and nothing else. A reflector that is carried stands at
-its step as soon as table and probe are both in place; a point that is measured (a touch, the
-centre of a ball) belongs to the step at which the table rests just then.
+``geometry_msgs`` hold the position of the probe and no step. A reflector that is carried stands at
+its step as soon as table and probe are both in position; a point that is measured (a touch, the
+centre of a ball) belongs to the step at whose angle the table rests at that time.
 """
 
 from __future__ import annotations
@@ -21,22 +21,24 @@ from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
 from rotcal_ros.planning.plan import Plan, Point, Step
 from rotcal_ros.planning.table_motion import is_near
 
-HELD_NS: Final = 200_000_000
-"""Events are looked at so long after they were stamped: then all streams have come so far."""
+DELAY_NS: Final = 200_000_000
+"""Events are judged this long after their stamps: by then all streams have arrived."""
 PATIENCE_NS: Final = 3_000_000_000
-"""Table and probe have stood still for so long elsewhere before it is said: they travel first."""
-_KEPT: Final = 4096
+"""Table and probe must stand still elsewhere for this long before it is reported: they travel."""
+_REMEMBERED: Final = 4096
+"""Orders, and events that wait to be judged; beyond that the oldest are forgotten."""
 _SILENT_NS: Final = 1_000_000_000
-"""A position after which nothing came for so long is where the probe stands."""
+"""A probe that has sent nothing for this long stands at its last position."""
 _ARRIVED_SHARE: Final = 0.01
-"""A probe stands that went no further than this share of its tolerance since it last spoke."""
+"""A probe has arrived when two positions in a row differ by less than this share of its
+tolerance."""
 _FACTORS: Final = (1e-3, 1e3, 1e-6, 1e6)
 """Between the units of lengths."""
 
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """Where the probe is (m, machine frame), told without a step."""
+    """Where the probe is (m, machine frame), without the step it belongs to."""
 
     stamp_ns: int
     position: Point
@@ -52,7 +54,7 @@ class Order:
 
 @dataclass(slots=True)
 class _Awaited:
-    """What is waited for: ``points`` of step and attempt have come since ``since_ns``."""
+    """A step whose points are awaited since ``since_ns``; ``points`` of them have come."""
 
     step: Step
     attempt: int
@@ -61,15 +63,15 @@ class _Awaited:
 
 
 class StepFinder:
-    """Answers in the place of a machine that tells positions without steps.
+    """Answers orders in the place of a machine that sends positions without steps.
 
-    The table rests in position within ``position_tolerance_arcsec`` of the angle, whole turns
-    apart or not; the probe within ``probe_tolerance_m`` of its target, a touched ball within
-    ``ball_tolerance_m``. Where there is a planner, it is the step that it has ``ordered``; without
-    one (a bag of somebody else) the next one of the plan that fits, and steps that were left out
-    are passed over. A carried reflector that is still on its way within the tolerance is not
-    there yet; one of a ``single_shot`` probe is, which speaks when it has arrived. Events are
-    taken in the order of their stamps, whichever stream arrives first.
+    The table is in position within ``position_tolerance_arcsec`` of the angle, full turns left
+    out; the probe within ``probe_tolerance_m`` of its target, a touched ball within
+    ``ball_tolerance_m``. With a planner, the step is the one that it has ``ordered``; without one
+    (a bag from elsewhere) it is the next one of the plan that fits, and steps that were left out
+    are skipped. A carried reflector that still moves within the tolerance has not arrived; a
+    ``single_shot`` probe has, for it sends only then. Events are judged in the order of their
+    stamps, whichever stream arrives first.
     """
 
     def __init__(
@@ -84,10 +86,10 @@ class StepFinder:
         self._plan, self._settings, self._tip_radius = plan, settings, tip_radius_m
         self._angle_tolerance = settings.position_tolerance_arcsec * ARCSEC
         self._speed_limit = settings.velocity_tolerance_deg_s * DEGREE
-        self._orders: deque[_Awaited] = deque(maxlen=_KEPT)
+        self._orders: deque[_Awaited] = deque(maxlen=_REMEMBERED)
         self.ordered = ordered
         self._planned = _Awaited(plan.steps[0], 0, 0)
-        self._next = self._found = 0
+        self._next = self._answered = 0
         self._active = False
         self._waiting: list[tuple[int, TableSample | Position]] = []
         self._newest_ns: int | None = None
@@ -114,7 +116,7 @@ class StepFinder:
                 yield record
 
     def order(self, order: Order) -> None:
-        """Take an order; one by a far-off clock counts from when it comes."""
+        """Take an order; one stamped by a clock that is far off counts from its arrival."""
         command, stamp_ns = order.command, order.stamp_ns
         if not 0 <= command.step < len(self._plan.steps):
             return
@@ -126,32 +128,34 @@ class StepFinder:
         self._orders.append(_Awaited(step, command.attempt, stamp_ns))
 
     def table(self, sample: TableSample) -> tuple[ProbeSample, ...]:
-        """Take where the table is; return the answers that are known now."""
+        """Take a feedback of the table; return the answers that are certain now."""
         newest_ns = sample.stamp_ns if self._newest_ns is None else self._newest_ns
         set_back = (newest_ns - sample.stamp_ns) * NANOSECOND > self._settings.clock_tolerance_s
         self._newest_ns = sample.stamp_ns if set_back else max(newest_ns, sample.stamp_ns)
-        if not self._active:  # nobody tells a position without its step
+        if not self._active:  # no position without its step has come so far
             self._event(sample.stamp_ns, sample)
             return ()
         self._keep(sample.stamp_ns, sample)
-        return self._look(self._newest_ns - HELD_NS)
+        return self._judge_until(self._newest_ns - DELAY_NS)
 
-    def complaint(self) -> str:
-        """Return why the last order has no answer, for people; empty: it has, or all moves yet."""
+    def complaint(self) -> str | None:
+        """Return why the last order has no answer, once table and probe stand still."""
         if not self._orders or self._orders[-1].points or self._position is None:
-            return ""
+            return None
         still_since_ns = max(self._orders[-1].since_ns, self._moved_ns)
         if self._newest_ns is None or self._newest_ns - still_since_ns < PATIENCE_NS:
-            return ""
+            return None
         step = self._orders[-1].step
         if not self._is_at(step):
             return f"step {step.index}: {self._table_in_words(step)}"
         off = dist(self._position.position, step.position)
-        return (
+        text = (
             f"step {step.index}: the probe says {self._position.position}, {off:.6g} m from where "
             f"it was sent, {step.position} (allowed {self._reach(step):g} m)"
-            f"{self._in_another_unit(step)}"
         )
+        if (times := self._wrong_factor(step)) is not None:
+            text += f": {times:g} times as far; which is topics.position_unit?"
+        return text
 
     def _table_in_words(self, step: Step) -> str:
         table = self._feedback
@@ -159,28 +163,29 @@ class StepFinder:
             return "no table feedback since the order"
         return off_in_words(table.angle, table.velocity, step.table_angle, self._settings)
 
-    def _in_another_unit(self, step: Step) -> str:
-        """Say that the probe were there if its positions had another unit; empty: it were not."""
+    def _wrong_factor(self, step: Step) -> float | None:
+        """Return how many times too large a position is that another unit would put in place."""
         assert self._position is not None
         for factor in _FACTORS:
             position = tuple(factor * x for x in self._position.position)
             if dist(position, step.position) <= self._reach(step):
-                return f": {1.0 / factor:g} times as far; which is topics.position_unit?"
-        return ""
+                return 1.0 / factor
+        return None
 
     def _keep(self, stamp_ns: int, event: TableSample | Position) -> None:
-        at = bisect_right(self._waiting, stamp_ns, key=lambda known: known[0])
+        at = bisect_right(self._waiting, stamp_ns, key=lambda waiting: waiting[0])
         self._waiting.insert(at, (stamp_ns, event))
-        del self._waiting[:-_KEPT]
+        del self._waiting[:-_REMEMBERED]
 
-    def _look(self, horizon_ns: int) -> tuple[ProbeSample, ...]:
-        """Look at the events up to ``horizon_ns``."""
-        count = bisect_right(self._waiting, horizon_ns, key=lambda known: known[0])
+    def _judge_until(self, horizon_ns: int) -> tuple[ProbeSample, ...]:
+        """Judge the events up to ``horizon_ns``; return the answers that they give."""
+        count = bisect_right(self._waiting, horizon_ns, key=lambda waiting: waiting[0])
         due, self._waiting = self._waiting[:count], self._waiting[count:]
         answers = (self._event(stamp_ns, event) for stamp_ns, event in due)
         return tuple(answer for answer in answers if answer is not None)
 
     def _event(self, stamp_ns: int, event: TableSample | Position) -> ProbeSample | None:
+        """Take an event in its turn; return the answer that it gives."""
         self._note_motion(stamp_ns, event)
         if isinstance(event, TableSample):
             resting = abs(event.velocity) <= self._speed_limit
@@ -202,10 +207,11 @@ class StepFinder:
         return self._answer(waited, stamp_ns)
 
     def _note_motion(self, stamp_ns: int, event: TableSample | Position) -> None:
-        """Note when table or probe were last further from where they had stood than tolerated."""
+        """Note when table or probe last moved further than tolerated from where they stood."""
         before = self._stood.get(type(event))
         match before, event:
             case TableSample(), TableSample():
+                # Written with "not", so that an angle that is NaN counts as motion.
                 moved = not abs(event.angle - before.angle) <= self._angle_tolerance
             case Position(), Position():
                 off = dist(event.position, before.position)
@@ -216,14 +222,14 @@ class StepFinder:
             self._stood[type(event)], self._moved_ns = event, stamp_ns
 
     def _stays(self, event: Position) -> bool:
-        """Return whether the probe is where it was when it last spoke; the first word counts."""
+        """Return whether the probe has not moved since its last position; True for the first."""
         if self._position is None:
             return True
         moved = dist(event.position, self._position.position)
         return moved <= _ARRIVED_SHARE * self._settings.probe_tolerance_m
 
     def _waited_for(self, stamp_ns: int) -> _Awaited | None:
-        """Return what is waited for at a time, if table and probe are there."""
+        """Return the step that is awaited at a time, if table and probe have reached it."""
         if self.ordered:
             waited = next((o for o in reversed(self._orders) if o.since_ns <= stamp_ns), None)
             return waited if waited is not None and self._is_reached(waited.step) else None
@@ -239,11 +245,11 @@ class StepFinder:
     def _answer(self, waited: _Awaited, stamp_ns: int) -> ProbeSample:
         assert self._position is not None
         step, point = waited.step, waited.points
-        waited.points, self._found = point + 1, self._found + 1
+        waited.points, self._answered = point + 1, self._answered + 1
         order = step.command(waited.attempt)
         return order.answered(
             stamp_ns,
-            self._found - 1,
+            self._answered - 1,
             self._position.position,
             point=point,
             tip_radius=self._tip_radius,

@@ -28,12 +28,9 @@ from rotcal_ros.methods.configuration import Configuration, read_policy
 from rotcal_ros.methods.continuation import ATTEMPTS_PER_RUN, Continuation, continued
 from rotcal_ros.methods.disturbance import DisturbedMeasurement, Sizes
 from rotcal_ros.methods.frame_conflicts import frame_conflicts
-from rotcal_ros.methods.method import Adaptive, Method, Trials
-from rotcal_ros.methods.stations import Stations
-from rotcal_ros.planning.as_listed import AsListed
-from rotcal_ros.planning.choices import Policy
+from rotcal_ros.methods.method import Adaptive, Method, Stations, Trials
+from rotcal_ros.planning.choices import AS_LISTED, UNTIL_GOAL, AsListed, Policy
 from rotcal_ros.planning.plan import Plan, Point, Step
-from rotcal_ros.planning.policy_names import AS_LISTED, UNTIL_GOAL
 
 _DATED_NS: Final = 10**17
 """A stamp before 1973 counts from the start of something: it is no date."""

@@ -2,6 +2,12 @@
 
 The file is an ordinary ROS 2 parameter file (``/**: ros__parameters: ...``), so that the same
 file starts the nodes through ROS 2's launch, through ``rotcal run``, and solves a bag offline.
+
+Long lists of a plan may stand in files of their own, which the configuration names: as it is read,
+its text takes their contents in the place of the names (:func:`configuration_text`). What is
+recorded has to be whole: its hash, the session's folder, the goal of a run and the bag hold that
+text. What goes with a plain table is a configuration too, or, in short, what a method takes for
+one (:func:`read_setup`).
 """
 
 from __future__ import annotations
@@ -13,28 +19,29 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
+from textwrap import fill
 from typing import Any, Final
 
 import yaml
 
-from rotcal_ros.bags.recorder_settings import RecorderSettings
-from rotcal_ros.bags.topic_settings import TopicSettings
+from rotcal_ros.bags.settings import RecorderSettings, TopicSettings
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.foundation import plugins
-from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.settings import declarations, load, to_mapping
 from rotcal_ros.foundation.untrusted import line_of, load_yaml, read_text, why
 from rotcal_ros.methods.air_settings import AirSettings
 from rotcal_ros.methods.method import Method, find_method, method_names
-from rotcal_ros.methods.plan_files import PlanFile, with_contents
-from rotcal_ros.planning.cell_settings import CellSettings
-from rotcal_ros.planning.health_settings import HealthSettings
-from rotcal_ros.planning.planner_settings import PlannerSettings
-from rotcal_ros.planning.policy_names import AS_LISTED
-from rotcal_ros.planning.safety_settings import SafetySettings
-from rotcal_ros.planning.table_adapter_settings import TableAdapterSettings
+from rotcal_ros.planning.choices import AS_LISTED
+from rotcal_ros.planning.settings import (
+    CellSettings,
+    HealthSettings,
+    PlannerSettings,
+    SafetySettings,
+    TableAdapterSettings,
+)
 
 EXTENSION_GROUPS: Final[Mapping[str, type[Any]]] = {
     name: plugins.load(plugins.SETTINGS, name, "group") for name in plugins.names(plugins.SETTINGS)
@@ -133,6 +140,24 @@ def read_configuration(path: Path) -> Configuration:
     return parse_configuration(configuration_text(path), str(path))
 
 
+def read_setup(path: Path) -> Configuration:
+    """Return the configuration that a set-up file states.
+
+    A file with ``method: NAME`` at the top is one too where the method knows what its other
+    entries mean, as the ball plate does with those of a plate. Raises ConfigurationError.
+    """
+    try:
+        document = load_yaml(read_text(path), str(path))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"cannot read the set-up {path}: {why(error)}") from error
+    name = document.get("method") if isinstance(document, dict) else None
+    short_setup = find_method(name).short_setup if name in method_names() else None
+    if name is None or short_setup is None:
+        return read_configuration(path)
+    text = dump_configuration(name, short_setup(document, str(path)))
+    return parse_configuration(text, str(path))
+
+
 def configuration_text(path: Path) -> str:
     """Return the text of a configuration file, with the content of the files that it names.
 
@@ -142,7 +167,7 @@ def configuration_text(path: Path) -> str:
         text = read_text(path)
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"cannot read the configuration {path}: {why(error)}") from error
-    return with_contents(text, str(path), path.parent, _plan_files)
+    return _with_contents(text, str(path), path.parent)
 
 
 def parse_configuration(
@@ -230,7 +255,7 @@ def changed(
         _change(parameters, change)
     text = dump_configuration(str(parameters.pop("method")), parameters)
     source = f"{configuration.source} with --set"
-    text = with_contents(text, source, Path(configuration.source).parent, _plan_files)
+    text = _with_contents(text, source, Path(configuration.source).parent)
     return parse_configuration(text, source, groups)
 
 
@@ -298,8 +323,63 @@ def dump_configuration(method: str, groups: Mapping[str, Mapping[str, Any]]) -> 
     return text
 
 
-def _plan_files(method: str) -> Mapping[str, PlanFile]:
-    return find_method(method).plan_files if method in method_names() else {}
+def _with_contents(text: str, source: str, folder: Path) -> str:
+    """Return configuration text with the lists in the place of the names of files in ``folder``.
+
+    Nobody needs the files again. All else of the text stays, comments as well.
+    Raises ConfigurationError, with ``source`` and the setting, for a file that cannot be read and
+    for a list that is given twice.
+    """
+    method, plan = _plan(text)
+    given = {key.value: (key, value) for key, value in plan if isinstance(key, yaml.ScalarNode)}
+    known = find_method(method).plan_files if given and method in method_names() else {}
+    found = [
+        (*given[name], file)
+        for name, file in known.items()
+        if name in given and given[name][1].value not in ("", [])
+    ]
+    for key, value, file in sorted(found, key=lambda item: -item[0].start_mark.index):
+        place = f"{source}: plan.{key.value}"
+        if file.setting in given:
+            raise ConfigurationError(
+                f"{place}: plan.{file.setting} is given as well: keep one of them"
+            )
+        if not isinstance(value, yaml.ScalarNode):
+            raise ConfigurationError(f"{place}: expected the name of a file")
+        try:
+            numbers = file.read(folder / value.value)
+        except (BagError, DataError) as error:
+            raise ConfigurationError(f"{place}: {error}") from error
+        listed = _in_yaml(file.setting, numbers, key.start_mark.column + 2)
+        text = text[: key.start_mark.index] + listed + text[value.end_mark.index :]
+    return text
+
+
+def _in_yaml(name: str, numbers: Sequence[float] | Sequence[int], indent: int) -> str:
+    """Return ``name: [...]`` in lines of readable length."""
+    text = f"{name}: [{', '.join(map(repr, numbers))}]"
+    return fill(text, 98, subsequent_indent=" " * indent, break_on_hyphens=False)
+
+
+def _plan(text: str) -> tuple[str, list[tuple[yaml.Node, yaml.Node]]]:
+    """Return the method and the entries of the group ``plan``; none where they cannot be found."""
+    try:
+        load_yaml(text, "")  # only what is within bounds is gone through node by node
+        node = yaml.compose(text, Loader=yaml.SafeLoader)
+    except (ConfigurationError, yaml.YAMLError):
+        return "", []
+    for name in (ALL_NODES, PARAMETERS):
+        node = _entry(node, name)
+    method, plan = _entry(node, "method"), _entry(node, "plan")
+    if not (isinstance(method, yaml.ScalarNode) and isinstance(plan, yaml.MappingNode)):
+        return "", []
+    return str(method.value), list(plan.value)
+
+
+def _entry(node: yaml.Node | None, name: str) -> yaml.Node | None:
+    if not isinstance(node, yaml.MappingNode):
+        return None
+    return next((value for key, value in node.value if key.value == name), None)
 
 
 def _parameters(text: str, source: str) -> tuple[str, dict[str, Any]]:

@@ -15,6 +15,7 @@ from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.planning.plan import Plan
 
 if TYPE_CHECKING:
+    from rotcal_ros.adjust.model import Model
     from rotcal_ros.methods.configuration import Configuration
 
 PPM: Final = 1e-6
@@ -134,6 +135,30 @@ def arrival_errors(plan: Plan, sizes: Sizes, other: np.random.Generator) -> Floa
     """Return by how much (rad) the table is off at each step (n,): the same at one arrival."""
     drawn = other.standard_normal(len(plan.steps))
     return np.asarray(sizes.get("repeatability", 0.0) * drawn[arrivals(plan)], dtype=np.float64)
+
+
+def harmless(*effects: Effect) -> tuple[Disturbance, ...]:
+    """Return effects that cannot touch what a method measures: nothing happens, of any size."""
+    what = "nothing that is measured feels it: nothing happens"
+    return tuple(Disturbance(effect, what, "arcsec", ARCSEC, 1.0, 1.0) for effect in effects)
+
+
+def spoiled(model: Model, plan: Plan, sizes: Sizes, seed: int) -> Floats:
+    """Return observations (n,) of a ``model`` of a whole plan, with noise and effects of sizes.
+
+    Its observations are taken for true ones, in the order of the steps. Declared effects strike
+    with all their columns alike, a family at one moment.
+    """
+    noise, other = streams(seed)
+    exact = model.observed
+    found = exact + sizes.get("axis noise", 1.0) * model.std * noise.standard_normal(len(exact))
+    found[: len(plan.steps)] += arrival_errors(plan, sizes, other)
+    for effect in model.effects:
+        columns = effect.at(exact)
+        moment = other.integers(columns.shape[1])
+        pattern = columns[:, moment] if effect.family else columns.sum(axis=1)
+        found = found + sizes.get(effect.effect, 0.0) * pattern
+    return np.asarray(found)
 
 
 def scatter_in_plane(count: int, size: float, random: np.random.Generator) -> Floats:

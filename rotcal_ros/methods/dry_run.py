@@ -14,8 +14,8 @@ from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
 from rotcal_ros.methods.calibration import Calibration
 from rotcal_ros.methods.check_lines import CheckLine, State
 from rotcal_ros.methods.tracer.timing import plan_seconds
+from rotcal_ros.planning.choices import AS_LISTED
 from rotcal_ros.planning.plan import Step
-from rotcal_ros.planning.policy_names import AS_LISTED
 from rotcal_ros.planning.sequence_time import stated_time
 from rotcal_ros.planning.table_ways import way_to
 

@@ -14,8 +14,8 @@ from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
 from rotcal_ros.geometry.frames import FrameTree, StaticFrame
 from rotcal_ros.geometry.rotations import rotation_from_vector
-from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.plan import Plan
+from rotcal_ros.planning.settings import CellSettings
 
 
 @dataclass(frozen=True)

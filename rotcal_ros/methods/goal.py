@@ -15,7 +15,7 @@ from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.calibration import Calibration
 from rotcal_ros.planning.choices import Choice
-from rotcal_ros.planning.plan_figures import Compared
+from rotcal_ros.planning.plan import Compared
 
 UNFINISHED = "it has not: the measurement was interrupted"
 

@@ -12,7 +12,7 @@ from rotcal_ros.foundation import plugins
 if TYPE_CHECKING:
     import numpy as np
 
-    from rotcal_ros.capture.rules import CaptureRules
+    from rotcal_ros.capture.attempt import CaptureRules
     from rotcal_ros.figures import Figure
     from rotcal_ros.foundation.arrays import Floats
     from rotcal_ros.foundation.observations import Observation
@@ -21,11 +21,8 @@ if TYPE_CHECKING:
     from rotcal_ros.methods.configuration import Configuration
     from rotcal_ros.methods.continuation import Continuation
     from rotcal_ros.methods.disturbance import Disturbances
-    from rotcal_ros.methods.plan_files import PlanFile
-    from rotcal_ros.methods.stations import Stations
     from rotcal_ros.planning.choices import Policy
-    from rotcal_ros.planning.plan import Plan, Step
-    from rotcal_ros.planning.plan_figures import Compared
+    from rotcal_ros.planning.plan import Compared, Plan, Point, Step
     from rotcal_ros.simulation.cell import SimulatedCell
     from rotcal_ros.simulation.instrument import MakeInstrument
     from rotcal_ros.simulation.settings import SimulationSettings
@@ -38,6 +35,26 @@ Adaptive: TypeAlias = "Callable[[Continuation], Policy]"
 """Makes a policy that chooses what a continuation leaves."""
 See: TypeAlias = "Callable[[Step], tuple[float, ...]]"
 """What an instrument without error sees at a step."""
+
+
+@dataclass(frozen=True)
+class PlanFile:
+    """A file whose content is the list ``setting`` of the group ``plan``; ``read`` reads it."""
+
+    setting: str
+    read: Callable[[Path], Sequence[float] | Sequence[int]]
+
+
+@dataclass(frozen=True, slots=True)
+class Stations:
+    """Nominal places (m) of an instrument, by the number of the station; empty: not known.
+
+    ``carried``: it rides on the table, and the places are those at angle 0 in the table frame.
+    Otherwise it stands still, in the machine frame.
+    """
+
+    places: tuple[Point, ...] = ()
+    carried: bool = False
 
 
 class Measurements(Protocol):

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, dataclass
 from typing import Any, Final
 
-from rotcal_ros.bags.reading_limits import ReadingLimits
+from rotcal_ros.bags.settings import ReadingLimits
 from rotcal_ros.foundation.settings import Declaration, declarations
 from rotcal_ros.methods.configuration import GROUPS, SHARED_GROUPS
 from rotcal_ros.methods.method import method_names, own_settings

@@ -23,7 +23,7 @@ from rotcal_ros.capture import messages
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.export import standing
 from rotcal_ros.compensation.feed import Applied, Feed
-from rotcal_ros.compensation.lookup import Correction
+from rotcal_ros.compensation.resample import Correction
 from rotcal_ros.compensation.secret import Secret
 from rotcal_ros.foundation.errors import ControllerError, DataError, RotcalError
 from rotcal_ros.foundation.identity import Identity
@@ -37,7 +37,7 @@ from rotcal_ros.nodes.runtime.cell_node import CellNode, until
 from rotcal_ros.nodes.runtime.qos import LATCHED
 from rotcal_ros.nodes.runtime.running import run
 from rotcal_ros.nodes.runtime.timers_and_events import steady_timer
-from rotcal_ros.planning.cell_settings import CellSettings
+from rotcal_ros.planning.settings import CellSettings
 
 
 class BridgeNode(CellNode):
@@ -91,8 +91,10 @@ class BridgeNode(CellNode):
             "in_force": standing(offer.table),
             "residual": offer.export.residual.in_words(),
         }
-        if never := self._feed.never():
-            self._facts[NEVER] = never
+        try:
+            self._feed.refuse_simulated()
+        except DataError as error:
+            self._facts[NEVER] = str(error)
         self._note(State.READY, Why.TABLE_WRITTEN, table.table_hash[:12])
 
     def _look_up(
@@ -125,7 +127,7 @@ PERIOD_S: Final = 1.0
 class Announcer:
     """Inspects the controller in the thread of its other accesses, and publishes what it found.
 
-    ``tell`` is given in words what contradicts that, after every look; empty when nothing does.
+    ``tell`` is given in words what contradicts that, after every look; None when nothing does.
     """
 
     def __init__(
@@ -133,10 +135,10 @@ class Announcer:
         node: CellNode,
         feed: Feed,
         worker: ThreadPoolExecutor,
-        tell: Callable[[str], None],
+        tell: Callable[[str | None], None],
     ) -> None:
         self._node, self._feed, self._worker, self._tell = node, feed, worker, tell
-        self._looking: Future[tuple[str, str]] | None = None
+        self._looking: Future[tuple[str, str | None]] | None = None
         self._publisher = node.create_publisher(TableInForce, names.TABLE_IN_FORCE, LATCHED)
         node.every(PERIOD_S, self._announce)
 
@@ -149,14 +151,14 @@ class Announcer:
             try:
                 found, contradiction = looked.result()
             except (RotcalError, OSError):
-                found, contradiction = UNKNOWN, ""
+                found, contradiction = UNKNOWN, None
             self._tell(contradiction)
             self._publisher.publish(
                 conversions.in_force_message(self._feed.axis, found, self._node.now_ns())
             )
         self._looking = self._worker.submit(self._look)
 
-    def _look(self) -> tuple[str, str]:
+    def _look(self) -> tuple[str, str | None]:
         """Return what is in force, and in words what contradicts that."""
         found = self._feed.in_force()
         return found, self._feed.contradiction(found)
@@ -197,7 +199,7 @@ class ControllerAccess:
         self._secret = Secret(Path(file)) if file else None
         self.facts: dict[str, Any] = {}
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="feed")
-        self._opened: Future[str] | None = None
+        self._opened: Future[str | None] | None = None
         self._discovered_s = time.monotonic() + DISCOVERY_S
         self._opening = steady_timer(node, OPENING_PERIOD_S, node.health.guarded(self._open))
         self._open()
@@ -234,7 +236,7 @@ class ControllerAccess:
             self.facts = {WITHHELD: why}
             self._node.get_logger().warning(f"apply and restore are not offered: {why}")
 
-    def _offer(self, unfinished: str) -> None:
+    def _offer(self, unfinished: str | None) -> None:
         self._opening.cancel()
         self.facts = {OFFERED: True}
         self._warn_of(unfinished)
@@ -245,8 +247,8 @@ class ControllerAccess:
         """Return how many nodes offer a service of the cell."""
         return self._node.count_services(self._node.resolve_service_name(service))
 
-    def _warn_of(self, text: str, about: str = UNFINISHED) -> None:
-        """Show the ``text`` on /diagnostics as a concern, or no longer when it is empty."""
+    def _warn_of(self, text: str | None, about: str = UNFINISHED) -> None:
+        """Show the ``text`` on /diagnostics as a concern, or no longer when it is None."""
         concerns = self._node.health.concerns
         if text and concerns.get(about) != text:
             self._node.get_logger().warning(text)
@@ -270,7 +272,7 @@ class ControllerAccess:
         if await self._may(request.secret, response):
             await self._do(lambda: self._feed.restore(kept_hash, limit), response, RESTORING)
             try:
-                response.kept_hash = await self._answer(self._feed.next_restore)
+                response.kept_hash = await self._answer(self._feed.next_restore) or ""
             except (RotcalError, OSError) as error:
                 response.message += f"; it is not known what can be restored: {error}"
         return response

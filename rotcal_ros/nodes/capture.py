@@ -58,23 +58,23 @@ class CaptureNews:
         if line := self._rejections.note(observation, time.monotonic()):
             self._logger.warning(line)
         alarm, text = self._rejections.alarming, self._rejections.in_words()
-        show(self._health, REJECTED, text, alarm=alarm)
+        show(self._health, REJECTED, text or "", alarm=alarm)
 
-    def complain(self, text: str) -> None:
-        """Take what is wrong with the present order; empty: nothing."""
+    def complain(self, text: str | None) -> None:
+        """Take what is wrong with the present order, if anything is."""
         self._tell(COMPLAINT, text)
 
     def offset(self, offsets: StampOffsets) -> None:
         """Take which clocks differ, by more than is tolerated or by less."""
-        self._tell(OFFSET, offsets.in_words())
-        self._tell(CLOCK_DOUBT, offsets.doubt_in_words())
+        self._tell(OFFSET, offsets.reason_to_reject())
+        self._tell(CLOCK_DOUBT, offsets.doubt())
 
-    def _tell(self, key: str, text: str) -> None:
+    def _tell(self, key: str, text: str | None) -> None:
         """Show a text as long as it lasts; each kind is one line."""
         if text and kind_of(text) != self._kinds.get(key):
             self._logger.warning(text)
             self._kinds[key] = kind_of(text)
-        show(self._health, key, text)
+        show(self._health, key, text or "")
 
 
 class CaptureNode(CellNode):
@@ -166,9 +166,9 @@ class CaptureNode(CellNode):
         if self._capture is not None:
             for stream, counts in self._capture.counts.items():
                 values |= {f"{stream}.{name}": n for name, n in counts.items()}
-            found = self._finder.complaint() if self._finder is not None else ""
+            found = self._finder.complaint() if self._finder is not None else None
             found = found or self._trigger.complaint
-            values[WAITING_FOR] = found or self._capture.waiting_for
+            values[WAITING_FOR] = found or self._capture.waiting_for or ""
             if hopeless := self._capture.hopeless():
                 values[HOPELESS] = hopeless
             self._news.complain(found or self._capture.complaint())

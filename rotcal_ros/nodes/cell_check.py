@@ -30,8 +30,8 @@ from rclpy.signals import SignalHandlerOptions
 from rotcal_msgs.msg import CalibrationPlan
 
 from rotcal_ros.bags import names
+from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.bags.topic_roles import TOPIC
-from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.capture.stamp_offsets import OffsetLimits, StampOffsets
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.escapes import printable
@@ -134,7 +134,7 @@ class Listening:
         concerns = {**values, **self._ears.health.concerns, **self._ears.health.alarms}
         words = {key: str(value) for key, value in concerns.items()}
         self._offsets.limits = OffsetLimits.of(configuration.capture)
-        if clocks := self._offsets.in_words():  # also of a stream that is of no other use
+        if clocks := self._offsets.reason_to_reject():  # also of a stream that is of no other use
             words.setdefault(OFFSET, clocks)
         compared = self._offsets.compared()
         graph = CellGraph(self.node)

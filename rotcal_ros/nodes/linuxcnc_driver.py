@@ -29,8 +29,7 @@ from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
 from rotcal_ros.nodes.runtime.running import run
-from rotcal_ros.planning.cell_settings import CellSettings
-from rotcal_ros.planning.safety_settings import SafetySettings
+from rotcal_ros.planning.settings import CellSettings, SafetySettings
 
 END_TIMEOUT_S: Final = 15.0
 """The agent may take so long to end by itself: less than a node may."""

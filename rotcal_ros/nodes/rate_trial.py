@@ -20,7 +20,7 @@ from rclpy.serialization import deserialize_message
 from rotcal_msgs.msg import TracerLength
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.topic_settings import TopicSettings
+from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.foundation import machine_load
 from rotcal_ros.foundation.machine_load import Patience
@@ -33,7 +33,7 @@ from rotcal_ros.nodes.runtime.peer import Peer
 from rotcal_ros.nodes.runtime.qos import LISTENING_DEPTH, STREAM
 from rotcal_ros.nodes.runtime.running import use_middleware
 from rotcal_ros.nodes.writing.recording import BagRecording, Messages
-from rotcal_ros.planning.health_settings import HealthSettings
+from rotcal_ros.planning.settings import HealthSettings
 
 RATE_HZ: Final = 1000
 TRIAL_S: Final = 5.0

@@ -10,7 +10,7 @@ from rotcal_msgs.srv import StartRecording, StopRecording
 from std_srvs.srv import Trigger
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.recorder_settings import RecorderSettings
+from rotcal_ros.bags.settings import RecorderSettings
 from rotcal_ros.bags.topic_roles import CalledOtherwise
 from rotcal_ros.foundation.clock_jumps import noted
 from rotcal_ros.foundation.errors import BagError, RotcalError

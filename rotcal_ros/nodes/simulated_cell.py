@@ -10,7 +10,7 @@ from rotcal_msgs.msg import ProbePoint, TableInForce, TracerLength
 from sensor_msgs.msg import FluidPressure, JointState, RelativeHumidity, Temperature
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.topic_settings import TopicSettings
+from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.capture import messages
 from rotcal_ros.foundation.in_force import NONE, UNKNOWN
 from rotcal_ros.foundation.node_state import NodeState, Reason, State, Why
@@ -22,8 +22,7 @@ from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED, STREAM
 from rotcal_ros.nodes.runtime.running import run
-from rotcal_ros.planning.cell_settings import CellSettings
-from rotcal_ros.planning.safety_settings import SafetySettings
+from rotcal_ros.planning.settings import CellSettings, SafetySettings
 from rotcal_ros.simulation import CellOutput
 
 PERIOD_S: Final = 0.01

@@ -29,7 +29,7 @@ from rotcal_ros.nodes.runtime.cell_node import CellNode, until
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.qos import EVENT
 from rotcal_ros.nodes.runtime.running import run
-from rotcal_ros.planning.safety_settings import SafetySettings
+from rotcal_ros.planning.settings import SafetySettings
 from rotcal_ros.planning.table_motion import is_near
 
 START_S: Final = 15.0

@@ -1,10 +1,12 @@
-"""What a policy says and hears: choices of steps, and how these went."""
+"""Which step is measured next: what a policy returns and is given, and the policy as_listed."""
 
 from __future__ import annotations
 
 import math
+from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Final, Protocol
 
 from rotcal_ros.foundation.observations import Observation
 
@@ -14,8 +16,8 @@ class Standing:
     """How far a policy has come.
 
     ``uncertainty``: expanded uncertainty (k = 2) now, ``goal``: the wanted one, both in rad, root
-    mean squares over the table angles; NaN where nobody knows or wants any. ``left``: steps that
-    are expected to be left, the chosen one included.
+    mean squares over the table angles; NaN where there is none. ``left``: steps that are expected
+    to be left, the chosen one included.
     """
 
     left: int
@@ -52,12 +54,34 @@ class StepOutcome:
 class Policy(Protocol):
     """Chooses step by step: ``choose`` and ``note`` are called in turn.
 
-    A policy knows nothing but what it was made of and what it was given by ``note``; with the same
-    outcomes it makes the same choices.
+    A policy depends on nothing but its constructor's arguments and what ``note`` gives it; with
+    the same outcomes it makes the same choices.
     """
 
     def choose(self) -> Choice:
         """Return the next step, or that there is none; takes less than 50 ms."""
 
     def note(self, outcome: StepOutcome) -> None:
-        """Take notice of how a step went, be it the chosen one or another."""
+        """Take the outcome of a step, the chosen one or another."""
+
+
+AS_LISTED: Final = "as_listed"
+UNTIL_GOAL: Final = "until_goal"
+
+
+class AsListed:
+    """Measures ``steps`` in their order; a step that is given up is not asked for again."""
+
+    def __init__(self, steps: Iterable[int]) -> None:
+        self._left = deque(steps)
+
+    def choose(self) -> Choice:
+        """Return the next step of the list."""
+        if not self._left:
+            return Choice(None, "all steps of the list are done", Standing(0))
+        return Choice(self._left[0], "next of the list", Standing(len(self._left)))
+
+    def note(self, outcome: StepOutcome) -> None:
+        """Strike the step off when it is the next one."""
+        if self._left and self._left[0] == outcome.step:
+            self._left.popleft()

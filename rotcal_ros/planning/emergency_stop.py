@@ -1,22 +1,22 @@
-"""Who stops the cell now: a topic, diagnostics, or their silence; without ROS.
+"""Whether a topic, diagnostics, or their silence stop the cell; without ROS.
 
-What is decided here is no safety function: it only keeps this suite from ordering motion.
+This is no safety function: it only keeps rotcal from ordering motion.
 """
 
 from __future__ import annotations
 
-from rotcal_ros.planning.safety_settings import SafetySettings
+from rotcal_ros.planning.settings import SafetySettings
 
 _ERROR = 2
 _WORDS = {2: "ERROR", 3: "STALE"}
 
 
 class StopSources:
-    """Keeps what the sources of a stop said last; times are monotonic, in seconds.
+    """The latest states of the sources of a stop; times are monotonic, in seconds.
 
     ``topic`` is the absolute name of the emergency stop, empty: none. Silence counts from
-    ``now_s`` on, the time of the start. Several that share the end of their name are sources of
-    their own, from the first word of each on: none speaks for another.
+    ``now_s`` on, the time of the start. Statuses that share the end of their name are separate
+    sources, each from its first message on.
     """
 
     def __init__(self, settings: SafetySettings, topic: str, now_s: float) -> None:
@@ -28,28 +28,28 @@ class StopSources:
         self._stops: dict[str, str] = {}
 
     def hear(self, stopped: bool, now_s: float) -> None:
-        """Take the word of the topic."""
-        self._note(self._topic, f"{self._topic} is true" if stopped else "", now_s)
+        """Take a message of the topic."""
+        self._note(self._topic, f"{self._topic} is true" if stopped else None, now_s)
 
     def diagnose(self, name: str, level: int, words: str, now_s: float) -> None:
-        """Take a status of /diagnostics; others than the configured ones are let be."""
-        for known in self._names:
-            if name == known or name.endswith((f"/{known}", f": {known}")):
+        """Take a status of /diagnostics; only the configured ones count."""
+        for configured in self._names:
+            if name == configured or name.endswith((f"/{configured}", f": {configured}")):
                 state = _WORDS.get(level, f"level {level}")
                 detail = f" ({words})" if words else ""
                 text = f"{name} is in {state} on /diagnostics{detail}"
-                if name != known:
-                    self._heard_s.pop(known, None)
-                self._note(name, text if level >= _ERROR else "", now_s)
+                if name != configured:
+                    self._heard_s.pop(configured, None)
+                self._note(name, text if level >= _ERROR else None, now_s)
 
-    def why(self, now_s: float) -> str:
-        """Return why nothing may be ordered now, in words; empty: it may."""
-        return "; ".join([*self._stops.values(), *self._silent(now_s)])
+    def reasons(self, now_s: float) -> list[str]:
+        """Return the reasons, in words, for which nothing may be ordered now."""
+        return [*self._stops.values(), *self._silent(now_s)]
 
-    def _note(self, source: str, stop: str, now_s: float) -> None:
+    def _note(self, source: str, stop: str | None, now_s: float) -> None:
         self._heard_s[source] = now_s
         self._stops.pop(source, None)
-        if stop:
+        if stop is not None:
             self._stops[source] = stop
 
     def _silent(self, now_s: float) -> list[str]:

@@ -1,4 +1,4 @@
-"""A measuring plan: the list of steps that the planner commands and the capture expects."""
+"""A measuring plan: the steps that the planner commands and the capture expects; its figures."""
 
 from __future__ import annotations
 
@@ -158,3 +158,27 @@ class Plan:
                 f"step {index} is not in the plan: it has the steps 0 to {len(self.steps) - 1}"
             )
         return self.steps[index]
+
+
+@dataclass(frozen=True)
+class PlanFigures:
+    """``lengths`` of a plan, what they promise and what they take.
+
+    ``uncertainty``: predicted U (k = 2) of ECC about its mean, rms over the angles, rad.
+    ``seconds``: from the end of the first length to that of the last, as the policy reckons;
+    ``cell_seconds``: the same by the clock of the simulated cell, None without one.
+    """
+
+    lengths: int
+    uncertainty: float
+    seconds: float
+    cell_seconds: float | None
+
+
+@dataclass(frozen=True)
+class Compared:
+    """What was measured (``own``) and the paper's plan, both with ``length_std`` (m) planned."""
+
+    own: PlanFigures
+    papers: PlanFigures
+    length_std: float

@@ -1,4 +1,4 @@
-"""Where the table stops: the part of a plan that all methods share."""
+"""Where the table stops, and for runs after ISO 230-2 how often and from which side it comes."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from rotcal_ros.foundation.errors import PlanError
+from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.settings import setting
 from rotcal_ros.foundation.units import DEGREE
 
@@ -31,3 +32,28 @@ def table_angles(settings: TableAngleSettings) -> tuple[float, ...]:
     if any(b <= a for a, b in pairwise(degrees)):
         raise PlanError(f"table angles must ascend, found {list(degrees)} degrees")
     return tuple(d * DEGREE for d in degrees)
+
+
+@dataclass(frozen=True, slots=True)
+class Visit:
+    """One arrival of the table at target angle number ``target`` in ``run``, from one side."""
+
+    target: int
+    run: int
+    approach: Approach
+
+
+def visits(targets: int, runs: int, bidirectional: bool) -> tuple[Visit, ...]:
+    """Return all arrivals: up through ``targets`` angles, and down again if ``bidirectional``.
+
+    Every run is complete before the next begins.
+    """
+    ways = [(range(targets), Approach.POSITIVE)]
+    if bidirectional:
+        ways.append((range(targets)[::-1], Approach.NEGATIVE))
+    return tuple(
+        Visit(target, run, approach)
+        for run in range(runs)
+        for order, approach in ways
+        for target in order
+    )

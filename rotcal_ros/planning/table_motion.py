@@ -1,4 +1,4 @@
-"""How any table comes to its angle: from the ordered side, and what its feedback alone says."""
+"""How a table comes to its angle, from the ordered side; its speed and unit from its feedback."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PUBLISH_VELOCITY: Final = (
 """What to do about a feedback without velocity."""
 _HISTORY: Final = 10_000
 _SAME_DEG: Final = 0.05
-"""A feedback so close to the commanded angle in degrees is one in degrees."""
+"""A feedback this close to the commanded angle in degrees is taken to be in degrees."""
 _FULL_TURN_DEG: Final = 360.0
 
 
@@ -41,7 +41,7 @@ def is_near(angle: float, commanded: float, tolerance: float) -> bool:
 def in_degrees(angle: float, commanded: float) -> bool:
     """Tell whether a feedback ``angle`` is where the table was commanded to (rad), in degrees.
 
-    A small angle beside a commanded zero says nothing: it is near in either unit.
+    A small angle near a commanded zero decides nothing: it is near in either unit.
     """
     if not isfinite(angle):
         return False
@@ -62,9 +62,9 @@ class TableSpeed:
         self._angles.clear()
 
     def feed(self, stamp_ns: int, angle: float) -> TableSample | None:
-        """Return the feedback; None while too little is known for a speed, or time stood still.
+        """Return the feedback; None before there is a speed, or where the stamp stands still.
 
-        A clock that was set back begins anew.
+        After a clock was set back the speed is taken anew.
         """
         angles = self._angles
         if angles and stamp_ns < angles[-1][0]:

@@ -1,7 +1,7 @@
 """Which way a joint goes to a table angle: turns, the side of approach, ends of the travel, time.
 
 All angles in rad, positive as the joint's; those of a way are in the turns that the controller
-counts, so that nobody goes round once more than he was asked to.
+counts, so that the joint makes no turn more than was ordered.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from math import ceil, floor, inf, isfinite, pi, sqrt
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import DEGREE
-from rotcal_ros.planning.table_adapter_settings import TableAdapterSettings
+from rotcal_ros.planning.settings import TableAdapterSettings
 from rotcal_ros.planning.table_motion import TOWARDS, approached
 
 TURN = 2 * pi
 SHORTEST_S = 0.1
-"""Even a step to where the joint stands already takes so long: controllers refuse less."""
+"""Even a step to where the joint stands already takes this long: controllers refuse less."""
 
 
 @dataclass(frozen=True, slots=True)

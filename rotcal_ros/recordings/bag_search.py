@@ -1,18 +1,24 @@
-"""Which bags are meant: in folders, globs, lists and remote places, each of them once."""
+"""Which bags are meant: in folders, globs, lists and remote places, each of them once.
+
+Remote bags (``s3://...``) are told apart by their last bytes and fetched once.
+"""
 
 from __future__ import annotations
 
 import glob
 import os
 import re
+import tempfile
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from fnmatch import translate
-from pathlib import Path, PurePath
+from pathlib import Path, PurePath, PurePosixPath
+from typing import Any
 
 from rotcal_ros.bags.reader import bag_files, is_storage_name
-from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.bags.rosbag2_metadata import METADATA_FILE
+from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.untrusted import read_text
-from rotcal_ros.recordings.remote import is_remote, remote_bags
 
 Inodes = frozenset[tuple[int, int]]
 
@@ -22,9 +28,9 @@ def find_bags(sources: Sequence[str]) -> tuple[str, ...]:
 
     A list is a text file (``.txt``) with one bag per line, relative to itself; empty lines and
     those that begin with # are left out; a line that names nothing stays, as a bag that cannot be
-    read. URLs (``s3://...``) go through fsspec and are a file, a
-    pattern with *, or a prefix, which is read like a folder. What several paths or links lead to
-    is taken once, under the first; a session stands for each of its files.
+    read. URLs (``s3://...``) go through fsspec and are a file, a pattern with *, or a prefix, read
+    like a folder. A bag that several paths or links lead to is returned once, under the
+    first; a session stands for each of its files.
 
     Raises BagError when a source names nothing.
     """
@@ -75,7 +81,7 @@ def _inodes(bag: str) -> Inodes:
 
 
 class _FolderSearch:
-    """One way through folders and lists that enters none of them twice, so that loops end."""
+    """A search through folders and lists that enters none of them twice, so that loops end."""
 
     def __init__(self) -> None:
         self._entered: set[tuple[int, int]] = set()
@@ -89,7 +95,7 @@ class _FolderSearch:
         elif path.is_dir():
             yield from self._in_folder(path)
         elif is_storage_name(path) and path.is_file():
-            yield _plain(path)
+            yield _absolute(path)
         elif glob.has_magic(source):
             for name in self._matching(source):
                 yield from self.bags_of(name)
@@ -107,13 +113,13 @@ class _FolderSearch:
 
     def _entry(self, source: str) -> Iterator[str]:
         """Yield the bags of a line; one that names nothing is a bag that cannot be read."""
-        known = not is_remote(source) and self._known(Path(source))
+        entered = not is_remote(source) and self._was_entered(Path(source))
         named = False
         for bag in self.bags_of(source):
             named = True
             yield bag
-        if not named and not known:
-            yield source if is_remote(source) else _plain(Path(source))
+        if not named and not entered:
+            yield source if is_remote(source) else _absolute(Path(source))
 
     def _in_folder(self, path: Path) -> Iterator[str]:
         """Yield the folder itself when it is a bag, else the bags in it, however deep."""
@@ -122,10 +128,10 @@ class _FolderSearch:
         try:
             inside = _inside(path)
         except OSError:
-            yield _plain(path)  # named as a bag that cannot be read
+            yield _absolute(path)  # named as a bag that cannot be read
             return
         if any(is_storage_name(PurePath(entry.name)) for entry in inside):
-            yield _plain(path)
+            yield _absolute(path)
             return
         for entry in filter(_is_folder, inside):
             yield from self._in_folder(path / entry.name)
@@ -154,8 +160,7 @@ class _FolderSearch:
             if _is_folder(entry):
                 yield from self.below(path)
 
-    def _known(self, path: Path) -> bool:
-        """Return whether it was entered before."""
+    def _was_entered(self, path: Path) -> bool:
         try:
             status = path.stat()
         except OSError:
@@ -174,7 +179,7 @@ class _FolderSearch:
         return first
 
 
-def _plain(path: Path) -> str:
+def _absolute(path: Path) -> str:
     """Return an absolute path; ``..`` stays, it may lead through a link."""
     return str(path.absolute())
 
@@ -214,3 +219,143 @@ def _compiled(pattern: str) -> re.Pattern[str]:
             inside = translate(part).replace(".*", "[^/]*")
             names.append(re.sub(r"\\[Zz]$", "", inside) + "/")
     return re.compile("".join(names))
+
+
+def is_remote(source: str) -> bool:
+    """Return whether ``source`` is a URL."""
+    return "://" in source
+
+
+def remote_bags(source: str) -> Iterator[str]:
+    """Yield the bags that a URL names: a file, what a pattern matches, or those below a prefix.
+
+    A prefix that holds bag files itself is one session, as a folder is. Raises BagError when the
+    place does not answer.
+    """
+    filesystem, path = _filesystem(source)
+    try:
+        filesystem.info(_fixed(path))  # a pattern does not report a place that does not answer
+        places = sorted(filesystem.glob(path)) if glob.has_magic(path) else [path]
+        for place in places:
+            for bag in _below(filesystem, place):
+                yield _url(source, bag)
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise BagError(f"cannot read {source}: {error}") from error
+
+
+def remote_files(source: str) -> tuple[str, ...]:
+    """Return what belongs to a remote bag as paths of its file system: metadata.yaml too."""
+    filesystem, path = _filesystem(source)
+    if _is_storage(path):
+        return (path,)
+    inside = [name for name in filesystem.find(path, maxdepth=1) if _in(name, path)]
+    return tuple(sorted(n for n in inside if _is_storage(n) or n.endswith(f"/{METADATA_FILE}")))
+
+
+def remote_state(source: str, tail_bytes: int, *, whole: bool) -> Iterator[bytes]:
+    """Yield what identifies the content of a remote bag, file by file, without fetching it.
+
+    That is size, time or tag as the place states them, and the last ``tail_bytes``; with
+    ``whole`` it is every byte, and nothing else.
+    """
+    filesystem, _ = _filesystem(source)
+    for path in remote_files(source):
+        if whole:
+            with filesystem.open(path, "rb") as file:
+                while part := file.read(1 << 20):
+                    yield part
+            continue
+        facts = filesystem.info(path)
+        size = int(facts["size"])
+        known = [facts.get(name) for name in ("ETag", "mtime", "LastModified", "created")]
+        yield f"{size} {[str(fact) for fact in known]}".encode()
+        yield filesystem.cat_file(path, start=max(0, size - tail_bytes) or None)
+
+
+@contextmanager
+def local(source: str) -> Iterator[Path]:
+    """Give the bag as a local path, fetched into a temporary folder when it lies elsewhere."""
+    if not is_remote(source):
+        yield Path(source)
+        return
+    filesystem, path = _filesystem(source)
+    files = remote_files(source)
+    if not files:
+        raise BagError(f"{source} names no bag: no .mcap or .db3 file is there")
+    with tempfile.TemporaryDirectory(prefix="rotcal_") as folder:
+        name = PurePosixPath(path).name
+        target = Path(folder) / name
+        if files != (path,):
+            target.mkdir()
+        for file in files:
+            to = target / PurePosixPath(file).name if target.is_dir() else target
+            filesystem.get_file(file, str(to))
+        yield target
+
+
+def _below(filesystem: Any, place: str) -> Iterator[str]:
+    if _is_storage(place) and filesystem.info(place)["type"] == "file":
+        yield place
+        return
+    files = sorted(filter(_is_storage, filesystem.find(place)))
+    folders = dict.fromkeys(str(PurePosixPath(file).parent) for file in files)
+    outer = [f for f in folders if not any(str(up) in folders for up in PurePosixPath(f).parents)]
+    yield from outer
+
+
+def _fixed(path: str) -> str:
+    """Return the path down to its first name with a pattern."""
+    names = path.split("/")
+    plain = next((i for i, name in enumerate(names) if glob.has_magic(name)), len(names))
+    return "/".join(names[:plain])
+
+
+def _is_storage(path: str) -> bool:
+    return is_storage_name(PurePosixPath(path))
+
+
+def _in(name: str, folder: str) -> bool:
+    """Return whether a path is directly in a folder, with or without a leading slash."""
+    return str(PurePosixPath(name).parent).strip("/") == folder.strip("/")
+
+
+def _url(source: str, path: str) -> str:
+    return f"{source.partition('://')[0]}://{path.removeprefix('/')}"
+
+
+def _filesystem(source: str) -> tuple[Any, str]:
+    """Return the file system of a URL and the path in it.
+
+    S3 is read by Arrow, which is needed for the results anyway; like other programs it asks the
+    environment: AWS_ENDPOINT_URL, AWS_ACCESS_KEY_ID, AWS_DEFAULT_REGION and so on.
+    """
+    try:
+        from fsspec.core import url_to_fs
+        from fsspec.implementations.arrow import ArrowFSWrapper
+        from pyarrow import fs
+    except ImportError as error:
+        raise ConfigurationError(
+            f"{source}: remote bags need fsspec and pyarrow: pip install 'rotcal_ros[many]'"
+        ) from error
+    if not source.startswith("s3://"):
+        filesystem, path = url_to_fs(source)
+        return filesystem, path.rstrip("/")
+    endpoint = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL")
+    options: dict[str, Any] = {"endpoint_override": endpoint} if endpoint else {}
+    if region := os.environ.get("AWS_REGION") or os.environ.get("AWS_DEFAULT_REGION"):
+        options["region"] = region
+    path = source.removeprefix("s3://").rstrip("/")
+    if not options:
+        options["region"] = _region(source, path)
+    return ArrowFSWrapper(fs.S3FileSystem(**options)), path
+
+
+def _region(source: str, path: str) -> str:
+    from pyarrow import fs
+
+    try:
+        return str(fs.resolve_s3_region(path.partition("/")[0]))
+    except OSError as error:
+        raise BagError(f"cannot read {source}: {error}") from error

@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rotcal_ros.bags.reader import Progress, bag_files
-from rotcal_ros.bags.reading_limits import ReadingLimits, changed_limits, is_limit
+from rotcal_ros.bags.settings import ReadingLimits, changed_limits, is_limit
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.tables import is_table
-from rotcal_ros.methods.configuration import OFFLINE_GROUPS, Configuration, changed
+from rotcal_ros.methods.configuration import OFFLINE_GROUPS, Configuration, changed, read_setup
 from rotcal_ros.methods.measurements import read_measurements
 from rotcal_ros.methods.method import Measurements
-from rotcal_ros.methods.setup_file import read_setup
 from rotcal_ros.recordings.recorded_setup import find_configuration
 from rotcal_ros.recordings.replay import Recording, Source, read_recording
 from rotcal_ros.recordings.topics import Topics, of_one_cell

@@ -1,27 +1,34 @@
-"""What a bag says of its own measurement: configuration, plan, subject."""
+"""What a bag says of its own measurement: configuration, subject, and the planner's choices."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
+from typing import Any, Final
 
+from threadpoolctl import threadpool_limits
+
+from rotcal_ros import methods
 from rotcal_ros.bags import names
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import scan_file
-from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
+from rotcal_ros.bags.settings import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.storage_scan import Scan
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.identity import Identity
+from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.methods.configuration import (
     OFFLINE_GROUPS,
     Configuration,
     parse_configuration,
     read_subject,
 )
+from rotcal_ros.methods.continuation import Continuation
+from rotcal_ros.planning.choices import AS_LISTED, Choice, Standing, StepOutcome
 from rotcal_ros.recordings.topics import Topics
 
 Decoders = dict[ChannelDefinition, Decoder]
@@ -48,7 +55,7 @@ def find_configuration(
 def require_one_configuration(scans: Iterable[Scan], planned: Iterable[str], path: Path) -> None:
     """Raise BagError, with the lines, where a bag states two configurations that differ.
 
-    ``planned`` are the texts of its plans. The bag does not tell which of two was used: a set-up
+    ``planned`` are the texts of its plans. The bag does not say which of two was used: a set-up
     has to be given.
     """
     texts: dict[str, str] = {}
@@ -63,11 +70,11 @@ def require_one_configuration(scans: Iterable[Scan], planned: Iterable[str], pat
         (first, place), (second, other), *_ = texts.items()
         raise BagError(
             f"{path} holds {len(texts)} configurations that differ, {place} and {other}: "
-            f"{_first_difference(first, second)}; give the one that was used (--setup)"
+            f"{_first_differing_line(first, second)}; give the one that was used (--setup)"
         )
 
 
-def _first_difference(first: str, second: str) -> str:
+def _first_differing_line(first: str, second: str) -> str:
     """Return where two texts begin to differ, in words."""
     pairs = zip_longest(first.splitlines(), second.splitlines(), fillvalue="")
     for line, (ours, theirs) in enumerate(pairs, 1):
@@ -130,7 +137,105 @@ def _configuration_texts(scan: Scan, topics: Topics) -> Iterator[str]:
             break
         for part in topics.split(block, scan, decoders):
             if part.role == names.PLAN:
-                with part.taken_as_expected():
+                with part.checked():
                     yield from (message.configuration for _, message in part.messages(block))
     if names.CONFIGURATION in scan.attachments:
         yield scan.attachments[names.CONFIGURATION].data.decode(errors="replace")
+
+
+ENDLESS: Final = 2**62
+
+
+@dataclass(frozen=True)
+class RecordedChoice:
+    """One choice of a run; ``attempt`` is the first one that belongs to it."""
+
+    run: int
+    number: int
+    attempt: int
+    choice: Choice
+
+    @classmethod
+    def of(cls, message: Any) -> RecordedChoice:
+        """Return what a rotcal_msgs/StepChoice says."""
+        standing = Standing(message.left, message.uncertainty, message.goal)
+        step = None if message.stop else message.step
+        choice = Choice(step, message.reason, standing)
+        return cls(message.run, message.number, message.attempt, choice)
+
+
+def differences(
+    calibration: methods.Calibration,
+    choices: Sequence[RecordedChoice],
+    observations: Iterable[Observation],
+) -> tuple[str, ...]:
+    """Return where the policy, given the recorded observations, chooses otherwise than it did.
+
+    ``calibration`` has the settings of the planner. The policy as_listed makes no choices.
+    """
+    if calibration.configuration.planner.policy == AS_LISTED:
+        return ()
+    every = tuple(observations)
+    found = []
+    for run in sorted({recorded.run for recorded in choices}):
+        mine = sorted((c for c in choices if c.run == run), key=lambda c: c.number)
+        continuation = _continuation(calibration, run, [o for o in every if o.run < run])
+        with threadpool_limits(1, "blas"):  # as the planner
+            text = _first_difference(
+                calibration, continuation, mine, [o for o in every if o.run == run]
+            )
+        if text is not None:
+            found.append(text)
+    return tuple(found)
+
+
+def _continuation(
+    calibration: methods.Calibration, run: int, earlier: Sequence[Observation]
+) -> Continuation:
+    """Return what a run continued from."""
+    if run == 0:
+        return calibration.from_the_start()
+    return calibration.continued(run, earlier)
+
+
+def _first_difference(
+    calibration: methods.Calibration,
+    continuation: Continuation,
+    choices: Sequence[RecordedChoice],
+    observations: Sequence[Observation],
+) -> str | None:
+    """Return where the policy chooses otherwise for the first time, None where it never does."""
+    policy = calibration.policy(continuation)
+    for place, recorded in enumerate(choices):
+        again = policy.choose()
+        if recorded.number != place or not again.same_as(recorded.choice):
+            return (
+                f"run {recorded.run}, choice {place}: the planner chose "
+                f"{_in_words(recorded.choice)}, and from what was recorded the policy chooses "
+                f"{_in_words(again)}"
+            )
+        if recorded.choice.step is not None:
+            policy.note(_outcome(recorded, choices[place + 1 :], observations))
+    return None
+
+
+def _outcome(
+    recorded: RecordedChoice,
+    later: Sequence[RecordedChoice],
+    observations: Sequence[Observation],
+) -> StepOutcome:
+    """Return how the step of a choice went: the last accepted one of its attempts."""
+    step = recorded.choice.step
+    assert step is not None
+    behind = min((c.attempt for c in later if c.choice.step == step), default=ENDLESS)
+    accepted = [
+        o
+        for o in observations
+        if o.step == step and o.accepted and recorded.attempt <= o.attempt < behind
+    ]
+    return StepOutcome(step, max(accepted, key=lambda o: o.attempt, default=None))
+
+
+def _in_words(choice: Choice) -> str:
+    step = "to stop" if choice.step is None else f"step {choice.step}"
+    return f"{step} ({choice.reason}; {choice.standing.left} left)"

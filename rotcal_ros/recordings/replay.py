@@ -1,14 +1,9 @@
 """Solving a bag offline: the same capture and the same solver as live, hence the same result.
 
-Which observations are spoilt by clocks that differ: what the live capture said of them counts. Its
-estimate depends on when messages reached it, which no recorder knows; its verdicts are in the bag.
-
-How the clock of a bag's recorder ran: the jumps that it noted, and the order of log times.
-
-What a run knew of the runs before it, where the nodes themselves went on.
-
-They went on from the observations that were recorded. The streams tell more where a node died
-between a reading and its observation: that step was measured again, and counts once.
+Two things cannot be repeated from the streams, so what was recorded live counts. Whether clocks
+differ was estimated from the times at which messages reached the capture, which no recorder knows.
+And a later run continued from the recorded observations: the streams may hold one more, where a
+node died between a reading and its observation; that step was measured again, and counts once.
 """
 
 from __future__ import annotations
@@ -23,15 +18,21 @@ from typing import Final, Literal
 from rotcal_ros import methods
 from rotcal_ros.bags import names
 from rotcal_ros.bags.blocks import Block
+from rotcal_ros.bags.names import run_number
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks, sha256_of
-from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
-from rotcal_ros.bags.run_number import run_number
 from rotcal_ros.bags.session_identity import require_one_session
 from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session
-from rotcal_ros.bags.storage_scan import Scan, StorageContents
+from rotcal_ros.bags.settings import DEFAULT_LIMITS, ReadingLimits
+from rotcal_ros.bags.storage_scan import (
+    FileVerdict,
+    Scan,
+    StorageContents,
+    losses_in_words,
+    session_losses,
+    unread_losses,
+)
 from rotcal_ros.bags.time_order import TimeOrder, TimeOrders, sorted_blocks
 from rotcal_ros.bags.unread_data import note_unread
-from rotcal_ros.bags.verdict import FileVerdict, losses_in_words, session_losses, unread_losses
 from rotcal_ros.capture import messages as records
 from rotcal_ros.capture.attempt import nanoseconds
 from rotcal_ros.capture.stamp_offsets import OffsetLimits, is_of_clocks, rejected_for
@@ -49,13 +50,19 @@ from rotcal_ros.methods.configuration import (
 )
 from rotcal_ros.methods.goal import GoalStanding, goal_standing
 from rotcal_ros.methods.method import Trials
-from rotcal_ros.planning.policy_names import UNTIL_GOAL
-from rotcal_ros.recordings.missing_observations import doubtful, why_nothing
-from rotcal_ros.recordings.placed_dropouts import PlacedDropout, placed_in, sentences
-from rotcal_ros.recordings.recorded_choices import RecordedChoice, differences
+from rotcal_ros.planning.choices import UNTIL_GOAL
+from rotcal_ros.recordings.missing_data import (
+    PlacedDropout,
+    doubtful,
+    placed_in,
+    sentences,
+    why_nothing,
+)
 from rotcal_ros.recordings.recorded_setup import (
     Decoders,
+    RecordedChoice,
     as_recorded,
+    differences,
     find_configuration,
     recorded_configurations,
     recorded_subjects,
@@ -120,8 +127,8 @@ class Recording:
         try:
             result = self.calibration.solve(self.observations, self.announced, self.frames)
         except DataError as error:
-            why = "; ".join([str(error), *doubtful(self.observations, self.counts)])
-            raise DataError(why, error.log) from error
+            reasons = [str(error), *doubtful(self.observations, self.counts)]
+            raise DataError("; ".join(reasons), error.log) from error
         return self.with_warnings(result)
 
     def with_warnings(self, result: Result) -> Result:
@@ -165,18 +172,18 @@ class Recording:
 
     @property
     def same_as_recorded(self) -> bool:
-        """Tell whether the final observations equal those of the live capture.
+        """Whether the final observations equal those of the live capture.
 
         After the last recorded one of a run there may be more: nodes that were killed had the
         readings on disk before they could publish the observation.
         """
         again, live = map(methods.last_accepted, (self.observations, self.recorded))
-        newest: defaultdict[int, int] = defaultdict(int)
+        last_end_ns: defaultdict[int, int] = defaultdict(int)
         for (run, _), observation in live.items():
-            newest[run] = max(newest[run], observation.window_end_ns)
+            last_end_ns[run] = max(last_end_ns[run], observation.window_end_ns)
         further = {key: o for key, o in again.items() if key not in live}
-        behind = all(o.window_end_ns > newest[run] for (run, _), o in further.items())
-        return behind and again == {**live, **further}
+        all_later = all(o.window_end_ns > last_end_ns[run] for (run, _), o in further.items())
+        return all_later and again == {**live, **further}
 
     def choices_that_differ(self) -> tuple[str, ...]:
         """Return where the policy chooses otherwise with the observations of this recording.
@@ -256,39 +263,43 @@ def _recording(
     calibration = methods.prepare(configuration)
     make = partial(_feeder, calibration, configuration)
     passes = partial(read_blocks, files, progress, limits)
-    found, feeder, order = _read_in_order(passes, topics, make, source, _apart_ns(configuration))
-    verdicts = tuple(scan.verdict() for scan in found.scans)
+    contents, feeder, order = _read_in_order(
+        passes, topics, make, source, _allowed_disorder_ns(configuration)
+    )
+    verdicts = tuple(scan.verdict() for scan in contents.scans)
     _require_messages(verdicts, path)
     if not given:
-        require_one_configuration(found.scans, found.planned, path)
-    attachments = {n: a.data for scan in found.scans for n, a in scan.attachments.items()}
+        require_one_configuration(contents.scans, contents.planned, path)
+    attachments = {n: a.data for scan in contents.scans for n, a in scan.attachments.items()}
     attached = attachments.get(names.CONFIGURATION, b"").decode(errors="replace")
-    texts = (attached, *found.planned)
+    texts = (attached, *contents.planned)
     set_ups = tuple(recorded_configurations(texts))
     require_its_method(configuration, set_ups, path)
-    verdicts_live = found.recorded if same_limit(configuration, set_ups[:1]) else ()
-    captured = judged_as_live(feeder.observations, feeder.offsets, verdicts_live)
-    captured = known_then(captured, found.recorded, found.scans)
-    broken = {c.topic: d.broken for c, d in found.decoders.items() if d.broken}
+    judged_live = contents.recorded if same_limit(configuration, set_ups[:1]) else ()
+    captured = judged_as_live(feeder.observations, feeder.offsets, judged_live)
+    captured = known_to_later_runs(captured, contents.recorded, contents.scans)
+    broken = {c.topic: d.broken for c, d in contents.decoders.items() if d.broken}
     note_unread((*topics.unreadable.values(), *_undecoded(broken)))
-    subjects = tuple(recorded_subjects(texts, found.scans))
+    subjects = tuple(recorded_subjects(texts, contents.scans))
     return Recording(
         calibration=replace(calibration, configuration=as_recorded(configuration, subjects)),
         source=source,
-        observations=captured if source == "streams" else tuple(found.recorded),
-        recorded=tuple(found.recorded),
+        observations=captured if source == "streams" else tuple(contents.recorded),
+        recorded=tuple(contents.recorded),
         verdicts=verdicts,
         counts=feeder.counts if source == "streams" else {},
         broken=broken,
         sha256={file.name: sha256_of(file) for file in files},
         attachments=attachments,
-        choices=tuple(found.choices),
-        announced=frozenset(of_axis(found.announced, configuration.cell.axis)),
-        other_axes=tuple(sorted({a for a, _ in found.announced} - {"", configuration.cell.axis})),
-        frames=tuple(found.frames.values()),
+        choices=tuple(contents.choices),
+        announced=frozenset(of_axis(contents.announced, configuration.cell.axis)),
+        other_axes=tuple(
+            sorted({a for a, _ in contents.announced} - {"", configuration.cell.axis})
+        ),
+        frames=tuple(contents.frames.values()),
         unreadable=dict(topics.unreadable),
         clock=(
-            *clock_in_words(found.scans, order),
+            *clock_in_words(contents.scans, order),
             *filter(None, [feeder.offset or feeder.doubt]),
         ),
         session=judge_session(path, verdicts),
@@ -302,7 +313,7 @@ def _undecoded(broken: Mapping[str, int]) -> list[str]:
 
 
 def _left_alone(verdicts: Sequence[FileVerdict]) -> list[str]:
-    """Say whose messages the run ignored: the recorder keeps them on topics of their own."""
+    """Return whose messages the run ignored; the recorder puts them on topics of their own."""
     ending = f"_{names.LEFT_ALONE}"
     count = Counter({
         topic: sum(v.topics[topic].messages for v in verdicts if topic in v.topics)
@@ -327,12 +338,12 @@ def _feeder(calibration: methods.Calibration, configuration: Configuration) -> S
             single_shot=configuration.topics.probe_single_shot,
         ),
         configuration.topics,
-        _apart_ns(configuration),
+        _allowed_disorder_ns(configuration),
         OffsetLimits.of(configuration.capture),
     )
 
 
-def _apart_ns(configuration: Configuration) -> int:
+def _allowed_disorder_ns(configuration: Configuration) -> int:
     """Return how far apart streams may be when fed to the capture, well below its limit."""
     return min(SLICE_NS, nanoseconds(0.1 * configuration.capture.clock_tolerance_s))
 
@@ -357,8 +368,8 @@ class _BagContents:
     order: TimeOrders = field(default_factory=TimeOrders)
     decoders: Decoders = field(default_factory=dict)
 
-    def take(self, part: RoleMessages, block: Block) -> None:
-        """Take the messages of a part that is not a stream."""
+    def add(self, part: RoleMessages, block: Block) -> None:
+        """Add the messages of a part that is not a stream."""
         if part.role == names.OBSERVATION:
             self.recorded += (records.observation(m) for _, m in part.messages(block))
         elif part.role == names.PLAN:
@@ -377,24 +388,26 @@ def _read_in_order(
     topics: Topics,
     make: Callable[[], StreamFeeder],
     source: Source,
-    apart_ns: int,
+    tolerance_ns: int,
 ) -> tuple[_BagContents, StreamFeeder, TimeOrder]:
-    """Read all files; a second time, sorted by time, where they turn out not to be in order."""
+    """Read all files, and again, sorted by time, where they are not in the order of time."""
     feeder, scans = make(), list[Scan]()
-    found = _read(_noted(passes(), scans), topics, feeder if source == "streams" else None)
-    order = found.order.judged(apart_ns)
+    contents = _read(
+        _collect_scans(passes(), scans), topics, feeder if source == "streams" else None
+    )
+    order = contents.order.judged(tolerance_ns)
     if order.sort_by is not None:
         feeder = make()
-        blocks = sorted_blocks(passes(), found.decoders, order.sort_by)
-        found = _read(blocks, topics, feeder if source == "streams" else None)
-    found.scans = scans
-    return found, feeder, order
+        blocks = sorted_blocks(passes(), contents.decoders, order.sort_by)
+        contents = _read(blocks, topics, feeder if source == "streams" else None)
+    contents.scans = scans
+    return contents, feeder, order
 
 
-def _noted(
+def _collect_scans(
     blocks: Iterable[tuple[Scan, Block | None]], scans: list[Scan]
 ) -> Iterator[tuple[StorageContents, Block]]:
-    """Yield the blocks; passes that have come to their ends are put into ``scans``."""
+    """Yield the blocks; passes that have ended are put into ``scans``."""
     for scan, block in blocks:
         if block is None:
             scans.append(scan)
@@ -406,41 +419,43 @@ def _read(
     blocks: Iterable[tuple[StorageContents, Block]], topics: Topics, feeder: StreamFeeder | None
 ) -> _BagContents:
     """Read all files once; the streams go to ``feeder``."""
-    found, run = _BagContents(), 0
+    contents, run = _BagContents(), 0
     for scan, block in blocks:
         before, run = run, run_number(scan.metadata, run)
         if feeder is not None and run != before:
             feeder.begin_run(run)
-        parts = topics.split(block, scan, found.decoders)
+        parts = topics.split(block, scan, contents.decoders)
         timed = [(part.decoder, part.rows) for part in parts if part.role in TIMED]
-        found.order.look(block, timed, scan.path.name, run)
+        contents.order.look(block, timed, scan.path.name, run)
         for part in parts:
-            with part.taken_as_expected():
-                found.take(part, block)
+            with part.checked():
+                contents.add(part, block)
         if feeder is not None:
             feeder.feed(block, parts)
-    return found
+    return contents
 
 
 def judged_as_live(
-    observations: Iterable[Observation], estimates: Sequence[str], recorded: Iterable[Observation]
+    observations: Iterable[Observation],
+    estimates: Sequence[str | None],
+    recorded: Iterable[Observation],
 ) -> tuple[Observation, ...]:
     """Return the observations, rejected where the clocks of their streams differ.
 
-    That is what was ``recorded`` of the same attempt; where nothing was (foreign bags, nodes that
-    were killed) it is the estimate from the bag at each observation, empty: they are alike.
+    What was ``recorded`` of the same attempt counts; where nothing was (foreign bags, nodes that
+    were killed) the estimate from the bag at each observation does, empty for equal clocks.
     """
     live = {_attempt(o): o.reason for o in recorded if o.accepted or is_of_clocks(o.reason)}
     return tuple(
-        rejected_for(live.get(_attempt(observation), own), observation)
-        for observation, own in zip(observations, estimates, strict=True)
+        rejected_for(live.get(_attempt(observation), estimate), observation)
+        for observation, estimate in zip(observations, estimates, strict=True)
     )
 
 
 def same_limit(configuration: Configuration, recorded: Iterable[Configuration]) -> bool:
     """Return whether the clocks may differ as much as when it was ``recorded``."""
     allowed = OffsetLimits.of(configuration.capture)
-    return all(OffsetLimits.of(known.capture) == allowed for known in recorded)
+    return all(OffsetLimits.of(before.capture) == allowed for before in recorded)
 
 
 def _attempt(observation: Observation) -> tuple[int, int, int]:
@@ -451,9 +466,9 @@ _SHOWN: Final = 5
 
 
 def clock_in_words(scans: Sequence[Scan], order: TimeOrder) -> tuple[str, ...]:
-    """Return how the clock jumped: a line for each noted jump, and one for log times out of order.
+    """Return how the recorder's clock jumped, a line for each, and that log times are unordered.
 
-    Log times that go back are explained where jumps were noted.
+    Where jumps were noted they explain log times that go back.
     """
     jumps = [j for scan in scans for j in read_note(scan.metadata.get(names.CLOCK_JUMPS, {}))]
     jumps = sorted(set(jumps), key=lambda jump: (not jump.named, jump.at_ns))
@@ -465,15 +480,15 @@ def clock_in_words(scans: Sequence[Scan], order: TimeOrder) -> tuple[str, ...]:
     return tuple(texts)
 
 
-def known_then(
+def known_to_later_runs(
     captured: Iterable[Observation], recorded: Iterable[Observation], scans: Iterable[Scan]
 ) -> tuple[Observation, ...]:
-    """Return the observations without those that no later run of the nodes knew of."""
-    went_on = (
+    """Return the observations without those of earlier runs that the later run did not know."""
+    continued = (
         scan.metadata
         for scan in scans
         if scan.metadata.get(names.RUN, {}).get("earlier") == names.RECORDED
     )
-    last = max(map(run_number, went_on), default=0)
+    last = max(map(run_number, continued), default=0)
     known = {(o.run, o.step, o.attempt) for o in recorded}
     return tuple(o for o in captured if o.run >= last or (o.run, o.step, o.attempt) in known)

@@ -16,7 +16,7 @@ import numpy as np
 from rotcal_ros.bags.parquet import arrow
 from rotcal_ros.foundation.escapes import encodable
 from rotcal_ros.foundation.files import FolderLock, replace_atomically
-from rotcal_ros.recordings.outcome_cache import BagOutcome
+from rotcal_ros.recordings.batch_solving import BagOutcome
 
 ROWS: Final = 50_000
 """Rows after which a part is written."""
@@ -29,7 +29,7 @@ class ResultsDataset:
 
     SI; deviation = actual - commanded. A bag without a result has one row with its error. Rows of
     an earlier call stay where the same outcome comes again, and are removed at the end where it
-    does not. Every part is written whole, so that a second call goes on after a crash. ``broken``
+    does not. Every part is written whole: a second call continues after a crash. ``broken``
     counts parts that were damaged; their rows come again. One process writes at a time: raises
     BagError.
     """

@@ -13,15 +13,14 @@ from numpy.typing import NDArray
 from rotcal_ros.bags import names
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Columns
-from rotcal_ros.bags.topic_settings import TopicSettings
+from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.capture import messages as records
-from rotcal_ros.capture.orders import Orders
+from rotcal_ros.capture.messages import Orders
 from rotcal_ros.capture.stamp_offsets import REFERENCE, OffsetLimits, StampOffsets
 from rotcal_ros.foundation.arrays import Ints
 from rotcal_ros.foundation.observations import Observation
-from rotcal_ros.instruments.conversion import FEEDBACK, READING
 from rotcal_ros.instruments.forms import STAMP, Form, form_of
-from rotcal_ros.instruments.interpreter import Interpreter, table_samples
+from rotcal_ros.instruments.interpreter import FEEDBACK, READING, Interpreter, table_samples
 from rotcal_ros.instruments.steps import Order, Position, StepFinder
 from rotcal_ros.recordings.topics import RoleMessages
 
@@ -85,7 +84,9 @@ class StreamFeeder:
     ) -> None:
         self._clocks = StampOffsets(limits or OffsetLimits())
         self.observations: list[Observation] = []
-        self.offset, self.doubt, self.offsets = "", "", list[str]()
+        self.offset: str | None = None
+        self.doubt: str | None = None
+        self.offsets = list[str | None]()
         self._make = make
         self._captures = [make(0)]
         self._joint = joint
@@ -102,7 +103,7 @@ class StreamFeeder:
         }
 
     def begin_run(self, run: int) -> None:
-        """Start afresh: what was undecided when a run was interrupted stays undecided."""
+        """Begin with a new capture: what the interrupted run had not decided stays undecided."""
         self._captures.append(self._make(run))
         self._instruments = Interpreter(self._topics, self._joint)
         if self._finder is not None and self._make_finder is not None:
@@ -132,41 +133,40 @@ class StreamFeeder:
             self._finder.ordered = True
         self._finding |= self._finder is not None and any(map(_tells_positions, parts))
         for part in sorted(parts, key=lambda part: part.role != REFERENCE):
-            with part.taken_as_expected():
+            with part.checked():
                 if part.role == names.TRACER_LENGTH:
-                    taken = self._readings(block, part)
-                    readings = _in_rows(readings, taken)
-                    self._hold(part.role, taken, block)
+                    rows = self._readings(block, part)
+                    readings = _in_file_order(readings, rows)
+                    self._compare_stamps(part.role, rows, block)
                 elif part.role == names.JOINT_STATES:
-                    taken = self._feedback(block, part)
-                    feedback = _in_rows(feedback, taken)
-                    self._hold(part.role, taken, block)
+                    rows = self._feedback(block, part)
+                    feedback = _in_file_order(feedback, rows)
+                    self._compare_stamps(part.role, rows, block)
                 elif part.role in self._makers or part.role in SLOW:
                     found = list(self._single(block, part))
                     others.extend(found)
                     if part.role == names.PROBE_POINT:
-                        self._hold_points(found, block)
-        if (
-            self._finding
-        ):  # a foreign position belongs to the step at which the table stood just then
+                        self._compare_point_stamps(found, block)
+        if self._finding:
+            # A position without a step belongs to the one at which the table stands just then.
             others.extend(_samples(feedback))
             feedback = feedback[:0]
         others.sort(key=lambda numbered: numbered[0])
         self._feed_slices(readings, feedback, others)
-        offset = self._clocks.in_words()
+        offset = self._clocks.reason_to_reject()
         self.offset = self.offset or offset
-        self.doubt = self.doubt or self._clocks.doubt_in_words()
+        self.doubt = self.doubt or self._clocks.doubt()
         self.offsets += [offset] * (len(self.observations) - len(self.offsets))
 
-    def _hold(self, role: str, records: NDArray[np.void], block: Block) -> None:
-        """Compare stamps with the times at which the messages came."""
-        came = block.headers["log_time"][records["row"]].astype(np.int64)
-        self._clocks.note_many(role, records["stamp_ns"], came)
+    def _compare_stamps(self, role: str, records: NDArray[np.void], block: Block) -> None:
+        """Compare stamps with the times at which the messages arrived."""
+        arrived = block.headers["log_time"][records["row"]].astype(np.int64)
+        self._clocks.note_many(role, records["stamp_ns"], arrived)
 
-    def _hold_points(self, points: Iterable[Numbered], block: Block) -> None:
+    def _compare_point_stamps(self, points: Iterable[Numbered], block: Block) -> None:
         for row, point in points:
-            came_ns = int(block.headers["log_time"][row])
-            self._clocks.note(names.PROBE_POINT, point.stamp_ns, came_ns)
+            arrived_ns = int(block.headers["log_time"][row])
+            self._clocks.note(names.PROBE_POINT, point.stamp_ns, arrived_ns)
 
     def _feed_slices(
         self, readings: NDArray[np.void], feedback: NDArray[np.void], others: list[Numbered]
@@ -205,12 +205,12 @@ class StreamFeeder:
     def _sent_ns(self, block: Block, rows: Ints) -> Ints:
         """Return when messages were sent, or recorded where the bag does not say that."""
         sent = block.headers["publish_time"][rows].astype(np.int64)
-        came = block.headers["log_time"][rows].astype(np.int64)
-        times: Ints = np.where(sent > 0, sent, came)
+        arrived = block.headers["log_time"][rows].astype(np.int64)
+        times: Ints = np.where(sent > 0, sent, arrived)
         return times
 
-    def _bare(self, block: Block, part: RoleMessages, form: Form) -> NDArray[np.void]:
-        """Return what a topic of bare numbers says, in file order."""
+    def _numbers(self, block: Block, part: RoleMessages, form: Form) -> NDArray[np.void]:
+        """Return the records of a topic of plain numbers, in file order."""
         numbers = (*form.numbers, *form.limits)
         found = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, len(numbers))))]
         for columns in part.decoder.columns(block.select(part.rows), form.fields, ()):
@@ -223,35 +223,37 @@ class StreamFeeder:
         sent = self._sent_ns(block, rows[order])
         return self._instruments.bare(part.role, rows[order], stamps[order], sent, values[order])
 
-    def _own(self, block: Block, part: RoleMessages, found: NDArray[np.void]) -> NDArray[np.void]:
+    def _converted(
+        self, block: Block, part: RoleMessages, rows: NDArray[np.void]
+    ) -> NDArray[np.void]:
         """Return records (n,) of a role's own type in SI, by the common clock, in file order."""
-        found = found[np.argsort(found["row"], kind="stable")]
+        rows = rows[np.argsort(rows["row"], kind="stable")]
         conventions = self._instruments.conventions
-        sent = self._sent_ns(block, found["row"])
-        found["stamp_ns"] = conventions.taken_ns(part.role, found["stamp_ns"], sent)
+        sent = self._sent_ns(block, rows["row"])
+        rows["stamp_ns"] = conventions.taken_ns(part.role, rows["stamp_ns"], sent)
         for name, convert in (
             ("length", conventions.length),
             ("angle", conventions.angle),
             ("velocity", conventions.angle),
         ):
-            if name in (found.dtype.names or ()):
-                found[name] = convert(found[name])
-        return found
+            if name in (rows.dtype.names or ()):
+                rows[name] = convert(rows[name])
+        return rows
 
     def _readings(self, block: Block, part: RoleMessages) -> NDArray[np.void]:
         """Return the tracer readings of a block in file order."""
         form = form_of(part.role, part.decoder.channel.type_name)
         if form is not None:
-            return self._bare(block, part, form)
+            return self._numbers(block, part, form)
         shapes = part.decoder.columns(block.select(part.rows), _TRACER, ())
         found = [np.zeros(0, READING), *(_readings_of(columns, part) for columns in shapes)]
-        return self._own(block, part, np.concatenate(found))
+        return self._converted(block, part, np.concatenate(found))
 
     def _feedback(self, block: Block, part: RoleMessages) -> NDArray[np.void]:
         """Return the feedback of the table in a block in file order."""
         form = form_of(part.role, part.decoder.channel.type_name)
         if form is not None:
-            return self._bare(block, part, form)
+            return self._numbers(block, part, form)
         found = [np.zeros(0, FEEDBACK)]
         for columns in part.decoder.columns(block.select(part.rows), _JOINTS, ("name",)):
             index = records.joint_index(columns.layout.texts.get("name", []), self._joint)
@@ -263,7 +265,7 @@ class StreamFeeder:
             rows["angle"] = position[:, index]
             rows["velocity"] = velocity[:, index] if velocity.shape[1] > index else math.nan
             found.append(rows)
-        return self._own(block, part, np.concatenate(found))
+        return self._converted(block, part, np.concatenate(found))
 
     def _single(self, block: Block, part: RoleMessages) -> Iterator[Numbered]:
         """Yield the records of a slow topic, message by message."""
@@ -280,12 +282,12 @@ class StreamFeeder:
                 yield row, record
 
 
-def _in_rows(known: NDArray[np.void], further: NDArray[np.void]) -> NDArray[np.void]:
-    """Return the records of several channels of one topic in the order of their rows."""
-    if not len(known):
-        return further
-    every = np.concatenate([known, further])
-    return every[np.argsort(every["row"], kind="stable")]
+def _in_file_order(first: NDArray[np.void], second: NDArray[np.void]) -> NDArray[np.void]:
+    """Return the records of two channels of one topic in the order of their rows."""
+    if not len(first):
+        return second
+    both = np.concatenate([first, second])
+    return both[np.argsort(both["row"], kind="stable")]
 
 
 def _tells_positions(part: RoleMessages) -> bool:

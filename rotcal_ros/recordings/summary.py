@@ -8,13 +8,12 @@ from typing import Any
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks
-from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session
-from rotcal_ros.bags.storage_scan import Scan
-from rotcal_ros.bags.verdict import FileVerdict, session_losses, unread_losses
+from rotcal_ros.bags.settings import DEFAULT_LIMITS, ReadingLimits
+from rotcal_ros.bags.storage_scan import FileVerdict, Scan, session_losses, unread_losses
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.methods.configuration import Configuration, parse_configuration
-from rotcal_ros.recordings.placed_dropouts import PlacedDropout, placed_in
+from rotcal_ros.recordings.missing_data import PlacedDropout, placed_in
 from rotcal_ros.recordings.recorded_setup import require_one_configuration
 
 

@@ -15,13 +15,14 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import read_blocks
-from rotcal_ros.bags.reading_limits import ReadingLimits
+from rotcal_ros.bags.settings import ReadingLimits
 from rotcal_ros.bags.storage_scan import StorageContents
 from rotcal_ros.foundation.arrays import Ints
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.methods import Configuration
 
-_OWN: Final = (names.PLAN, names.OBSERVATION, names.TABLE_ANGLE, names.PROBE_TARGET)
+_OUR_ROLES: Final = (names.PLAN, names.OBSERVATION, names.TABLE_ANGLE, names.PROBE_TARGET)
+"""Roles whose messages are of our own types."""
 _PACKAGE: Final = "rotcal_msgs/"
 T = TypeVar("T")
 
@@ -42,10 +43,10 @@ class RoleMessages:
                 yield row, message
 
     @contextmanager
-    def taken_as_expected(self) -> Iterator[None]:
-        """Guard the taking of messages: a foreign definition may have other fields or types.
+    def checked(self) -> Iterator[None]:
+        """Raise BagError where messages have other fields or types than their role needs.
 
-        Raises BagError for the errors of Python that this causes.
+        The bag may define a type otherwise; using its fields then raises an error of Python.
         """
         try:
             yield
@@ -79,7 +80,7 @@ class Topics:
     unreadable: dict[str, str] = field(default_factory=dict)
     ignored: frozenset[str] = frozenset()
     _recorded: dict[str, str] = field(default_factory=dict, repr=False)
-    _taken: dict[str, str] = field(default_factory=dict, repr=False)
+    _topic_of_role: dict[str, str] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, configuration: Configuration | None, namespace: str = "") -> Topics:
@@ -87,9 +88,9 @@ class Topics:
         return cls(namespace, {} if configuration is None else configuration.topics.renamed())
 
     def follow(self, planned: Mapping[str, str]) -> None:
-        """Take the names of the configuration; roles that were given before are open again."""
+        """Use the topics that the configuration names; forget which topic has which role."""
         self.planned = planned
-        self._taken.clear()
+        self._topic_of_role.clear()
 
     def role(self, topic: str, type_name: str = "") -> str | None:
         """Return the role of ``topic``; raises SeveralCells when two topics have the same one."""
@@ -98,15 +99,15 @@ class Topics:
         others = {**self.planned, **self._recorded, **self.renamed}
         for role, other in others.items():
             if _is_called(topic, other, self.namespace):
-                return self._only(role, topic)
+                return self._unique(role, topic)
         namespace, _, role = topic.strip("/").rpartition("/")
         wanted = self.namespace.strip("/")
         if role not in names.ROLES or role in others or (wanted and namespace != wanted):
             return None
-        stranger = role in _OWN and type_name and not type_name.startswith(_PACKAGE)
-        if stranger or topic in self.ignored:
+        is_foreign = role in _OUR_ROLES and type_name and not type_name.startswith(_PACKAGE)
+        if is_foreign or topic in self.ignored:
             return None
-        return self._only(role, topic)
+        return self._unique(role, topic)
 
     def of_the_only_plan(self, files: tuple[Path, ...], limits: ReadingLimits) -> Topics | None:
         """Return the finder for the one cell that has a plan; None unless it is the only one.
@@ -133,11 +134,11 @@ class Topics:
         others = (topic for cell, role, topic, _ in parts if cell not in cells and role in inside)
         return Topics(renamed=self.renamed, ignored=frozenset(others))
 
-    def _only(self, role: str, topic: str) -> str:
-        if self._taken.setdefault(role, topic) != topic:
+    def _unique(self, role: str, topic: str) -> str:
+        if self._topic_of_role.setdefault(role, topic) != topic:
             raise SeveralCells(
-                f"two topics of the bag are called {role}: {self._taken[role]} and {topic}; "
-                "say which cell is meant (--namespace)"
+                f"two topics of the bag are called {role}: {self._topic_of_role[role]} and "
+                f"{topic}; say which cell is meant (--namespace)"
             )
         return role
 
@@ -180,10 +181,10 @@ def of_one_cell(
     try:
         return read(topics)
     except SeveralCells:
-        alone = topics.of_the_only_plan(files, limits)
-        if alone is None:
+        only = topics.of_the_only_plan(files, limits)
+        if only is None:
             raise
-    return read(alone)
+    return read(only)
 
 
 def _is_called(topic: str, name: str, namespace: str) -> bool:

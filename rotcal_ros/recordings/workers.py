@@ -1,6 +1,6 @@
 """Doing independent jobs on all cores, or on the workers of a Dask cluster.
 
-A process of its own for work that may kill it: its death costs one try of one job.
+Each worker is a process of its own, since a bag may kill it: that costs one try of one job.
 """
 
 from __future__ import annotations
@@ -24,8 +24,7 @@ from queue import Empty, SimpleQueue
 from typing import Any, Final
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
-from rotcal_ros.recordings.batch_solving import Job, solve_bag
-from rotcal_ros.recordings.outcome_cache import BagOutcome
+from rotcal_ros.recordings.batch_solving import BagOutcome, Job, solve_bag
 
 TIME_LIMIT_S: Final = 3600.0
 """How long a bag may take by default."""
@@ -111,14 +110,14 @@ def on_cluster(
         raise ConfigurationError(f"no Dask scheduler answers at {scheduler}: {error}") from error
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # its tracebacks
     try:
-        yield from _through(client, iter(jobs), scheduler, time_limit_s, work)
+        yield from _outcomes(client, iter(jobs), scheduler, time_limit_s, work)
     except CommClosedError as error:
-        raise _gone(scheduler) from error
+        raise _scheduler_gone(scheduler) from error
     finally:
         client.close(timeout=2)
 
 
-def _through(
+def _outcomes(
     client: Any, jobs: Iterator[Job], scheduler: str, time_limit_s: float, work: Work
 ) -> Iterator[BagOutcome]:
     """Hand out jobs a few at a time and yield their outcomes."""
@@ -140,7 +139,7 @@ def _through(
             return
         for future in _next(client, finished, scheduler):
             if future.status in ("cancelled", "lost"):
-                raise _gone(scheduler)
+                raise _scheduler_gone(scheduler)
             job, tries = handed.pop(future)
             if future.status == "error" and _lost(future) and tries < _TRIES:
                 hand_out(job, tries + 1)
@@ -159,12 +158,12 @@ def _next(client: Any, finished: SimpleQueue[Any], scheduler: str) -> Iterator[A
             if client.status == "running":
                 seen = time.monotonic()
             elif time.monotonic() > seen + _SCHEDULER_GONE_S:
-                raise _gone(scheduler) from None
+                raise _scheduler_gone(scheduler) from None
     while not finished.empty():
         yield finished.get()
 
 
-def _gone(scheduler: str) -> BagError:
+def _scheduler_gone(scheduler: str) -> BagError:
     return BagError(
         f"the Dask scheduler {scheduler} went away; what was solved is kept, and the same call "
         "continues"
@@ -175,10 +174,10 @@ _of_thread = threading.local()
 
 
 def supervised(job: Job, time_limit_s: float, work: Work) -> BagOutcome:
-    """Do a job in the process of its own that this thread of a worker keeps for that."""
-    known: dict[Any, Supervised] = _of_thread.__dict__.setdefault("crew", {})
-    member = known.setdefault((work, time_limit_s), Supervised(work, time_limit_s))
-    return member.do(job)
+    """Do a job in a process that belongs to this thread of a Dask worker, and stays for more."""
+    processes: dict[Any, Supervised] = _of_thread.__dict__.setdefault("processes", {})
+    process = processes.setdefault((work, time_limit_s), Supervised(work, time_limit_s))
+    return process.do(job)
 
 
 def _lost(future: Any) -> bool:
@@ -193,7 +192,7 @@ def _outcome(future: Any, source: str) -> BagOutcome:
         outcome: BagOutcome = future.result()
         return outcome
     if _lost(future):
-        return BagOutcome(source, "", error="set aside: the cluster lost every worker that had it")
+        return _set_aside(source, "the cluster lost every worker that had it")
     return BagOutcome(source, "", error=f"the cluster could not do it: {error!r}")
 
 
@@ -215,7 +214,7 @@ class Supervised:
     """Does jobs one by one in a process that is started again when it dies.
 
     A job that kills it twice, or takes longer than ``time_limit_s``, becomes an outcome that
-    says so. That somebody else ends the process is not held against the job, up to
+    says so. That somebody else ends the process does not count against the job, up to
     ``FROM_OUTSIDE`` times. One thread calls :meth:`do`; :meth:`close` may come from another.
     """
 
@@ -228,23 +227,25 @@ class Supervised:
 
     def do(self, job: Job) -> BagOutcome:
         """Return what became of ``job``."""
-        died: list[str] = []
-        while not (_blamed(died) or self._closed):
+        deaths: list[str] = []
+        while not (_blamed(deaths) or self._closed):
             out_of_memory = _oom_kills()
             try:
                 connection = self._connection or self._start()
                 connection.send((self._work, job, self._time_limit_s + _GRACE_S))
                 if not connection.poll(self._time_limit_s):
                     self._end()
-                    return BagOutcome(job.source, "", error=self._too_long())
+                    limit = f"{self._time_limit_s:g} s"
+                    ended = "so its worker was ended (--time-limit)"
+                    return _set_aside(job.source, f"not done after {limit}, {ended}")
                 outcome: BagOutcome = connection.recv()
             except (EOFError, OSError, pickle.UnpicklingError):
-                died.append(self._end() + (MEMORY if _oom_kills() > out_of_memory else ""))
+                deaths.append(self._end() + (MEMORY if _oom_kills() > out_of_memory else ""))
             else:
                 return outcome
         if self._closed:
             return BagOutcome(job.source, "", error="ended before it was done")
-        return BagOutcome(job.source, "", error=f"set aside: it killed its worker {_times(died)}")
+        return _set_aside(job.source, f"it killed its worker {_times(deaths)}")
 
     def close(self) -> None:
         """End the process, whatever it does."""
@@ -259,7 +260,7 @@ class Supervised:
             number = theirs.fileno()
             command = [sys.executable, "-m", __name__, str(number)]
             self._process = subprocess.Popen(command, pass_fds=(number,), stdin=subprocess.DEVNULL)
-        if self._closed:  # meanwhile
+        if self._closed:  # by another thread, while it was started
             self._process.kill()
         self._connection = ours
         if not ours.poll(_START_S):
@@ -284,21 +285,19 @@ class Supervised:
         except ValueError:
             return f"signal {-code}"
 
-    def _too_long(self) -> str:
-        return (
-            f"set aside: not done after {self._time_limit_s:g} s, so its worker was ended "
-            "(--time-limit)"
-        )
+
+def _set_aside(source: str, reason: str) -> BagOutcome:
+    return BagOutcome(source, "", error=f"set aside: {reason}", set_aside=True)
 
 
-def _blamed(died: Sequence[str]) -> bool:
-    """Return whether a job died too often for chance."""
-    own = [way for way in died if way not in _OUTSIDE]
-    return len(own) >= TRIES or len(died) >= FROM_OUTSIDE
+def _blamed(deaths: Sequence[str]) -> bool:
+    """Return whether the worker of a job died too often for chance."""
+    by_itself = [way for way in deaths if way not in _OUTSIDE]
+    return len(by_itself) >= TRIES or len(deaths) >= FROM_OUTSIDE
 
 
-def _times(died: Sequence[str]) -> str:
-    return f"{len(died)} times ({', '.join(dict.fromkeys(died))})"
+def _times(deaths: Sequence[str]) -> str:
+    return f"{len(deaths)} times ({', '.join(dict.fromkeys(deaths))})"
 
 
 def _oom_kills() -> int:
@@ -317,8 +316,8 @@ def _serve(connection: Connection[Any, Any]) -> None:
     with contextlib.suppress(EOFError, OSError):
         connection.send("ready")
         while True:
-            work, job, patience_s = connection.recv()
-            signal.setitimer(signal.ITIMER_REAL, patience_s)  # SIGALRM ends whatever hangs
+            work, job, time_limit_s = connection.recv()
+            signal.setitimer(signal.ITIMER_REAL, time_limit_s)  # SIGALRM ends whatever hangs
             outcome = work(job)
             signal.setitimer(signal.ITIMER_REAL, 0.0)
             connection.send(outcome)

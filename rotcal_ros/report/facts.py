@@ -45,13 +45,13 @@ class Fact:
 
 def about_the_item(result: Result, identity: Identity) -> list[Fact]:
     """Return what was calibrated, and for whom."""
-    known = [identity.customer, identity.customer_address]
+    customer = [identity.customer, identity.customer_address]
     return [
         Fact("Item", _item(identity), "7.8.2.1 g"),
         Fact("Axis", result.circumstances.axis),
         Fact("Compensation in force", in_words(result.measured_on)),
         Fact("Tolerance", _tolerance(identity)),
-        Fact("Customer", _joined(known), "7.8.2.1 e"),
+        Fact("Customer", _joined(customer), "7.8.2.1 e"),
         Fact("Customer's number", identity.customer_number),
         Fact("Received", identity.received, "7.8.2.1 h"),
     ]
@@ -96,12 +96,12 @@ def in_numbers(result: Result, counts: StepCounts | None, rejected_attempts: int
 
 def conditions(circumstances: Circumstances) -> str:
     """Return temperature, pressure and humidity with their ranges."""
-    known = [
+    ranges = [
         _range("temperature", circumstances.temperature_c, "°C", 2),
         _range("air pressure", circumstances.pressure_pa, "hPa", 1, 1.0 / PASCAL_PER_HPA),
         _range("relative humidity", circumstances.humidity, "%", 0, 100.0),
     ]
-    return "; ".join(known) if any(NOT_STATED not in text for text in known) else ""
+    return "; ".join(ranges) if any(NOT_STATED not in text for text in ranges) else ""
 
 
 def _range(name: str, found: Range | None, unit: str, digits: int, factor: float = 1.0) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from rotcal_ros.evaluation.bidirectional import runs_of
 from rotcal_ros.evaluation.conformity import RULE, conformities
 from rotcal_ros.evaluation.iso230 import iso230
-from rotcal_ros.evaluation.withheld import not_covered
+from rotcal_ros.evaluation.marks import not_covered
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.gum_numbers import (
@@ -41,7 +41,7 @@ class ValueBlock:
     rows: Sequence[Sequence[str]]
 
 
-def sentences(result: Result, withheld: str) -> list[str]:
+def sentences(result: Result, withheld: str | None) -> list[str]:
     """Return the result in words: ranges with U, the figures of ISO 230-2 where runs allow."""
     few = len(result.components) <= FEW_SENTENCES
     texts = [_range(result, name, withheld) for name in result.components if few]
@@ -50,7 +50,7 @@ def sentences(result: Result, withheld: str) -> list[str]:
     return texts
 
 
-def ranges(result: Result, withheld: str) -> ValueBlock | None:
+def ranges(result: Result, withheld: str | None) -> ValueBlock | None:
     """Return lowest, highest, range and largest U of many components; None for few."""
     if len(result.components) <= FEW_SENTENCES:
         return None
@@ -63,8 +63,8 @@ def ranges(result: Result, withheld: str) -> ValueBlock | None:
     return ValueBlock(["Deviation", "lowest", "highest", "range", f"U {K}, at most"], rows)
 
 
-def statement_of_u(result: Result, withheld: str) -> str:
-    """Return what U is, or why it is not stated."""
+def statement_of_u(result: Result, withheld: str | None) -> str:
+    """Return the definition of U, or the reason for which it is not stated."""
     if withheld:
         return f"U: not stated, because {withheld}."
     text = (
@@ -72,10 +72,10 @@ def statement_of_u(result: Result, withheld: str) -> str:
         f"factor k = {COVERAGE_FACTOR:g} (about 95 % for a normal distribution), JCGM 100:2008."
     )
     missing = not_covered(result)
-    return f"{text} It does not cover: {missing}." if missing else text
+    return f"{text} It does not cover: {', '.join(missing)}." if missing else text
 
 
-def statements_of_conformity(result: Result, withheld: str) -> list[str]:
+def statements_of_conformity(result: Result, withheld: str | None) -> list[str]:
     """Return within, beyond or undecided for every component that has a tolerance."""
     found = conformities(result, result.circumstances.identity)
     if not found:
@@ -85,7 +85,7 @@ def statements_of_conformity(result: Result, withheld: str) -> list[str]:
     return [f"{conformity.in_words(result)} (decision rule: {RULE})." for conformity in found]
 
 
-def value_blocks(result: Result, withheld: str) -> list[ValueBlock]:
+def value_blocks(result: Result, withheld: str | None) -> list[ValueBlock]:
     """Return the table of values, in blocks side by side where it is long and narrow."""
     if len(result.components) > 1:
         head = ["Angle / °", *(f"{name} ± U / {unit_of(name)[1]}" for name in result.components)]
@@ -130,7 +130,7 @@ def _ends(result: Result, name: str) -> _Ends:
     return _Ends(low, high, whole, uncertainty(largest), label)
 
 
-def _range(result: Result, name: str, withheld: str) -> str:
+def _range(result: Result, name: str, withheld: str | None) -> str:
     """Return lowest, highest and range of one component in one sentence."""
     ends = _ends(result, name)
     text = (
@@ -142,14 +142,14 @@ def _range(result: Result, name: str, withheld: str) -> str:
     return f"{text}, with U ≤ {ends.largest_u} {ends.unit} {K}."
 
 
-def _positioning(result: Result, withheld: str) -> str:
-    """Return E, A and R after ISO 230-2; why there are none without runs in both directions."""
+def _positioning(result: Result, withheld: str | None) -> str | None:
+    """Return E, A and R after ISO 230-2; None without runs in both directions."""
     try:
         runs = runs_of(result)
     except DataError:
-        return ""
+        return None
     if runs is None:
-        return ""
+        return None
     found = iso230(runs)
     texts = []
     for name, key in (("E", "systematic"), ("A", "accuracy"), ("R", "repeatability")):
@@ -162,7 +162,7 @@ def _positioning(result: Result, withheld: str) -> str:
     return f"After ISO 230-2, from {count} runs in each direction: {', '.join(texts)}{probability}"
 
 
-def _narrow_rows(result: Result, name: str, withheld: str) -> list[list[str]]:
+def _narrow_rows(result: Result, name: str, withheld: str | None) -> list[list[str]]:
     unit, _ = unit_of(name)
     rows = []
     for angle, deviation, std in zip(
@@ -174,7 +174,7 @@ def _narrow_rows(result: Result, name: str, withheld: str) -> list[list[str]]:
     return rows
 
 
-def _wide_rows(result: Result, withheld: str) -> list[list[str]]:
+def _wide_rows(result: Result, withheld: str | None) -> list[list[str]]:
     rows = []
     for i, angle in enumerate(result.angles):
         cells = []

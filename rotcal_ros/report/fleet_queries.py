@@ -1,4 +1,4 @@
-"""What the overview of many bags asks their dataset, by DuckDB."""
+"""The queries of the overview to the dataset of many bags, by DuckDB."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.recordings.results_dataset import parts
 
 ENOUGH: Final = 5
-"""Bags of a table from which on one of them can stand out."""
+"""With this many bags of a table or more, one of them can stand out."""
 FAR: Final = 3 * 1.4826
 """Median absolute deviations that are three standard deviations of a normal scatter."""
 _MEMORY: Final = "1GB"
@@ -61,7 +61,10 @@ ORDER BY tbl, start_ns NULLS LAST, source
 
 @dataclass(frozen=True)
 class Span:
-    """The range of one component over all angles, its U (k = 2), and what the table's bags do."""
+    """The range of one component over all angles, its U (k = 2), and the median of all bags.
+
+    ``jumps``: it is far from that median.
+    """
 
     component: str
     range: float
@@ -101,19 +104,19 @@ class Bag:
         return "partly" if self.verdict == "ok" and not self.covered else self.verdict
 
     @property
-    def alarm(self) -> str:
-        """Why somebody should look at it; empty: nobody need."""
+    def alarm(self) -> str | None:
+        """Why it needs attention, if it does."""
         if self.error:
             return self.error
         if self.verdict != "ok":
             return f"verdict {self.line}"
         far = [span.component for span in self.spans if span.jumps]
-        return f"range of {', '.join(far)} far from the others of this table" if far else ""
+        return f"range of {', '.join(far)} far from the others of this table" if far else None
 
 
 @contextmanager
-def asked(folder: Path) -> Iterator[Any]:
-    """Give a connection that knows the ``bags`` and ``spans`` of a dataset."""
+def connected(folder: Path) -> Iterator[Any]:
+    """Give a connection with the tables ``bags`` and ``spans`` of a dataset."""
     try:
         import duckdb
     except ImportError as error:

@@ -65,14 +65,14 @@ def _spread(ax: Axes, angles: Floats, figures: Iso230) -> None:
     ax.set_ylabel("Bᵢ, Rᵢ / arcsec")
 
 
-def section(result: Result) -> str:
-    """Return the HTML of the report's section, empty for a result without repeated runs."""
+def section(result: Result) -> str | None:
+    """Return the HTML of the report's section; None for a result without repeated runs."""
     try:
         runs = runs_of(result)
     except DataError as error:
         return str(escape(f"Not evaluated: {error}."))
     if runs is None:
-        return ""
+        return None
     figures = iso230(runs)
     rows = [
         [name, *("–" if v is None else f"{v / ARCSEC:.3f}" for v in (*values, expanded))]

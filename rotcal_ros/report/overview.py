@@ -16,7 +16,7 @@ from typing import Any, Final, TypeVar
 
 from rotcal_ros.foundation.components import COMPONENTS, unit_of
 from rotcal_ros.foundation.files import write_atomically
-from rotcal_ros.report.fleet_queries import Bag, asked, bags_by_table
+from rotcal_ros.report.fleet_queries import Bag, bags_by_table, connected
 from rotcal_ros.report.template import render
 
 PAGE: Final = 200
@@ -58,7 +58,7 @@ def write_overview(dataset: Path, configuration_text: str, path: Path) -> Overvi
     new = path.parent / f".{FOLDER}-new"
     shutil.rmtree(new, ignore_errors=True)
     new.mkdir()
-    with asked(dataset) as connection, (new / "bags.js").open("w", encoding="utf-8") as index:
+    with connected(dataset) as connection, (new / "bags.js").open("w", encoding="utf-8") as index:
         index.write("const BAGS = [\n")
         for number, (name, bags) in enumerate(
             groupby(bags_by_table(connection), key=lambda bag: bag.table)

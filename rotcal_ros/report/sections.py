@@ -27,7 +27,7 @@ from rotcal_ros.foundation.protection import TOLERABLE
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 from rotcal_ros.methods.goal import GoalStanding
-from rotcal_ros.planning.plan_figures import PlanFigures
+from rotcal_ros.planning.plan import PlanFigures
 from rotcal_ros.report.facts import NOT_STATED
 from rotcal_ros.report.first_page import degrees
 from rotcal_ros.report.template import render
@@ -35,8 +35,8 @@ from rotcal_ros.report.template import render
 BUDGET = "Uncertainty budget"
 
 
-def budget(result: Result, withheld: str) -> str:
-    """Return the budget as HTML; where no U is stated, why, above what the model alone gives."""
+def budget(result: Result, withheld: str | None) -> str:
+    """Return the budget as HTML, below the reason for which no U is stated, if there is one."""
     return render(
         "budget",
         figure=sources(result),
@@ -81,7 +81,7 @@ def _tables(result: Result) -> list[dict[str, Any]]:
         place = f"{degrees(float(result.angles[worst]))}°"
         texts = [uncertainty(whole), uncertainty(COVERAGE_FACTOR * whole)]
         rows.append([name, place, *(f"{text} {label}" for text in texts)])
-    caption = f"{WHOLE}: the method does not tell the sources apart"
+    caption = f"{WHOLE}: the method does not separate the sources"
     head = ["Deviation", "where U is largest", "u", f"U (k = {COVERAGE_FACTOR:g})"]
     return [{"caption": caption, "head": head, "rows": rows}]
 
@@ -109,10 +109,10 @@ def _table(result: Result, name: str) -> dict[str, Any]:
     }
 
 
-def goal_standing(standing: GoalStanding | None) -> str:
-    """Return the section as HTML; empty without a goal."""
+def goal_standing(standing: GoalStanding | None) -> str | None:
+    """Return how the goal was reached as HTML, if there was one."""
     if standing is None:
-        return ""
+        return None
     own, papers = standing.compared.own, standing.compared.papers
     return render(
         "goal",
@@ -169,15 +169,15 @@ def bars(found: Mapping[str, HarmonicContent]) -> str:
     return style.svg(panels[0])
 
 
-def harmonics(result: Result) -> str:
-    """Return the HTML of the report's section; empty when no curve goes round."""
+def harmonics(result: Result) -> str | None:
+    """Return the harmonic content as HTML; None when no curve covers a full turn."""
     found = {}
     for name in result.components:
         # An arc, or a curve that does not close: the report shows that elsewhere.
         with suppress(DataError):
             found[name] = harmonic_content(measured_curve(result, name))
     if not found:
-        return ""
+        return None
     tables = [_harmonics_table(name, content) for name, content in found.items()]
     return render("harmonics", figure=bars(found), tables=tables)
 
@@ -208,10 +208,10 @@ RELIABILITY: Final = "What a single observation could hide"
 _WORST: Final = 8
 
 
-def reliability_of_observations(result: Result) -> str:
-    """Return the worst observations by their reliability as HTML; empty without residuals."""
+def reliability_of_observations(result: Result) -> str | None:
+    """Return the worst observations by their reliability as HTML; None without residuals."""
     if result.residuals is None or not np.any(result.residuals.used):
-        return ""
+        return None
     found = reliability(result.residuals)
     return render(
         "reliability",

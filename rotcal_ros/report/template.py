@@ -1,16 +1,22 @@
-"""The templates of all pages, with one look."""
+"""The templates of all pages, with one look, and figures inside a page.
+
+A figure alone, in a file, keeps its own colours. Within a page it has a name for screen readers
+and follows the custom properties ``--figure-...``, which the page sets for its dark scheme.
+"""
 
 from __future__ import annotations
 
+import re
 from functools import cache
-from typing import Any
+from html import escape
+from typing import Any, Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from rotcal_ros import __version__
-from rotcal_ros.figures.inline import inline
-from rotcal_ros.foundation.escapes import printable_lines
+from rotcal_ros.figures import style
+from rotcal_ros.foundation.escapes import printable, printable_lines
 
 
 def render(template: str, **values: Any) -> str:
@@ -51,3 +57,30 @@ def _drawn(svg: str, name: str) -> Markup:
 def _quoted(text: str) -> Markup:
     """Return any text for between the quotes of a style sheet, nothing in it being syntax."""
     return Markup("".join(c if c.isalnum() or c == " " else f"\\{ord(c):x} " for c in text))
+
+
+PROPERTIES: Final = {
+    style.INK: "ink",
+    style.BLUE: "blue",
+    style.ORANGE: "orange",
+    style.GREEN: "green",
+    style.RED: "red",
+    style.GREY: "grey",
+    style.MISSING: "missing",
+    style.GRID: "grid",
+    style.PAPER: "paper",
+}
+"""The colours of the house and the custom properties that stand for them."""
+
+_COLOUR: Final = re.compile("|".join(PROPERTIES))
+
+
+def inline(svg: str, name: str) -> str:
+    """Return ``svg`` named for screen readers, with the colours of the page that it stands in."""
+    attributes = f'<svg role="img" aria-label="{escape(printable(name))}" '
+    coloured = _COLOUR.sub(lambda found: _property(found[0]), svg)
+    return coloured.replace("<svg ", attributes, 1)
+
+
+def _property(colour: str) -> str:
+    return f"var(--figure-{PROPERTIES[colour]}, {colour})"

@@ -55,15 +55,18 @@ def verification_section(verification: Verification) -> tuple[str, str]:
 def acting_section(result: Result, in_force: Path | None) -> list[tuple[str, str]]:
     """Return title and HTML that say whether the table acts on which ``result`` was measured.
 
-    None where it was measured on none, or nobody knows; ``in_force`` is the folder with its files.
+    None where it was measured without, or that is unknown; ``in_force`` holds the table's files.
     """
     if in_force is not None:
         effect = effect_in_force(result, in_force)
-        acts = "it corrects nothing that could tell" if effect is None else effect.wrong
-        acts = acts or (effect.in_words() if effect else "")
+        acts = (
+            "it corrects too little to show it"
+            if effect is None
+            else effect.fault or effect.in_words()
+        )
     elif known_hash(result.measured_on):
         acts = (
-            "not tested: what is left tells it only beside the files of that table (rotcal report "
+            "not tested: that needs the files of the table as well (rotcal report "
             "--in-force FOLDER, rotcal export --add-to FOLDER)"
         )
     else:
@@ -80,7 +83,7 @@ def _in_words(verification: Verification) -> str:
         "of the table itself."
     )
     if verification.effect is not None:
-        acting = verification.wrong or f"does the table act: {verification.effect.in_words()}"
+        acting = verification.fault or f"does the table act: {verification.effect.in_words()}"
         text = f"{text} {acting[0].upper()}{acting[1:]}."
     if verification.again is None:
         return text

@@ -19,7 +19,7 @@ from rotcal_ros.foundation.records import record
 from rotcal_ros.foundation.settings import check_ros_name
 from rotcal_ros.methods.check_lines import CellReport, CheckLine
 from rotcal_ros.methods.configuration import node_parameters, read_configuration
-from rotcal_ros.planning.cell_settings import CellSettings
+from rotcal_ros.planning.settings import CellSettings
 from rotcal_ros.sessions.environment import node_environment
 from rotcal_ros.sessions.processes import Processes
 

@@ -12,7 +12,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.settings import declarations
 from rotcal_ros.methods import Calibration, Configuration
-from rotcal_ros.planning.policy_names import AS_LISTED
+from rotcal_ros.planning.choices import AS_LISTED
 
 BYTES_PER_MESSAGE: Final = 100.0
 """Bytes of a reading in a bag, with its index; compression leaves about half of them."""

@@ -16,7 +16,7 @@ from threading import Thread
 from types import FrameType
 from typing import Any, Final, NoReturn
 
-from rotcal_ros.bags.reindex import finish_interrupted
+from rotcal_ros.bags.repair import finish_interrupted
 from rotcal_ros.evaluation.marks import marks
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.files import FolderLock, write_atomically

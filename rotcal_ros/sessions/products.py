@@ -19,7 +19,7 @@ from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.foundation.untrusted import load_json, read_text
 from rotcal_ros.methods.configuration import read_policy
-from rotcal_ros.planning.policy_names import UNTIL_GOAL
+from rotcal_ros.planning.choices import UNTIL_GOAL
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.recordings.result_sources import ResultSource, read_source
 from rotcal_ros.report.terminal.console import say
@@ -95,7 +95,7 @@ def write_report(folder: SessionFolder, extra: Sequence[tuple[str, str]] = ()) -
     ``extra`` holds further sections as (title, HTML). Raises BagError when there is a page.
     """
     # Figures take a second to load, which a run without report should not wait for.
-    from rotcal_ros.report.recorded import write_recorded
+    from rotcal_ros.report.page import write_recorded
 
     if folder.report.exists():
         raise BagError(f"{folder.report} exists already and nothing is overwritten")

@@ -17,7 +17,7 @@ from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.foundation.untrusted import read_text
 from rotcal_ros.methods import Calibration
 from rotcal_ros.methods.continuation import Continuation
-from rotcal_ros.planning.policy_names import AS_LISTED
+from rotcal_ros.planning.choices import AS_LISTED
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.report.terminal.console import progress, say
 from rotcal_ros.sessions.disk_space import require_space

@@ -43,7 +43,7 @@ from rotcal_ros.sessions.products import export_files, write_exports, write_trut
 from rotcal_ros.sessions.resume import resume_session
 from rotcal_ros.sessions.session import Session, checked_calibration, prepare_session
 from rotcal_ros.sessions.viewers import Viewers
-from rotcal_ros.simulation.positioning import true_runs
+from rotcal_ros.simulation.table import true_runs
 
 CONTROLLERS: Final = ("linuxcnc", "sinumerik", "csv")
 TABLES: Final = {"after": "compensation", "again": "compensation_added"}
@@ -175,7 +175,7 @@ def verify(
         return None
     rounds = {"before": before, "after": after}
     effect = effect_of_result(after.source.result, held_table(applied.controller, applied.files))
-    if request.again and not (effect and effect.wrong):
+    if request.again and not (effect and effect.fault):
         further = request.added(after.source, after.cell, applied)
         name = request.applied(before.cell)
         third = _round(folder, "again", before, {name: further}, further, loaded)

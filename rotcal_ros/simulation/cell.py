@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 
+import numpy as np
+
+from rotcal_ros.foundation.arrays import Stamps
 from rotcal_ros.foundation.observations import (
     Command,
     HumiditySample,
@@ -14,13 +17,10 @@ from rotcal_ros.foundation.observations import (
     TracerSample,
 )
 from rotcal_ros.foundation.units import NANOSECOND
-from rotcal_ros.simulation.air import SimulatedAir
-from rotcal_ros.simulation.external_table import ExternalTable
+from rotcal_ros.simulation.air import SimulatedAir, SimulatedTemperature
 from rotcal_ros.simulation.instrument import MakeInstrument, Table
 from rotcal_ros.simulation.settings import SimulationSettings
-from rotcal_ros.simulation.table import SimulatedTable
-from rotcal_ros.simulation.temperature import SimulatedTemperature
-from rotcal_ros.simulation.ticks import Ticks
+from rotcal_ros.simulation.table import ExternalTable, SimulatedTable
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +110,7 @@ class SimulatedCell:
         )
 
     def unasked_point(self) -> ProbeSample:
-        """Return a point of kind UNKNOWN that nobody ordered: where the probe stands now."""
+        """Return a point of kind UNKNOWN, without an order: where the probe stands now."""
         return self.instrument.unasked(self.now_ns)
 
     def _table_rest_ns(self) -> int:
@@ -119,3 +119,18 @@ class SimulatedCell:
         if order is not None and self._table_order == (order.step, order.attempt):
             return self.table.rest_ns
         return 1 << 62
+
+
+class Ticks:
+    """The stamps of a stream at a fixed rate, counted from the start."""
+
+    def __init__(self, start_ns: int, rate_hz: float) -> None:
+        self._start_ns, self._period_ns = start_ns, max(1, round(1.0 / (rate_hz * NANOSECOND)))
+        self._next = 0
+
+    def until(self, now_ns: int) -> tuple[int, Stamps]:
+        """Return the number of the next tick and the stamps of all ticks up to ``now_ns``."""
+        first = self._next
+        self._next = max(first, (now_ns - self._start_ns) // self._period_ns + 1)
+        numbers = np.arange(first, self._next, dtype=np.int64)
+        return first, self._start_ns + numbers * self._period_ns

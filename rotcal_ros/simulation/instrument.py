@@ -1,10 +1,9 @@
-"""What stands beside a simulated table: the machine and the instrument of a method."""
+"""The machine beside a simulated table, with the instrument of a method."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -17,20 +16,27 @@ from rotcal_ros.foundation.observations import (
     ProbeSample,
     TracerSample,
 )
-from rotcal_ros.simulation.external_table import ExternalTable
-from rotcal_ros.simulation.table import SimulatedTable
-from rotcal_ros.simulation.temperature import SimulatedTemperature
+from rotcal_ros.simulation.air import SimulatedTemperature
+from rotcal_ros.simulation.table import ExternalTable, SimulatedTable
 
 Table = SimulatedTable | ExternalTable
 _NO_ORDER: Final = Command(0, 0, 0.0, Approach.UNKNOWN, PointKind.UNKNOWN, 0, (0.0, 0.0, 0.0))
 
 
-class SimulatedInstrument(ABC):
+class Series(NamedTuple):
+    """How many readings answer an order, after which settling, and how long each takes."""
+
+    n_readings: int
+    settling_ns: int
+    each_ns: int
+
+
+class SimulatedInstrument:
     """The machine beside the table with what it carries, on the cell's clock (ns).
 
     ``frame`` is that of its points, ``streams_lengths`` says whether it delivers lengths besides.
     ``rest_ns`` is when the last ordered motion ends, ``pending`` the order that has not been
-    reported yet.
+    reported yet. Reading k of a run depends on k and on the table, never on how time was cut.
     """
 
     frame = "machine"
@@ -39,15 +45,36 @@ class SimulatedInstrument(ABC):
     def __init__(self, start_ns: int) -> None:
         self.rest_ns = start_ns
         self.pending: Command | None = None
-        self._sequence = 0
+        self._sequence = self._answered = 0
 
-    @abstractmethod
     def order(self, now_ns: int, command: Command) -> None:
-        """Carry out ``command``."""
+        """Carry out ``command``: an instrument that stays where it is reads at once."""
+        self.pending, self.rest_ns, self._answered = command, now_ns, 0
 
-    @abstractmethod
+    def series(self, order: Command) -> Series:
+        """Return how many readings an order asks for, and when; one that streams has none."""
+        raise NotImplementedError
+
+    def reading(self, stamp_ns: int, order: Command, number: int) -> ProbeSample:
+        """Return reading ``number`` of an order; only asked of an instrument with a series."""
+        raise NotImplementedError
+
     def report(self, after_ns: int, now_ns: int, table_rest_ns: int) -> tuple[ProbeSample, ...]:
-        """Return the points that fall in ``after_ns`` < t <= ``now_ns``."""
+        """Return the points of the pending order that fall in ``after_ns`` < t <= ``now_ns``."""
+        order, samples = self.pending, list[ProbeSample]()
+        if order is None:
+            return ()
+        count, settling_ns, each_ns = self.series(order)
+        ready_ns = max(self.rest_ns, table_rest_ns) + settling_ns
+        for number in range(self._answered, count):
+            stamp = max(ready_ns + (number + 1) * each_ns, after_ns + 1 + len(samples))
+            if stamp > now_ns:
+                break
+            samples.append(self.reading(stamp, order, number))
+        self._answered += len(samples)
+        if self._answered == count:
+            self.pending = None
+        return tuple(samples)
 
     def go(self, now_ns: int, place: Floats) -> bool:
         """Move in a straight line to ``place`` (3,), m; False: something stands in the way.

@@ -1,9 +1,14 @@
-"""The simulated rotary table: where it is, what its feedback says, and the truth about it."""
+"""The simulated rotary table: its motion, its feedback, and its true deviations.
+
+Another program may move the table instead: the cell then follows the angle that it reports.
+"""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 from functools import lru_cache
+from typing import Final
 
 import numpy as np
 
@@ -14,7 +19,12 @@ from rotcal_ros.foundation.observations import Approach, TableSample
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 from rotcal_ros.simulation.motion import Motion, MotionLimits
 from rotcal_ros.simulation.noise import IndexedNoise, NoiseSource
-from rotcal_ros.simulation.settings import AngularHarmonics, LinearHarmonics, TableSettings
+from rotcal_ros.simulation.settings import (
+    AngularHarmonics,
+    LinearHarmonics,
+    SimulationSettings,
+    TableSettings,
+)
 
 
 def harmonics(series: LinearHarmonics | AngularHarmonics, angles: Floats) -> Floats:
@@ -189,3 +199,65 @@ class SimulatedTable:
         angles = angles + noise * self._feedback_noise.normal(first, len(stamps))
         rows = zip(stamps.tolist(), angles.tolist(), velocities.tolist(), strict=True)
         return tuple(TableSample(*row) for row in rows)
+
+
+def true_runs(settings: SimulationSettings, targets: Floats, runs: int) -> tuple[Floats, Floats]:
+    """Return the true deviations (m, runs) rad at ``targets`` (m,), forward and reverse.
+
+    Deviations, control, backlash and the spread from one arrival to the next are those of the
+    settings; the spread is drawn with the settings' seed.
+    """
+    table = settings.table
+    random = np.random.default_rng(settings.seed)
+    both = []
+    for approach, backlash in ((Approach.POSITIVE, 0.0), (Approach.NEGATIVE, 1.0)):
+        corrected = correction(table, targets, approach)
+        fixed = corrected + deviations(table, targets + corrected)["ECC"]
+        fixed = fixed + backlash * table.backlash_arcsec * ARCSEC
+        spread = table.repeatability_arcsec * ARCSEC * random.normal(size=(len(targets), runs))
+        both.append(fixed[:, None] + spread)
+    return both[0], both[1]
+
+
+HISTORY: Final = 1000
+"""Angles that are remembered; readings are never made further back than a fraction of these."""
+AT_REST_RAD: Final = 1e-10
+"""A smaller change of the angle is no motion."""
+
+
+class ExternalTable:
+    """Replaces a SimulatedTable; orders and feedback are left to the other program."""
+
+    def __init__(self, settings: TableSettings, start_ns: int) -> None:
+        self.settings = settings
+        self._stamps = deque([start_ns], HISTORY)
+        self._angles = deque([settings.initial_angle_deg * DEGREE], HISTORY)
+        self.rest_ns = start_ns
+
+    def follow(self, stamp_ns: int, angle: float) -> None:
+        """Note the actual ``angle`` (rad) at ``stamp_ns``, later than the one before."""
+        if abs(angle - self._angles[-1]) > AT_REST_RAD:
+            self.rest_ns = stamp_ns
+        self._stamps.append(stamp_ns)
+        self._angles.append(angle)
+
+    def order(self, now_ns: int, angle: float, approach: Approach) -> None:
+        """Do nothing: the other program has heard the order too."""
+
+    def stop(self, now_ns: int) -> None:
+        """Do nothing: the other program has heard of the stop too."""
+
+    def angles(self, stamps: Stamps) -> Floats:
+        """Return the actual angles at ``stamps`` (n,), rad; the last one stays."""
+        begin = self._stamps[0]
+        times = np.array(self._stamps, dtype=np.int64) - begin
+        angles: Floats = np.interp(stamps - begin, times, np.array(self._angles))
+        return angles
+
+    def poses(self, stamps: Stamps) -> tuple[Floats, Floats]:
+        """Return the actual poses at ``stamps``; the settings' deviations come on top."""
+        return table_poses(self.settings, self.angles(stamps))
+
+    def feedback(self, first: int, stamps: Stamps) -> tuple[TableSample, ...]:
+        """Return nothing."""
+        return ()

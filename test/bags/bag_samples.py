@@ -13,8 +13,8 @@ from rosbags.typesys.store import Typestore
 from rotcal_ros import methods
 from rotcal_ros.bags import names
 from rotcal_ros.bags.rosbag2_metadata import OfferedQos, qos_text
+from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.foundation.observations import (
     Command,
     Observation,

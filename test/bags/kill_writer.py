@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from rotcal_ros.bags.interrupted_files import InterruptedSession
+from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.nodes.writing.recording import BagRecording, Channel, Messages, Receipt
 
 DEFINITION = "uint64 number\nuint64 stamp_ns\n"

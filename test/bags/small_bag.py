@@ -11,7 +11,7 @@ from mcap.writer import Writer
 
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.mcap_scan import McapScan
-from rotcal_ros.bags.verdict import FileVerdict
+from rotcal_ros.bags.storage_scan import FileVerdict
 
 Key = tuple[str, int, bytes]
 """Topic, log time and payload of a message."""

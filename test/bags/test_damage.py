@@ -14,8 +14,8 @@ from mcap.records import Chunk, MessageIndex
 from rotcal_ros.bags import names
 from rotcal_ros.bags.mcap_records import CHUNK, DATA_END, MAGIC, MESSAGE_INDEX
 from rotcal_ros.bags.mcap_scan import McapScan
-from rotcal_ros.bags.verdict import FileVerdict
-from rotcal_ros.bags.writer_settings import WriterSettings
+from rotcal_ros.bags.settings import WriterSettings
+from rotcal_ros.bags.storage_scan import FileVerdict
 from rotcal_ros.foundation.errors import BagError
 
 N_MESSAGES = 600

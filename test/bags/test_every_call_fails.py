@@ -16,10 +16,11 @@ from faulty_disk import CALLS, Fault, FaultyDisk, faults
 from mcap.stream_reader import StreamReader
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.reader import bag_files, check_files, session_files
+from rotcal_ros.bags.interrupted_files import InterruptedSession
+from rotcal_ros.bags.reader import bag_files, check_files
 from rotcal_ros.bags.session_verdict import judge_session
+from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.foundation import disk
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.nodes.writing.recording import BagRecording, Channel, Messages, Receipt
@@ -143,7 +144,7 @@ def go_on(left: Path, receipts: list[int], monkeypatch) -> None:
     bag = left / "session" / "bag"
     with monkeypatch.context() as patch:
         FaultyDisk(left).install(patch)
-        assert record(bag, earlier=session_files(bag)) == (list(range(STEPS)), "")
+        assert record(bag, earlier=InterruptedSession.read(bag).files) == (list(range(STEPS)), "")
     assert set(receipts) <= observations(bag)
 
 

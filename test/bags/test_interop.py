@@ -19,7 +19,7 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import bag_files, check_files, read_blocks
 from rotcal_ros.bags.repair import repair
-from rotcal_ros.bags.verdict import FileVerdict
+from rotcal_ros.bags.storage_scan import FileVerdict
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.observations import TracerSample
 from rotcal_ros.recordings.replay import read_recording

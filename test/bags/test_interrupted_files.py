@@ -17,8 +17,8 @@ from rosbags.rosbag2 import Reader
 from rotcal_ros.bags import names
 from rotcal_ros.bags.interrupted_files import JOURNAL_SUFFIX, InterruptedSession, OpenEnd, open_end
 from rotcal_ros.bags.reader import bag_files, check_files
+from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.foundation import disk
 from rotcal_ros.foundation.errors import BagError
 

@@ -10,7 +10,7 @@ from bag_samples import simulate, write_run
 
 from rotcal_ros.bags.interrupted_files import open_end
 from rotcal_ros.bags.reader import check_files
-from rotcal_ros.bags.writer_settings import WriterSettings
+from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.foundation.observations import ProbeSample, TableSample, TracerSample
 

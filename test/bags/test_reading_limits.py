@@ -18,8 +18,8 @@ from click.testing import CliRunner
 from mcap_matrix import MAGIC, record, text
 
 from rotcal_ros.bags.mcap_scan import McapScan
-from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS
-from rotcal_ros.bags.verdict import FileVerdict
+from rotcal_ros.bags.settings import DEFAULT_LIMITS
+from rotcal_ros.bags.storage_scan import FileVerdict
 from rotcal_ros.cli.bag import command
 from rotcal_ros.cli.main import rotcal
 

@@ -12,11 +12,12 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from rotcal_ros.bags import names
+from rotcal_ros.bags.interrupted_files import InterruptedSession
 from rotcal_ros.bags.mcap_records import CHUNK, MAGIC
-from rotcal_ros.bags.reader import bag_files, check_files, read_blocks, session_files
+from rotcal_ros.bags.reader import bag_files, check_files, read_blocks
 from rotcal_ros.bags.repair import repair
+from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.recordings.replay import read_recording
 
@@ -78,7 +79,7 @@ def test_schema_chunk_damaged_and_no_index(run_bag: Path, tmp_path: Path) -> Non
 
 def test_runs_stay_apart_and_losses_add_up(tmp_path: Path) -> None:
     for run, lost in ((0, 3), (1, 2)):
-        earlier = session_files(tmp_path / "bag") if run else None
+        earlier = InterruptedSession.read(tmp_path / "bag").files if run else None
         with BagWriter(tmp_path / "bag", WriterSettings(min_free_bytes=0), earlier=earlier) as bag:
             bag.note(names.RUN, {"number": run})
             channel = bag.channel("/a", "demo_msgs/msg/Blob", "uint8[] data\n")

@@ -3,7 +3,7 @@
 import pytest
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.run_number import run_number
+from rotcal_ros.bags.names import run_number
 
 
 @pytest.mark.parametrize(

@@ -20,16 +20,18 @@ from rosbags.rosbag2 import Reader
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.interrupted_files import InterruptedSession
-from rotcal_ros.bags.mcap_file import McapFile
-from rotcal_ros.bags.reader import bag_files, check_files, session_files
-from rotcal_ros.bags.reindex import reindex
-from rotcal_ros.bags.repair import repair
-from rotcal_ros.bags.rosbag2_metadata import OfferedQos, qos_text
-from rotcal_ros.bags.rosbag2_reading import parse_description, read_description
+from rotcal_ros.bags.reader import bag_files, check_files
+from rotcal_ros.bags.repair import reindex, repair
+from rotcal_ros.bags.rosbag2_metadata import (
+    OfferedQos,
+    parse_description,
+    qos_text,
+    read_description,
+)
 from rotcal_ros.bags.session_identity import require_one_session, session_of
 from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session
-from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.bags.writer_settings import WriterSettings
+from rotcal_ros.bags.settings import WriterSettings
+from rotcal_ros.bags.writer import BagWriter, McapFile
 from rotcal_ros.foundation.errors import BagError
 
 SECOND_NS = 10**9
@@ -373,7 +375,7 @@ def test_a_topic_with_more_publishers_than_before_is_one_connection_for_others(
     with BagWriter(folder, WriterSettings(min_free_bytes=0)) as writer:
         put(writer, writer.channel(*blob, before), 0)
     with BagWriter(
-        folder, WriterSettings(min_free_bytes=0), earlier=session_files(folder)
+        folder, WriterSettings(min_free_bytes=0), earlier=InterruptedSession.read(folder).files
     ) as more:
         put(more, more.channel(*blob, later), 50)
     with Reader(folder) as reader:

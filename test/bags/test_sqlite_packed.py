@@ -15,10 +15,9 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from sqlite_bags import payloads, write_bag
 
 from rotcal_ros.bags.reader import bag_files, check_files
-from rotcal_ros.bags.reindex import reindex
-from rotcal_ros.bags.repair import repair
+from rotcal_ros.bags.repair import reindex, repair
 from rotcal_ros.bags.session_verdict import judge_session
-from rotcal_ros.bags.verdict import FileVerdict
+from rotcal_ros.bags.storage_scan import FileVerdict
 from rotcal_ros.cli import main
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.recordings.bag_search import find_bags

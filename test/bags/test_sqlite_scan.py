@@ -17,9 +17,9 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.dropouts import MESSAGE_TYPE, Dropout
 from rotcal_ros.bags.reader import bag_files, check_files, read_blocks
 from rotcal_ros.bags.repair import repair
-from rotcal_ros.bags.verdict import FileVerdict
+from rotcal_ros.bags.storage_scan import FileVerdict
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.recordings.placed_dropouts import placed_in
+from rotcal_ros.recordings.missing_data import placed_in
 from rotcal_ros.recordings.topics import Topics
 
 MESSAGES = payloads(60)

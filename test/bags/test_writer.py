@@ -13,11 +13,12 @@ import yaml
 from bag_samples import CONFIGURATION, START_NS, TYPES, open_writer, serialised
 
 from rotcal_ros.bags import names
+from rotcal_ros.bags.interrupted_files import InterruptedSession
 from rotcal_ros.bags.mcap_scan import McapScan
-from rotcal_ros.bags.reader import bag_files, check_files, session_files
+from rotcal_ros.bags.reader import bag_files, check_files
 from rotcal_ros.bags.rosbag2_metadata import FileInfo
+from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.files import DurableFile
 
@@ -84,7 +85,7 @@ def test_resumed_session_goes_on_in_a_new_file(tmp_path: Path) -> None:
     writer.sync()  # and never closed
     first = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
     writer._lock.release()  # as the system does when the process dies
-    earlier = session_files(tmp_path / "bag")
+    earlier = InterruptedSession.read(tmp_path / "bag").files
     assert earlier == (
         FileInfo("bag_0.mcap", START_NS, START_NS + 3_000_000, {"/cell/tracer_length": 4}),
     )

@@ -22,19 +22,21 @@ def answer(step, attempt=0, kind=PointKind.REFLECTOR):
 def test_an_echo_answers_an_order_whichever_comes_first():
     answers = Answers()
     answers.order(order(0))
-    assert "step 0, attempt 0: no point on probe_point" in answers.waited_for()
-    assert answers.complaint() == ""
+    assert "step 0, attempt 0: no point on probe_point" in answers.unanswered_order()
+    assert answers.complaint() is None
     answers.hear(answer(0))
     answers.hear(answer(1))  # faster than its order
     answers.order(order(1))
-    assert (answers.waited_for(), answers.complaint(), answers.unanswered) == ("", "", 0)
+    assert answers.unanswered_order() is None
+    assert answers.complaint() is None
+    assert answers.unanswered == 0
 
 
 def test_an_unasked_point_answers_nothing():
     answers = Answers()
     answers.order(order(0))
     answers.hear(answer(0, kind=PointKind.UNKNOWN))
-    assert answers.waited_for()
+    assert answers.unanswered_order()
     assert not answers.complaint()
 
 
@@ -46,7 +48,7 @@ def test_who_echoes_something_else_is_told_both():
     assert "names step 0, attempt 0: the machine must echo both" in answers.complaint()
     answers.order(order(0, attempt=2))
     assert answers.unanswered == 1
-    assert answers.complaint() == ""
+    assert answers.complaint() is None
 
 
 def test_the_capture_counts_what_was_not_answered_and_says_it():

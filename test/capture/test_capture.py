@@ -274,7 +274,7 @@ def test_settling_that_leaves_no_time_is_a_wrong_configuration():
 def test_waiting_for_names_the_stream():
     capture = Capture(PLAN, SETTINGS, RULES)
     scene = make_scene(PLAN, 1)
-    assert capture.waiting_for == ""
+    assert capture.waiting_for is None
     for record in [*scene.temperature, *scene.table, scene.probe[0]]:
         capture.feed(record)
     assert capture.waiting_for.startswith(

@@ -69,7 +69,7 @@ def test_an_intruder_is_named_with_its_topic_and_what_to_do():
     text = second.in_words("second_probe")
     assert "/cell/probe_point: node second_probe publishes there too" in text
     assert "left alone" in text
-    assert "a node that is gone" in second.in_words("")
+    assert "a node that is gone" in second.in_words(None)
 
 
 def test_an_instrument_that_was_started_anew_is_not_told_to_go_away():

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rotcal_ros.capture.orders import WAITING_LIMIT, Orders
+from rotcal_ros.capture.messages import WAITING_LIMIT, Orders
 from rotcal_ros.foundation.observations import Approach, Command, PointKind
 
 HEADER = SimpleNamespace(stamp=SimpleNamespace(sec=1, nanosec=0))

@@ -5,8 +5,13 @@ from dataclasses import replace
 import pytest
 from capture_scenes import make_plan
 
-from rotcal_ros.capture.failed_steps import FailedSteps
-from rotcal_ros.capture.rejections import Commonest, Rejections, kind_of
+from rotcal_ros.capture.rejections import (
+    Commonest,
+    FailedSteps,
+    Rejections,
+    TooManyFailedError,
+    kind_of,
+)
 
 ACCEPTED = make_plan().steps[0].observed((0.1,))
 
@@ -53,9 +58,9 @@ def test_a_new_kind_is_told_at_once_and_a_known_one_now_and_then():
     ]
     assert lines == [
         "table position 4, target 7 rejected: beam broken",
-        "",
+        None,
         "table position 4, target 7 (attempt 3) rejected: drifting: 3 um",
-        "",
+        None,
         "table position 5, target 7 (attempt 2) rejected: beam broken "
         "(and 2 more like this since the last line)",
     ]
@@ -71,15 +76,17 @@ def test_three_running_are_an_alarm_and_an_accepted_one_ends_it():
     assert rejections.in_words() == "3 attempts rejected running, 3 of 3 like this: beam broken"
     rejections.note(ACCEPTED, 1.0)
     assert not rejections.alarming
-    assert rejections.in_words() == ""
+    assert rejections.in_words() is None
 
 
 def given_up_at(limit, reasons):
     failed = FailedSteps(limit)
     for step, why in enumerate(reasons):
         failed.note(step, why)
-        if text := failed.why_give_up():
-            return step, text
+        try:
+            failed.check()
+        except TooManyFailedError as error:
+            return step, str(error)
     return None
 
 

@@ -136,7 +136,7 @@ def reduced(lengths, sequence=None, status=None, **changes):
 
 
 def test_an_empty_reduction_has_no_numbers():
-    assert ReducedWindow() == ReducedWindow((), (), (), 0, "")
+    assert ReducedWindow() == ReducedWindow((), (), (), 0, None)
 
 
 @pytest.mark.parametrize(("bad", "accepted"), [(4, True), (5, False)])
@@ -145,14 +145,14 @@ def test_a_share_that_is_just_enough_is_enough(bad, accepted):
     found = reduced(np.zeros(8), status=status, min_used_share=0.5)
     assert found.n_used == 8 - bad
     words = "only 3 of 8 readings usable: 5 unstable by its own status; expected at least 50%"
-    assert found.reason == ("" if accepted else words)
+    assert found.reason == (None if accepted else words)
 
 
 @pytest.mark.parametrize(("used", "accepted"), [(2, True), (1, False), (0, False)])
 def test_two_readings_are_the_least(used, accepted):
     status = np.where(np.arange(3) < used, ReadingFault.NONE, ReadingFault.BEAM_BROKEN)
     found = reduced(np.arange(3.0), status=status)
-    assert (found.reason == "") is accepted
+    assert (found.reason is None) is accepted
     assert found.n_used == used
     assert found.mean == ((0.5,) if accepted else ())
 
@@ -180,7 +180,7 @@ def test_scatter_up_to_its_limit(share):
     assert (found.mean, found.scatter) == ((0.0,), (BIT,))
     assert found.std[0] == pytest.approx(BIT / np.sqrt(5.0), rel=1e-15)
     words = "unstable: standard deviation 0.954 um of the readings, allowed 0.952721 um"
-    assert found.reason == ("" if share == 1.0 else words)
+    assert found.reason == (None if share == 1.0 else words)
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
@@ -189,7 +189,7 @@ def test_drift_up_to_its_limit(share, sign):
     """0 .. 4 bits in equal steps of time: a drift of 4 bits."""
     found = reduced(sign * np.arange(5.0) * BIT, max_drift_m=4.0 * share * BIT)
     words = f"drifting: {sign * 3.81:+.3g} um over the window, allowed 3.81088 um"
-    assert found.reason == ("" if share == 1.0 else words)
+    assert found.reason == (None if share == 1.0 else words)
 
 
 @pytest.mark.parametrize(("share", "used"), [(1.0, 51), (0.999, 50)])
@@ -217,7 +217,7 @@ def test_a_gap_goes_before_every_other_reason(sequence, words):
     """The two publishers are named only where a number comes again or goes back."""
     if "goes from" in words:
         words += " (two publishers on the topic?)"
-    assert reduced(np.zeros(4), sequence).reason == words
+    assert reduced(np.zeros(4), sequence).reason == (words or None)
     noisy = reduced(np.arange(4.0), sequence, max_std_m=0.0)
     assert noisy.reason == (words or "unstable: standard deviation 1.29e+06 um of the readings, "
                             "allowed 0 um")  # fmt: skip

@@ -21,7 +21,7 @@ from rotcal_ros.cli.main import rotcal
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.results import Result as Solution
 from rotcal_ros.planning.choices import Choice, Standing
-from rotcal_ros.recordings.recorded_choices import RecordedChoice
+from rotcal_ros.recordings.recorded_setup import RecordedChoice
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "bags"))
 import bag_samples

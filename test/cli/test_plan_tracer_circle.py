@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 from few_runs import few_runs
 
-from rotcal_ros.cli.tracer_design import command
+from rotcal_ros.cli.plan_tracer import tracer as command
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods import read_configuration
 from rotcal_ros.methods.calibration import prepare_to_measure

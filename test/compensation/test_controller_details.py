@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from compensation_examples import TAU, even, result_of, wavy
 
-from rotcal_ros.compensation.controller_folder import STATE_FOLDER, ControllerFolder
+from rotcal_ros.compensation.controller_store import STATE_FOLDER, ControllerFolder
 from rotcal_ros.compensation.controllers import controller_names, make_controller
 from rotcal_ros.compensation.linuxcnc import load
 from rotcal_ros.compensation.table import CompensationTable, table_from_result
@@ -365,11 +365,15 @@ def test_a_lock_names_its_owner(tmp_path):
     other.close()
 
 
-def test_an_owner_without_a_name_is_somebody(tmp_path):
+def test_an_owner_without_a_name_is_another_process(tmp_path):
     store, other = ControllerFolder(tmp_path, 10.0), ControllerFolder(tmp_path, 10.0)
     store.lock()
     lock = tmp_path / STATE_FOLDER / "lock"
-    for text, owner in ((b"", "somebody"), (b" \n", "somebody"), (b"me \xff\n", "me �")):
+    for text, owner in (
+        (b"", "another process"),
+        (b" \n", "another process"),
+        (b"me \xff\n", "me �"),
+    ):
         lock.write_bytes(text)
         with pytest.raises(ControllerError, match=f"is fed by {owner} already"):
             other.lock()

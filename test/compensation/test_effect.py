@@ -42,8 +42,8 @@ def good(angles):
 def test_the_factor_tells_what_the_control_makes_of_its_table(gain, factor, words):
     found = effect(*left_by(gain, PARTS, good))
     assert abs(found.factor - factor) < 5.0 * found.std < 0.05
-    assert (words in found.wrong) if words else found.wrong == ""
-    assert not found.wrong.endswith("?")  # sentences follow
+    assert (words in found.fault) if words else found.fault is None
+    assert not (found.fault or "").endswith("?")  # sentences follow
     assert not found.in_words().startswith("-0.0")
     assert " ± 0.00" in found.in_words()  # two digits of U, the factor to the same place
 
@@ -62,7 +62,7 @@ def test_an_axis_that_has_changed_its_shape_is_no_fault_of_the_table(seed):
     """Mounted anew: eccentricity of any size and direction, other harmonics worn."""
     draw = np.random.default_rng(seed)
     changed = [(k, a * draw.uniform(0.5, 1.6), p + draw.normal() * 0.4) for k, a, p in PARTS]
-    assert effect(*left_by(1.0, changed, good, seed=seed)).wrong == ""
+    assert effect(*left_by(1.0, changed, good, seed=seed)).fault is None
 
 
 @pytest.mark.parametrize("share", [0.01, 0.002])
@@ -73,8 +73,8 @@ def test_a_table_that_corrects_nearly_nothing_is_not_called_wrong(share):
         return share * good(angles)
 
     for seed in range(20):
-        assert effect(*left_by(1.0, PARTS, tiny, std=1.0, seed=seed)).wrong == ""
-        assert effect(*left_by(0.0, ((1, share, 0.3),), tiny, std=1.0, seed=seed)).wrong == ""
+        assert effect(*left_by(1.0, PARTS, tiny, std=1.0, seed=seed)).fault is None
+        assert effect(*left_by(0.0, ((1, share, 0.3),), tiny, std=1.0, seed=seed)).fault is None
 
 
 def test_a_table_of_nothing_has_no_effect_to_tell():

@@ -12,7 +12,7 @@ import pytest
 from compensation_examples import even, result_of, wavy
 
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
-from rotcal_ros.compensation.controller_folder import STATE_FOLDER, ControllerFolder
+from rotcal_ros.compensation.controller_store import STATE_FOLDER, ControllerFolder
 from rotcal_ros.compensation.feed import Feed
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.foundation.errors import ConfigurationError, ControllerError, DataError
@@ -226,7 +226,7 @@ def test_two_bridges_on_one_controller(cell):
 def test_the_lock_ends_with_its_process(cell):
     script = (
         "from pathlib import Path; import sys\n"
-        "from rotcal_ros.compensation.controller_folder import ControllerFolder\n"
+        "from rotcal_ros.compensation.controller_store import ControllerFolder\n"
         "ControllerFolder(Path(sys.argv[1]), 20.0).lock(); print('locked', flush=True)\n"
         "sys.stdin.read()"
     )

@@ -10,7 +10,7 @@ import pytest
 from compensation_examples import even, result_of, wavy
 from test_feed import COMP, SECOND, Cell, applied, made_before, table_of, undone
 
-from rotcal_ros.compensation.controller_folder import STATE_FOLDER, ControllerFolder
+from rotcal_ros.compensation.controller_store import STATE_FOLDER, ControllerFolder
 from rotcal_ros.compensation.feed import Feed
 from rotcal_ros.compensation.journal import Entry, Journal
 from rotcal_ros.compensation.table import table_from_result

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from test_feed import COMP, Cell, applied, table_of, trims, undone
 
-from rotcal_ros.compensation.controller_folder import STATE_FOLDER, ControllerFolder
+from rotcal_ros.compensation.controller_store import STATE_FOLDER, ControllerFolder
 from rotcal_ros.compensation.secret import Secret
 from rotcal_ros.foundation.errors import ConfigurationError, ControllerError, DataError
 from rotcal_ros.foundation.units import ARCSEC
@@ -114,7 +114,7 @@ def test_a_failed_restore_puts_back_what_was_there(cell):
     with pytest.raises(ControllerError, match=r"differ from what was written; the old table was"):
         undone(feed)
     assert cell.files() == held
-    assert feed.unfinished() == ""
+    assert feed.unfinished() is None
     undone(feed)
     wanted = np.rad2deg(table_of().correction_forward)
     np.testing.assert_allclose(trims(cell)[:-1], wanted, atol=2e-9)
@@ -129,7 +129,7 @@ def test_an_unfinished_change_is_named_at_the_start_and_has_to_be_undone(
 ):
     feed = cell.feed()
     applied(feed, table_of())
-    assert feed.open() == ""
+    assert feed.open() is None
     held, undo = cell.files(), feed._journal.entries()[-1].after_hash
 
     def crash(_files):
@@ -154,7 +154,7 @@ def test_an_unfinished_change_is_named_at_the_start_and_has_to_be_undone(
     done = again.restore(undo)
     assert done.unfinished == words
     assert cell.files() == held
-    assert again.open() == ""
+    assert again.open() is None
 
 
 def test_a_clock_that_was_set_back_is_noticed(cell):

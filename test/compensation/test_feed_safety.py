@@ -8,7 +8,7 @@ import pytest
 from compensation_examples import d4_table, even
 from test_feed import COMP, SECOND, Cell, applied, table_of, trims, undone
 
-from rotcal_ros.compensation.controller_folder import STATE_FOLDER
+from rotcal_ros.compensation.controller_store import STATE_FOLDER
 from rotcal_ros.compensation.feed import write_steps
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.errors import ControllerError, DataError

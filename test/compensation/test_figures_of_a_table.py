@@ -12,8 +12,7 @@ from scipy.interpolate import CubicSpline
 
 from rotcal_ros.compensation.controller import Controller
 from rotcal_ros.compensation.export import residual_budget, simulate
-from rotcal_ros.compensation.lookup import Correction
-from rotcal_ros.compensation.resample import averaged, resample
+from rotcal_ros.compensation.resample import Correction, averaged, resample
 from rotcal_ros.compensation.table import CompensationTable, table_from_result
 from rotcal_ros.compensation.table_rows import (
     mean_deg,

@@ -205,7 +205,7 @@ def test_the_hook_up_of_a_machine_is_looked_at(machine, tmp_path):
 def test_the_travel_is_that_of_axis_and_joint(machine):
     joint = Joint.of_axis(Ini.read(machine), "A", 0)
     assert joint.travel_deg == (-360.0, 720.0)
-    assert joint.beyond(-360.0, 720.0) == ""
+    assert joint.travel_beyond(-360.0, 720.0) is None
     free = replace(joint, ini=Ini(machine, TEXT.replace("MAX_LIMIT", "MAXIMUM")))
     assert free.travel_deg == (-360.0, 1e99)
-    assert np.char.find(free.beyond(-360.0, 720.0), "revolutions") == -1
+    assert np.char.find(free.travel_beyond(-360.0, 720.0), "revolutions") == -1

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rotcal_ros.compensation.options import parse_options, parse_revolutions
+from rotcal_ros.compensation.controllers import parse_options, parse_revolutions
 from rotcal_ros.foundation.errors import ConfigurationError
 
 

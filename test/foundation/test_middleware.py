@@ -6,11 +6,12 @@ from pathlib import Path
 import pytest
 
 import rotcal_ros
+from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.middleware import (
     ROS_DEFAULT_RANGE,
     discovery_in_words,
+    explain_start_failure,
     middleware,
-    without_security,
 )
 
 NODES = Path(rotcal_ros.__file__).parent / "nodes"
@@ -84,8 +85,10 @@ def test_where_others_are_looked_for_is_told_as_the_user_would_set_it():
 
 
 def test_security_that_cannot_be_had_is_said_only_where_it_was_asked_for():
-    assert not without_security({}, "no")
-    assert not without_security({"ROS_SECURITY_ENABLE": "false"}, "no")
-    text = without_security({"ROS_SECURITY_ENABLE": "true"}, "no libraries\nat line 3")
+    explain_start_failure({}, "no")
+    explain_start_failure({"ROS_SECURITY_ENABLE": "false"}, "no")
+    with pytest.raises(ConfigurationError) as refused:
+        explain_start_failure({"ROS_SECURITY_ENABLE": "true"}, "no libraries\nat line 3")
+    text = str(refused.value)
     assert "(no libraries)" in text
     assert "unset ROS_SECURITY_ENABLE" in text

@@ -4,14 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from rotcal_ros.bags.reading_limits import changed_limits
-from rotcal_ros.bags.rosbag2_reading import parse_description
-from rotcal_ros.cli.goal_settings import goal_settings
-from rotcal_ros.compensation.options import parse_options
+from rotcal_ros.bags.rosbag2_metadata import parse_description
+from rotcal_ros.bags.settings import changed_limits
+from rotcal_ros.cli.plan_tracer import goal_settings
+from rotcal_ros.compensation.controllers import parse_options
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.untrusted import load_yaml
-from rotcal_ros.methods.configuration import node_parameters, parse_configuration
-from rotcal_ros.methods.setup_file import read_setup
+from rotcal_ros.methods.configuration import node_parameters, parse_configuration, read_setup
 
 EXAMPLE = Path(__file__).parents[2] / "examples/data/tracer.yaml"
 # What YAML 1.1 (ROS, PyYAML, yaml-cpp) reads, by the tables of its types at yaml.org/type.

@@ -25,7 +25,7 @@ def _bag() -> bytes:
 
 def descriptions() -> Iterable[bytes]:
     """Yield what describes the bag, as version 9, 5 and 3 of rosbag2 write it."""
-    from rotcal_ros.bags.reindex import reindex
+    from rotcal_ros.bags.repair import reindex
 
     with TemporaryDirectory() as folder:
         (Path(folder) / BAG).write_bytes(_bag())
@@ -45,7 +45,7 @@ def descriptions() -> Iterable[bytes]:
 def read_description(path: Path) -> None:
     """Check, describe, read and reindex the bag that ``path`` lies beside."""
     from rotcal_ros.bags.reader import bag_files, check_files
-    from rotcal_ros.bags.reindex import reindex
+    from rotcal_ros.bags.repair import reindex
     from rotcal_ros.bags.session_verdict import judge_session
     from rotcal_ros.recordings.summary import describe
 

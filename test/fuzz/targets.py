@@ -80,7 +80,7 @@ def _read_recorded_configuration(path: Path) -> None:
 
 
 def _read_setup(path: Path) -> None:
-    from rotcal_ros.methods.setup_file import read_setup
+    from rotcal_ros.methods.configuration import read_setup
 
     read_setup(path)
 
@@ -93,13 +93,13 @@ def _short_setups() -> Iterable[bytes]:
 
 
 def _read_goal(path: Path) -> None:
-    from rotcal_ros.cli.goal_settings import goal_settings
+    from rotcal_ros.cli.plan_tracer import goal_settings
 
     goal_settings(None, path, ["need_arcsec=1.0"])
 
 
 def _read_options(path: Path) -> None:
-    from rotcal_ros.compensation.options import parse_options
+    from rotcal_ros.compensation.controllers import parse_options
     from rotcal_ros.methods.configuration import changed, parse_configuration
 
     text = path.read_bytes().decode(errors="replace")
@@ -179,7 +179,7 @@ def _read_result(path: Path) -> None:
 
 def _read_report(path: Path) -> None:
     from rotcal_ros.recordings.result_sources import read_source
-    from rotcal_ros.report.recorded import write_result
+    from rotcal_ros.report.page import write_result
 
     page = path.with_suffix(".html")
     try:

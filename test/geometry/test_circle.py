@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
 from rotcal_ros.foundation.errors import GeometryError
-from rotcal_ros.geometry.circle import circle_centre_jacobian, fit_circle
+from rotcal_ros.geometry.plane import circle_centre_jacobian, fit_circle
 
 
 def arc(centre, radius, start, stop, n):

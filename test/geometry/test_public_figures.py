@@ -82,7 +82,7 @@ def test_planes_of_nist(name):
 def test_spheres_of_nist(name):
     points, centre, diameter = SPHERES[name]
     found = fit_spheres(np.array([points]), radius=None, reject=False)
-    assert found.reason == ("",)
+    assert found.reason == (None,)
     np.testing.assert_allclose(found.centres[0], centre, atol=1e3 * DIGITS)
     assert 2.0 * found.radii[0] == pytest.approx(diameter, abs=1e3 * DIGITS)
 

@@ -5,8 +5,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from rotcal_ros.foundation.errors import GeometryError
-from rotcal_ros.geometry.rigid import align, require_spread
-from rotcal_ros.geometry.rotations import rotation_from_vector
+from rotcal_ros.geometry.rotations import align, require_spread, rotation_from_vector
 
 
 @given(seed=st.integers(0, 10**6), n=st.integers(3, 12))

@@ -95,7 +95,7 @@ def test_too_few_points_are_refused(count, radius, needed):
         f"{count} usable touch points, at least {needed} are needed (one to check)"
     )
     assert np.isnan(found.centres[0]).all()
-    assert found.reason[1] == ""
+    assert found.reason[1] is None
 
 
 @pytest.mark.parametrize("radius", [BALL, None])

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.topic_settings import TopicSettings
+from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.observations import LengthStatus
 from rotcal_ros.foundation.settings import load
-from rotcal_ros.instruments.forms import not_understood
+from rotcal_ros.instruments.forms import check_type
 from rotcal_ros.instruments.interpreter import Interpreter
 
 SECOND = 1_000_000_000
@@ -119,9 +119,10 @@ def test_own_messages_in_plain_settings_are_left_as_they_are():
 
 
 def test_what_is_not_understood_is_named():
-    text = not_understood(names.TRACER_LENGTH, "std_msgs/msg/String")
-    assert all(name in text for name in ("std_msgs/msg/String", FLOAT, "TracerLength"))
-    assert not_understood(names.TRACER_LENGTH, RANGE) == ""
+    with pytest.raises(ConfigurationError) as refused:
+        check_type(names.TRACER_LENGTH, "std_msgs/msg/String")
+    assert all(n in str(refused.value) for n in ("std_msgs/msg/String", FLOAT, "TracerLength"))
+    check_type(names.TRACER_LENGTH, RANGE)
 
 
 @pytest.mark.parametrize(("given", "words"), [

@@ -5,11 +5,11 @@ import math
 import pytest
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.topic_settings import ANGLE_UNITS, LENGTH_UNITS, TopicSettings
+from rotcal_ros.bags.settings import ANGLE_UNITS, LENGTH_UNITS, TopicSettings
 from rotcal_ros.instruments.plausibility import (
-    air_in_words,
-    angle_in_words,
-    length_in_words,
+    implausible_air,
+    implausible_angle,
+    implausible_length,
     likely_unit,
 )
 from rotcal_ros.instruments.rates import Rates
@@ -20,20 +20,20 @@ SI = TopicSettings()
 @pytest.mark.parametrize(("value", "unit"), [(0.5, None), (500.0, "mm"), (5e5, "um"), (5e8, "nm")])
 def test_the_unit_of_a_length(value, unit):
     assert likely_unit(value, 20.0, "m", LENGTH_UNITS) == unit
-    text = length_in_words(value, 20.0, SI)
-    assert (text == "") if unit is None else text.endswith(f"topics.length_unit: {unit}")
+    text = implausible_length(value, 20.0, SI)
+    assert (text is None) if unit is None else text.endswith(f"topics.length_unit: {unit}")
 
 
 def test_the_unit_of_an_angle():
-    assert angle_in_words(math.radians(30.0), SI) == ""
-    assert "4.8 turns" in angle_in_words(30.0, SI)
-    assert angle_in_words(30.0, SI).endswith("set topics.angle_unit: deg")
+    assert implausible_angle(math.radians(30.0), SI) is None
+    assert "4.8 turns" in implausible_angle(30.0, SI)
+    assert implausible_angle(30.0, SI).endswith("set topics.angle_unit: deg")
     assert likely_unit(108000.0, 2 * math.pi, "rad", ANGLE_UNITS) == "arcsec"
 
 
 def test_a_length_stated_in_micrometres_that_comes_in_nanometres():
     settings = TopicSettings(length_unit="um")
-    assert length_in_words(500.0, 20.0, settings).endswith("length_unit: nm")
+    assert implausible_length(500.0, 20.0, settings).endswith("length_unit: nm")
 
 
 @pytest.mark.parametrize(
@@ -47,14 +47,14 @@ def test_a_length_stated_in_micrometres_that_comes_in_nanometres():
     ],
 )
 def test_the_unit_of_the_air(role, value, unit):
-    ((found, text),) = air_in_words({role: value})
+    ((found, text),) = implausible_air({role: value})
     assert found == role
     assert f"{unit}?" in text
 
 
 def test_plausible_air_needs_no_words():
     air = {names.TEMPERATURE: 20.0, names.AIR_PRESSURE: 1e5, names.RELATIVE_HUMIDITY: 0.4}
-    assert list(air_in_words(air)) == []
+    assert list(implausible_air(air)) == []
 
 
 def test_the_rate_of_bursts_is_their_mean():

@@ -16,8 +16,9 @@ from plate_disturbed import (
 
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ObservabilityError
-from rotcal_ros.methods.ball_plate.solver import closure, plate_trials, solve
+from rotcal_ros.methods.ball_plate.solver import plate_trials, solve
 from rotcal_ros.methods.ball_plate.solver.estimate import solved as solve_exactly
+from rotcal_ros.methods.ball_plate.solver.repeated_stops import closing_apart
 
 
 @pytest.mark.parametrize("degree", [1, 2])
@@ -26,7 +27,7 @@ def test_an_estimated_drift_is_taken_off_with_its_uncertainty(degree):
     problem, _ = measured(
         12, list(range(12)), 4, displaced=lambda i, _: drifted(len(i), [1e-6, -2e-6, 3e-6])
     )
-    once, again = closure.split(problem)
+    once, again = closing_apart(problem)
     linear, solved = solve_exactly(replace(once, drift=degree))
     dense, unit = by_pseudo_inverse(once, degree)
     estimate = linear.fit(once.deviations)[0]

@@ -11,8 +11,8 @@ from rotcal_ros.methods.ball_plate.design.ball_layout import best_layout
 from rotcal_ros.methods.ball_plate.plate import Plate, parse_plate
 from rotcal_ros.methods.ball_plate.solver.separability import separability
 from rotcal_ros.methods.ball_plate.solver_settings import BallPlateSolverSettings
+from rotcal_ros.methods.configuration import read_setup
 from rotcal_ros.methods.measurements import read_measurements
-from rotcal_ros.methods.setup_file import read_setup
 
 PLATES = Path(__file__).parents[2] / "config" / "plates"
 GOOD = {"grid": 72, "ball_steps": PAPER_PLATE, "circle_radius_m": 0.185, "ball_diameter_m": 0.025}

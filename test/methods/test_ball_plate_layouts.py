@@ -2,18 +2,18 @@
 
 import numpy as np
 import pytest
+from plate_data import solved
 
-from rotcal_ros.methods.ball_plate.solver import harmonics, spectral
+from rotcal_ros.methods.ball_plate.solver import spectral
 from rotcal_ros.methods.ball_plate.solver.model import FIELDS
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, grid_angles
-from rotcal_ros.methods.ball_plate.solver.spectral import solve_spectral
 
 GRID, RADIUS = 72, 0.185
 BALLS = (0, 8, 12, 18, 21, 28)
 
 
 def forget():
-    harmonics._factor.cache_clear()
+    spectral._factor.cache_clear()
     spectral._unit_std.cache_clear()
 
 
@@ -41,22 +41,22 @@ def test_a_known_layout_gives_the_same_bits():
     fresh = []
     for problem in problems:
         forget()
-        fresh.append(numbers(solve_spectral(problem)))
-    known = [numbers(solve_spectral(problem)) for problem in (*problems, *problems)]
+        fresh.append(numbers(solved(spectral, problem)))
+    known = [numbers(solved(spectral, problem)) for problem in (*problems, *problems)]
     assert all(np.array_equal(a, b) for a, b in zip(known, fresh * 2, strict=True))
 
 
 def test_a_layout_is_factored_once():
     forget()
     for seed in range(3):
-        solve_spectral(measured(BALLS, seed))
-    assert harmonics._factor.cache_info().misses == 1
+        solved(spectral, measured(BALLS, seed))
+    assert spectral._factor.cache_info().misses == 1
     assert spectral._unit_std.cache_info().misses == 1
 
 
 def test_what_is_remembered_cannot_be_changed():
-    solution = solve_spectral(measured(BALLS))
-    system = harmonics.factor(GRID, np.array(BALLS))
+    solution = solved(spectral, measured(BALLS))
+    system = spectral.factor(GRID, np.array(BALLS))
     for array in (solution.unit_std.rotation, system.inverse, system.balls):
         with pytest.raises(ValueError, match="read-only"):
             array += 1

@@ -25,8 +25,7 @@ from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.protection import EFFECTS
 from rotcal_ros.methods.ball_plate.design.ball_plan import plan_measurement
-from rotcal_ros.methods.ball_plate.solver import closure, solve
-from rotcal_ros.methods.ball_plate.solver.disturbance_response import unit_std
+from rotcal_ros.methods.ball_plate.solver import solve
 from rotcal_ros.methods.ball_plate.solver.estimate import least_squares
 from rotcal_ros.methods.ball_plate.solver.order_effects import (
     drift_error,
@@ -36,6 +35,7 @@ from rotcal_ros.methods.ball_plate.solver.order_effects import (
     order_effects,
 )
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
+from rotcal_ros.methods.ball_plate.solver.repeated_stops import closing_apart
 
 
 @pytest.mark.parametrize("part", [0.02, 0.37, 0.97])
@@ -156,9 +156,9 @@ def test_the_default_order_is_the_one_that_shows_most():
         **ORDERS, "open": {"order": "table_once", "closing": False},
     }.items():  # fmt: skip
         problem, _ = measured(72, PAPER_PLATE, 0, order)
-        once, again = closure.split(problem)
+        once, again = closing_apart(problem)
         solution = least_squares(once)
-        std = unit_std(solution.unit_std)
+        std = solution.unit_std.curves()
         effects = order_effects(once, again)
         seen[name] = (
             drift_error(effects, std, solution.dof),

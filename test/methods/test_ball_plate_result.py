@@ -1,6 +1,5 @@
 """Every number of a result against the dense solution as printed, and refits without a row."""
 
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +10,7 @@ from scipy.stats import chi2, f
 
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import PlanError
+from rotcal_ros.methods.ball_plate.solver import result as module
 from rotcal_ros.methods.ball_plate.solver import select, solve
 from rotcal_ros.methods.ball_plate.solver.estimate import factored
 from rotcal_ros.methods.ball_plate.solver.rejection import judge_centres
@@ -233,7 +233,6 @@ def test_a_knock_is_found_whatever_states_the_noise(std, turned):
 
 def test_covariances_are_given_up_to_a_size(monkeypatch):
     problem, _ = simulated(24, BALLS)
-    module = sys.modules["rotcal_ros.methods.ball_plate.solver.solve"]
     monkeypatch.setattr(module, "COVARIANCE_LIMIT", 24)
     assert set(solve(problem).covariance) == set(COMPONENTS)
     monkeypatch.setattr(module, "COVARIANCE_LIMIT", 23)

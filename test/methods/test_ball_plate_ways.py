@@ -8,18 +8,25 @@ import pytest
 from dense_ball_plate import solve_dense
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plate_data import PAPER_PLATE, RADIUS, simulated
+from plate_data import PAPER_PLATE, RADIUS, simulated, solved
 from scipy.optimize import lsq_linear
 
 from rotcal_ros.foundation.errors import ObservabilityError, PlanError
-from rotcal_ros.methods.ball_plate.solver import closed_form, model, solve
-from rotcal_ros.methods.ball_plate.solver.estimate import least_squares
-from rotcal_ros.methods.ball_plate.solver.gaps import gap_cells, solve_with_gaps
-from rotcal_ros.methods.ball_plate.solver.general_least_squares import solve_general
+from rotcal_ros.methods.ball_plate.solver import (
+    closed_form,
+    general_least_squares,
+    model,
+    solve,
+    spectral,
+)
+from rotcal_ros.methods.ball_plate.solver.estimate import (
+    factored_with_gaps,
+    gap_cells,
+    least_squares,
+)
 from rotcal_ros.methods.ball_plate.solver.model import FIELDS, TABLE_COMPONENTS
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, select
 from rotcal_ros.methods.ball_plate.solver.separability import separability
-from rotcal_ros.methods.ball_plate.solver.spectral import solve_spectral
 
 AGREE = 1e-9
 
@@ -63,8 +70,8 @@ def assert_same(first, second, covariance=True):
 def test_three_ways_agree_on_complete_data(grid, count):
     problem, _ = simulated(grid, random_balls(grid, count, grid + count), seed=count)
     dense = solve_dense(problem)
-    assert_same(dense, solve_spectral(problem))
-    assert_same(dense, solve_general(problem), covariance=grid < 72)
+    assert_same(dense, solved(spectral, problem))
+    assert_same(dense, solved(general_least_squares, problem), covariance=grid < 72)
 
 
 @pytest.mark.parametrize(("grid", "count", "positions"), [(12, 12, 7), (24, 9, 19), (36, 8, 30)])
@@ -74,8 +81,8 @@ def test_general_agrees_with_dense_on_reduced_positions_and_gaps(grid, count, po
     part = select(problem, cmm_positions=np.sort(rng.choice(grid, positions, replace=False)))
     keep = np.ones(len(part.centres), dtype=bool)
     keep[rng.choice(len(keep), 4, replace=False)] = False
-    assert_same(solve_dense(part), solve_general(part))
-    assert_same(solve_dense(part.take(keep)), solve_general(part.take(keep)))
+    assert_same(solve_dense(part), solved(general_least_squares, part))
+    assert_same(solve_dense(part.take(keep)), solved(general_least_squares, part.take(keep)))
 
 
 @pytest.mark.parametrize(("grid", "count", "missing"), [(12, 7, 3), (24, 8, 9), (72, 6, 12)])
@@ -86,7 +93,11 @@ def test_spectral_solution_corrected_for_gaps_agrees_with_dense(grid, count, mis
     part = problem.take(np.setdiff1d(np.arange(len(problem.centres)), gone))
     gaps = gap_cells(part)
     assert gaps.tolist() == sorted(gone.tolist())
-    assert_same(solve_dense(part), solve_with_gaps(part, gaps), covariance=grid < 72)
+    assert_same(
+        solve_dense(part),
+        factored_with_gaps(part, gaps).solve(part.deviations),
+        covariance=grid < 72,
+    )
     assert least_squares(part).way == "spectral with gaps"
 
 
@@ -95,7 +106,7 @@ def test_gaps_that_leave_something_open_are_refused():
     alone = (problem.cmm_index != 5) | (problem.ball_step == 3)
     part = problem.take(alone & ((problem.ball_step != 3) | (problem.cmm_index == 5)))
     with pytest.raises(ObservabilityError):
-        solve_with_gaps(part, gap_cells(part))
+        factored_with_gaps(part, gap_cells(part))
 
 
 def test_large_grids_with_gaps_do_not_need_the_elimination():
@@ -112,7 +123,7 @@ def test_general_agrees_with_dense_on_unequal_weights_and_repeated_centres():
     rng = np.random.default_rng(2)
     twice = problem.take(np.concatenate([np.arange(len(problem.centres)), [3, 50, 51]]))
     weighted = replace(twice, row=None, std=rng.uniform(0.3, 3.0, twice.centres.shape) * 1e-7)
-    assert_same(solve_dense(weighted), solve_general(weighted))
+    assert_same(solve_dense(weighted), solved(general_least_squares, weighted))
 
 
 def test_dense_minimises_what_an_independent_solver_minimises():
@@ -131,7 +142,7 @@ def test_dense_minimises_what_an_independent_solver_minimises():
 
 def test_noise_free_data_return_the_injected_table_errors():
     problem, truth = simulated(72, PAPER_PLATE, seed=4, noise=0.0)
-    for solution in (solve_spectral(problem), solve_dense(problem)):
+    for solution in (solved(spectral, problem), solve_dense(problem)):
         np.testing.assert_allclose(solution.estimate.translation, truth.translation, atol=1e-15)
         np.testing.assert_allclose(solution.estimate.rotation, truth.rotation, atol=1e-14)
         assert np.abs(solution.residuals).max() < 1e-15
@@ -142,7 +153,7 @@ def test_solutions_obey_the_constraints_of_the_paper():
     angle = problem.angles
     radial = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
     tangential = np.column_stack([-np.sin(angle), np.cos(angle), 0 * angle])
-    found = solve_spectral(problem).estimate
+    found = solved(spectral, problem).estimate
     phase = np.exp(-1j * angle)
     size = 1e-6
     assert np.abs(found.cmm.sum(axis=0)).max() < 1e-10 * size  # Eq. 15
@@ -166,7 +177,7 @@ def test_invisible_directions_are_nineteen_and_invisible():
 def test_paper_plate_has_the_papers_uncertainties():
     """k = 2, 0.1 um per centre: 0.03 um, 0.23 urad (tilts) and 0.16 urad are printed."""
     problem, _ = simulated(72, PAPER_PLATE)
-    for solution in (solve_spectral(problem), solve_dense(problem)):
+    for solution in (solved(spectral, problem), solve_dense(problem)):
         expanded = {
             name: 0.1e-6 * np.sqrt(np.mean(solution.unit_std.component(name) ** 2))
             for name in TABLE_COMPONENTS
@@ -179,7 +190,7 @@ def test_paper_plate_has_the_papers_uncertainties():
 
 def test_closed_form_equals_least_squares():
     problem, _ = simulated(12, range(12), seed=6)
-    exact = solve_spectral(problem)
+    exact = solved(spectral, problem)
     found = closed_form(problem, nominal_radius=True)
     np.testing.assert_allclose(found.translation, exact.estimate.translation, atol=1e-17)
     np.testing.assert_allclose(found.rotation, exact.estimate.rotation, atol=1e-16)
@@ -210,13 +221,13 @@ def test_general_names_the_table_positions_that_have_too_few_balls():
     problem, _ = simulated(24, [0, 3, 4, 9, 14])
     part = problem.take((problem.position != 7) | (problem.ball_step < 4))
     with pytest.raises(ObservabilityError, match=r"position \(balls\) 7 \(2\)"):
-        solve_general(part)
+        solved(general_least_squares, part)
 
 
 def test_spectral_takes_thousands_of_positions_within_little_memory():
     problem, truth = simulated(3600, [50 * b + b % 7 for b in PAPER_PLATE], seed=3)
     tracemalloc.start()
-    solution = solve_spectral(problem)
+    solution = solved(spectral, problem)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 50e6
@@ -249,7 +260,7 @@ def test_the_order_of_the_rows_does_not_change_a_bit(seed, count):
         problem.centres[shuffle],
         row=problem.rows[shuffle],
     )
-    first, second = solve_spectral(problem), solve_spectral(mixed)
+    first, second = solved(spectral, problem), solved(spectral, mixed)
     for field in FIELDS:
         assert (getattr(first.estimate, field) == getattr(second.estimate, field)).all()
 
@@ -261,6 +272,6 @@ def test_turning_the_plate_by_whole_steps_keeps_the_uncertainty(seed, shift):
     first, _ = simulated(24, balls)
     second, _ = simulated(24, np.sort((balls + shift) % 24))
     for name in TABLE_COMPONENTS:
-        a = np.mean(solve_spectral(first).unit_std.component(name) ** 2)
-        b = np.mean(solve_spectral(second).unit_std.component(name) ** 2)
+        a = np.mean(solved(spectral, first).unit_std.component(name) ** 2)
+        b = np.mean(solved(spectral, second).unit_std.component(name) ** 2)
         assert a == pytest.approx(b, rel=1e-9)

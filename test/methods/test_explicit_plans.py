@@ -15,7 +15,7 @@ from rotcal_ros.methods import (
     read_configuration,
 )
 from rotcal_ros.methods.measurements import read_measurements
-from rotcal_ros.methods.tracer.plan_tables import read_pairs, write_pairs, write_targets
+from rotcal_ros.methods.tracer.table import read_pairs, write_pairs, write_targets
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"
 M = 11

@@ -13,7 +13,7 @@ from rotcal_ros.methods import changed, prepare, prepare_to_measure, read_config
 from rotcal_ros.methods.goal import expanded_about_mean, goal_standing
 from rotcal_ros.methods.tracer.calibration import problem
 from rotcal_ros.methods.tracer.paper import compare, papers_plan
-from rotcal_ros.methods.tracer.solver.prediction import predicted
+from rotcal_ros.methods.tracer.solver.trials import predicted
 from rotcal_ros.planning.choices import Choice, Standing
 
 CONFIG = Path(__file__).parents[2] / "config"

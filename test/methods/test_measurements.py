@@ -19,10 +19,10 @@ from rotcal_ros.methods.configuration import (
     Configuration,
     dump_configuration,
     parse_configuration,
+    read_setup,
 )
 from rotcal_ros.methods.measurements import read_measurements
 from rotcal_ros.methods.plane_mirror.mirror_physics import measure, paper_cell
-from rotcal_ros.methods.setup_file import read_setup
 from rotcal_ros.methods.tracer.table import read_targets
 
 EXAMPLES = Path(__file__).parents[2] / "examples/data"

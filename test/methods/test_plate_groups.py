@@ -152,3 +152,16 @@ def test_trials_of_large_grids_are_solved_one_by_one(monkeypatch):
     assert type(plate_trials(problem)) is not type(straight)
     monkeypatch.setattr(general_least_squares, "MAX_UNKNOWNS", 132)
     assert type(plate_trials(problem)) is type(straight)
+
+
+def test_a_drift_is_estimated_in_every_group():
+    row = np.random.default_rng(2).permutation(72)
+    still, _ = simulated(
+        12, np.arange(0, 12, 2), row=row, separate_groups=True, drift=1, sigma=5e-8
+    )
+    drift = np.array([0.0, 0.0, 2e-6])  # along z, which the turned frames of groups share
+    result = solve(replace(still, centres=still.centres + np.outer(still.run_time, drift)))
+    assert [found["estimated"] for found in result.details["drift"]] == [True, True]
+    for found in result.details["drift"]:  # the rows of a group do not span quite the whole run
+        np.testing.assert_allclose(found["amount"], drift, atol=1.5e-7)
+    assert sum("drifts by" in sentence for sentence in result.warnings) == 2

@@ -8,7 +8,7 @@ from plate_data import simulated
 
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.methods.ball_plate.solver import plate_trials, solve
-from rotcal_ros.methods.ball_plate.solver.trials import SolvedTrials
+from rotcal_ros.methods.ball_plate.solver.result import SolvedTrials
 
 BALLS = [0, 3, 4, 9, 14, 20]
 

@@ -17,7 +17,7 @@ from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
-from rotcal_ros.planning.visits import visits
+from rotcal_ros.planning.table_angles import visits
 
 TARGETS, RUNS = 8, 5
 BACKLASH, REPEATABILITY, LENGTH_STD = 3.0 * ARCSEC, 0.5 * ARCSEC, 5e-8

@@ -8,8 +8,8 @@ import pytest
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.methods import changed, prepare, read_configuration
+from rotcal_ros.methods.configuration import read_setup
 from rotcal_ros.methods.measurements import read_measurements
-from rotcal_ros.methods.setup_file import read_setup
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_six_demo.yaml"
 SMALL = (

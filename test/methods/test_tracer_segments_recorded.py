@@ -19,8 +19,8 @@ from rotcal_ros.methods.configuration import (
 )
 from rotcal_ros.methods.measurements import read_measurements
 from rotcal_ros.methods.tracer.calibration import problem
-from rotcal_ros.methods.tracer.simulated_tracer import SimulatedTracer
-from rotcal_ros.methods.tracer.simulation_settings import FaultSettings, SimulatedTracerSettings
+from rotcal_ros.methods.tracer.settings import FaultSettings, SimulatedTracerSettings
+from rotcal_ros.methods.tracer.simulated_cell import SimulatedTracer
 
 QUIET = SimulatedTracerSettings(noise_um=0.0, noise_um_per_m=0.0)
 

@@ -33,7 +33,7 @@ def test_an_offset_stays_known_behind_a_stall_of_the_node():
         for stream, behind_s in (("joint_states", 0.0), ("tracer_length", 4.0)):
             for message, info in batch(begin_s, end_s, behind_s):
                 offsets.note(stream, stamp_ns(message.header.stamp), received_ns(info))
-    assert "tracer_length are constantly 4.0 s behind" in offsets.in_words()
+    assert "tracer_length are constantly 4.0 s behind" in offsets.reason_to_reject()
 
 
 def test_a_middleware_that_does_not_tell_when_a_message_came_means_now():

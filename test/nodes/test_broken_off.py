@@ -18,7 +18,7 @@ from rotcal_ros.nodes.goal.measuring import GoalMeasurement
 from rotcal_ros.nodes.goal.progress import GoalProgress
 from rotcal_ros.nodes.goal.run import GoalBag, GoalRun
 from rotcal_ros.planning.plan import Pause
-from rotcal_ros.planning.planner_settings import PlannerSettings
+from rotcal_ros.planning.settings import PlannerSettings
 
 GROUP = {"table_step_deg": 60.0, "table_positions": 4, "box_points": [2, 2, 2]}
 PLAIN = prepare(parse_configuration(dump_configuration("tracer_multistation", {"plan": GROUP})))

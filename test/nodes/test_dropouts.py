@@ -10,8 +10,8 @@ from rosbags.highlevel import AnyReader
 
 from rotcal_ros.bags.dropouts import GAP, QUEUE, REPORTED, SILENCE, Dropout, counters
 from rotcal_ros.bags.reader import bag_files, check_files
+from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.nodes.writing.bookkeeping import Silence
 from rotcal_ros.nodes.writing.dropout_notes import DropoutNotes
 from rotcal_ros.nodes.writing.recording import BagRecording, Channel, Messages

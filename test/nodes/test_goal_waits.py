@@ -17,8 +17,7 @@ from rotcal_ros.nodes.goal.goal_watch import GoalWatch
 from rotcal_ros.nodes.goal.progress import GoalProgress
 from rotcal_ros.nodes.runtime import cell_node
 from rotcal_ros.nodes.runtime.latest import HOPELESS, SILENT
-from rotcal_ros.planning.health_settings import HealthSettings
-from rotcal_ros.planning.planner_settings import PlannerSettings
+from rotcal_ros.planning.settings import HealthSettings, PlannerSettings
 
 TURN_S = 0.2
 STEP = Reason.of(Why.MEASURING, "step 3")

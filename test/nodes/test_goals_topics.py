@@ -9,7 +9,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.topic_settings import TopicSettings
+from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.nodes.instruments import topics as instrument_topics
 from rotcal_ros.nodes.instruments.topics import InstrumentTopics
 from rotcal_ros.nodes.runtime.latest import REFUSED

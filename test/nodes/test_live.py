@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.verdict import FileVerdict
+from rotcal_ros.bags.storage_scan import FileVerdict
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.configuration import parse_configuration
 from rotcal_ros.recordings.replay import read_recording

@@ -16,7 +16,7 @@ from rotcal_ros.nodes.goal.cell_links import CellLinks
 from rotcal_ros.nodes.goal.goal_watch import Codes, GoalError
 from rotcal_ros.nodes.goal.measuring import GoalMeasurement
 from rotcal_ros.nodes.goal.progress import GoalProgress
-from rotcal_ros.planning.planner_settings import PlannerSettings
+from rotcal_ros.planning.settings import PlannerSettings
 
 PLAN = {"table_step_deg": 60.0, "table_positions": 4, "box_points": [2, 2, 2]}
 CALIBRATION = prepare(

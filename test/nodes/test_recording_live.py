@@ -1,5 +1,6 @@
 """The recorder in the whole graph: splitting, disks that are small or read-only, losses."""
 
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -130,13 +131,15 @@ def test_pressure_and_humidity_are_captured_live_as_offline(cell):
 
 def test_a_step_that_a_loss_touches_is_measured_again(cell):
     live = cell("simulation.time_scale=8.0")
+    late = str(Path(__file__).with_name("late_publisher.py"))
+    live.processes.start("late_publisher", [sys.executable, late])
     live.start(*SUITE, "simulated_cell")
+    live.wait_for_log("late_publisher", "ready")
     client = live.client()
     # Step 9 is blocked; a loss during its rejected attempts would touch no accepted step.
     client.wait_for_step(15)
-    late = str(Path(__file__).with_name("late_publisher.py"))
     with live.held():
-        live.processes.start("late_publisher", [sys.executable, late])
+        live.processes.signal("late_publisher", signal.SIGUSR1)
         live.wait_for_log("late_publisher", "here")
     outcome = client.result()
     assert outcome["error_code"] == 0, outcome["error_msg"]

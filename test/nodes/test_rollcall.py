@@ -3,7 +3,7 @@
 import pytest
 
 from rotcal_ros.nodes.runtime.roll_call import OVER_S, Overload, RollCall
-from rotcal_ros.planning.health_settings import HealthSettings
+from rotcal_ros.planning.settings import HealthSettings
 
 TURN_S = 0.2
 SETTINGS = HealthSettings(slow_after_s=1.5, lost_after_s=60.0)

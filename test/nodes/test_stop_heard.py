@@ -13,7 +13,7 @@ from std_msgs.msg import Bool
 
 from rotcal_ros.nodes.runtime import emergency_stop
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
-from rotcal_ros.planning.safety_settings import SafetySettings
+from rotcal_ros.planning.settings import SafetySettings
 
 TOPIC, DIAGNOSTICS = "/safety/estop", "/diagnostics"
 

@@ -13,13 +13,14 @@ from rotcal_ros.foundation.errors import ObservabilityError, PlanError
 from rotcal_ros.methods.ball_plate.design.ball_layout import (
     best_layout,
     count_layouts,
+    mean_variances,
+    proven_bound,
     rate,
 )
 from rotcal_ros.methods.ball_plate.design.ball_plan import spread_out
 from rotcal_ros.methods.ball_plate.design.effort import required_effort, unit_std
-from rotcal_ros.methods.ball_plate.design.layout_variance import mean_variances, proven_bound
 from rotcal_ros.methods.ball_plate.solver import BallPlateProblem
-from rotcal_ros.methods.ball_plate.solver.general_least_squares import solve_general
+from rotcal_ros.methods.ball_plate.solver.general_least_squares import factored
 
 PAPER_PLATE = [0, 8, 12, 18, 21, 28, 32, 37, 42, 50, 58, 62]
 RADIUS = 0.185
@@ -30,7 +31,8 @@ def eliminated_variances(grid, balls):
     table = np.tile(np.arange(grid), len(balls))
     angle = 2 * np.pi * ((table + ball) % grid) / grid
     centres = RADIUS * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
-    std = solve_general(BallPlateProblem(grid, RADIUS, table, ball, centres)).unit_std
+    problem = BallPlateProblem(grid, RADIUS, table, ball, centres)
+    std = factored(problem).solve(problem.deviations).unit_std
     mean = {n: np.mean(std.component(n) ** 2) for n in ("EXC", "EYC", "EZC", "EAC", "EBC", "ECC")}
     return [
         mean["ECC"] * RADIUS**2,

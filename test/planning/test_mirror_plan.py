@@ -9,8 +9,8 @@ import pytest
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.units import DEGREE
-from rotcal_ros.methods.plane_mirror.layout import incidence, station_visits
-from rotcal_ros.methods.plane_mirror.plan import mirror_plan
+from rotcal_ros.methods.plane_mirror.mirror_physics import incidence
+from rotcal_ros.methods.plane_mirror.plan import mirror_plan, station_visits
 from rotcal_ros.methods.plane_mirror.settings import MirrorPlanSettings
 
 NESTS = (1.5, 0.5, 0.1, 0.4, 1.7, 0.6, -1.4, 1.3, 1.0, -2.0, -0.6, 0.1, -0.3, -1.6, 0.6)

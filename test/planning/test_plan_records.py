@@ -8,8 +8,7 @@ import pytest
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.observations import Approach, PointKind
 from rotcal_ros.planning.plan import Pause, Plan, Step
-from rotcal_ros.planning.table_angles import TableAngleSettings, table_angles
-from rotcal_ros.planning.visits import Visit, visits
+from rotcal_ros.planning.table_angles import TableAngleSettings, Visit, table_angles, visits
 
 STEP = Step(
     index=1,

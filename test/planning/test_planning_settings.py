@@ -5,8 +5,7 @@ import pytest
 from settings_page import assert_documented, rows
 
 from rotcal_ros.foundation.settings import load
-from rotcal_ros.planning.cell_settings import CellSettings
-from rotcal_ros.planning.planner_settings import PlannerSettings
+from rotcal_ros.planning.settings import CellSettings, PlannerSettings
 from rotcal_ros.planning.table_angles import TableAngleSettings, table_angles
 
 

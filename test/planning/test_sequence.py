@@ -12,15 +12,16 @@ from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.methods import changed, prepare, read_configuration
 from rotcal_ros.methods.tracer import solver as tracer
 from rotcal_ros.methods.tracer.calibration import problem
-from rotcal_ros.methods.tracer.design.sequence_choice import (
+from rotcal_ros.methods.tracer.design.sequence import (
+    Forecast,
     MeasuringOrder,
+    SequenceForecast,
     best_order,
     improved,
     measuring_orders,
     nearest_next,
     shortest_possible,
 )
-from rotcal_ros.methods.tracer.design.sequence_forecast import Forecast, SequenceForecast
 from rotcal_ros.planning.sequence_time import PAPER, Drive, TimeModel, duration
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"

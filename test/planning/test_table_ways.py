@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Approach
-from rotcal_ros.planning.table_adapter_settings import TableAdapterSettings
+from rotcal_ros.planning.settings import TableAdapterSettings
 from rotcal_ros.planning.table_ways import way_to, way_to_rest
 
 DEG = pi / 180

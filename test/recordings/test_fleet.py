@@ -17,7 +17,7 @@ from rotcal_ros.recordings.bag_search import find_bags
 from rotcal_ros.recordings.batch_solving import Job, solve_bag
 from rotcal_ros.recordings.results_dataset import ResultsDataset
 from rotcal_ros.recordings.workers import on_all_cores
-from rotcal_ros.report.fleet_queries import asked, bags_by_table
+from rotcal_ros.report.fleet_queries import bags_by_table, connected
 from rotcal_ros.report.overview import write_overview
 
 HERE = Path(__file__).parent
@@ -84,7 +84,7 @@ def test_nothing_is_lost_but_the_bag_that_kills(fleet):
     page = (fleet / "overview.html").read_text()
     assert deadly in page
     assert "it killed its worker" in page
-    with asked(fleet / "results.parquet") as connection:
+    with connected(fleet / "results.parquet") as connection:
         bags = {bag.source: bag for bag in bags_by_table(connection)}
     ecc = next(span for span in bags[one].spans if span.component == "ECC")
     deviations, std = alone.deviations().deviations["ECC"], alone.deviations().std["ECC"]

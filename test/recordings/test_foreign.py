@@ -6,8 +6,8 @@ import pytest
 import yaml
 from bag_samples import CONFIGURATION, START_NS, STORE, serialised, simulate
 
+from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.foundation.observations import ProbeSample, TableSample, TracerSample
 from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
 from rotcal_ros.recordings.replay import read_recording

@@ -10,7 +10,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.in_force import agreed, check_in_force, contradiction
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.planning.cell_settings import CellSettings
+from rotcal_ros.planning.settings import CellSettings
 from rotcal_ros.recordings.replay import read_recording
 
 KIND = "rotcal_msgs/msg/TableInForce"

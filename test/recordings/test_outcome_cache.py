@@ -7,8 +7,7 @@ import pytest
 from fleet_bags import configuration_text, write_bag
 
 from rotcal_ros.methods.configuration import parse_configuration
-from rotcal_ros.recordings.batch_solving import Job, solve_bag
-from rotcal_ros.recordings.outcome_cache import TAIL_BYTES, fingerprint
+from rotcal_ros.recordings.batch_solving import TAIL_BYTES, Job, fingerprint, solve_bag
 
 CONFIGURATION = parse_configuration(configuration_text())
 

@@ -12,7 +12,7 @@ from rotcal_ros.foundation.errors import ConfigurationError, PlanError
 from rotcal_ros.methods import changed, prepare, prepare_to_measure, read_configuration
 from rotcal_ros.methods.continuation import ATTEMPTS_PER_RUN, continued
 from rotcal_ros.planning.choices import StepOutcome
-from rotcal_ros.recordings.recorded_choices import RecordedChoice, differences
+from rotcal_ros.recordings.recorded_setup import RecordedChoice, differences
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"
 SHORT = (

@@ -23,14 +23,14 @@ from bag_samples import (
 )
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.reader import bag_files, check_files, session_files
-from rotcal_ros.bags.verdict import losses_in_words, session_losses
+from rotcal_ros.bags.interrupted_files import InterruptedSession
+from rotcal_ros.bags.reader import bag_files, check_files
+from rotcal_ros.bags.settings import WriterSettings
+from rotcal_ros.bags.storage_scan import losses_in_words, session_losses
 from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.observations import LengthStatus, Observation, TracerSample
-from rotcal_ros.methods.configuration import parse_configuration, read_policy
-from rotcal_ros.methods.setup_file import read_setup
+from rotcal_ros.methods.configuration import parse_configuration, read_policy, read_setup
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.recordings.summary import describe
 from rotcal_ros.recordings.topics import Topics
@@ -220,7 +220,7 @@ def test_losses_counted_live_are_told(simulated_run: Run, tmp_path: Path) -> Non
 def test_counters_of_a_split_session_count_once_and_those_of_a_later_run_besides(tmp_path):
     data, counter = encode(TracerSample(1, 0, 0.5, 1e-7, LengthStatus.OK))[0][1], "gap /a"
     for run, lost in ((0, 3), (1, 2)):
-        earlier = session_files(tmp_path / "bag") if run else None
+        earlier = InterruptedSession.read(tmp_path / "bag").files if run else None
         settings = WriterSettings(min_free_bytes=0, split_bytes=1)
         with BagWriter(tmp_path / "bag", settings, earlier=earlier) as writer:
             writer.note(names.RUN, {"number": run})

@@ -11,7 +11,7 @@ import pyarrow.parquet as parquet
 
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.recordings.outcome_cache import BagOutcome
+from rotcal_ros.recordings.batch_solving import BagOutcome
 from rotcal_ros.recordings.results_dataset import ResultsDataset, parts
 
 

@@ -14,8 +14,8 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import bag_files
 from rotcal_ros.bags.repair import repair
 from rotcal_ros.bags.rosbag2_metadata import FileInfo
+from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.recordings.batch_solving import Job, solve_bag
 from rotcal_ros.recordings.replay import read_recording

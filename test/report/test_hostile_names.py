@@ -26,7 +26,7 @@ from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.settings import check_ros_name
 from rotcal_ros.recordings.result_sources import ResultSource
-from rotcal_ros.report.recorded import write_result
+from rotcal_ros.report.page import write_result
 from rotcal_ros.report.terminal.columns import Column, Titled, print_tables, print_words
 from rotcal_ros.report.terminal.console import say, tell
 

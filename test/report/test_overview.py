@@ -14,7 +14,7 @@ from browser import launched
 
 from rotcal_ros.recordings.results_dataset import _schema
 from rotcal_ros.report import overview
-from rotcal_ros.report.fleet_queries import asked, bags_by_table
+from rotcal_ros.report.fleet_queries import bags_by_table, connected
 from rotcal_ros.report.overview import PAGE, write_overview
 
 pytestmark = pytest.mark.usefixtures("without_figures")
@@ -45,7 +45,7 @@ def written(folder, *bags):
 
 
 def read(dataset):
-    with asked(dataset) as connection:
+    with connected(dataset) as connection:
         return list(bags_by_table(connection))
 
 

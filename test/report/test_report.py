@@ -9,7 +9,7 @@ from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import Rejection, Residuals, Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods.goal import GoalStanding
-from rotcal_ros.planning.plan_figures import Compared, PlanFigures
+from rotcal_ros.planning.plan import Compared, PlanFigures
 from rotcal_ros.report.page import ReportInput, render_report
 
 pytestmark = pytest.mark.usefixtures("without_figures")

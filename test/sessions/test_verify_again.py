@@ -20,7 +20,7 @@ from rotcal_ros.recordings.result_sources import ResultSource, read_source
 from rotcal_ros.report.verification import verification_section
 from rotcal_ros.sessions import verification
 from rotcal_ros.sessions.session import Session
-from rotcal_ros.simulation.positioning import true_runs
+from rotcal_ros.simulation.table import true_runs
 
 DEMO = Path(__file__).parents[2] / "config" / "verify_demo.yaml"
 QUIET = (

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from rotcal_ros.foundation.observations import Approach, Command, LengthStatus, PointKind
 from rotcal_ros.methods.tracer.method import METHOD
-from rotcal_ros.methods.tracer.simulation_settings import (
+from rotcal_ros.methods.tracer.settings import (
     FaultSettings,
     SimulatedProbeSettings,
     SimulatedTracerSettings,

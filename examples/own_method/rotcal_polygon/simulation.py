@@ -10,10 +10,10 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.observations import Command, ProbeSample
 from rotcal_ros.foundation.settings import group, setting
 from rotcal_ros.foundation.units import ARCSEC, NANOSECOND
-from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
+from rotcal_ros.simulation.air import SimulatedTemperature
+from rotcal_ros.simulation.instrument import Series, SimulatedInstrument, Table
 from rotcal_ros.simulation.noise import IndexedNoise
 from rotcal_ros.simulation.settings import SimulationSettings
-from rotcal_ros.simulation.temperature import SimulatedTemperature
 
 FACES, MOUNTING, READING = 1001, 1002, 1003
 """Streams of random numbers; those below 1000 belong to rotcal_ros."""
@@ -56,8 +56,7 @@ class PolygonSimulationSettings(SimulationSettings):
 class SimulatedAutocollimator(SimulatedInstrument):
     """Reads the direction of the face before it: horizontal and vertical angle, rad.
 
-    Everything follows from the true pose of the table, its tilts included. Reading k of a run
-    depends on k and on the table, never on how time was cut.
+    Everything follows from the true pose of the table, its tilts included.
     """
 
     frame = "autocollimator"
@@ -71,52 +70,34 @@ class SimulatedAutocollimator(SimulatedInstrument):
     ) -> None:
         super().__init__(start_ns)
         self._polygon, self._own, self._table = settings.polygon, settings.autocollimator, table
-        seed, count = settings.seed, settings.polygon.faces
-        self.face_errors = self._polygon.face_arcsec * ARCSEC * _normal(seed, FACES, count)
-        self._mountings = self._polygon.mounting_arcsec * ARCSEC * _normal(
-            seed, MOUNTING, len(self._polygon.first_faces)
-        )  # fmt: skip
-        self._noise = IndexedNoise(seed, READING)
-        self._readings = self._read = 0
+        faces, mountings = self._polygon.faces, len(self._polygon.first_faces)
+        of, align = self._polygon.face_arcsec * ARCSEC, self._polygon.mounting_arcsec * ARCSEC
+        self.face_errors = of * IndexedNoise(settings.seed, FACES).normal(0, faces)
+        self._mountings = align * IndexedNoise(settings.seed, MOUNTING).normal(0, mountings)
+        self._noise, self._readings = IndexedNoise(settings.seed, READING), 0
 
-    def order(self, now_ns: int, command: Command) -> None:
-        """Read at the table position of ``command``."""
-        self.pending, self.rest_ns, self._read = command, now_ns, 0
+    def series(self, _order: Command) -> Series:
+        """Return how often and how fast it reads."""
+        settling_s, reading_s = self._own.settling_time_s, self._own.reading_time_s
+        return Series(
+            self._own.readings, round(settling_s / NANOSECOND), round(reading_s / NANOSECOND)
+        )
 
-    def report(self, after_ns: int, now_ns: int, table_rest_ns: int) -> tuple[ProbeSample, ...]:
-        """Return the readings of the pending order that fall in ``after_ns`` < t <= ``now_ns``."""
-        order, samples = self.pending, list[ProbeSample]()
-        ready_ns = max(self.rest_ns, table_rest_ns)
-        while self.pending is not None:
-            wait_s = self._own.settling_time_s + (self._read + 1) * self._own.reading_time_s
-            stamp = max(ready_ns + round(wait_s / NANOSECOND), after_ns + 1 + len(samples))
-            if order is None or stamp > now_ns:
-                break
-            samples.append(self._reading(stamp, order))
-            self._read += 1
-            if self._read == self._own.readings:
-                self.pending = None
-        return tuple(samples)
+    def reading(self, stamp_ns: int, order: Command, number: int) -> ProbeSample:
+        """Return what it reads of the face before it, with its noise."""
+        noise = self._own.noise_arcsec * ARCSEC * self._noise.normal(2 * self._readings, 2)
+        self._readings += 1
+        read = np.append(self.seen(stamp_ns, order.station) + noise, 0.0)
+        std = self._own.noise_arcsec * ARCSEC * np.array([1.0, 1.0, 0.0])
+        return self.point(stamp_ns, order, read, std, number)
 
-    def seen(self, stamp_ns: int, mounting: int) -> tuple[float, float]:
-        """Return the true reading (rad) of the face nearest to the line of sight."""
+    def seen(self, stamp_ns: int, mounting: int) -> Floats:
+        """Return the true reading (2,), rad, of the face nearest to the line of sight."""
         count, first = self._polygon.faces, self._polygon.first_faces
         turn = (first[mounting % len(first)] - np.arange(count)) * 2.0 * np.pi / count
         azimuth = turn + self.face_errors + self._mountings[mounting % len(first)]
         normals = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(count)], axis=1)
         normals = normals @ self._table.poses(np.array([stamp_ns]))[0][0].T
-        x, y, z = normals[int(np.argmax(normals[:, 0]))].tolist()
-        reading = float(np.arctan2(y, x)), float(np.arcsin(z))
-        far = max(map(abs, reading)) > self._own.range_arcsec * ARCSEC
-        return (np.nan, np.nan) if far else reading
-
-    def _reading(self, stamp_ns: int, order: Command) -> ProbeSample:
-        noise = self._own.noise_arcsec * ARCSEC * self._noise.normal(2 * self._readings, 2)
-        self._readings += 1
-        reading = np.append(self.seen(stamp_ns, order.station) + noise, 0.0)
-        std = self._own.noise_arcsec * ARCSEC * np.array([1.0, 1.0, 0.0])
-        return self.point(stamp_ns, order, reading, std, self._read)
-
-
-def _normal(seed: int, source: int, count: int) -> Floats:
-    return IndexedNoise(seed, source).normal(0, count)
+        x, y, z = normals[int(np.argmax(normals[:, 0]))]
+        read = np.array([np.arctan2(y, x), np.arcsin(z)])
+        return np.where(np.abs(read).max() > self._own.range_arcsec * ARCSEC, np.nan, read)

@@ -1,17 +1,15 @@
-"""A whole certificate: the parts in order, the result itself, and a signature on request.
+"""A digital calibration certificate: its parts in order, the result itself, and a signature.
 
-Second part of a certificate: methods, instruments, conditions, and the curves.
-
-What a certificate has to say, and which settings say it.
-
-First part of a certificate: who calibrated what for whom, with which software.
+The first part says who calibrated what for whom, with which software; the second holds methods,
+instruments, conditions and curves. Signatures are enveloped XML signatures (W3C), as the schema
+has them.
 """
 
 from __future__ import annotations
 
 import gzip
 from base64 import b64encode
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from datetime import date, datetime, timezone
 from hashlib import sha256
 from math import sqrt
@@ -19,27 +17,67 @@ from typing import Any, Final
 
 import numpy as np
 from lxml import etree
+from lxml.builder import ElementMaker
+from signxml.algorithms import SignatureConstructionMethod
+from signxml.exceptions import InvalidInput, InvalidSignature
+from signxml.signer import XMLSigner
+from signxml.verifier import XMLVerifier
 
 from rotcal_ros import __version__
-from rotcal_ros.extensions.certificate.elements import (
-    DCC,
-    DCC_NAMESPACE,
-    LANGUAGE,
-    SI,
-    contact,
-    identification,
-    leaf,
-    numbers,
-    present,
-    text,
-)
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.circumstances import SIMULATED, Circumstances, Range
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, TRANSLATIONS
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.escapes import printable, printable_lines
 from rotcal_ros.foundation.identity import Identity, InstrumentIdentity
 from rotcal_ros.foundation.in_force import in_words
 from rotcal_ros.foundation.results import Result
+
+DCC_NAMESPACE: Final = "https://ptb.de/dcc"
+SI_NAMESPACE: Final = "https://ptb.de/si"
+PREFIXES: Final = {"dcc": DCC_NAMESPACE, "si": SI_NAMESPACE}
+DCC: Final = ElementMaker(namespace=DCC_NAMESPACE, nsmap=PREFIXES)
+SI: Final = ElementMaker(namespace=SI_NAMESPACE, nsmap=PREFIXES)
+LANGUAGE: Final = "en"
+
+
+def text(tag: str, *paragraphs: str, **attributes: str) -> Any:
+    """Return an element with localised text."""
+    contents = [DCC.content(printable_lines(p), lang=LANGUAGE) for p in paragraphs]
+    return DCC(tag, *contents, **attributes)
+
+
+def leaf(tag: str, value: str) -> Any:
+    """Return an element with one word or number; runs of blanks become one, as the schema asks."""
+    return DCC(tag, printable(" ".join(value.split())))
+
+
+def present(*elements: Any) -> list[Any]:
+    """Return those elements that are there."""
+    return [element for element in elements if element is not None]
+
+
+def numbers(values: Iterable[float]) -> str:
+    """Return numbers as a list of the schema; every bit survives."""
+    return " ".join(repr(float(value)) for value in values)
+
+
+def contact(tag: str, name: str, address: str = "", email: str = "", country: str = "") -> Any:
+    """Return a person or an organisation; one that has an address has a location."""
+    location = None
+    if address:
+        further = text("further", address)
+        location = DCC.location(
+            *present(leaf("countryCode", country) if country else None, further)
+        )
+    mail = leaf("eMail", email) if email else None
+    return DCC(tag, *present(text("name", name), mail, location))
+
+
+def identification(issuer: str, value: str, name: str) -> Any:
+    """Return a number by which something is known, and who gave it."""
+    return DCC.identification(leaf("issuer", issuer), leaf("value", value), text("name", name))
+
 
 SCHEMA: Final = "3.3.0"
 LARGEST_TEXT: Final = 9_900_000
@@ -414,3 +452,38 @@ def _statements(result: Result) -> Iterator[list[Any]]:
 
 def _statement(name: str, *paragraphs: str) -> list[Any]:
     return [text("name", name), text("declaration", *paragraphs)]
+
+
+ROOT: Final = f"{{{DCC_NAMESPACE}}}digitalCalibrationCertificate"
+
+
+def signed(certificate: bytes, key: bytes, x509: bytes) -> bytes:
+    """Return a certificate signed with a private ``key`` (PEM); ``x509`` is who signs (PEM).
+
+    Raises ConfigurationError for a key or a certificate that cannot be used, DataError for a
+    document that is no XML.
+    """
+    signer = XMLSigner(
+        method=SignatureConstructionMethod.enveloped, signature_algorithm="rsa-sha256"
+    )
+    try:
+        root = signer.sign(etree.fromstring(certificate), key=key, cert=x509.decode("ascii"))
+    except etree.XMLSyntaxError as error:
+        raise DataError(
+            f"cannot sign: the certificate is no XML that can be read: {error}"
+        ) from error
+    except (InvalidInput, TypeError, ValueError) as error:
+        raise ConfigurationError(
+            f"cannot sign: {error}; expected an RSA key and its X.509 certificate, both PEM"
+        ) from error
+    return as_bytes(root)
+
+
+def verify(certificate: bytes, x509: bytes) -> None:
+    """Raise DataError unless ``x509`` (PEM) has signed the whole certificate as it stands."""
+    try:
+        proved = XMLVerifier().verify(certificate, x509_cert=x509.decode("ascii"))
+    except (InvalidSignature, InvalidInput, etree.XMLSyntaxError) as error:
+        raise DataError(f"the signature does not hold: {error}") from error
+    if getattr(getattr(proved, "signed_xml", None), "tag", "") != ROOT:
+        raise DataError("the signature does not hold: only a part of the certificate is signed")

@@ -8,8 +8,7 @@ from pathlib import Path
 import click
 
 from rotcal_ros.cli.console import VERDICT_EXIT_CODES
-from rotcal_ros.extensions.certificate.document import certificate
-from rotcal_ros.extensions.certificate.signing import signed
+from rotcal_ros.extensions.certificate.document import certificate, signed
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.session_folder import SessionFolder

@@ -30,7 +30,7 @@ from rotcal_ros.nodes.runtime.diagnostic_warnings import COMPLAINT, show
 from rotcal_ros.nodes.runtime.draining import Batch, sent_ns
 from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
 from rotcal_ros.nodes.runtime.running import run
-from rotcal_ros.planning.cell_settings import CellSettings
+from rotcal_ros.planning.settings import CellSettings
 
 
 class TableHearing:

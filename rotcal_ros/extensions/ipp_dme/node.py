@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from rotcal_ros.bags import names
-from rotcal_ros.capture.orders import Orders
+from rotcal_ros.capture.messages import Orders
 from rotcal_ros.extensions.ipp_dme.client import NOT_STARTED
 from rotcal_ros.extensions.ipp_dme.driver import Driver
 from rotcal_ros.extensions.ipp_dme.faults import DmeError
@@ -30,9 +30,8 @@ from rotcal_ros.nodes.runtime.planners_plans import PlannersPlans
 from rotcal_ros.nodes.runtime.plans import RUN, calibration_of, load_method, run_name
 from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
 from rotcal_ros.nodes.runtime.running import run
-from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.plan import Plan
-from rotcal_ros.planning.safety_settings import SafetySettings
+from rotcal_ros.planning.settings import CellSettings, SafetySettings
 
 WATCH_PERIOD_S: Final = 0.1
 LOOKS_FIRST: Final = round(5.0 / WATCH_PERIOD_S)

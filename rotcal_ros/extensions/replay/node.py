@@ -148,7 +148,7 @@ LOOK_AROUND_S: Final = 2.0
 """The graph is watched for so long before anything is published."""
 LISTENERS_S, PLAN_TAKEN_S, NODES_S = 10.0, 120.0, 60.0
 TOLD_PERIOD_S: Final = 0.2
-_AHEAD_S: Final = 5e-4  # nobody waits for less
+_AHEAD_S: Final = 5e-4  # shorter waits are not worth a sleep
 
 
 class Ended(Exception):  # noqa: N818  nothing went wrong

@@ -39,7 +39,7 @@ Attempt = tuple[int, int, int]
 
 @dataclass
 class ReplayedBag:
-    """A bag that is published again: its channels by topic, and what is not published, and why.
+    """A bag that is published again: its channels by topic; what is left out, for which reason.
 
     ``outputs`` are the topics that our own nodes had published, ``accepted`` the observations that
     the recorded capture had accepted, ``steps`` those of the last run, ``plan_id`` and
@@ -70,15 +70,15 @@ class ReplayedBag:
         """
         files = bag_files(path)
         require_one_session(files)
-        found = _BagPass()
+        contents = _BagPass()
         for scan, block in read_blocks(files, progress):
             if block is not None:
-                found.take(scan, block)
-        bag = cls(files, found.channels, found.counts)
-        bag._name(found)
-        if not found.counts:
+                contents.add(scan, block)
+        bag = cls(files, contents.channels, contents.counts)
+        bag._find_roles(contents)
+        if not contents.counts:
             raise BagError(f"the bag {path} holds no messages: there is nothing to replay")
-        bag.start_ns, bag.end_ns = found.start_ns, found.end_ns
+        bag.start_ns, bag.end_ns = contents.start_ns, contents.end_ns
         bag._leave_out(everything)
         if not bag.channels:
             raise BagError(
@@ -111,9 +111,9 @@ class ReplayedBag:
         """Return the remappings that the nodes need to hear all of it."""
         return [f"-r {role}:={topic}" for role, topic in sorted(self.called.topics.items())]
 
-    def _name(self, found: _BagPass) -> None:
-        """Find out which topics play which role."""
-        self.called.topics = {r: t for r, t in found.names.items() if r in names.ROLES}
+    def _find_roles(self, contents: _BagPass) -> None:
+        """Find which topics play which role, and what plan and observations say."""
+        self.called.topics = {r: t for r, t in contents.names.items() if r in names.ROLES}
         plan = self.called.topics.get(names.PLAN)
         plans = [
             topic
@@ -129,30 +129,30 @@ class ReplayedBag:
         of_nodes = [t for t in self.channels if t.rpartition("/")[2] == names.HEARTBEAT]
         for topic in plans if plan is None else of_nodes:
             self.namespace = topic.rpartition("/")[0] or "/"
-        otherwise, self.called = self.called.topics, CalledOtherwise(self.namespace)
-        self.called.topics = otherwise
+        renamed, self.called = self.called.topics, CalledOtherwise(self.namespace)
+        self.called.topics = renamed
         for topic in plans:
-            self.plan_id, self.runs, self.configuration = found.plan(topic)
+            self.plan_id, self.runs, self.configuration = contents.plan(topic)
         for topic in self.channels:
             if self.called.role(topic) == names.OBSERVATION:
-                self.accepted = found.accepted(topic)
+                self.accepted = contents.accepted(topic)
 
     def _leave_out(self, everything: bool) -> None:
         for topic, channel in sorted(self.channels.items()):
-            if own := topic in OF_ROS or self.called.role(topic) in OUTPUTS:
+            if is_output := topic in OF_ROS or self.called.role(topic) in OUTPUTS:
                 self.outputs.add(topic)
             if topic == CLOCK or "/_" in topic:
                 self.left_out[topic] = "it belongs to the nodes of that time"
-            elif own and not everything:
+            elif is_output and not everything:
                 self.left_out[topic] = "nodes made it of the streams (--all)"
             elif channel.message_encoding not in ("", "cdr"):
                 self.left_out[topic] = f"it is serialised as {channel.message_encoding!r}, not cdr"
         self.leave_out(self.left_out)
 
-    def leave_out(self, why: Mapping[str, str]) -> None:
-        """Leave some topics out."""
-        self.left_out |= why
-        for topic in why:
+    def leave_out(self, reasons: Mapping[str, str]) -> None:
+        """Leave some topics out, each for a reason."""
+        self.left_out |= reasons
+        for topic in reasons:
             self.channels.pop(topic, None)
 
 
@@ -165,10 +165,10 @@ class _BagPass:
     names: dict[str, str] = field(default_factory=dict)
     start_ns: int = 1 << 63
     end_ns: int = 0
-    _kept: dict[str, list[bytes]] = field(default_factory=dict)
+    _payloads: dict[str, list[bytes]] = field(default_factory=dict)
 
-    def take(self, scan: Scan, block: Block) -> None:
-        """Take the messages of a block."""
+    def add(self, scan: Scan, block: Block) -> None:
+        """Add a block."""
         self.names |= scan.metadata.get(names.TOPICS, {})
         times = block.headers["log_time"]
         self.start_ns = min(self.start_ns, int(times.min()))
@@ -182,7 +182,7 @@ class _BagPass:
             ours = channel.type_name.startswith(_PACKAGE)
             if ours and (channel.topic in of_interest or _last(channel.topic) in wanted):
                 rows = np.flatnonzero(block.headers["channel"] == number).tolist()
-                self._kept.setdefault(channel.topic, []).extend(map(block.payload, rows))
+                self._payloads.setdefault(channel.topic, []).extend(map(block.payload, rows))
 
     def plan(self, topic: str) -> tuple[str, int, str]:
         """Return the last plan's identity, how many were announced, its configuration's text."""
@@ -197,7 +197,7 @@ class _BagPass:
     def _messages(self, topic: str) -> Iterable[Any]:
         with suppress(BagError, AttributeError, TypeError, ValueError):
             decoder = Decoder(self.channels[topic])
-            for data in self._kept.get(topic, ()):
+            for data in self._payloads.get(topic, ()):
                 if (message := decoder.message(data)) is not None:
                     yield message
 

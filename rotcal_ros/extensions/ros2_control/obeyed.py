@@ -7,7 +7,7 @@ from math import isfinite, isnan, nan
 
 from rotcal_ros.foundation.observations import TableSample
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
-from rotcal_ros.planning.table_adapter_settings import TableAdapterSettings
+from rotcal_ros.planning.settings import TableAdapterSettings
 from rotcal_ros.planning.table_motion import TableSpeed, in_degrees
 from rotcal_ros.planning.table_ways import TURN, Way
 

@@ -23,14 +23,22 @@ from visualization_msgs.msg import Marker, MarkerArray
 from rotcal_ros.bags import names
 from rotcal_ros.capture import messages
 from rotcal_ros.extensions.scene.drawing import (
+    Balls,
+    Colour,
+    Disc,
     Errors,
+    Label,
+    Lines,
+    SceneLayout,
+    SceneProgress,
+    Shape,
+    Transform,
     draw_moving,
     draw_still,
+    layout_of,
     moving_frames,
     standing_frames,
 )
-from rotcal_ros.extensions.scene.layout import SceneLayout, SceneProgress, layout_of
-from rotcal_ros.extensions.scene.shapes import Balls, Colour, Disc, Label, Lines, Shape, Transform
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.node_state import LOADING, NO_PLAN, NodeState, State, Why
 from rotcal_ros.foundation.units import DEGREE

@@ -13,8 +13,7 @@ from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import NANOSECOND
-from rotcal_ros.methods.arrival_rules import RepeatedTrials, arrivals_of
-from rotcal_ros.methods.arrivals import Arrivals, mean_of_runs
+from rotcal_ros.methods.arrivals import Arrivals, RepeatedTrials, arrivals_of, mean_of_runs
 from rotcal_ros.methods.ball_plate import solver as ball_plate
 from rotcal_ros.methods.ball_plate.settings import BallPlatePlanSettings
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.points import points
-from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.curves import gauge
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.methods.ball_plate import calibration, table
@@ -14,7 +14,7 @@ from rotcal_ros.methods.ball_plate.figures import figures
 from rotcal_ros.methods.ball_plate.plan import check_plan, plan
 from rotcal_ros.methods.ball_plate.settings import BallPlatePlanSettings
 from rotcal_ros.methods.ball_plate.simulation_settings import PlateSimulationSettings
-from rotcal_ros.methods.ball_plate.solver.solve import METHOD as NAME
+from rotcal_ros.methods.ball_plate.solver.result import METHOD as NAME
 from rotcal_ros.methods.ball_plate.solver_settings import BallPlateSolverSettings
 from rotcal_ros.methods.ball_plate.touched_ball import reported_centre, touched_centre
 from rotcal_ros.methods.configuration import Configuration
@@ -22,8 +22,8 @@ from rotcal_ros.methods.method import Method, See, TableReader
 from rotcal_ros.planning.plan import Plan
 
 if TYPE_CHECKING:
+    from rotcal_ros.simulation.air import SimulatedTemperature
     from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
-    from rotcal_ros.simulation.temperature import SimulatedTemperature
 
 
 def nominal(_configuration: Configuration, _plan: Plan) -> See:

@@ -17,13 +17,13 @@ from rotcal_ros.methods.ball_plate.design.ball_plan import (
 )
 from rotcal_ros.methods.ball_plate.plate import checked
 from rotcal_ros.methods.ball_plate.settings import SURFACE, BallPlatePlanSettings
-from rotcal_ros.methods.ball_plate.solver.general_least_squares import MIN_BALLS
 from rotcal_ros.methods.ball_plate.solver.problem import position_of
 from rotcal_ros.methods.ball_plate.solver.rejection import MOST_OPEN
-from rotcal_ros.methods.ball_plate.solver.solve import METHOD
+from rotcal_ros.methods.ball_plate.solver.result import METHOD
+from rotcal_ros.methods.ball_plate.solver.separability import MIN_BALLS
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.planning.plan import Plan, Point, Step
-from rotcal_ros.planning.visits import visits
+from rotcal_ros.planning.table_angles import visits
 
 
 def plan(configuration: Configuration) -> Plan:

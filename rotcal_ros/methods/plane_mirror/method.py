@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.points import mean_point, points
-from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.gum_numbers import value_with_uncertainty
 from rotcal_ros.foundation.observations import PointKind
@@ -15,7 +15,7 @@ from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.method import Method, See, TableReader, zero_at_the_first
+from rotcal_ros.methods.method import Method, See, Stations, TableReader, zero_at_the_first
 from rotcal_ros.methods.plane_mirror import calibration, table
 from rotcal_ros.methods.plane_mirror.disturbances import DISTURBANCES
 from rotcal_ros.methods.plane_mirror.figures import figures
@@ -27,18 +27,16 @@ from rotcal_ros.methods.plane_mirror.plan import (
     position_angles,
     tracker_stands,
 )
-from rotcal_ros.methods.plane_mirror.plausibility import TrackerCheck
 from rotcal_ros.methods.plane_mirror.settings import MirrorPlanSettings
 from rotcal_ros.methods.plane_mirror.simulation_settings import MirrorSimulationSettings
 from rotcal_ros.methods.plane_mirror.solver.solve import METHOD as NAME
 from rotcal_ros.methods.plane_mirror.solver_settings import MirrorSolverSettings
-from rotcal_ros.methods.stations import Stations
 from rotcal_ros.planning.plan import Plan, Step
 from rotcal_ros.planning.table_angles import table_angles
 
 if TYPE_CHECKING:
+    from rotcal_ros.simulation.air import SimulatedTemperature
     from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
-    from rotcal_ros.simulation.temperature import SimulatedTemperature
 
 
 def zero(result: Result) -> tuple[str, ...]:
@@ -100,7 +98,7 @@ METHOD: Final = Method(
     check_plan=check_plan,
     capture=CaptureRules(
         {kind: points(mean_point) for kind in table.KINDS.values()},
-        lambda _plan: (TrackerCheck(),),
+        lambda _plan: (calibration.TrackerCheck(),),
     ),
     solve=calibration.solve,
     trials=calibration.trials,

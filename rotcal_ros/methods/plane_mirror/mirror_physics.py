@@ -1,25 +1,29 @@
-"""A simulated laser tracker that looks at nests directly and through a mirror on a rotary table.
+"""Mirror, tracker and reflectors about a rotary table: where they stand, and what is seen of them.
 
-Plain physics: the world frame has the table axis as +z and its origin where the axis meets the
-table. The tracker stands level at one station after the other, turned as it likes; its frame has
-its origin at the head. The mirror has a size, leans, and is not quite flat.
+Plain physics: the world frame (of the machine) has the table axis as +z and its origin where the
+axis meets the table. The tracker stands level at one station after the other, turned as it likes;
+its frame has its origin at the head. The mirror has a size, leans, and is not quite flat. Angles
+are radians, lengths metres.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.geometry.rotations import rotation_from_vector
-from rotcal_ros.methods.plane_mirror.layout import reflector_places
 from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem, TrackerNoise
+
+SPREAD: Final = 0.3
+"""The reflectors of a position spread over this share of the mirror's shorter edge."""
 
 Pose = tuple[Floats, Floats]
 """Middle of the glass (3,), and the columns u, v, n of the mirror's frame (3, 3)."""
@@ -95,6 +99,34 @@ class TrackerStation:
         turn = rotation_from_vector([0.0, 0.0, self.heading])
         local: Floats = (points - np.array(self.place)) @ turn
         return local
+
+
+def incidence(station: ArrayLike, centre: Floats, frame: Floats) -> float:
+    """Return the angle between the mirror's normal and the beam from ``station`` (3,)."""
+    beam = np.asarray(station, dtype=np.float64) - centre
+    return float(np.arccos(np.clip(beam @ frame[:, 2] / np.linalg.norm(beam), -1.0, 1.0)))
+
+
+def reflector_places(
+    station: ArrayLike, centre: Floats, frame: Floats, count: int, reach: float, edge: float
+) -> Floats:
+    """Return places (count, 3) that the tracker sees near the middle of the mirror.
+
+    They lie ``reach`` from the glass along the reflected beam, beside each other, spread by a
+    share of the ``edge`` of the mirror.
+    """
+    beam = centre - np.asarray(station, dtype=np.float64)
+    beam = beam / np.linalg.norm(beam)
+    reflected = beam - 2.0 * (beam @ frame[:, 2]) * frame[:, 2]
+    side = np.linspace(-0.5, 0.5, count) if count > 1 else np.zeros(1)
+    offsets = np.outer(side, frame[:, 0]) + np.outer(side**2, frame[:, 1])
+    places: Floats = centre + reach * reflected + SPREAD * edge * offsets
+    return places
+
+
+def on_circle(radius: float, azimuth: float, height: float) -> tuple[float, float, float]:
+    """Return the place (m) at ``radius`` from the axis."""
+    return float(radius * np.cos(azimuth)), float(radius * np.sin(azimuth)), height
 
 
 @dataclass(frozen=True)

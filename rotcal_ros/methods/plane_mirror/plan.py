@@ -18,8 +18,12 @@ from rotcal_ros.foundation.observations import Approach, PointKind
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.plane_mirror import layout
-from rotcal_ros.methods.plane_mirror.mirror_physics import FlatMirror
+from rotcal_ros.methods.plane_mirror.mirror_physics import (
+    FlatMirror,
+    incidence,
+    on_circle,
+    reflector_places,
+)
 from rotcal_ros.methods.plane_mirror.settings import MIRROR, MirrorPlanSettings
 from rotcal_ros.methods.plane_mirror.solver.solve import METHOD
 from rotcal_ros.methods.plane_mirror.solver_settings import DIRECT, STITCHING
@@ -128,9 +132,7 @@ def tracker_stands(settings: MirrorPlanSettings, angles: tuple[float, ...]) -> t
             f"plan: shared_positions = {settings.shared_positions} must be less than "
             f"positions_per_station = {settings.positions_per_station}: no station would get on"
         )
-    visits = layout.station_visits(
-        len(angles), settings.positions_per_station, settings.shared_positions
-    )
+    visits = station_visits(len(angles), settings.positions_per_station, settings.shared_positions)
     azimuths = tuple(azimuth * DEGREE for azimuth in settings.station_azimuths_deg) or tuple(
         settings.mirror_azimuth_deg * DEGREE + (angles[v[0]] + angles[v[-1]]) / 2 for v in visits
     )
@@ -142,7 +144,7 @@ def tracker_stands(settings: MirrorPlanSettings, angles: tuple[float, ...]) -> t
     stands = tuple(
         Stand(
             number,
-            layout.on_circle(settings.station_radius_m, azimuth, settings.station_height_m),
+            on_circle(settings.station_radius_m, azimuth, settings.station_height_m),
             azimuth,
             visit,
         )
@@ -152,6 +154,19 @@ def tracker_stands(settings: MirrorPlanSettings, angles: tuple[float, ...]) -> t
         for stand in stands:
             _check_incidence(settings, angles, stand)
     return stands
+
+
+def station_visits(n_positions: int, per_station: int, shared: int) -> tuple[range, ...]:
+    """Return the table positions that each tracker station measures.
+
+    Every station measures ``per_station`` positions, the last one what is left; neighbours have
+    ``shared`` (less than ``per_station``) in common.
+    """
+    visits = [range(min(per_station, n_positions))]
+    while visits[-1].stop < n_positions:
+        first = visits[-1].stop - shared
+        visits.append(range(first, min(first + per_station, n_positions)))
+    return tuple(visits)
 
 
 def nominal_mirror(settings: MirrorPlanSettings) -> FlatMirror:
@@ -204,7 +219,7 @@ def _round(stand: Stand, position: int, nests: tuple[Point, ...]) -> list[Row]:
 def _reflectors(settings: MirrorPlanSettings, angle: float, stand: Stand) -> tuple[Point, ...]:
     """Return where the reflectors of one visit stand, with the table at ``angle``."""
     if settings.carries == MIRROR:
-        places = layout.reflector_places(
+        places = reflector_places(
             stand.place,
             *nominal_mirror(settings).pose(rotation_about_z(angle)),
             count=settings.reflectors,
@@ -227,7 +242,7 @@ def _check_incidence(
     limit = settings.incidence_limit_deg
     for position in stand.visit:
         pose = nominal_mirror(settings).pose(rotation_about_z(angles[position]))
-        found = layout.incidence(stand.place, *pose) / DEGREE
+        found = incidence(stand.place, *pose) / DEGREE
         if found > limit:
             raise PlanError(
                 f"plan: from tracker station {stand.number} the beam would strike the mirror at "

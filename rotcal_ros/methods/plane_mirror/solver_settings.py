@@ -12,6 +12,7 @@ Way = Literal["direct", "stitching", "registration", "joint"]
 WAYS: Final[tuple[Way, ...]] = get_args(Way)
 DIRECT: Final = "direct"
 STITCHING: Final = "stitching"
+JOINT: Final = "joint"
 INCIDENCE_LIMIT_DEG: Final = 50.0
 """Usual limit of the angle between beam and mirror normal; a tracker sees little beyond."""
 

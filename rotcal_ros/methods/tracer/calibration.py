@@ -10,14 +10,14 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.methods.arrival_rules import RepeatedTrials, arrivals_of
-from rotcal_ros.methods.arrivals import Arrivals, mean_of_runs
+from rotcal_ros.methods.arrivals import Arrivals, RepeatedTrials, arrivals_of, mean_of_runs
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Trials
 from rotcal_ros.methods.tracer.design.scene import on_table
 from rotcal_ros.methods.tracer.lengths import (
     mean_targets,
     reported_positions,
+    stated_variance,
 )
 from rotcal_ros.methods.tracer.settings import TracerPlanSettings
 from rotcal_ros.methods.tracer.solver.joined_runs import (
@@ -167,9 +167,7 @@ def problem(
     """Return the problem that observations of a plan pose.
 
     The coordinates of a target are the mean of what the machine reported there; a target that
-    was never observed keeps its nominal place. The standard deviation of a length joins the
-    scatter of its window with the instrument's constant and distance-dependent parts; for the
-    latter the distance from the table's frame to the target is near enough.
+    was never observed keeps its nominal place.
 
     Raises DataError when an observation does not fit the plan.
     """
@@ -184,14 +182,13 @@ def problem(
     reported = reported_positions(observations)
     targets = mean_targets(np.array(plan.targets), target, reported)
     distance = np.linalg.norm(targets, axis=1)[target]
-    window_std = np.array([o.std[0] for o in observations])
-    relative_std = settings.length_std_relative * distance
+    variance, growing = stated_variance(settings, observations, distance)
     return TracerProblem(
         position=np.array([o.table_position for o in observations], dtype=np.int64),
         target=target,
         length=np.array([o.mean[0] for o in observations]),
-        length_std=np.sqrt(settings.length_std_m**2 + relative_std**2 + window_std**2),
-        distance_std=relative_std,
+        length_std=np.sqrt(variance),
+        distance_std=growing,
         order=time_order(observations),
         segment=_segments(observations) if _in_segments(configuration) else None,
         again=_again(plan, observations),

@@ -15,21 +15,24 @@ from rotcal_ros.foundation.errors import ConfigurationError, PlanError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods.configuration import Configuration, replaced
-from rotcal_ros.methods.tracer.design.candidates import candidates, scene_of
 from rotcal_ros.methods.tracer.design.check_lengths import (
     LEAST_REDUNDANCY,
     CheckLengths,
-    Progress,
     fewest_lengths,
 )
+from rotcal_ros.methods.tracer.design.optimum import Progress
 from rotcal_ros.methods.tracer.design.ordering import noisy_problem
-from rotcal_ros.methods.tracer.design.scene import Scene, on_table
-from rotcal_ros.methods.tracer.design.sequence_choice import least_hidden, measuring_orders
-from rotcal_ros.methods.tracer.design.sequence_forecast import Forecast, SequenceForecast
+from rotcal_ros.methods.tracer.design.scene import Scene, candidates, on_table, scene_of
+from rotcal_ros.methods.tracer.design.sequence import (
+    Forecast,
+    SequenceForecast,
+    least_hidden,
+    measuring_orders,
+)
 from rotcal_ros.methods.tracer.design.settings import TracerDesignSettings
 from rotcal_ros.methods.tracer.plan import LEAST_ANGLES, block_of_targets
-from rotcal_ros.methods.tracer.plan_tables import write_pairs, write_targets
 from rotcal_ros.methods.tracer.solver.solve import METHOD
+from rotcal_ros.methods.tracer.table import write_pairs, write_targets
 from rotcal_ros.methods.tracer.timing import cell_time
 from rotcal_ros.planning.check_rule import CheckRule
 from rotcal_ros.planning.plan import Point

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.geometry.rotations import rotation_about_z, rotation_from_vector
 from rotcal_ros.methods.configuration import Configuration
@@ -27,6 +28,15 @@ from rotcal_ros.methods.disturbance import (
     times,
 )
 from rotcal_ros.planning.plan import Plan
+
+TANGENTIAL: Final = Disturbance(
+    "tangential motion",
+    "mount or cable shift the tracer along its circle, by so much times the cosine of twice the "
+    "table's angle",
+    "um", MICROMETRE, 0.1, 10.0,
+)  # fmt: skip
+SECTOR: Final = 0.4
+"""Share of a station's beams that warm air or a person may reach."""
 
 
 def _error_motion(configuration: Configuration) -> float:
@@ -78,14 +88,6 @@ def leaning_axis(largest: float) -> Disturbance:
     return Disturbance("gauge", what, "arcsec", ARCSEC, 100.0, largest)
 
 
-TANGENTIAL: Final = Disturbance(
-    "tangential motion",
-    "mount or cable shift the tracer along its circle, by so much times the cosine of twice the "
-    "table's angle",
-    "um", MICROMETRE, 0.1, 10.0,
-)  # fmt: skip
-
-
 def shifted_along(turned: Floats, angle: Floats, sizes: Sizes) -> Floats:
     """Return by how much (n, 3), m, tracers at ``turned`` (n, 3) are shifted at an angle (n,)."""
     across = np.column_stack([-turned[:, 1], turned[:, 0], np.zeros(len(turned))])
@@ -103,14 +105,11 @@ LISTED: Final = (
 )
 
 
-SECTOR: Final = 0.4
-"""Share of a station's beams that warm air or a person may reach."""
-
-
 @dataclass(frozen=True, eq=False)
 class PlannedSteps:
-    """The steps of a plan as arrays (n,): position, target, time."""
+    """The steps of a plan as arrays (n,): place of the tracer, table position, target, time."""
 
+    place: Ints
     position: Ints
     target: Ints
     time: Floats
@@ -124,18 +123,35 @@ def measure(
     The tracer stands where the simulation mounts it. True deviations are zero.
     """
     noise, other = streams(seed)
-    steps = steps_of(plan)
-    stations = _stations(configuration, plan, steps, sizes, (noise, other))
-    places = reflector_places(configuration, plan, steps, sizes, noise)
-    read = readings(configuration, stations, places, sizes, noise)
-    read += in_a_sector(stations, places, steps.position, sizes, other)
-    observations = tuple(
-        step.observed((value,)) for step, value in zip(plan.steps, read.tolist(), strict=True)
-    )
+    stations = _stations(configuration, plan, sizes, (noise, other))
+    observations = observed(configuration, plan, stations, sizes, (noise, other))
     return DisturbedMeasurement(observations, {"ECC": np.zeros(len(plan.table_angles))})
 
 
-def readings(
+def observed(
+    configuration: Configuration,
+    plan: Plan,
+    stations: Floats,
+    sizes: Sizes,
+    streams: tuple[np.random.Generator, np.random.Generator],
+) -> tuple[Observation, ...]:
+    """Return what a tracer observes that is at ``stations`` (n, 3), m, at the steps of ``plan``.
+
+    ``streams``: of the stated noise, and of what is beside it.
+    """
+    noise, other = streams
+    steps = steps_of(plan)
+    places = _reflector_places(configuration, plan, steps, sizes, noise)
+    read = _readings(configuration, stations, places, sizes, noise)
+    # a station is one place of the tracer at one table position
+    station = steps.place * len(plan.steps) + steps.position
+    read += _in_a_sector(stations, places, station, sizes, other)
+    return tuple(
+        step.observed((value,)) for step, value in zip(plan.steps, read.tolist(), strict=True)
+    )
+
+
+def _readings(
     configuration: Configuration,
     stations: Floats,
     places: Floats,
@@ -153,7 +169,7 @@ def readings(
     return np.asarray(read - configuration.simulation.tracer.dead_distance_m)
 
 
-def in_a_sector(
+def _in_a_sector(
     stations: Floats, places: Floats, arrival: Ints, sizes: Sizes, rng: np.random.Generator
 ) -> Floats:
     """Return by how much the lengths (n,) of one station are too long in one sector, m.
@@ -173,6 +189,7 @@ def in_a_sector(
 def steps_of(plan: Plan) -> PlannedSteps:
     """Return the steps of a plan as arrays."""
     return PlannedSteps(
+        place=np.array([step.station for step in plan.steps], dtype=np.int64),
         position=np.array([step.table_position for step in plan.steps], dtype=np.int64),
         target=np.array([step.target for step in plan.steps], dtype=np.int64),
         time=times(plan),
@@ -182,12 +199,12 @@ def steps_of(plan: Plan) -> PlannedSteps:
 def _stations(
     configuration: Configuration,
     plan: Plan,
-    steps: PlannedSteps,
     sizes: Sizes,
     streams: tuple[np.random.Generator, np.random.Generator],
 ) -> Floats:
     """Return where the tracer is at every step (n, 3), m."""
     noise, other = streams
+    steps = steps_of(plan)
     m = len(plan.table_angles)
     arrived = arrival_errors(plan, sizes, other)
     lean = scatter_in_plane(m, sizes.get("tilt", 0.0), other)
@@ -204,7 +221,7 @@ def _stations(
     return np.asarray(shifted, dtype=np.float64)
 
 
-def reflector_places(
+def _reflector_places(
     configuration: Configuration,
     plan: Plan,
     steps: PlannedSteps,

@@ -15,14 +15,17 @@ from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.continuation import Continuation
 from rotcal_ros.methods.tracer.design.scene import Scene, on_table
-from rotcal_ros.methods.tracer.policy.lengths import Costs, LengthExperiment
-from rotcal_ros.methods.tracer.policy.stated_uncertainty import Stated
+from rotcal_ros.methods.tracer.policy.experiment import (
+    Costs,
+    LengthExperiment,
+    Stated,
+    rms_about_mean,
+)
 from rotcal_ros.methods.tracer.policy.until_goal import GoalLimits, UntilGoal
 from rotcal_ros.methods.tracer.settings import TracerPlanSettings
 from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
-from rotcal_ros.planning.choices import Policy
+from rotcal_ros.planning.choices import UNTIL_GOAL, Policy
 from rotcal_ros.planning.plan import Plan
-from rotcal_ros.planning.policy_names import UNTIL_GOAL
 
 
 def until_goal(configuration: Configuration, plan: Plan) -> Callable[[Continuation], Policy]:
@@ -107,11 +110,9 @@ def stated(
         result = Calibration(configuration, plan).solve(observations)
     except RotcalError as error:
         return Stated(np.inf, doubt=str(error))
-    covariance = result.covariance["ECC"]
-    about_mean = np.trace(covariance - covariance.mean(axis=0)) / len(covariance)
     motion = result.details["error_motion"]
     return Stated(
-        COVERAGE_FACTOR * float(np.sqrt(about_mean)),
+        COVERAGE_FACTOR * rms_about_mean(result.covariance["ECC"]),
         motion["likely"] if motion["used"] != motion["stated"] else 0.0,
         "" if result.verdict == "ok" else next(iter(result.warnings), result.verdict),
     )

@@ -3,45 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from math import dist
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
+from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.length import decide_length
-from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.foundation.observations import PointKind
-from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.method import Adaptive, Method, See, TableReader
-from rotcal_ros.methods.stations import Stations
+from rotcal_ros.methods.method import Adaptive, Method, See, Stations, TableReader
 from rotcal_ros.methods.tracer import calibration, table
 from rotcal_ros.methods.tracer.disturbances import DISTURBANCES
 from rotcal_ros.methods.tracer.figures import figures
+from rotcal_ros.methods.tracer.lengths import LengthCheck, read_from
 from rotcal_ros.methods.tracer.plan import check_plan, tracer_plan
-from rotcal_ros.methods.tracer.plan_tables import PLAN_FILES
-from rotcal_ros.methods.tracer.plausibility import LengthCheck
-from rotcal_ros.methods.tracer.settings import TracerPlanSettings
-from rotcal_ros.methods.tracer.simulation_settings import TracerSimulationSettings
+from rotcal_ros.methods.tracer.settings import TracerPlanSettings, TracerSimulationSettings
 from rotcal_ros.methods.tracer.solver.solve import METHOD as NAME
 from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
-from rotcal_ros.planning.plan import Plan, Step
-from rotcal_ros.planning.plan_figures import Compared
+from rotcal_ros.methods.tracer.table import PLAN_FILES
+from rotcal_ros.planning.plan import Compared, Plan
 
 if TYPE_CHECKING:
+    from rotcal_ros.simulation.air import SimulatedTemperature
     from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
-    from rotcal_ros.simulation.temperature import SimulatedTemperature
 
 
 def nominal(configuration: Configuration, _plan: Plan) -> See:
     """Return what a tracer reads that stands where the simulation mounts it."""
     tracer = configuration.simulation.tracer
-
-    def see(step: Step) -> tuple[float, ...]:
-        station = rotation_about_z(step.table_angle) @ np.array(tracer.mount_m)
-        return (dist(step.position, station) - tracer.dead_distance_m,)
-
-    return see
+    return read_from([tracer.mount_m], tracer.dead_distance_m)
 
 
 def stations(configuration: Configuration) -> Stations:

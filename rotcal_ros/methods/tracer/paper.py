@@ -17,8 +17,7 @@ from rotcal_ros.methods.tracer.goal_policy import length_experiment
 from rotcal_ros.methods.tracer.plan import tracer_plan
 from rotcal_ros.methods.tracer.settings import STATIONS_PER_TARGET, TracerPlanSettings
 from rotcal_ros.methods.tracer.timing import cell_time, plan_seconds
-from rotcal_ros.planning.plan import Plan, Step
-from rotcal_ros.planning.plan_figures import Compared, PlanFigures
+from rotcal_ros.planning.plan import Compared, Plan, PlanFigures, Step
 from rotcal_ros.planning.sequence_time import stated_time
 
 ABOVE_TRACER: Final = 1.3025

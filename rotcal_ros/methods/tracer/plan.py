@@ -11,24 +11,44 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import product
+from typing import Protocol
 
 import numpy as np
 
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.observations import Approach, PointKind
 from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION, TracerPlanSettings
-from rotcal_ros.methods.tracer.solver.circle_prior import contrast_count
+from rotcal_ros.methods.tracer.solver.circle import contrast_count
 from rotcal_ros.methods.tracer.solver.grid import station_minimum
 from rotcal_ros.methods.tracer.solver.observability import what_is_missing
 from rotcal_ros.methods.tracer.solver.solve import METHOD
 from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
 from rotcal_ros.planning.plan import Plan, Point, Step
-from rotcal_ros.planning.points import block, in_a_line, in_a_plane
-from rotcal_ros.planning.table_angles import table_angles
-from rotcal_ros.planning.visits import visits
+from rotcal_ros.planning.points import block, in_a_line, in_a_plane, triples
+from rotcal_ros.planning.table_angles import table_angles, visits
 
 LEAST_ANGLES = 3
 """Different table angles below which the stations show no axis, however often they return."""
+
+
+class TargetSettings(Protocol):
+    """What settings of a plan say of its targets, in metres."""
+
+    @property
+    def targets_m(self) -> tuple[float, ...]:
+        """The x, y, z of explicit targets, one after the other."""
+
+    @property
+    def box_centre_m(self) -> tuple[float, float, float]:
+        """The centre of the block, which explicit targets replace."""
+
+    @property
+    def box_size_m(self) -> tuple[float, float, float]:
+        """The size of the block."""
+
+    @property
+    def box_points(self) -> tuple[int, int, int]:
+        """The number of targets along x, y and z."""
 
 
 def check_plan(solver: TracerSolverSettings, planned: Plan) -> None:
@@ -110,8 +130,7 @@ def tracer_plan(settings: TracerPlanSettings) -> Plan:
 
 def _with_free_beams(plan: Plan, settings: TracerPlanSettings) -> Plan:
     """Return the plan without the pairs whose beam is too low or too short."""
-    from rotcal_ros.methods.tracer.design.candidates import candidates
-    from rotcal_ros.methods.tracer.design.scene import Scene, on_table
+    from rotcal_ros.methods.tracer.design.scene import Scene, candidates, on_table
     from rotcal_ros.methods.tracer.design.settings import TracerDesignSettings
 
     if len(settings.tracer_m) != 3:
@@ -194,14 +213,13 @@ def _plan(
     return Plan(METHOD, table_angles, targets, steps)
 
 
-def targets_of(settings: TracerPlanSettings) -> tuple[Point, ...]:
+def targets_of(settings: TargetSettings) -> tuple[Point, ...]:
     """Return the explicit targets (m), or those of the block."""
-    if not settings.targets_m:
-        return block_of_targets(settings)
-    every = iter(settings.targets_m)
-    return tuple(zip(every, every, every, strict=True))
+    if settings.targets_m:
+        return triples(settings.targets_m, "targets_m")
+    return block_of_targets(settings)
 
 
-def block_of_targets(settings: TracerPlanSettings) -> tuple[Point, ...]:
+def block_of_targets(settings: TargetSettings) -> tuple[Point, ...]:
     """Return the targets (m), layer by layer in a serpentine: neighbours are close together."""
     return block(settings.box_centre_m, settings.box_size_m, settings.box_points)

@@ -1,23 +1,27 @@
-"""Lengths as a plain table: ``position,target,length_m``, and beside it ``targets.csv``.
+"""The tables of lengths, ``position,target,length_m``, and of explicit plans.
 
-A fourth column ``segment`` numbers the unbroken beams.
+A fourth column ``segment`` numbers the unbroken beams. Beside a table of lengths stands
+``targets.csv`` with ``target,x_m,y_m,z_m``; an explicit plan lists ``step,table_position,target``.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.observations import Approach
-from rotcal_ros.foundation.tables import Header, Table, hashes, read_table, require_header
+from rotcal_ros.foundation.files import write_atomically
+from rotcal_ros.foundation.observations import Approach, Observation
+from rotcal_ros.foundation.tables import Header, Row, Table, hashes, read_table, require_header
 from rotcal_ros.methods.calibration import Calibration, prepare
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder
+from rotcal_ros.methods.method import PlanFile
+from rotcal_ros.methods.tracer.lengths import LengthCheck
 from rotcal_ros.methods.tracer.plan import explicit_plan, plan_of
-from rotcal_ros.methods.tracer.plausibility import LengthCheck
-from rotcal_ros.planning.plan import Point
+from rotcal_ros.planning.plan import Plan, Point, Step
 
 SEGMENT: Final = "segment"
 HEADERS: Final[tuple[Header, ...]] = (
@@ -26,6 +30,7 @@ HEADERS: Final[tuple[Header, ...]] = (
 )
 TARGETS: Final = ("target", "x_m", "y_m", "z_m")
 TARGETS_FILE: Final = "targets.csv"
+PAIRS: Final = ("step", "table_position", "target")
 
 
 def read(configuration: Configuration, table: Table, targets: Path | None) -> PlannedMeasurements:
@@ -51,16 +56,31 @@ def read(configuration: Configuration, table: Table, targets: Path | None) -> Pl
         else:
             plan = plan_of(angles, read_targets(targets), unknown)
         calibration = Calibration(configuration, plan)
-    find, check = RowStepFinder(calibration.plan), LengthCheck(calibration.plan)
+    find = RowStepFinder(calibration.plan)
+    observations = observed_rows(
+        table,
+        calibration.plan,
+        lambda row: find(row, row.index("position"), row.index("target")),
+    )
+    return PlannedMeasurements(calibration, observations, hashes(*files))
+
+
+def observed_rows(
+    table: Table, plan: Plan, step_of: Callable[[Row], Step]
+) -> tuple[Observation, ...]:
+    """Return the lengths of ``table``, each as the one step of ``plan`` that its row tells.
+
+    Raises DataError for a length that cannot be one in metres.
+    """
+    in_segments, check = SEGMENT in table.header, LengthCheck(plan)
     observations = []
     for row in table.rows():
-        step = find(row, row.index("position"), row.index("target"))
-        segment = row.index(SEGMENT) if in_segments else 0
+        step, segment = step_of(row), row.index(SEGMENT) if in_segments else 0
         observation = check(replace(step.observed((row.metres("length_m"),)), segment=segment))
         if not observation.accepted:
             raise DataError(f"{row.place}: {observation.reason}")
         observations.append(observation)
-    return PlannedMeasurements(calibration, tuple(observations), hashes(*files))
+    return tuple(observations)
 
 
 def targets_of_table(table: Table, given: Path | None) -> Path | None:
@@ -85,3 +105,50 @@ def read_targets(path: Path) -> tuple[Point, ...]:
             f"{path}: targets are numbered from 0 without gaps, but target {missing[0]} is missing"
         )
     return tuple(points[number] for number in sorted(points))
+
+
+def read_pairs(path: Path) -> tuple[int, ...]:
+    """Return table position and target of every step, one after the other, by their numbers.
+
+    Raises BagError for a file that is no such table, DataError for steps that are listed twice
+    or missing.
+    """
+    table = read_table(path)
+    require_header(table, (PAIRS,))
+    steps: dict[int, tuple[int, int]] = {}
+    for row in table.rows():
+        number = row.index("step")
+        if number in steps:
+            raise DataError(f"{row.place}: step {number} is listed twice")
+        steps[number] = row.index("table_position"), row.index("target")
+    for number in range(len(steps)):
+        if number not in steps:
+            raise DataError(
+                f"{path}: steps are numbered from 0 without gaps, but step {number} is missing"
+            )
+    return tuple(index for number in range(len(steps)) for index in steps[number])
+
+
+def write_targets(path: Path, targets: Sequence[Point]) -> None:
+    """Write ``targets`` (m) so that they are read as the same bits."""
+    _write(path, TARGETS, [(number, *map(float, point)) for number, point in enumerate(targets)])
+
+
+def write_pairs(path: Path, pairs: Sequence[tuple[int, int]]) -> None:
+    """Write the pairs (table position, target) of a plan in their order."""
+    _write(path, PAIRS, [(number, *pair) for number, pair in enumerate(pairs)])
+
+
+def _write(path: Path, header: Sequence[str], rows: Sequence[tuple[float, ...]]) -> None:
+    lines = [",".join(header), *(",".join(map(repr, row)) for row in rows)]
+    write_atomically(path, "\n".join(lines) + "\n")
+
+
+def _coordinates(path: Path) -> tuple[float, ...]:
+    return tuple(value for point in read_targets(path) for value in point)
+
+
+PLAN_FILES: Final[Mapping[str, PlanFile]] = {
+    "targets_file": PlanFile("targets_m", _coordinates),
+    "pairs_file": PlanFile("pairs", read_pairs),
+}

@@ -20,6 +20,7 @@ from rotcal_ros.planning.sequence_time import Drive, TimeModel
 from rotcal_ros.simulation import SimulatedCell
 
 ATTEMPTS: Final = 3
+"""At each step, before it is left."""
 LONGEST: Final = 3600.0
 """Machine time (s) after which a length is given up."""
 

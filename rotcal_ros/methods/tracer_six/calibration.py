@@ -13,21 +13,20 @@ from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import MILLIMETRE
 from rotcal_ros.geometry.rotations import rotation_about_z
-from rotcal_ros.methods.arrival_rules import RepeatedTrials, arrivals_of
-from rotcal_ros.methods.arrivals import Arrivals, mean_of_runs
+from rotcal_ros.methods.arrivals import Arrivals, RepeatedTrials, arrivals_of, mean_of_runs
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Trials
 from rotcal_ros.methods.tracer.lengths import (
     mean_targets,
     reported_positions,
+    stated_variance,
 )
 from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION
+from rotcal_ros.methods.tracer.solver.adjustment import locate_stations
 from rotcal_ros.methods.tracer.solver.reported import WeighedSolution, with_reported
-from rotcal_ros.methods.tracer.solver.station import locate_stations
-from rotcal_ros.methods.tracer_six.places import described
-from rotcal_ros.methods.tracer_six.plan import LOCATING, places_of
-from rotcal_ros.methods.tracer_six.solver.error_response import adjust_at_equal_places
+from rotcal_ros.methods.tracer_six.plan import LOCATING, described, places_of
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
+from rotcal_ros.methods.tracer_six.solver.protections import adjust_at_equal_places
 from rotcal_ros.methods.tracer_six.solver.solution import SixSolution
 from rotcal_ros.methods.tracer_six.solver.solve import result_of
 from rotcal_ros.methods.tracer_six.solver.trials import SixTrials
@@ -108,19 +107,18 @@ def problem(
     _require_planned(plan, places, observations)
     target = np.array([o.target for o in observations], dtype=np.int64)
     targets = mean_targets(np.array(plan.targets), target, reported_positions(observations))
-    relative_std = settings.length_std_relative * np.linalg.norm(targets, axis=1)[target]
-    window_std = np.array([o.std[0] for o in observations])
+    distance = np.linalg.norm(targets, axis=1)[target]
+    variance, growing = stated_variance(settings, observations, distance)
     zero, segment = _zeros(settings.zero, observations)
     arrival = arrivals(plan)
     shift, turn, own_std = _scatter(configuration)
-    variance = settings.length_std_m**2 + relative_std**2 + window_std**2 + own_std**2
     return SixProblem(
         position=np.array([o.table_position for o in observations], dtype=np.int64),
         place=np.array([o.station for o in observations], dtype=np.int64),
         target=target,
         length=np.array([o.mean[0] for o in observations]),
-        length_std=np.sqrt(variance),
-        distance_std=relative_std,
+        length_std=np.sqrt(variance + own_std**2),
+        distance_std=growing,
         targets=targets,
         target_std=np.full(targets.shape, settings.target_std_m),
         table_angles=np.array(plan.table_angles),

@@ -24,12 +24,9 @@ from rotcal_ros.methods.disturbance import (
 )
 from rotcal_ros.methods.tracer.disturbances import (
     TANGENTIAL,
-    PlannedSteps,
-    in_a_sector,
     leaning_axis,
+    observed,
     of_lengths,
-    readings,
-    reflector_places,
     shifted_along,
     steps_of,
 )
@@ -55,35 +52,27 @@ def measure(
     """
     noise, other = streams(seed)
     true = table_deviations(len(plan.distinct_angles), sizes, other)
-    steps = steps_of(plan)
-    stations = _stations(configuration, plan, steps, sizes, true, other)
-    places = reflector_places(configuration, plan, steps, sizes, noise)
-    read = readings(configuration, stations, places, sizes, noise)
-    run = np.array([step.station for step in plan.steps], dtype=np.int64)
-    read += in_a_sector(stations, places, run * len(plan.steps) + steps.position, sizes, other)
-    observations = tuple(
-        step.observed((value,)) for step, value in zip(plan.steps, read.tolist(), strict=True)
-    )
+    stations = _stations(configuration, plan, sizes, true, other)
+    observations = observed(configuration, plan, stations, sizes, (noise, other))
     return DisturbedMeasurement(observations, true)
 
 
 def _stations(
     configuration: Configuration,
     plan: Plan,
-    steps: PlannedSteps,
     sizes: Sizes,
     true: dict[str, Floats],
     other: np.random.Generator,
 ) -> Floats:
     """Return where the tracer is at every step (n, 3), m, from the axis."""
-    place = np.array([step.station for step in plan.steps], dtype=np.int64)
-    mount = np.array(places_of(configuration.plan))[place]
+    steps = steps_of(plan)
+    mount = np.array(places_of(configuration.plan))[steps.place]
     mount = mount + sizes.get("knock", 0.0) * np.outer(steps.time >= 0.5, ALL_AXES)
     turn = rotation_about_z(np.array(plan.table_angles)[steps.position])
     turned = np.einsum("nij,nj->ni", turn, mount)
     angle = angle_numbers(plan)[steps.position]
     rotation = np.column_stack([true["EAC"], true["EBC"], true["ECC"]])[angle]
-    scatter = other.standard_normal((len(place), 3))[arrivals(plan)]
+    scatter = other.standard_normal((len(plan.steps), 3))[arrivals(plan)]
     rotation = rotation + sizes.get("repeatability", 0.0) * scatter
     moved = np.einsum("nij,nj->ni", rotation_from_vector(rotation), turned)
     shift = np.column_stack([true["EXC"], true["EYC"], true["EZC"]])[angle]

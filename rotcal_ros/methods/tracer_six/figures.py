@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from rotcal_ros.figures import Figure, style
-from rotcal_ros.figures.labels import name_places
 from rotcal_ros.figures.residuals import residual_figures
+from rotcal_ros.figures.style import name_places
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import MILLIMETRE
 

@@ -2,45 +2,33 @@
 
 from __future__ import annotations
 
-from math import dist
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
+from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.length import decide_length
-from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.curves import gauge
 from rotcal_ros.foundation.observations import PointKind
-from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.method import Method, See, TableReader
-from rotcal_ros.methods.stations import Stations
+from rotcal_ros.methods.method import Method, See, Stations, TableReader
+from rotcal_ros.methods.tracer.lengths import LengthCheck, read_from
 from rotcal_ros.methods.tracer_six import calibration, table
 from rotcal_ros.methods.tracer_six.disturbances import DISTURBANCES
 from rotcal_ros.methods.tracer_six.figures import figures
 from rotcal_ros.methods.tracer_six.plan import check_plan, places_of, plan
-from rotcal_ros.methods.tracer_six.plausibility import PlaceLengths
-from rotcal_ros.methods.tracer_six.settings import SixPlanSettings
-from rotcal_ros.methods.tracer_six.simulation_settings import SixSimulationSettings
+from rotcal_ros.methods.tracer_six.settings import SixPlanSettings, SixSimulationSettings
 from rotcal_ros.methods.tracer_six.solver import METHOD as NAME
 from rotcal_ros.methods.tracer_six.solver import TracerSixSolverSettings
-from rotcal_ros.planning.plan import Plan, Step
+from rotcal_ros.planning.plan import Plan
 
 if TYPE_CHECKING:
+    from rotcal_ros.simulation.air import SimulatedTemperature
     from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
-    from rotcal_ros.simulation.temperature import SimulatedTemperature
 
 
 def nominal(configuration: Configuration, _plan: Plan) -> See:
     """Return what a tracer reads that stands exactly at its places."""
-    places = [np.array(place) for place in places_of(configuration.plan)]
     dead_distance: float = configuration.simulation.tracer.dead_distance_m
-
-    def see(step: Step) -> tuple[float, ...]:
-        station = rotation_about_z(step.table_angle) @ places[step.station]
-        return (dist(step.position, station) - dead_distance,)
-
-    return see
+    return read_from(places_of(configuration.plan), dead_distance)
 
 
 def simulated_instrument(
@@ -63,7 +51,7 @@ METHOD: Final = Method(
     simulated_instrument=simulated_instrument,
     plan=plan,
     check_plan=check_plan,
-    capture=CaptureRules({PointKind.REFLECTOR: decide_length}, lambda plan: (PlaceLengths(plan),)),
+    capture=CaptureRules({PointKind.REFLECTOR: decide_length}, lambda plan: (LengthCheck(plan),)),
     solve=calibration.solve,
     joins_runs=True,
     trials=calibration.trials,

@@ -1,7 +1,8 @@
 """The plan of the six-deviations method: places of the tracer, table angles, targets.
 
 The tracer stands at one place of the table after the other. From each it measures lengths to the
-same targets while the table turns; between two places a person fixes it anew.
+same targets while the table turns; between two places a person fixes it anew. Places tell all six
+deviations, or do not: those in a line lose one (:func:`_require_six`).
 """
 
 from __future__ import annotations
@@ -10,22 +11,29 @@ from collections.abc import Iterator, Sequence
 from itertools import chain, product
 from typing import Final
 
+import numpy as np
+
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.observations import PointKind
-from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
 from rotcal_ros.methods.configuration import Configuration
+from rotcal_ros.methods.tracer.plan import targets_of
 from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION
-from rotcal_ros.methods.tracer_six.places import around, described, require_six
 from rotcal_ros.methods.tracer_six.settings import SixPlanSettings
 from rotcal_ros.methods.tracer_six.solver import METHOD
+from rotcal_ros.methods.tracer_six.solver.layout import lost_direction
 from rotcal_ros.planning.plan import TABLE_FRAME, Move, Pause, Plan, Point, Step
-from rotcal_ros.planning.points import block, triples
-from rotcal_ros.planning.table_angles import table_angles
-from rotcal_ros.planning.visits import visits
+from rotcal_ros.planning.points import triples
+from rotcal_ros.planning.table_angles import table_angles, visits
 
 LOCATING: Final = 6
 """Targets after which the lengths at a table angle show where the tracer stands: 4 unknowns."""
 LEAST_ANGLES: Final = 3
+"""Below it what turns with the table is not told from what stands still."""
+LEAST_PLACES: Final = 3
+"""Two leave a turn about the line through them."""
+_UPRIGHT: Final = 0.7
+"""From this vertical part on, what is lost about a line is mostly ECC."""
 
 
 def plan(configuration: Configuration) -> Plan:
@@ -51,7 +59,7 @@ def six_plan(settings: SixPlanSettings, *, tilt_known: bool = False) -> Plan:
             "the table arrives anew for every target, and no arrival could be told from another"
         )
     places = places_of(settings)
-    require_six(places, tilt_known=tilt_known)
+    _require_six(places, tilt_known=tilt_known)
     return plan_of(settings, targets_of(settings))
 
 
@@ -107,13 +115,6 @@ def places_of(settings: SixPlanSettings) -> tuple[Point, ...]:
     )
 
 
-def targets_of(settings: SixPlanSettings) -> tuple[Point, ...]:
-    """Return the targets (m), machine frame."""
-    if settings.targets_m:
-        return triples(settings.targets_m, "targets_m")
-    return block(settings.box_centre_m, settings.box_size_m, settings.box_points)
-
-
 def check_plan(_configuration: Configuration, planned: Plan) -> None:
     """Raise PlanError for a plan whose lengths could never be solved."""
     n = len(planned.targets)
@@ -158,4 +159,56 @@ def _instruction(number: int, places: tuple[Point, ...], n_targets: int, n_angle
         f"fix the tracer at place {number} (of 0 to {len(places) - 1}) on the table, "
         f"{described(places[number])}; it will measure {n_targets} targets at "
         f"{n_angles} table angles, and must not move on the table meanwhile"
+    )
+
+
+def around(
+    count: int, radius: float, azimuth: float, height: float, height_step: float
+) -> tuple[Point, ...]:
+    """Return ``count`` places evenly around the axis, the first at ``azimuth`` (rad), in metres.
+
+    Each is ``height_step`` higher than the one before, the first at ``height``. Table frame at
+    angle 0.
+    """
+    angles = azimuth + 2.0 * np.pi * np.arange(count) / count
+    heights = height + height_step * np.arange(count)
+    rows = np.column_stack([radius * np.cos(angles), radius * np.sin(angles), heights])
+    return tuple((x, y, z) for x, y, z in rows.tolist())
+
+
+def _require_six(places: tuple[Point, ...], *, tilt_known: bool = False) -> None:
+    """Raise PlanError, with the direction that is lost, unless the places tell six deviations.
+
+    ``tilt_known``: a lost tilt is tolerated, because it is stated beforehand.
+    """
+    points = np.array(places)
+    if len(set(places)) < 2:
+        raise PlanError(
+            f"plan: the tracer stands at {len(places)} place(s) of the table: six deviations need "
+            f"{LEAST_PLACES} that do not lie in a line; raise plan.places"
+        )
+    lost = lost_direction(points)
+    if lost is None:
+        return
+    x, y, z = (lost.round(3) + 0.0).tolist()  # without negative zeros
+    upright = abs(z) > _UPRIGHT
+    if tilt_known and not upright:
+        return
+    what = "ECC" if upright else "the tilt about it"
+    lie = f"the {len(places)} places" + (" lie in a line:" if len(places) > 2 else ":")
+    stated = "" if upright else ", or state solver.tilt_std_rad"
+    raise PlanError(
+        f"plan: {lie} a turn of the table about the line through them ({x:.3f}, {y:.3f}, {z:.3f}) "
+        f"moves none of them, so that no length tells {what}; take {LEAST_PLACES} places that do "
+        f"not lie in a line, at best 120 degrees apart{stated}"
+    )
+
+
+def described(place: Point) -> str:
+    """Return a place in words a person can work with."""
+    x, y, z = place
+    azimuth = np.arctan2(y, x) / DEGREE % 360.0
+    return (
+        f"{np.hypot(x, y) / MILLIMETRE:.0f} mm from the table axis towards {azimuth:.0f} deg of "
+        f"the table, its centre {z / MILLIMETRE:.0f} mm above it"
     )

@@ -1,4 +1,4 @@
-"""The settings of the six-deviations method, without what makes and solves a plan."""
+"""The settings of the six-deviations method: its plan, and its simulated cell."""
 
 from __future__ import annotations
 
@@ -6,11 +6,46 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from rotcal_ros.foundation.settings import setting
-from rotcal_ros.methods.tracer.settings import STATIONS_PER_TARGET, TARGETS_PER_STATION
-from rotcal_ros.methods.tracer_six.simulation_settings import SixSimulationSettings
+from rotcal_ros.foundation.settings import group, setting
+from rotcal_ros.methods.tracer.settings import (
+    STATIONS_PER_TARGET,
+    TARGETS_PER_STATION,
+    LengthsSimulationSettings,
+    SimulatedReadingsSettings,
+)
 from rotcal_ros.methods.tracer_six.solver_settings import TracerSixSolverSettings
 from rotcal_ros.planning.table_angles import TableAngleSettings
+
+
+@dataclass(frozen=True)
+class CarriedTracerSettings(SimulatedReadingsSettings):
+    """The simulated laser tracer, and the person who fixes it at its places."""
+
+    places_m: tuple[float, ...] = setting(
+        (0.15, 0.0, 0.12, -0.075, 0.1299, 0.12, -0.075, -0.1299, 0.12),
+        doc="m, x y z of place 0, then of place 1 and so on, in the table frame at angle 0",
+        minimum=-10.0,
+        maximum=10.0,
+    )
+    placing_mm: float = setting(
+        0.5, doc="mm, by which the person misses each coordinate of a place", minimum=0.0
+    )
+    mounting_zero_um: float = setting(
+        0.0, doc="um, standard deviation of the zero from one mounting to the next", minimum=0.0
+    )
+    misplaced_place: int = setting(
+        -1, doc="number of a place that the person mistakes; -1: none", minimum=-1
+    )
+    misplaced_mm: float = setting(
+        50.0, doc="mm, by which the first mounting there is wrong, along x"
+    )
+
+
+@dataclass(frozen=True)
+class SixSimulationSettings(LengthsSimulationSettings):
+    """The simulated cell of the six-deviations method."""
+
+    tracer: CarriedTracerSettings = group(CarriedTracerSettings)
 
 
 @dataclass(frozen=True)

@@ -7,20 +7,18 @@ A short set-up lists settings of the plan and of the solver by their names, poin
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.plugins import nearest
 from rotcal_ros.foundation.settings import declarations
 from rotcal_ros.foundation.tables import Header, Table, hashes
 from rotcal_ros.methods.calibration import Calibration, prepare
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder
-from rotcal_ros.methods.tracer.table import SEGMENT, read_targets, targets_of_table
+from rotcal_ros.methods.tracer.table import SEGMENT, observed_rows, read_targets, targets_of_table
 from rotcal_ros.methods.tracer_six.plan import plan_of
-from rotcal_ros.methods.tracer_six.plausibility import PlaceLengths
 from rotcal_ros.methods.tracer_six.settings import SixPlanSettings
 from rotcal_ros.methods.tracer_six.solver import TracerSixSolverSettings
 
@@ -37,23 +35,19 @@ def read(configuration: Configuration, table: Table, targets: Path | None) -> Pl
     The targets are those of the file ``targets``, of ``targets.csv`` beside the table, or of the
     set-up, in this order.
     """
-    in_segments = SEGMENT in table.header
     files, calibration = [table.path], prepare(configuration)
     targets = targets_of_table(table, targets)
     if targets is not None:
         files.append(targets)
         plan = plan_of(configuration.plan, read_targets(targets))
         calibration = Calibration(configuration, plan)
-    find, check = RowStepFinder(calibration.plan, stations=True), PlaceLengths(calibration.plan)
-    observations = []
-    for row in table.rows():
-        step = find(row, row.index("position"), row.index("target"), row.index("place"))
-        segment = row.index(SEGMENT) if in_segments else 0
-        observation = check(replace(step.observed((row.metres("length_m"),)), segment=segment))
-        if not observation.accepted:
-            raise DataError(f"{row.place}: {observation.reason}")
-        observations.append(observation)
-    return PlannedMeasurements(calibration, tuple(observations), hashes(*files))
+    find = RowStepFinder(calibration.plan, stations=True)
+    observations = observed_rows(
+        table,
+        calibration.plan,
+        lambda row: find(row, row.index("position"), row.index("target"), row.index("place")),
+    )
+    return PlannedMeasurements(calibration, observations, hashes(*files))
 
 
 def short_setup(document: Mapping[str, Any], where: str) -> Mapping[str, Any]:

@@ -23,7 +23,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.topic_roles import TOPIC, plain_name
 from rotcal_ros.capture import messages
 from rotcal_ros.capture.heard import Believed, Offers, publisher_of
-from rotcal_ros.evaluation.withheld import withheld_by
+from rotcal_ros.evaluation.marks import withheld_by
 from rotcal_ros.foundation.middleware import discovery_in_words
 from rotcal_ros.foundation.node_names import PREFLIGHT_NODES, VIEWERS
 from rotcal_ros.foundation.observations import Command, Observation

@@ -24,9 +24,9 @@ from rotcal_ros.nodes.runtime.diagnostic_warnings import SLOW, show
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.latest import HOPELESS, SILENT
 from rotcal_ros.nodes.runtime.roll_call import Overload
+from rotcal_ros.planning.choices import AS_LISTED
 from rotcal_ros.planning.plan import Pause
-from rotcal_ros.planning.planner_settings import PlannerSettings
-from rotcal_ros.planning.policy_names import AS_LISTED
+from rotcal_ros.planning.settings import PlannerSettings
 
 ASTRAY_TIMEOUT_S: Final = 5.0
 """Capture and solver may be without the plan of the goal for so long."""

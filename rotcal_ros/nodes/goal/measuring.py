@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import count
 from typing import Final
 
-from rotcal_ros.capture.failed_steps import FailedSteps
+from rotcal_ros.capture.rejections import FailedSteps, TooManyFailedError
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.node_state import Why
 from rotcal_ros.methods import Calibration
@@ -16,9 +16,8 @@ from rotcal_ros.nodes.goal.goal_watch import GoalWatch, HaltedError
 from rotcal_ros.nodes.goal.operator_requests import OperatorRequests
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.latest import WAITING_FOR
-from rotcal_ros.planning.choices import Choice, Standing, StepOutcome
+from rotcal_ros.planning.choices import AS_LISTED, Choice, Standing, StepOutcome
 from rotcal_ros.planning.plan import Pause
-from rotcal_ros.planning.policy_names import AS_LISTED
 
 SETTLING_S: Final = 1.2
 """For so long after a clock was set the capture takes nothing (1 s), once it has noticed."""
@@ -76,10 +75,12 @@ class GoalMeasurement:
 
     def _give_up(self, *, at_the_end: bool) -> None:
         """Raise GoalError where too many steps failed; at the end the others are solved."""
-        text = self._failed.why_give_up()
         solvable = self._watch.progress.accepted or self._continuation.observations
-        if text and not (at_the_end and solvable):
-            raise GoalError(Codes.TOO_FEW_OBSERVATIONS, text)
+        try:
+            self._failed.check()
+        except TooManyFailedError as error:
+            if not (at_the_end and solvable):
+                raise GoalError(Codes.TOO_FEW_OBSERVATIONS, str(error)) from error
 
     def _tell(self, choice: Choice, attempt: int) -> None:
         """Publish a choice, for people and for the bag."""

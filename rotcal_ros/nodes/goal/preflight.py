@@ -13,10 +13,10 @@ from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.instruments.plausibility import (
-    air_in_words,
-    length_in_words,
-    position_in_words,
-    small_in_words,
+    implausible_air,
+    implausible_length,
+    implausible_position,
+    thousandth_of_plan,
 )
 from rotcal_ros.methods import Calibration, Configuration
 from rotcal_ros.nodes.instruments.table_feedback import joint_doubts, joint_faults, number_in
@@ -78,7 +78,7 @@ def doubts(
 def air_doubts(values: Values, role: str) -> Iterator[str]:
     """Yield what looks wrong about the air as the ``role`` gives it."""
     value = number_in(values.get(NOW + role, ""))
-    found = [] if value is None else air_in_words({role: value})
+    found = [] if value is None else implausible_air({role: value})
     yield from (f"{name_in(values, role)} {text}" for role, text in found if text)
 
 
@@ -87,7 +87,7 @@ def size_doubts(values: Values, calibration: Calibration, role: str) -> Iterator
     topics, name = calibration.configuration.topics, name_in(values, role)
     if role == names.TRACER_LENGTH and role in calibration.method.topics:
         length = number_in(values.get(NOW + role, "")) or 0.0
-        text = small_in_words(
+        text = thousandth_of_plan(
             length, calibration.beams_m, topics.length_unit, "topics.length_unit"
         )
         if text:
@@ -97,7 +97,7 @@ def size_doubts(values: Values, calibration: Calibration, role: str) -> Iterator
         far = max(abs(float(x)) for x in words)
         size = max(abs(x) for step in calibration.plan.steps for x in step.position)
         span = (size / _OUTSIDE, size * _OUTSIDE)
-        if text := small_in_words(far, span, topics.position_unit, "topics.position_unit"):
+        if text := thousandth_of_plan(far, span, topics.position_unit, "topics.position_unit"):
             yield f"{name} {text}"
 
 
@@ -159,7 +159,7 @@ def _expected(settings: CaptureSettings, name: str) -> bool:
 def length_faults(values: Values, configuration: Configuration) -> Iterator[str]:
     """Yield what is wrong with the lengths."""
     length = number_in(values.get(NOW + names.TRACER_LENGTH, ""))
-    text = length_in_words(
+    text = implausible_length(
         0.0 if length is None else length,
         configuration.capture.max_length_m,
         configuration.topics,
@@ -177,7 +177,7 @@ def probe_faults(values: Values, configuration: Configuration, plan: Plan) -> It
     if len(words) != 3 or not _in_the_machine_frame(configuration):
         return
     x, y, z = map(float, words)
-    text = position_in_words((x, y, z), plan, configuration.topics)
+    text = implausible_position((x, y, z), plan, configuration.topics)
     if text:
         yield f"{name_in(values, names.PROBE_POINT)} {text}"
 

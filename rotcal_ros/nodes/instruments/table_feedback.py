@@ -8,7 +8,7 @@ from math import isfinite
 from rotcal_ros.bags import names
 from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.instruments.conventions import Conventions
-from rotcal_ros.instruments.plausibility import angle_in_words
+from rotcal_ros.instruments.plausibility import implausible_angle
 from rotcal_ros.methods import Configuration
 from rotcal_ros.nodes.runtime.latest import JOINT, MOST_JOINTS, NOW
 from rotcal_ros.nodes.runtime.topic_names import name_in
@@ -38,7 +38,7 @@ def joint_faults(values: Values, joint: str) -> Iterator[str]:
 
 def joint_doubts(values: Values, configuration: Configuration) -> Iterator[str]:
     """Yield what looks wrong about the table's angle."""
-    text = angle_in_words(table_angle(values, configuration), configuration.topics)
+    text = implausible_angle(table_angle(values, configuration), configuration.topics)
     if text:
         yield f"{name_in(values, names.JOINT_STATES)} {text}"
 

@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.topic_settings import TopicSettings
-from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.bags.settings import TopicSettings
+from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.settings import load
 from rotcal_ros.instruments.conventions import Conventions
-from rotcal_ros.instruments.forms import not_understood
+from rotcal_ros.instruments.forms import check_type
 from rotcal_ros.methods import Configuration
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.channels import message_type
@@ -123,9 +123,8 @@ class InstrumentTopics:
 
 def _kind(role: str, type_name: str) -> tuple[type | None, str]:
     """Return the class of a type in its role; None, and why, where it cannot be used."""
-    if why := not_understood(role, type_name):
-        return None, why
     try:
+        check_type(role, type_name)
         return message_type(type_name), ""
-    except BagError as error:
+    except (BagError, ConfigurationError) as error:
         return None, str(error)

@@ -16,7 +16,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rotcal_msgs.msg import ProbeTarget, TableAngle
 
 from rotcal_ros.bags import names
-from rotcal_ros.capture.orders import Orders
+from rotcal_ros.capture.messages import Orders
 from rotcal_ros.foundation.machine_load import Patience
 from rotcal_ros.foundation.node_state import NodeState
 from rotcal_ros.foundation.observations import Command
@@ -27,7 +27,7 @@ from rotcal_ros.nodes.runtime.parameters import declare_settings, given_paramete
 from rotcal_ros.nodes.runtime.qos import EVENT
 from rotcal_ros.nodes.runtime.timers_and_events import steady_timer
 from rotcal_ros.nodes.runtime.topic_names import other_names
-from rotcal_ros.planning.health_settings import HealthSettings
+from rotcal_ros.planning.settings import HealthSettings
 
 T = TypeVar("T")
 

@@ -19,7 +19,7 @@ from rotcal_ros.nodes.runtime.draining import Batch, DrainedSubscription
 from rotcal_ros.nodes.runtime.qos import EVENT, VIEW
 from rotcal_ros.nodes.runtime.timers_and_events import steady_timer
 from rotcal_ros.planning.emergency_stop import StopSources
-from rotcal_ros.planning.safety_settings import SafetySettings
+from rotcal_ros.planning.settings import SafetySettings
 
 LOOK_PERIOD_S: Final = 0.1
 DEPTH: Final = 100
@@ -120,7 +120,7 @@ class EmergencyStop:
 
     def _judge(self) -> None:
         """Begin and end a stop by what was heard; silence is that of the latest look."""
-        before, self.why = self.why, self._sources.why(self._looked_s)
+        before, self.why = self.why, "; ".join(self._sources.reasons(self._looked_s))
         if self.why and not before:
             self.latched, self.count = self.why, self.count + 1
             self._node.get_logger().error(f"emergency stop: {self.why}; {self._effect}")

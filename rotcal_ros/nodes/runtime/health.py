@@ -33,7 +33,7 @@ from rotcal_ros.nodes.runtime.processes_here import HostProcess
 from rotcal_ros.nodes.runtime.roll_call import RollCall
 from rotcal_ros.nodes.runtime.sim_clock import SimClock
 from rotcal_ros.nodes.runtime.timers_and_events import UNWAITED, steady_timer
-from rotcal_ros.planning.health_settings import HealthSettings
+from rotcal_ros.planning.settings import HealthSettings
 
 HEAR_PERIOD_S: Final = 0.1
 """Interval at which the beats of the others are handled, all together."""
@@ -117,7 +117,7 @@ class Health:
         kind = f"{where}: {type(error).__name__}"
         self.errors[kind] += 1
         if self.errors[kind] == 1:
-            self._node.get_logger().error(f"{kind}: {error} {culprit(error)}".rstrip())
+            self._node.get_logger().error(f"{kind}: {error} {culprit(error) or ''}".rstrip())
 
     def present(self) -> set[str]:
         """Return the names of the other nodes that are there, slow ones too."""

@@ -27,7 +27,7 @@ from rotcal_ros.methods.continuation import Continuation
 from rotcal_ros.methods.method import DEFAULT, find_method
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.parameters import read_settings
-from rotcal_ros.planning.safety_settings import SafetySettings
+from rotcal_ros.planning.settings import SafetySettings
 
 SAFETY, HEALTH = "safety", "health"
 FROM_THE_START: Final = (SAFETY, HEALTH)

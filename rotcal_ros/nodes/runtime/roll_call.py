@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from rotcal_ros.planning.health_settings import HealthSettings
+from rotcal_ros.planning.settings import HealthSettings
 
 LATE_S: Final = 0.6
 """A sign of life that is three beats late is worth a look at the process."""

@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 
 from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.machine_load import Patience
-from rotcal_ros.foundation.middleware import ROS_DEFAULT_RANGE, middleware, without_security
+from rotcal_ros.foundation.middleware import ROS_DEFAULT_RANGE, explain_start_failure, middleware
 from rotcal_ros.nodes.runtime.cell_node import CellNode, until
 from rotcal_ros.nodes.runtime.memory import end_without_memory
 from rotcal_ros.nodes.runtime.timers_and_events import wake_after_jumps
@@ -54,11 +54,12 @@ def leave_with(work: Callable[[], None], default_range: str = ROS_DEFAULT_RANGE)
         sys.stderr.write(f"{error}\n")
         sys.exit(error.exit_code)
     except rclpy_implementation.RCLError as error:
-        text = without_security(os.environ, str(error))
-        if not text:
-            raise
-        sys.stderr.write(f"{text}\n")
-        sys.exit(ConfigurationError.exit_code)
+        try:
+            explain_start_failure(os.environ, str(error))
+        except ConfigurationError as cause:
+            sys.stderr.write(f"{cause}\n")
+            sys.exit(cause.exit_code)
+        raise
     except MemoryError as error:
         end_without_memory(error, "executor")
     sys.exit(0)

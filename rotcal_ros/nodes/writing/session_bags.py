@@ -12,8 +12,8 @@ from uuid import uuid4
 from rotcal_ros.bags import names
 from rotcal_ros.bags.interrupted_files import InterruptedSession
 from rotcal_ros.bags.reader import bag_files
-from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.bags.session_identity import file_head
+from rotcal_ros.bags.settings import RecorderSettings
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.files import write_atomically

@@ -17,8 +17,8 @@ from rclpy.utilities import get_rmw_implementation_identifier
 
 from rotcal_ros import __version__
 from rotcal_ros.bags import names
-from rotcal_ros.foundation.distribution import distribution, rclpy_version
 from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.middleware import distribution, rclpy_version
 from rotcal_ros.methods.configuration import read_subject
 from rotcal_ros.nodes.runtime.cell_node import CellNode, until
 from rotcal_ros.nodes.writing.recording import BagRecording
@@ -53,7 +53,7 @@ def versions_json() -> str:
         "python": platform.python_version(),
         **{package: found for package, found in installed.items() if found},
         "system": platform.platform(),
-        "ros_distro": distribution(rclpy_version()),
+        "ros_distro": distribution(rclpy_version()) or "",
         "rmw": get_rmw_implementation_identifier(),
     }
     return json.dumps(versions, indent=1)

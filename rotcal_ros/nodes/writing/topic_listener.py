@@ -14,7 +14,7 @@ from rclpy.qos import QoSProfile
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.dropouts import GAP, REPORTED, UNHEARD, Dropout
-from rotcal_ros.bags.topic_settings import TopicSettings
+from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.instruments.conventions import Conventions, single_shots
 from rotcal_ros.methods.configuration import read_topics
@@ -26,7 +26,7 @@ from rotcal_ros.nodes.runtime.timers_and_events import UNWAITED, steady_timer
 from rotcal_ros.nodes.writing.bookkeeping import NEVER_PAUSE
 from rotcal_ros.nodes.writing.heard_topic import HeardTopic
 from rotcal_ros.nodes.writing.recording import Messages
-from rotcal_ros.planning.safety_settings import SafetySettings
+from rotcal_ros.planning.settings import SafetySettings
 
 ALWAYS: Final = ("/diagnostics", "/rosout", names.TF_STATIC)
 """Topics outside the namespace of the cell that are recorded too."""

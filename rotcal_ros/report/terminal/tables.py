@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rotcal_ros.evaluation.iso230 import ONLY_SCATTER, Iso230
-from rotcal_ros.evaluation.marks import marks
-from rotcal_ros.evaluation.withheld import withheld
+from rotcal_ros.evaluation.marks import marks, withheld
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.results import Result
@@ -36,7 +35,7 @@ def print_result(result: Result) -> None:
     Where no uncertainty may be stated it is left out, and a line says why.
     """
     columns, reason = [_angles(result.angles)], withheld(result)
-    about, *against = marks(result, reason)
+    about, *against = marks(result)
     for name in result.components:
         unit, label = unit_of(name)
         value, std = result.deviations[name] / unit, result.std[name] / unit

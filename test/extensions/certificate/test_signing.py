@@ -10,8 +10,7 @@ from cryptography.hazmat.primitives.asymmetric import rsa
 from dcc_schema import read_schema
 from lxml import etree
 
-from rotcal_ros.extensions.certificate.document import certificate
-from rotcal_ros.extensions.certificate.signing import signed, verify
+from rotcal_ros.extensions.certificate.document import certificate, signed, verify
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 
 

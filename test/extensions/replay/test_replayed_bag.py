@@ -17,8 +17,8 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.rosbag2_metadata import OfferedQos, qos_text
+from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.extensions.replay.node import offered_qos
 from rotcal_ros.extensions.replay.replayed_bag import ReplayedBag
 from rotcal_ros.foundation.errors import BagError

@@ -9,7 +9,7 @@ pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros.extensions.ros2_control.node import joint_controllers
 from rotcal_ros.extensions.ros2_control.node.ears import AdapterEars
-from rotcal_ros.planning.table_adapter_settings import TableAdapterSettings
+from rotcal_ros.planning.settings import TableAdapterSettings
 
 STATUS = "/drive/follow_joint_trajectory/_action/status"
 

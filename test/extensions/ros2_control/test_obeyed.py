@@ -7,7 +7,7 @@ import pytest
 
 from rotcal_ros.extensions.ros2_control.obeyed import JointWatch
 from rotcal_ros.foundation.observations import Approach, TableSample
-from rotcal_ros.planning.table_adapter_settings import TableAdapterSettings
+from rotcal_ros.planning.settings import TableAdapterSettings
 from rotcal_ros.planning.table_ways import way_to
 
 DEG = pi / 180

@@ -8,13 +8,16 @@ import pytest
 from rotcal_ros.extensions.scene.drawing import (
     COLOURS,
     Errors,
+    PlaceState,
+    SceneLayout,
+    SceneProgress,
+    Transform,
     draw_moving,
     draw_still,
+    layout_of,
     moving_frames,
     standing_frames,
 )
-from rotcal_ros.extensions.scene.layout import PlaceState, SceneLayout, SceneProgress, layout_of
-from rotcal_ros.extensions.scene.shapes import Transform
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods import prepare, read_configuration
 from rotcal_ros.simulation.table import true_deviations

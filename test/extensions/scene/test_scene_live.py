@@ -14,8 +14,7 @@ from live_cell import SUITE, wait_until
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from rotcal_ros.extensions.scene.drawing import COLOURS
-from rotcal_ros.extensions.scene.layout import PlaceState
+from rotcal_ros.extensions.scene.drawing import COLOURS, PlaceState
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")

@@ -2,13 +2,19 @@ import numpy as np
 import pytest
 
 from rotcal_ros.geometry.rotations import rotation_from_vector
-from rotcal_ros.methods.plane_mirror.solver import cone
-from rotcal_ros.methods.plane_mirror.solver.layout import MirrorPairs
-from rotcal_ros.methods.plane_mirror.solver.normals import tangent_frame
-from rotcal_ros.methods.plane_mirror.solver.outcomes import registered_response
-from rotcal_ros.methods.plane_mirror.solver.stitching import (
+from rotcal_ros.methods.plane_mirror.solver.normals import (
+    angle_deviation,
+    axis_of_two,
+    azimuths,
+    fit_cone,
+    tangent_frame,
+)
+from rotcal_ros.methods.plane_mirror.solver.problem import MirrorPairs
+from rotcal_ros.methods.plane_mirror.solver.readings import (
     islands,
     joining_map,
+    registered_readings,
+    registered_response,
     stitch,
     stitch_response,
 )
@@ -34,10 +40,10 @@ def test_axis_and_angles_of_a_cone(lean, sense):
     commanded = sense * np.radians([0.0, 22.5, 45.0, 67.5])
     true = commanded + np.array([0.0, 3e-5, -2e-5, 1e-5])
     normals = on_cone(true, lean)
-    axis, height = cone.fit_cone(normals, commanded)
+    axis, height = fit_cone(normals, commanded)
     np.testing.assert_allclose(axis, AXIS, atol=1e-14)
     assert height == pytest.approx(np.sin(lean), abs=1e-15)
-    found = cone.deviation(cone.azimuths(normals, axis), commanded)
+    found = angle_deviation(azimuths(normals, axis), commanded)
     np.testing.assert_allclose(found, true - commanded, atol=1e-14)
 
 
@@ -45,7 +51,7 @@ def test_axis_and_angles_of_a_cone(lean, sense):
 def test_two_normals_and_the_cone_give_the_axis(step):
     commanded = np.array([0.3, 0.3 + step])
     normals = on_cone(commanded, np.radians(5.0))
-    axis = cone.axis_of_two(normals, np.sin(np.radians(5.0)), commanded)
+    axis = axis_of_two(normals, np.sin(np.radians(5.0)), commanded)
     np.testing.assert_allclose(axis, AXIS, atol=2e-14)
 
 
@@ -82,13 +88,9 @@ def test_response_of_registration_is_its_derivative():
     lean = np.radians(5.0)
     normals = on_cone(angles[pairs.position], lean)
 
-    def readings(stack):
-        commanded = angles[pairs.position]
-        axis, _ = cone.fit_cone(stack, commanded)
-        return cone.deviation(cone.azimuths(stack, axis), commanded)
-
     h = 1e-6
-    change = readings(moved(normals, AXIS, h)) - readings(moved(normals, AXIS, -h))
+    change = registered_readings(moved(normals, AXIS, h), pairs, angles)
+    change = change - registered_readings(moved(normals, AXIS, -h), pairs, angles)
     response = registered_response(pairs, angles, np.sin(lean))
     np.testing.assert_allclose(response - response[0], change.T / (2.0 * h), atol=1e-8)
 

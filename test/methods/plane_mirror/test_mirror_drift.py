@@ -10,10 +10,9 @@ from scipy.stats import binom
 
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.methods.plane_mirror.solver import check_nests, solve
-from rotcal_ros.methods.plane_mirror.solver.correction import KNOCK
-from rotcal_ros.methods.plane_mirror.solver.drift import find_drift
-from rotcal_ros.methods.plane_mirror.solver.layout import nest_rounds
+from rotcal_ros.methods.plane_mirror.solver.drift import KNOCK, find_drift
 from rotcal_ros.methods.plane_mirror.solver.prepare import prepare
+from rotcal_ros.methods.plane_mirror.solver.problem import nest_rounds
 
 WAYS = ("stitching", "registration", "joint")
 RUNS = 600 if LONG else 100

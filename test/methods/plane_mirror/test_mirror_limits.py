@@ -16,8 +16,8 @@ from rotcal_ros.methods.plane_mirror.mirror_physics import (
     ring_cell,
 )
 from rotcal_ros.methods.plane_mirror.solver import TrackerNoise, check_nests, mirror_trials, solve
-from rotcal_ros.methods.plane_mirror.solver.layout import find_nests, find_pairs, find_reflectors
 from rotcal_ros.methods.plane_mirror.solver.normals import fit_normals, pair_weights
+from rotcal_ros.methods.plane_mirror.solver.problem import find_nests, find_pairs, find_reflectors
 from rotcal_ros.methods.plane_mirror.solver.screening import check_normals, check_pairs, check_size
 
 DIRECT, MIRRORED, NEST = PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST

@@ -6,7 +6,6 @@ from scipy.optimize import least_squares
 
 from rotcal_ros.geometry.rotations import rotation_from_vector
 from rotcal_ros.methods.plane_mirror.solver import TrackerNoise
-from rotcal_ros.methods.plane_mirror.solver.layout import MirrorPairs
 from rotcal_ros.methods.plane_mirror.solver.normals import (
     fit_normals,
     image_response,
@@ -14,6 +13,7 @@ from rotcal_ros.methods.plane_mirror.solver.normals import (
     pair_weights,
     tangent_frame,
 )
+from rotcal_ros.methods.plane_mirror.solver.problem import MirrorPairs
 
 NORMAL = np.array([-0.9, 0.35, 0.1]) / np.linalg.norm([-0.9, 0.35, 0.1])
 OFFSET = -1.7

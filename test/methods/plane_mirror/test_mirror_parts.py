@@ -6,16 +6,16 @@ from mirror_scene import measured
 from scipy.optimize import least_squares
 
 from rotcal_ros.geometry.rotations import rotation_from_vector
-from rotcal_ros.methods.plane_mirror.solver.direct import (
+from rotcal_ros.methods.plane_mirror.solver.problem import Reflectors, find_nests
+from rotcal_ros.methods.plane_mirror.solver.readings import (
     direct_readings,
     direct_response,
     fit_circle,
 )
-from rotcal_ros.methods.plane_mirror.solver.layout import Reflectors, find_nests
-from rotcal_ros.methods.plane_mirror.solver.nest_tests import nest_fit
 from rotcal_ros.methods.plane_mirror.solver.registration import (
     Poses,
     adjust_stations,
+    nest_fit,
     place_stations,
 )
 

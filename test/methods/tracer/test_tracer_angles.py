@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from rotcal_ros.foundation.errors import GeometryError
 from rotcal_ros.geometry.rotations import rotation_from_vector
-from rotcal_ros.methods.tracer.solver.angles import algorithm_error, bearing_jacobian, table_motion
+from rotcal_ros.methods.tracer.solver.circle import algorithm_error, bearing_jacobian, table_motion
 
 COMMANDED = np.radians([0.0, 40, 75, 130, 190, 250, 300, 345])
 DEVIATION = 1e-5 * np.array([0.0, 1.0, -2.0, 3.0, 0.5, -1.5, 2.5, -0.5])

@@ -14,8 +14,8 @@ from rotcal_ros.geometry.rotations import rotation_from_vector
 from rotcal_ros.methods.tracer.design.information import Information
 from rotcal_ros.methods.tracer.design.scene import Lengths, Scene, on_table
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve, tracer_trials
-from rotcal_ros.methods.tracer.solver.circle_prior import circle_contrasts, contrast_count
-from rotcal_ros.methods.tracer.solver.prediction import predicted
+from rotcal_ros.methods.tracer.solver.circle import circle_contrasts, contrast_count
+from rotcal_ros.methods.tracer.solver.trials import predicted
 
 SCRIPT = Path(__file__).parents[3] / "scripts" / "circle_coverage.py"
 SPEC = importlib.util.spec_from_file_location("circle_coverage", SCRIPT)

@@ -9,8 +9,8 @@ from chances import LONG
 from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
 from rotcal_ros.methods.tracer.solver.adjustment import StationCovariance
-from rotcal_ros.methods.tracer.solver.angles import bearing_jacobian, table_motion
-from rotcal_ros.methods.tracer.solver.error_motion import error_motion_covariance, error_motion_of
+from rotcal_ros.methods.tracer.solver.circle import bearing_jacobian, table_motion
+from rotcal_ros.methods.tracer.solver.uncertainty import error_motion_covariance, error_motion_of
 
 ARCSEC = np.pi / 648000
 RADIUS, HEIGHT = 0.1, 0.25

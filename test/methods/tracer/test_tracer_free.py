@@ -7,10 +7,10 @@ import pytest
 from scipy_tracer import DenseNetwork
 
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
+from rotcal_ros.methods.tracer.solver.adjustment import adjust_stations
 from rotcal_ros.methods.tracer.solver.grid import arrange
 from rotcal_ros.methods.tracer.solver.network import relax
 from rotcal_ros.methods.tracer.solver.start import find_start
-from rotcal_ros.methods.tracer.solver.station import adjust_stations
 
 STD = 2e-7
 

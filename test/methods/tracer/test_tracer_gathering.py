@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 from chances import LONG, most
 
-from rotcal_ros.methods.tracer.solver import TracerProblem, length_view, solve
-from rotcal_ros.methods.tracer.solver.angles import bearing_slopes
+from rotcal_ros.methods.tracer.solver import TracerProblem, solve
+from rotcal_ros.methods.tracer.solver.circle import bearing_slopes
 from rotcal_ros.methods.tracer.solver.gathering import groups_of
+from rotcal_ros.methods.tracer.solver.network import _Apart, _Whole
 from rotcal_ros.methods.tracer.solver.solution import adjust
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -181,8 +182,8 @@ def test_stations_apart_are_seen_as_in_the_covariance_of_all_unknowns():
     network = solution.fit.network
     assert network is not None
     slopes = bearing_slopes(solution.fit.stations, solution.motion).from_first
-    whole = length_view._Whole(network, slopes)
-    apart = length_view._Apart(replace(network, stations_kept=False), slopes)
+    whole = _Whole(network, slopes)
+    apart = _Apart(replace(network, stations_kept=False), slopes)
     strip, target = np.array([3, 3, 3, 0, 7]), np.array([0, 4, 5, 4, 4])
     for one, other in (
         (apart.leverage(strip, target), whole.leverage(strip, target)),

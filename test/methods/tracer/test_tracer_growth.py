@@ -10,10 +10,14 @@ import pytest
 from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.methods.tracer.solver import solve
 from rotcal_ros.methods.tracer.solver.adjustment import StationCovariance
-from rotcal_ros.methods.tracer.solver.error_motion import circle_tested, error_motion_of
 from rotcal_ros.methods.tracer.solver.joint import network_covariance
 from rotcal_ros.methods.tracer.solver.solution import adjust
-from rotcal_ros.methods.tracer.solver.uncertainty import angle_uncertainty, circle_test
+from rotcal_ros.methods.tracer.solver.uncertainty import (
+    angle_uncertainty,
+    circle_test,
+    circle_tested,
+    error_motion_of,
+)
 
 
 def full_circle(m, n=6, **options):

@@ -10,12 +10,12 @@ from tracer_scene import arc, low_ring, simulate
 from rotcal_ros.foundation.errors import DataError, GeometryError, RotcalError
 from rotcal_ros.geometry.rotations import rotation_from_vector
 from rotcal_ros.methods.tracer.solver import solve
-from rotcal_ros.methods.tracer.solver.angles import table_motion
+from rotcal_ros.methods.tracer.solver.adjustment import adjust_stations, locate_stations
+from rotcal_ros.methods.tracer.solver.circle import table_motion
 from rotcal_ros.methods.tracer.solver.grid import arrange
 from rotcal_ros.methods.tracer.solver.observability import or_prior
 from rotcal_ros.methods.tracer.solver.screening import critical_value, reject, rejection_limit
 from rotcal_ros.methods.tracer.solver.start import find_start
-from rotcal_ros.methods.tracer.solver.station import adjust_stations, locate_stations
 
 M, N = 9, 24
 

@@ -5,7 +5,7 @@ import pytest
 
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MILLIMETRE
 from rotcal_ros.geometry.plane import fit_plane
-from rotcal_ros.methods.tracer.solver.angles import algorithm_error, scatter, table_motion
+from rotcal_ros.methods.tracer.solver.circle import algorithm_error, scatter, table_motion
 
 TABLE_1 = MILLIMETRE * np.array(
     [

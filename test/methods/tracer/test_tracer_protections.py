@@ -9,7 +9,7 @@ from chances import LONG, most
 from rotcal_ros.foundation.protection import EFFECTS
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
 from rotcal_ros.methods.tracer.solver import protections as patterns
-from rotcal_ros.methods.tracer.solver.error_response import respond
+from rotcal_ros.methods.tracer.solver.protections import respond
 from rotcal_ros.methods.tracer.solver.solution import adjust
 
 STATIONS, TARGETS, RADIUS = 12, 24, 0.09

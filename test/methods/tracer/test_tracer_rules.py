@@ -9,7 +9,6 @@ from tracer_scene import arc, low_ring, simulate
 
 from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.foundation.errors import ObservabilityError
-from rotcal_ros.methods.tracer.solver.error_motion import ErrorMotion
 from rotcal_ros.methods.tracer.solver.grid import arrange
 from rotcal_ros.methods.tracer.solver.joined_runs import (
     RepeatedLengths,
@@ -17,17 +16,17 @@ from rotcal_ros.methods.tracer.solver.joined_runs import (
     adjust_joined,
     join_of,
 )
-from rotcal_ros.methods.tracer.solver.noise import NoiseFactors
+from rotcal_ros.methods.tracer.solver.network import eliminate
 from rotcal_ros.methods.tracer.solver.observability import (
     check_counts,
     check_station_spread,
     name_direction,
     weakest_direction,
 )
-from rotcal_ros.methods.tracer.solver.schur import eliminate
+from rotcal_ros.methods.tracer.solver.screening import NoiseFactors
 from rotcal_ros.methods.tracer.solver.solution import adjust
 from rotcal_ros.methods.tracer.solver.solve import solve
-from rotcal_ros.methods.tracer.solver.uncertainty import GlobalTest
+from rotcal_ros.methods.tracer.solver.uncertainty import ErrorMotion, GlobalTest
 from rotcal_ros.methods.tracer.solver.verdict import CircleClosure, Evidence, closures, judge
 from rotcal_ros.methods.tracer.solver_settings import TracerLimits
 

@@ -7,9 +7,8 @@ from tracer_scene import low_ring, paper_block
 
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, ObservabilityError
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
-from rotcal_ros.methods.tracer.solver.prediction import predicted
 from rotcal_ros.methods.tracer.solver.solution import adjust
-from rotcal_ros.methods.tracer.solver.trials import cumulative_deviations, tracer_trials
+from rotcal_ros.methods.tracer.solver.trials import cumulative_deviations, predicted, tracer_trials
 
 
 def dense_covariance(dense, x):

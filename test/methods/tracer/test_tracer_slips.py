@@ -9,9 +9,9 @@ from test_tracer_segments import ecc_covariance
 
 from rotcal_ros.foundation.protection import EFFECTS, PARTICULAR
 from rotcal_ros.methods.tracer.solver import solve
-from rotcal_ros.methods.tracer.solver.jumps import Jump
-from rotcal_ros.methods.tracer.solver.prediction import predicted
 from rotcal_ros.methods.tracer.solver.solution import adjust
+from rotcal_ros.methods.tracer.solver.trials import predicted
+from rotcal_ros.methods.tracer.solver.zeros import Jump
 
 FRINGE = 0.3164e-6
 

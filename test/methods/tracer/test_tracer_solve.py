@@ -13,7 +13,7 @@ from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.tracer.solver import solve
-from rotcal_ros.methods.tracer.solver.station import Misfit
+from rotcal_ros.methods.tracer.solver.adjustment import Misfit
 
 VARIANTS = [
     {"variant": "station"},

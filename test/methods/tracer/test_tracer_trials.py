@@ -8,7 +8,7 @@ import pytest
 from tracer_scene import arc, low_ring, simulate
 
 from rotcal_ros.methods.tracer.solver import TracerLimits, solve, tracer_trials
-from rotcal_ros.methods.tracer.solver.angles import table_motion
+from rotcal_ros.methods.tracer.solver.circle import table_motion
 from rotcal_ros.methods.tracer.solver.trials import NetworkGain, cumulative_deviations
 
 VARIANTS = (

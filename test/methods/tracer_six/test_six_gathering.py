@@ -9,8 +9,8 @@ from six_scene import scene
 
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.methods.tracer_six.solver import SixProblem, solve
-from rotcal_ros.methods.tracer_six.solver.solution import PLACE, adjust, groups_of
-from rotcal_ros.methods.tracer_six.solver.timing import taken
+from rotcal_ros.methods.tracer_six.solver.adjustment import groups_of
+from rotcal_ros.methods.tracer_six.solver.solution import PLACE, adjust
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from gathered_worlds import chosen
@@ -65,7 +65,7 @@ def test_groups_are_those_of_a_network_that_is_solved_anew():
     stated = {"scatter_translation_std": 1e-7, "scatter_rotation_std": 1e-6}
     problem = SixProblem(**rows, **stated)
     solution = adjust(problem)
-    group = groups_of(solution.grid, solution.fit, taken(problem))[4]
+    group = groups_of(solution.grid, solution.fit, problem.measuring_order)[4]
     size, row = 1e-9, 4 * N + 7
     length = rows["length"].copy()
     length[row] += size

@@ -11,8 +11,7 @@ from typing import Any, Final
 import numpy as np
 from rotcal_msgs.msg import DeviationArray
 
-from rotcal_ros.evaluation.marks import measurement, tolerance
-from rotcal_ros.evaluation.withheld import withheld_by
+from rotcal_ros.evaluation.marks import measurement, tolerance, withheld_by
 from rotcal_ros.extensions.page.state import (
     Cell,
     Curve,
@@ -71,7 +70,7 @@ def above(place: Point) -> tuple[float, float]:
 
 def deviations(message: DeviationArray, identity: Identity) -> Deviations:
     """Return the curves of a solution, in the units of people; without U where it is withheld."""
-    why = withheld_by(message.verdict, message.warnings) if message.final else ""
+    why = withheld_by(message.verdict, message.warnings) if message.final else None
     curves = []
     for name in COMPONENTS:
         values = getattr(message, name.lower())
@@ -88,11 +87,11 @@ def deviations(message: DeviationArray, identity: Identity) -> Deviations:
         final=message.final,
         marks=_marks(message, identity, why) if message.final else (),
         warnings=tuple(message.warnings),
-        withheld=why,
+        withheld=why or "",
     )
 
 
-def _marks(message: DeviationArray, identity: Identity, why: str) -> tuple[PageMark, ...]:
+def _marks(message: DeviationArray, identity: Identity, why: str | None) -> tuple[PageMark, ...]:
     """Return the marks of a final solution, as its report has them."""
     values, std = (
         {n: np.array(found) for n in COMPONENTS if len(found := getattr(message, n.lower() + end))}

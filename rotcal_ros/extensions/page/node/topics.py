@@ -38,7 +38,7 @@ from rotcal_ros.methods import Calibration
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.latest import NOW, SILENT
 from rotcal_ros.nodes.runtime.plans import calibration_of
-from rotcal_ros.nodes.runtime.qos import LATCHED, VIEW
+from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED
 
 REJECTIONS: Final = 50
 LOG_LINES: Final = 100
@@ -63,7 +63,8 @@ class PageTopics:
         self.withheld, self.loading = "", False
         node.listen(CalibrationPlan, names.PLAN, self._take_plan, LATCHED)
         node.listen(DeviationArray, "deviations", self._take_deviations, LATCHED)
-        node.listen(ObservationMsg, names.OBSERVATION, self._take_observation, VIEW)
+        # few, and a person is to see all that was rejected, however busy the machine is
+        node.listen(ObservationMsg, names.OBSERVATION, self._take_observation, EVENT)
         node.listen(Log, "/rosout", self._take_log, ROSOUT)
         node.take_orders(self._point)
 

@@ -24,7 +24,7 @@ from rotcal_ros.nodes.check.drivers import Finding
 from rotcal_ros.nodes.runtime.cell_graph import deaf_listeners
 from rotcal_ros.nodes.runtime.draining import Batch, InstrumentSubscription
 from rotcal_ros.nodes.runtime.hearing import origin_of
-from rotcal_ros.planning.table_adapter_settings import TableAdapterSettings
+from rotcal_ros.planning.settings import TableAdapterSettings
 
 _LISTENERS: Final = {"trajectory": "joint_trajectory", "positions": "commands"}
 _GOALS: Final = "follow_joint_trajectory"

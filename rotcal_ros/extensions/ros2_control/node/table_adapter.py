@@ -33,9 +33,7 @@ from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.health import PLANNER
 from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
 from rotcal_ros.nodes.runtime.running import run
-from rotcal_ros.planning.cell_settings import CellSettings
-from rotcal_ros.planning.safety_settings import SafetySettings
-from rotcal_ros.planning.table_adapter_settings import TableAdapterSettings
+from rotcal_ros.planning.settings import CellSettings, SafetySettings, TableAdapterSettings
 from rotcal_ros.planning.table_ways import way_to, way_to_rest
 
 LOOK_PERIOD_S: Final = 0.2

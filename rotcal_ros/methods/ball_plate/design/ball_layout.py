@@ -1,4 +1,13 @@
-"""Where to put the balls: the layout with the smallest predicted uncertainty."""
+"""Where to put the balls: the layout with the smallest predicted uncertainty.
+
+Layouts are judged by their mean variances when all CMM positions are measured, in closed form,
+many at once. With P(q) = sum over the balls of exp(-2 pi i q j / N) the normal matrices of a
+harmonic (see :mod:`rotcal_ros.methods.ball_plate.solver.spectral`) are 3 x 3 with entries made of
+P at q - 1, q, q + 1 and of P(1), P(2): their inverse is written out, so a layout costs one short
+transform and a few hundred operations.
+
+N table positions, L layouts, R balls.
+"""
 
 from __future__ import annotations
 
@@ -6,18 +15,25 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import chain, combinations, islice
 from math import comb
+from typing import Final
 
 import numpy as np
 
-from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.arrays import Bools, Complexes, Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS, ROTATIONS
 from rotcal_ros.foundation.errors import PlanError
-from rotcal_ros.methods.ball_plate.design.layout_variance import mean_variances, proven_bound
+from rotcal_ros.methods.ball_plate.solver.spectral import couplings, multiplicity
 
 EXHAUSTIVE_LIMIT = 4_000_000
 """Layouts up to which all are looked at; beyond it exchange search takes over."""
-BATCH = 16384
+BATCH: Final = 16384
+"""Layouts that are made at once."""
+CHUNK: Final = 256
+"""Layouts that are judged at once: the work fits into the processor's cache."""
+SINGULAR: Final = 1e-7
+"""Relative determinant below which a layout counts as not separable."""
 WEIGHTS = (1.0, 1.0, 1.0, 1.0)
+"""Weights of the mean variances of ECC, plane translations, tilts and EZC."""
 _INDEX = {"ECC": 0, "EXC": 1, "EYC": 1, "EAC": 2, "EBC": 2, "EZC": 3}
 
 Progress = Callable[[int, int], None]
@@ -28,7 +44,7 @@ class BallLayout:
     """A layout of balls and what it promises when all CMM positions are measured.
 
     ``variances`` (4,) are the mean variances for unit noise as of
-    :func:`layout_variance.mean_variances`, ``score`` their weighted sum, ``bound`` what no layout
+    :func:`mean_variances`, ``score`` their weighted sum, ``bound`` what no layout
     of so many balls can beat (proven), ``evaluated`` the number of layouts looked at.
     ``optimal`` says that all layouts were covered, so that none is better.
     """
@@ -138,9 +154,10 @@ def _necklaces(grid: int, n_balls: int, min_gap: int) -> Iterator[Ints]:
     """
     for gap in range(min_gap, grid // n_balls + 1):
         free = grid - n_balls * gap  # to be shared out among the other gaps
-        for chosen in _choices(range(free + n_balls - 2), n_balls - 2):
-            edge = np.full((len(chosen), 1), -1), np.full((len(chosen), 1), free + n_balls - 2)
-            others = np.diff(np.hstack([edge[0], chosen, edge[1]])) - 1 + gap
+        # ways to share out: n_balls - 2 bars among so many places, the gaps lie between the bars
+        bars = free + n_balls - 2
+        for chosen in _choices(range(bars), n_balls - 2):
+            others = np.diff(chosen, axis=1, prepend=-1, append=bars) - 1 + gap
             others = others[others[:, 0] <= others[:, -1]]
             start = np.zeros((len(others), 1), dtype=np.int64)
             yield np.hstack([start, start + gap, gap + np.cumsum(others[:, :-1], axis=1)])
@@ -149,7 +166,7 @@ def _necklaces(grid: int, n_balls: int, min_gap: int) -> Iterator[Ints]:
 def _subsets(grid: int, places: Ints, n_balls: int, min_gap: int) -> Iterator[Ints]:
     """Yield batches of all subsets of the places that keep the gaps."""
     for layouts in _choices(places.tolist(), n_balls):
-        gaps = np.diff(np.hstack([layouts, layouts[:, :1] + grid]))
+        gaps = np.diff(layouts, axis=1, append=layouts[:, :1] + grid)
         yield layouts[gaps.min(axis=1) >= min_gap]
 
 
@@ -219,8 +236,7 @@ def _random_layout(
         free = places
         while len(chosen) < n_balls and len(free):
             chosen.append(int(rng.choice(free)))
-            away = np.abs((free - chosen[-1] + grid // 2) % grid - grid // 2)
-            free = free[away >= min_gap]
+            free = free[_steps_between(grid, free, chosen[-1]) >= min_gap]
         if len(chosen) == n_balls:
             return np.sort(np.array(chosen))
     raise PlanError(f"no random layout of {n_balls} balls keeps gaps of {min_gap} steps")
@@ -231,11 +247,17 @@ def _neighbours(grid: int, layout: Ints, places: Ints, min_gap: int) -> Ints:
     found = [layout[None]]
     for ball in range(len(layout)):
         others = np.delete(layout, ball)
-        away = np.abs((places[:, None] - others + grid // 2) % grid - grid // 2).min(axis=1)
+        away = _steps_between(grid, places[:, None], others).min(axis=1)
         free = places[(away >= min_gap) & (places != layout[ball])]
         moved = np.hstack([np.tile(others, (len(free), 1)), free[:, None]])
         found.append(np.sort(moved, axis=1))
     return np.vstack(found)
+
+
+def _steps_between(grid: int, step: Ints, other: Ints | int) -> Ints:
+    """Return how many grid steps lie between two on the circle, the shorter way."""
+    steps: Ints = np.abs((step - other + grid // 2) % grid - grid // 2)
+    return steps
 
 
 def _best_of(grid: int, layouts: Ints, weights: Floats) -> tuple[float, Ints, Floats]:
@@ -267,3 +289,99 @@ def _layout(
         evaluated=evaluated,
         optimal=optimal,
     )
+
+
+def mean_variances(grid: int, layouts: Ints) -> Floats:
+    """Return the mean variances (L, 4) of layouts (L, R) for unit noise; inf if not separable.
+
+    Mean over the table positions and, for pairs, over x and y: ECC; EXC, EYC; EAC, EBC; EZC.
+    Multiply by sigma^2, and divide those of rotations by the squared radius.
+    """
+    layouts = np.atleast_2d(layouts)
+    variances = np.empty((len(layouts), 4))
+    for start in range(0, len(layouts), CHUNK):
+        part = layouts[start : start + CHUNK]
+        variances[start : start + CHUNK] = _variances(_spectrum(grid, part), grid, part.shape[1])
+    return variances
+
+
+def _spectrum(grid: int, layouts: Ints) -> Complexes:
+    """Return P(q) of layouts (L, R) for q = 0 .. N//2 + 1, (L, N//2 + 2)."""
+    present = np.zeros((len(layouts), grid))
+    present[np.arange(len(layouts))[:, None], layouts] = 1.0
+    half = np.fft.rfft(present)
+    beyond = half[:, grid - grid // 2 - 1].conj()  # P(N//2 + 1), by symmetry
+    extended: Complexes = np.concatenate([half, beyond[:, None]], axis=1)
+    return extended
+
+
+def proven_bound(grid: int, n_balls: int) -> Floats:
+    """Return what no layout of so many balls can beat, (4,), ordered as :func:`mean_variances`.
+
+    The sum of |P(q)|^2 over all q is N R (Parseval) and the diagonal terms are convex in it, so
+    spreading it evenly is best (Jensen); the couplings between unknowns only add variance.
+    """
+    power = grid * n_balls - n_balls**2
+    each = (grid - 1) / grid / (n_balls - power / (grid - 1) / n_balls)
+    # The pair meets P(-1) but not P(1), which have the same size: some more power there is best.
+    others = grid - 3
+    first = ((np.sqrt(2.0) - 1.0) * n_balls**2 + power / others) / (np.sqrt(2.0) + 2.0 / others)
+    first = min(first, 0.5 * power)
+    rest = (power - 2.0 * first) / others
+    pair = 1.0 / (n_balls - first / n_balls) + others / (n_balls - rest / n_balls)
+    return np.array([each, pair / grid, 2.0 * pair / grid, each])
+
+
+def _variances(sums: Complexes, grid: int, n_balls: int) -> Floats:
+    """Evaluate the inverses (L, 4) from P (L, N//2 + 2)."""
+    diagonal, up, down, across = couplings(sums, n_balls)
+    lower, middle, upper = diagonal[:, :-2], diagonal[:, 1:-1], diagonal[:, 2:]
+    up_power, down_power = _power(up), _power(down)
+    cross_power = _power(across)
+    # singular layouts may divide by zero here: they are told by _singular
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # PLANE, whose unknowns d+ and d- meet only in rho c_z: by elimination
+        up_share, down_share = 0.5 * up_power / upper, 0.5 * down_power / lower
+        turn = 1.0 / (middle - up_share - down_share)
+        plane_up, plane_down = (1.0 + up_share * turn) / upper, (1.0 + down_share * turn) / lower
+        # AXIS, all coupled: by the adjugate over the determinant
+        determinant = (
+            middle * (upper * lower - cross_power)
+            - upper * down_power
+            - lower * up_power
+            + 2.0 * (across.conj() * up * down).real
+        )
+        tilt_up = 2.0 * (lower * middle - down_power) / determinant
+        tilt_down = 2.0 * (upper * middle - up_power) / determinant
+        height = (upper * lower - cross_power) / determinant
+    bad = _singular(upper, lower, middle, turn, determinant, n_balls)
+    plane_down[:, 0] = tilt_down[:, 0] = 0.0  # fixed by a constraint at q = 1
+    twice = multiplicity(grid) / grid
+    result = np.stack(
+        [
+            turn @ twice,
+            0.5 * (plane_up + plane_down) @ twice,
+            0.5 * (tilt_up + tilt_down) @ twice,
+            height @ twice,
+        ],
+        axis=1,
+    )
+    result[bad] = np.inf
+    return result
+
+
+def _power(values: Complexes) -> Floats:
+    power: Floats = values.real**2 + values.imag**2
+    return power
+
+
+def _singular(
+    upper: Floats, lower: Floats, middle: Floats, turn: Floats, determinant: Floats, n_balls: int
+) -> Bools:
+    """Layouts (L,) with a harmonic whose systems are singular to rounding."""
+    small = SINGULAR * n_balls
+    smallest = np.minimum(np.minimum(upper, lower), middle).min(axis=1) < small
+    plane = ~((turn > 0.0) & (turn * small < 1.0)).all(axis=1)
+    axis = ~(determinant > SINGULAR * n_balls**3).all(axis=1)
+    bad: Bools = smallest | plane | axis
+    return bad

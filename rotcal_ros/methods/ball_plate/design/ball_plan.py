@@ -9,6 +9,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import PlanError
+from rotcal_ros.planning.sequence_time import Drive
 
 Order = Literal["interleaved", "table_once", "probe_rests"]
 DEFAULT_ORDER: Final[Order] = "interleaved"
@@ -17,6 +18,7 @@ ROUNDS: Final = 4
 CLOSING_BALLS: Final = 3
 """Balls at a table position below which its repetition tells no motion."""
 _GOLDEN: Final = 0.5 * (np.sqrt(5.0) - 1.0)
+"""Steps of this part of a turn never come back near to an earlier one: no period, even spread."""
 
 
 @dataclass(frozen=True)
@@ -43,11 +45,10 @@ class BallPlan:
 
     ``position`` is the grid step at which the table stands, ``upward`` whether it was reached with
     increasing angle. ``table_angle`` is unwrapped, in radians: the table turns to it from the row
-    before.
-    ``table_travel`` (rad) adds up all its motion, ``reversals`` counts changes of direction,
-    ``duration`` is predicted in seconds, ``lead_in`` the angle from which the first position is
-    approached so that all are approached from the same side. The last ``closing`` rows measure
-    the first table position again.
+    before. ``table_travel`` (rad) adds up all its motion, ``reversals`` counts changes of
+    direction, ``duration`` is predicted in seconds, ``lead_in`` the angle from which the first
+    position is approached so that all are approached from the same side. The last ``closing`` rows
+    measure the first table position again.
     """
 
     grid: int
@@ -286,21 +287,13 @@ def _duration(
 ) -> float:
     """Add up table moves with settling, probe moves over the clearance, and touches."""
     k = kinematics
-    table = _move_time(np.abs(moves), k.table_velocity, k.table_acceleration)
+    table = Drive(k.table_velocity, k.table_acceleration).moving(np.abs(moves))
     settling = k.settle * np.count_nonzero(moves)
     place = 2.0 * np.pi * (turns + ball) / grid
-    across = 2.0 * radius * np.abs(np.sin(0.5 * np.diff(place)))
-    crossing = _move_time(across, k.probe_velocity, k.probe_acceleration)
-    lift = _move_time(np.array([k.clearance]), k.probe_velocity, k.probe_acceleration)[0]
+    across = 2.0 * radius * np.abs(np.sin(0.5 * np.diff(place)))  # the chord
+    probe = Drive(k.probe_velocity, k.probe_acceleration)
+    crossing, lift = probe.moving(across), float(probe.moving(np.array(k.clearance)))
     # the probe lifts whenever the table turns or it goes to another place
     lifts = 1 + np.count_nonzero((np.abs(moves[1:]) > 0.0) | (across > 1e-9 * radius))
     touching = len(ball) * k.touches_per_ball * k.touch
     return float(table.sum() + settling + crossing.sum() + 2.0 * lift * lifts + touching)
-
-
-def _move_time(distance: Floats, velocity: float, acceleration: float) -> Floats:
-    """Time of moves from rest to rest with limited acceleration and velocity."""
-    ramp = velocity**2 / acceleration
-    long = distance / velocity + velocity / acceleration
-    times: Floats = np.where(distance >= ramp, long, 2.0 * np.sqrt(distance / acceleration))
-    return times

@@ -1,8 +1,17 @@
-"""How many balls and CMM positions a wanted uncertainty needs."""
+"""What a wanted uncertainty needs: balls, CMM positions, size of the plate, noise of the machine.
+
+:func:`required_effort` looks for the fewest centres of a given plate and machine.
+:func:`plate_trade` measures all positions and says how large the plate or how quiet the machine
+has to be. By cyclic symmetry no choice of n centres, whichever balls at whichever positions, beats
+the share n of the plate that has a ball at every step: a variance of V_full N^2 / n, the
+:func:`bound`. A good plate of a few balls comes within some per cent of that, so there is little
+to plan but the number of centres.
+"""
 
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -12,12 +21,19 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.errors import ObservabilityError, PlanError
 from rotcal_ros.foundation.units import MICROMETRE
-from rotcal_ros.methods.ball_plate.design.ball_layout import BallLayout, best_layout
+from rotcal_ros.methods.ball_plate.design.ball_layout import (
+    BallLayout,
+    best_layout,
+    mean_variances,
+)
 from rotcal_ros.methods.ball_plate.design.ball_plan import spread_out
-from rotcal_ros.methods.ball_plate.solver.general_least_squares import solve_general
-from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, grid_angles
+from rotcal_ros.methods.ball_plate.solver.general_least_squares import factored
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 
 MOST_BALLS = 24
+"""Balls up to which plates are tried where no number is given."""
+ECC = 0
+"""Column of :func:`~.ball_layout.mean_variances`."""
 
 
 @dataclass(frozen=True)
@@ -90,10 +106,8 @@ def unit_std(
     For any choice of balls and CMM positions; ObservabilityError when it separates nothing.
     """
     ball, cmm = (axis.ravel() for axis in np.meshgrid(balls, positions))
-    angle = grid_angles(grid)[cmm]
-    nominal = radius * np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
-    problem = BallPlateProblem(grid, radius, (cmm - ball) % grid, ball, nominal)
-    unit = solve_general(problem).unit_std
+    problem = BallPlateProblem.nominal(grid, radius, (cmm - ball) % grid, ball)
+    unit = factored(problem).solve(problem.deviations).unit_std
     return {name: unit.component(name) for name in COMPONENTS}
 
 
@@ -119,3 +133,63 @@ def _fewest_positions(
         return None
     enough = bisect_left(range(grid), True, lo=4, key=lambda count: worst(count) <= limit)
     return tuple(np.sort(spread[:enough]).tolist()), worst(enough)
+
+
+@dataclass(frozen=True)
+class PlateTrade:
+    """What a plate of ``balls`` at the steps ``ball_steps`` gives, all positions measured.
+
+    ``centres`` are measured in ``seconds``; ``expanded``: U (k = 2) of ECC, rad. ``radius`` and
+    ``sigma`` (m) are what the wanted uncertainty takes, the other one as given. ``saving``: share
+    of the centres that the best of all plans could save.
+    """
+
+    balls: int
+    ball_steps: tuple[int, ...]
+    centres: int
+    seconds: float
+    expanded: float
+    radius: float
+    sigma: float
+    saving: float
+
+
+def plate_trade(
+    grid: int,
+    balls: Sequence[int],
+    limit: float,
+    *,
+    radius: float,
+    sigma: float,
+    centre_s: float,
+    seed: int = 0,
+) -> tuple[PlateTrade, ...]:
+    """Return the trade for U(ECC) <= ``limit`` (rad) on ``grid`` table positions.
+
+    ``radius`` (m) of the ball circle, ``sigma`` (m, k = 1) of a centre coordinate, ``centre_s``
+    (s) for one centre with all that it takes. Raises PlanError for plates that separate nothing.
+    """
+    rows = []
+    for count in balls:
+        layout = best_layout(grid, count, weights=(1.0, 0.0, 0.0, 0.0), seed=seed, starts=6)
+        unit = float(mean_variances(grid, np.array(layout.steps))[0, ECC])
+        turn = COVERAGE_FACTOR * np.sqrt(unit)  # times sigma / radius
+        rows.append(
+            PlateTrade(
+                balls=count,
+                ball_steps=tuple(layout.steps),
+                centres=grid * count,
+                seconds=grid * count * centre_s,
+                expanded=float(turn * sigma / radius),
+                radius=float(turn * sigma / limit),
+                sigma=float(limit * radius / turn),
+                saving=1.0 - bound(grid, grid * count) / unit,
+            )
+        )
+    return tuple(rows)
+
+
+def bound(grid: int, centres: int) -> float:
+    """Return the mean variance of ECC for unit noise and radius that no plan can beat."""
+    full = float(mean_variances(grid, np.arange(grid))[0, ECC])
+    return full * grid**2 / centres

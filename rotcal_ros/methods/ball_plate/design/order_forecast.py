@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.methods.ball_plate.design.ball_plan import BallPlan
-from rotcal_ros.methods.ball_plate.solver.closure import split
-from rotcal_ros.methods.ball_plate.solver.disturbance_response import unit_std
 from rotcal_ros.methods.ball_plate.solver.estimate import least_squares
 from rotcal_ros.methods.ball_plate.solver.order_effects import (
-    RANDOM_MOMENTS,
     DisplacementPatterns,
+    bad_moment,
     drift_error,
     found_size,
     knock_error,
     needed,
     order_effects,
 )
-from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, grid_angles, on_circle
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
+from rotcal_ros.methods.ball_plate.solver.repeated_stops import closing_apart
 
 AXES = ("x", "y", "z")
 
@@ -60,39 +60,36 @@ def forecast(plan: BallPlan, sigma: float, radius: float) -> OrderForecast:
 
     Raises ObservabilityError when the plan does not separate the errors.
     """
-    once, closing = split(_nominal(plan, radius))
+    row = np.arange(len(plan.position))
+    once, closing = closing_apart(
+        BallPlateProblem.nominal(plan.grid, radius, plan.position, plan.ball_step, row=row)
+    )
     solution = least_squares(once)
-    std, dof = unit_std(solution.unit_std), solution.dof
+    std, dof = solution.unit_std.curves(), solution.dof
     effects = order_effects(once, closing)
     closure = needed(6, dof)
-    unit = np.eye(6)
     drifts = [
         _effect("drift", a, [effects.drift], np.eye(3)[a], 1.0, std, needed(3, dof), closure)
         for a in range(3)
     ]
-    fit = needed(6, dof, len(effects.knocks))
+    unit, fit = np.eye(6), needed(6, dof, len(effects.knocks))
     knocks = [
         _effect(kind, a, effects.knocks, unit[start + a], length, std, fit, closure)
         for kind, start, length in (("shift", 0, 1.0), ("turn", 3, radius))
         for a in range(3)
     ]
     return OrderForecast(
-        effects=tuple(_scaled(effect, sigma) for effect in (*drifts, *knocks)),
+        # sizes were found for unit noise
+        effects=tuple(replace(e, found_from=sigma * e.found_from) for e in (*drifts, *knocks)),
         drift_unseen=drift_error(effects, std, dof),
         knock_unseen=knock_error(effects, std, dof),
     )
 
 
-def _nominal(plan: BallPlan, radius: float) -> BallPlateProblem:
-    centres = radius * on_circle(grid_angles(plan.grid)[plan.cmm_index])
-    row = np.arange(len(centres))
-    return BallPlateProblem(plan.grid, radius, plan.position, plan.ball_step, centres, row=row)
-
-
 def _effect(
     kind: str,
     axis: int,
-    patterns: list[DisplacementPatterns] | tuple[DisplacementPatterns, ...],
+    patterns: Sequence[DisplacementPatterns],
     amount: Floats,
     length: float,
     std: Floats,
@@ -103,8 +100,9 @@ def _effect(
     errors = [np.abs(p.response @ amount) for p in patterns]
     sizes = np.array([found_size(p, amount, fit, closure) for p in patterns])
     relative = np.array([np.max(error / std) for error in errors])
+    # a size may be infinite: where nothing is in error 0 inf would not be a number
     unseen = np.where(relative > 0.0, relative * np.where(relative > 0.0, sizes, 0.0), 0.0)
-    moment = int(np.argsort(unseen)[int(np.ceil(RANDOM_MOMENTS * len(unseen))) - 1])
+    moment = bad_moment(unseen)
     largest = length * errors[moment].max(axis=1)
     return UnitEffect(
         kind=kind,
@@ -112,11 +110,4 @@ def _effect(
         error=dict(zip(COMPONENTS, largest.tolist(), strict=True)),
         found_from=float(sizes[moment]) / length,
         unseen=float(unseen[moment]),
-    )
-
-
-def _scaled(effect: UnitEffect, sigma: float) -> UnitEffect:
-    """Bring a size found for unit noise to that of centres with ``sigma``."""
-    return UnitEffect(
-        effect.kind, effect.axis, effect.error, sigma * effect.found_from, effect.unseen
     )

@@ -2,13 +2,24 @@
 
 The model and its constraints are those of the reduced three-rosette method with six degrees of
 freedom; closed form and groups follow a second paper. docs/ball_plate.md has the derivation.
+
+To read in this order:
+
+* :mod:`.problem`: the centres; :mod:`.model`: unknowns, linear model, constraints
+* :mod:`.spectral` and :mod:`.general_least_squares`: its solution, for complete and for any data;
+  :mod:`.separability`: whether there is one
+* :mod:`.estimate`: the way to solve, gaps, drift, the exact model
+* :mod:`.screening`, :mod:`.rejection`, :mod:`.gathering`: rows that are not fitted, before the
+  first fit, one by one, and together in one place
+* :mod:`.noise`, :mod:`.order_effects`, :mod:`.repeated_stops`: what the residuals tell
+* :mod:`.solution`: all of this for each group of table positions; :mod:`.reliability`: what may be
+  wrong all the same; :mod:`.result`: the result, and trials of it
 """
 
-from rotcal_ros.methods.ball_plate.solver.closed_form import ClosedForm, closed_form
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, select
+from rotcal_ros.methods.ball_plate.solver.result import plate_trials, result_of, solve
 from rotcal_ros.methods.ball_plate.solver.solution import adjust
-from rotcal_ros.methods.ball_plate.solver.solve import result_of, solve
-from rotcal_ros.methods.ball_plate.solver.trials import plate_trials
+from rotcal_ros.methods.ball_plate.solver.spectral import ClosedForm, closed_form
 
 __all__ = [
     "BallPlateProblem",

@@ -1,27 +1,50 @@
-"""Which of the ways solves a problem: one model, one answer."""
+"""The least squares of a plate: which way solves it, a drift estimated along, the exact model.
+
+Complete data with equal weights are solved harmonic by harmonic (:mod:`.spectral`), also with a
+few gaps, for which that is corrected exactly; all others by elimination
+(:mod:`.general_least_squares`). One linear model, one answer. A drift of the CMM's origin is
+added as a few further unknowns. The linear fit is then repeated until it solves the exact model
+
+    m = v + R_u [ E(c_i) B_i E_z(u_z) (p_j + a_j) + d_i + b_k ],      i = k - j (mod N)
+
+where E(c) is the rotation about c by |c| and R_u the shortest rotation that takes z to the axis.
+What this has beyond Eq. 12 are products of small quantities: the tilt of the axis with the plate's
+place, the table's rotations with the plate's place. Deviations, plate and CMM errors live in the
+frame of the fitted axis, and obey Eq. 15 to 19 there.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats, Ints
-from rotcal_ros.methods.ball_plate.solver import (
-    drift,
-    gaps,
-    general_least_squares,
-    model,
-    rigorous,
-    spectral,
+from rotcal_ros.foundation.errors import DataError, ObservabilityError
+from rotcal_ros.geometry.rotations import rotation_about_z, rotation_from_vector
+from rotcal_ros.methods.ball_plate.solver import general_least_squares, model, spectral
+from rotcal_ros.methods.ball_plate.solver.model import (
+    FIELDS,
+    LinearFit,
+    OriginDrift,
+    PlateParameters,
+    Solution,
 )
-from rotcal_ros.methods.ball_plate.solver.model import LinearFit, PlateParameters, Solution
-from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, on_circle
+from rotcal_ros.methods.ball_plate.solver.separability import require_balls
 
 FEW_GAPS = 20
 """Gaps up to which correcting the spectral solution is quicker than the elimination."""
 MANY_GAPS = 300
 """Gaps up to which it is also done where the elimination does not fit into memory."""
+DETERMINED = 1e-7
+"""Smallest accepted eigenvalue of the residual cofactor at the gaps."""
+VISIBLE = 0.01
+"""Part of a drift's sum of squares that must be left in the residuals to estimate it."""
+SETTLED = 3e-4
+"""Largest change of any combination of parameters, in its standard deviations, left undone."""
+MOST_ROUNDS = 60
 
 
 def least_squares(problem: BallPlateProblem) -> Solution:
@@ -40,26 +63,25 @@ def solved(problem: BallPlateProblem) -> tuple[LinearFit, Solution]:
     """
     plain = factored(problem)
     if not problem.drift:
-        return plain, rigorous.settle(problem, plain)
-    border = drift.Border(problem, plain.fit)
-    return border.fit(plain), border.settled(problem, plain, rigorous.settle)
+        return plain, _settled(problem, plain)
+    drift = _Drift(problem, plain)
+    return drift.fit(), drift.settled()
 
 
 def factored(problem: BallPlateProblem) -> LinearFit:
-    """Factor complete, equally weighted data harmonic by harmonic, all others by elimination.
+    """Factor the model of Eq. 12, without a drift, the quickest way.
 
-    This is the model of Eq. 12 alone, without a drift. A few gaps are corrected for exactly; see
-    :mod:`gaps`. Raises ObservabilityError when the centres do not determine all parameters.
+    Raises ObservabilityError when the centres do not determine all parameters.
     """
     axes = _same_everywhere(problem)
     if axes is not None:
         return _scaled(factored(replace(problem, std=None)), axes)
     if problem.complete and problem.std is None:
         return spectral.factored(problem)
-    cells = _few_gaps(problem)
-    return (
-        general_least_squares.factored(problem) if cells is None else gaps.factored(problem, cells)
-    )
+    gaps = _few_gaps(problem)
+    if gaps is not None:
+        return factored_with_gaps(problem, gaps)
+    return general_least_squares.factored(problem)
 
 
 def _same_everywhere(problem: BallPlateProblem) -> Floats | None:
@@ -67,7 +89,7 @@ def _same_everywhere(problem: BallPlateProblem) -> Floats | None:
 
     The linear model keeps z apart from x and y, so such weights change no estimate.
     """
-    if problem.std is None or np.ptp(problem.std, axis=0).any():
+    if problem.std is None or not problem.weighed_alike:
         return None
     axes: Floats = problem.std[0]
     return axes if axes[0] == axes[1] else None
@@ -99,12 +121,338 @@ def _few_gaps(problem: BallPlateProblem) -> Ints | None:
     """Return the missing cells when correcting for them is the better way, else None."""
     if problem.std is not None or problem.bidirectional:
         return None
-    whole = (problem.table_positions, problem.cmm_positions)
-    if min(map(len, whole)) < problem.grid:
+    if min(len(problem.table_positions), len(problem.cmm_positions)) < problem.grid:
         return None  # a filled grid would have unknowns that no centre sees
-    cells = gaps.gap_cells(problem)
+    gaps = gap_cells(problem)
     large = model.offsets(problem).total > general_least_squares.MAX_UNKNOWNS
-    if cells is None or len(cells) > (MANY_GAPS if large else FEW_GAPS):
+    if gaps is None or len(gaps) > (MANY_GAPS if large else FEW_GAPS):
         return None
-    general_least_squares.require_balls(problem)
-    return cells
+    require_balls(problem)
+    return gaps
+
+
+def gap_cells(problem: BallPlateProblem) -> Ints | None:
+    """Return the missing cells (place in the complete canonical order), None if some repeat."""
+    ball = np.searchsorted(problem.balls, problem.ball_step)
+    cells = ball * problem.grid + problem.position
+    if len(np.unique(cells)) < len(cells):
+        return None
+    return np.setdiff1d(np.arange(len(problem.balls) * problem.grid), cells)
+
+
+def factored_with_gaps(problem: BallPlateProblem, gaps: Ints) -> LinearFit:
+    """Factor an equally weighted problem of which only the cells ``gaps`` (m,) are missing.
+
+    A missing centre is filled with the value that gives it a zero residual; the fit of the filled
+    data is then the least squares fit of the others. The values follow from the residual cofactor
+    at the gaps, a 3m x 3m matrix, which corrects the covariances too. Raises ObservabilityError
+    when the remaining centres do not determine all parameters.
+    """
+    n_cells = len(problem.balls) * problem.grid
+    measured = np.setdiff1d(np.arange(n_cells), gaps)
+    table = np.tile(np.arange(problem.grid), len(problem.balls))
+    ball = np.repeat(problem.balls, problem.grid)
+    linear = spectral.factored(BallPlateProblem.nominal(problem.grid, problem.radius, table, ball))
+    responses = [linear.fit(unit) for unit in _units(n_cells, gaps)]
+    # a residual at the gaps per unit deviation there: the cofactor, symmetric but for rounding
+    at_gaps = np.array([residuals[gaps].ravel() for _, residuals in responses])
+    at_gaps = 0.5 * (at_gaps + at_gaps.T)
+    if np.linalg.eigvalsh(at_gaps)[0] < DETERMINED:
+        raise ObservabilityError(
+            "without the missing or rejected centres not all errors of table, plate and CMM are "
+            "determined: measure more balls at the table positions of the gaps"
+        )
+    inverse = np.linalg.inv(at_gaps)
+
+    def fit(observed: Floats) -> tuple[PlateParameters, Floats]:
+        filled = np.zeros((n_cells, 3))
+        filled[measured] = observed
+        _, start = linear.fit(filled)
+        filled[gaps] = -(inverse @ start[gaps].ravel()).reshape(-1, 3)
+        estimate, residuals = linear.fit(filled)
+        return estimate, residuals[measured]
+
+    def solution(estimate: PlateParameters, residuals: Floats) -> Solution:
+        filled = linear.solution(estimate, np.zeros((n_cells, 3)))
+        start = replace(
+            filled,
+            residuals=residuals,
+            cofactor=lambda: filled.cofactor()[measured],
+            weighted_square_sum=float(residuals.ravel() @ residuals.ravel()),
+            dof=model.degrees_of_freedom(problem),
+            way="spectral with gaps",
+        )
+        moved = np.stack([left[measured] for _, left in responses], axis=2)
+        return _enlarged(start, [parameters for parameters, _ in responses], moved, inverse)
+
+    return LinearFit(fit, solution)
+
+
+def _units(n_cells: int, gaps: Ints) -> Iterator[Floats]:
+    """Yield a unit deviation (n_cells, 3) for every coordinate of the ``gaps``."""
+    for cell in gaps:
+        for axis in range(3):
+            unit = np.zeros((n_cells, 3))
+            unit[cell, axis] = 1.0
+            yield unit
+
+
+def _enlarged(
+    start: Solution, parameters: list[PlateParameters], residuals: Floats, inverse: Floats
+) -> Solution:
+    """Return ``start`` with the uncertainty of m further unknowns, found in its residuals.
+
+    A unit of each moves the ``parameters`` (m) and the ``residuals`` (n, 3, m); ``inverse`` (m, m)
+    is the unit covariance of the unknowns.
+    """
+    std = {}
+    for name in FIELDS:
+        moved = np.stack([getattr(p, name) for p in parameters], axis=-1)
+        added = np.einsum("...i,ij,...j->...", moved, inverse, moved)
+        std[name] = np.sqrt(getattr(start.unit_std, name) ** 2 + added)
+
+    def covariance(first: str, second: str) -> Floats:
+        columns = np.stack([p.component(first) for p in parameters], axis=1)
+        others = np.stack([p.component(second) for p in parameters], axis=1)
+        added: Floats = columns @ inverse @ others.T
+        return start.unit_covariance(first, second) + added
+
+    def cofactor() -> Floats:
+        taken: Floats = residuals @ inverse @ residuals.swapaxes(1, 2)
+        return start.cofactor() - taken
+
+    return replace(
+        start,
+        unit_std=PlateParameters(**std),
+        unit_covariance=covariance,
+        cofactor=cofactor,
+    )
+
+
+def drift_columns(run_time: Floats, degree: int) -> Floats:
+    """Return the displacement (n, 3, 3 degree) of centres by a drift of 1 m over the run.
+
+    ``run_time`` runs from -0.5 to 0.5. The linear part comes first, then the bow: 1 m more at
+    both ends than in the middle.
+    """
+    shapes = np.stack([run_time, 4.0 * run_time**2], axis=1)[:, :degree]
+    columns = shapes[:, None, :, None] * np.eye(3)[:, None, :]
+    return columns.reshape(len(run_time), 3, 3 * degree)
+
+
+def drifted(
+    problem: BallPlateProblem, reference: BallPlateProblem, drift: OriginDrift | None
+) -> Floats:
+    """Return where an estimated drift moved the rows (n, 3); ``reference`` has its time."""
+    if drift is None:
+        return np.zeros_like(problem.centres)
+    columns = drift_columns(problem.run_time_on(reference), len(drift.amount))
+    moved: Floats = columns @ drift.amount.ravel()
+    return moved
+
+
+def drift_seen(problem: BallPlateProblem, columns: Floats, information: Floats) -> float:
+    """Return the part of a drift's squares that the residuals keep, in the worst direction.
+
+    ``columns`` (n, 3, m) displace the centres, ``information`` (m, m) is what the fit leaves of
+    them. A constant part counts for nothing: the pose of the axis takes it.
+    """
+    centred = columns - columns.mean(axis=0)
+    total = np.einsum("nia,ni,nia->a", centred, problem.weights, centred)
+    scale = 1.0 / np.sqrt(total)
+    return float(np.linalg.eigvalsh(information * np.outer(scale, scale))[0])
+
+
+class _Drift:
+    """The fit of a problem with its drift, bordered to the ``plain`` fit without.
+
+    With E the columns of the drift, M the projector to the residuals and W the weights the amounts
+    are (E' W M E)^-1 E' W M y; everything else moves by what they cause. Raises ObservabilityError
+    where the residuals keep too little of a drift.
+    """
+
+    def __init__(self, problem: BallPlateProblem, plain: LinearFit) -> None:
+        self.problem, self.plain = problem, plain
+        self.columns = drift_columns(problem.run_time, problem.drift)  # (n, 3, m)
+        self.parameters, self.remains = plain.responses(self.columns)
+        self.weighted = problem.weights[:, :, None] * self.columns
+        information = np.einsum("nia,nib->ab", self.weighted, self.remains)
+        information = 0.5 * (information + information.T)
+        seen = drift_seen(problem, self.columns, information)
+        if seen < VISIBLE:
+            raise ObservabilityError(
+                f"a drift cannot be told from errors of the table and the CMM in this order of "
+                f"measurement: the residuals keep {max(seen, 0.0):.2g} of it, {VISIBLE:g} "
+                "are needed; measure in the order interleaved, or leave solver.drift at none"
+            )
+        self.inverse = np.linalg.inv(information)
+
+    def amount(self, residuals: Floats) -> Floats:
+        """Return how much (m,) of each column residuals (n, 3) without drift contain."""
+        found: Floats = self.inverse @ np.einsum("nia,ni->a", self.weighted, residuals)
+        return found
+
+    def fit(self) -> LinearFit:
+        """Return the factored model with the drift among its unknowns."""
+        moved = {
+            name: np.stack([getattr(p, name) for p in self.parameters], axis=-1) for name in FIELDS
+        }
+
+        def fit(observed: Floats) -> tuple[PlateParameters, Floats]:
+            found, residuals = self.plain.fit(observed)
+            amount = self.amount(residuals)
+            less = {name: getattr(found, name) - m @ amount for name, m in moved.items()}
+            return PlateParameters(**less), residuals - self.remains @ amount
+
+        def solution(estimate: PlateParameters, residuals: Floats) -> Solution:
+            return self._with_drift(self.plain.solution(estimate, residuals))
+
+        return LinearFit(fit, solution)
+
+    def settled(self) -> Solution:
+        """Return the solution of the exact model.
+
+        The amount follows from the linear model, and twice more from what is left of the exact
+        one: the products with the pose of the axis are gone after that.
+        """
+        amount = self.amount(self.plain.fit(self.problem.deviations)[1])
+        for _ in range(2):
+            rest = replace(self.problem, centres=self.problem.centres - self.columns @ amount)
+            solution = _settled(rest, self.plain)
+            amount = amount + self.amount(solution.residuals)
+        found = OriginDrift(amount.reshape(-1, 3), self.inverse)
+        return replace(self._with_drift(solution), drift=found)
+
+    def _with_drift(self, solution: Solution) -> Solution:
+        """Return a solution without drift with the uncertainty that its amount adds."""
+        return replace(
+            _enlarged(solution, self.parameters, self.remains, self.inverse),
+            dof=solution.dof - len(self.inverse),
+            way=f"{solution.way} with drift",
+        )
+
+
+def _settled(problem: BallPlateProblem, linear: LinearFit) -> Solution:
+    """Return the least squares solution of the exact model.
+
+    The linear fit takes the misclosure of the exact model again and again, its design frozen at
+    the nominal places, until nothing is left to take. The length of what one round neglects, in
+    standard deviations of a centre, is a bound on the change of every linear combination of the
+    parameters in the next one, in the standard deviations of that combination: below SETTLED the
+    iteration ends. Well aligned data pass this test on the linear solution. Raises DataError when
+    the iteration does not settle.
+    """
+    found, residuals = linear.fit(problem.deviations)
+    if _neglected(problem, found) < _limit(problem, residuals):
+        return linear.solution(found, residuals)
+    pose = _Pose().moved(found)
+    for _ in range(MOST_ROUNDS):
+        misclosure = _misclosure(problem, found, pose)
+        if _length(problem, misclosure - residuals) < _limit(problem, misclosure):
+            residuals = misclosure @ pose.frame.T
+            return linear.solution(pose.in_machine_axes(found), residuals)
+        step, residuals = linear.fit(misclosure)
+        found = PlateParameters(**{f: getattr(found, f) + getattr(step, f) for f in FIELDS})
+        pose = pose.moved(step)
+    raise DataError(
+        f"the fit does not settle in {MOST_ROUNDS} rounds, plate and axis are too far off for "
+        "these balls: centre the plate better, align the CMM's frame with the axis"
+    )
+
+
+def computed(
+    problem: BallPlateProblem, found: PlateParameters, plate: Floats, cmm: Floats
+) -> Floats:
+    """Return the centres (n, 3) that the exact model predicts for the rows of ``problem``.
+
+    ``plate`` and ``cmm`` (n, 3) are the errors of ball and CMM position of each row; the table
+    positions in use must be those that ``found`` belongs to.
+    """
+    pose = _Pose.of(found)
+    yaw = rotation_about_z(found.axis_rotation[2])
+    places = problem.radius * on_circle(problem.angles[problem.ball_step]) + plate
+    table = rotation_from_vector(found.rotation)
+    table = table @ rotation_about_z(problem.angles[problem.table_positions]) @ yaw
+    there = np.einsum("nij,nj->ni", table[problem.table_index], places)
+    there += found.translation[problem.table_index] + cmm
+    centres: Floats = there @ (pose.frame @ yaw.T).T + pose.origin
+    return centres
+
+
+@dataclass(frozen=True)
+class _Pose:
+    """Frame of axis and plate: ``frame`` (3, 3) holds its axes as columns, ``origin`` (3,)."""
+
+    frame: Floats = field(default_factory=lambda: np.eye(3))
+    origin: Floats = field(default_factory=lambda: np.zeros(3))
+
+    @classmethod
+    def of(cls, found: PlateParameters) -> _Pose:
+        """Return the pose that the parameters of a solution state."""
+        tilt = rotation_from_vector(found.axis_rotation * [1.0, 1.0, 0.0])
+        return cls(tilt @ rotation_about_z(found.axis_rotation[2]), found.axis_shift)
+
+    def moved(self, step: PlateParameters) -> _Pose:
+        """Return the pose after the small motion of a step, given in this frame."""
+        turned = self.frame @ rotation_from_vector(step.axis_rotation)
+        return _Pose(turned, self.origin + self.frame @ step.axis_shift)
+
+    def in_machine_axes(self, found: PlateParameters) -> PlateParameters:
+        """Return parameters with the pose, their vectors along x and y of the machine.
+
+        The frame is tilt times a turn about the axis; the latter is the plate's, not the axis's.
+        """
+        axis = self.frame[:, 2]
+        sine = float(np.hypot(axis[0], axis[1]))
+        size = np.arctan2(sine, axis[2]) / sine if sine > 0.0 else 1.0  # angle over its sine
+        tilt = size * np.array([-axis[1], axis[0], 0.0])
+        turn = rotation_from_vector(tilt).T @ self.frame
+        yaw = np.array([0.0, 0.0, np.arctan2(turn[1, 0], turn[0, 0])])
+        vectors = {f: getattr(found, f) @ turn.T for f in ("cmm", "rotation", "translation")}
+        return PlateParameters(
+            plate=found.plate, axis_rotation=tilt + yaw, axis_shift=self.origin, **vectors
+        )
+
+
+def _misclosure(problem: BallPlateProblem, found: PlateParameters, pose: _Pose) -> Floats:
+    """Return observed - computed (n, 3) in the frame of axis and plate."""
+    ball = np.searchsorted(problem.balls, problem.ball_step)
+    cmm = np.searchsorted(problem.cmm_positions, problem.cmm_index)
+    places = problem.radius * on_circle(problem.angles[problem.balls]) + found.plate
+    table = rotation_from_vector(found.rotation)
+    table = table @ rotation_about_z(problem.angles[problem.table_positions])
+    there = np.einsum("nij,nj->ni", table[problem.table_index], places[ball])
+    there += found.translation[problem.table_index] + found.cmm[cmm]
+    misclosure: Floats = (problem.centres - pose.origin) @ pose.frame - there
+    return misclosure
+
+
+def _neglected(problem: BallPlateProblem, found: PlateParameters) -> float:
+    """Return a bound on the length of all products that the linear model neglects.
+
+    In units of the smallest standard deviation where the rows have their own. The length goes over
+    all rows together, so norms multiply: every ball meets every rotation.
+    """
+    n_balls, n = len(problem.balls), len(problem.centres)
+    rotation, plate = np.linalg.norm(found.rotation), np.linalg.norm(found.plate)
+    largest = float(np.max(np.abs(found.rotation)))
+    pose = float(np.linalg.norm(found.axis_rotation))
+    around = problem.radius * np.sqrt(n_balls) * rotation  # how far the rotations move the balls
+    moved = around + np.sqrt(problem.grid) * plate
+    moved += np.sqrt(n_balls) * (np.linalg.norm(found.translation) + np.linalg.norm(found.cmm))
+    bound = rotation * plate + largest * around  # the latter for the rotations' second order
+    bound += pose * moved + 0.5 * pose**2 * problem.radius * np.sqrt(n)
+    return float(bound) / float(problem.noise_unit.min())
+
+
+def _limit(problem: BallPlateProblem, residuals: Floats) -> float:
+    """Return the length (n, 3) differences may have: in metres, or in units of ``std``."""
+    total = model.weighted_square_sum(problem, residuals)
+    sigma = np.sqrt(total / max(model.degrees_of_freedom(problem), 1))
+    rounding = np.sqrt(model.rounding_variance(problem) * residuals.size)
+    return float(max(SETTLED * sigma, rounding))
+
+
+def _length(problem: BallPlateProblem, differences: Floats) -> float:
+    """Return the length of differences (n, 3), in metres, or in units of ``std``."""
+    return float(np.sqrt(model.weighted_square_sum(problem, differences)))

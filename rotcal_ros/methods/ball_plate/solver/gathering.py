@@ -1,11 +1,14 @@
 """Disturbances that gather in one place: at a table position, a ball, a CMM position.
 
-What lasts for a while is a run of rows at a position of the table or the CMM, one of which rests
-in every order of measurement.
+What lasts for a while shows as a run of rows at one position of the table or of the CMM: in every
+order of measurement one of the two rests while the other moves.
 
 The engine in :mod:`rotcal_ros.adjust` judges; here are the groups of a plate's centres and what
 the model says of them. Residual cofactors of all groups and the map to the six deviations follow
-from the layout alone and are remembered. What gathers is asked only where a group shows anything.
+from the layout alone and are remembered. What gathers is asked only where a group shows anything:
+to ask of all takes many times as long.
+
+Shapes: n rows, e of them in a group, q subsets of it, o outputs, M table positions in use.
 """
 
 from __future__ import annotations
@@ -28,10 +31,9 @@ from rotcal_ros.adjust.subsets import distinct, runs
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.protection import POWER
 from rotcal_ros.methods.ball_plate.solver import general_least_squares, model
-from rotcal_ros.methods.ball_plate.solver.drift import drift_columns
+from rotcal_ros.methods.ball_plate.solver.estimate import drift_columns
 from rotcal_ros.methods.ball_plate.solver.model import Solution
-from rotcal_ros.methods.ball_plate.solver.order_effects import RowOrder, layout_of
-from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, RowLayout, places_of
 
 SIGNIFICANCE: Final = 0.01
 """Probability below which chance may cost good centres of one place."""
@@ -127,24 +129,47 @@ class Taken:
 
         And how many of each such group were rejected, (n,).
         """
-        order = np.argsort(self.whole.rows)
-        at = order[np.searchsorted(self.whole.rows, problem.rows, sorter=order)]
+        at = places_of(problem.rows, self.whole.rows)
         column = _columns(self.whole)[kind]
         lost = np.bincount(column[np.isin(self.whole.rows, self.gone)], minlength=column.max() + 1)
         return column[at], lost[column[at]]
 
 
-def judged(
+def gathered(
+    before: Gathering,
+    problem: BallPlateProblem,
+    solution: Solution,
+    sigma: float | None,
+    redundancy: Floats,
+    taken: Taken,
+) -> Gathering:
+    """Return ``before`` with what is known to gather in one place of a fitted problem.
+
+    ``sigma``: the stated noise of unit weight, m (or 1), None where it is not known;
+    ``redundancy`` (n,) of the rows. Of large problems only what was rejected of each group is
+    counted.
+    """
+    if _can_judge(problem):
+        return _judged(before, problem, solution, sigma, taken)
+    return _counted(before, problem, redundancy, taken)
+
+
+def _can_judge(problem: BallPlateProblem) -> bool:
+    """Tell whether a problem is small enough to be judged place by place."""
+    return model.offsets(problem).total <= MOST_UNKNOWNS
+
+
+def _judged(
     before: Gathering,
     problem: BallPlateProblem,
     solution: Solution,
     sigma: float | None,
     taken: Taken,
 ) -> Gathering:
-    """Return ``before`` with what gathers in one place of a fitted problem.
+    """Judge all groups of a fitted problem.
 
-    ``sigma``: the stated noise of unit weight, m (or 1), None where it is not known; the noise in
-    the residuals counts, axis by axis, where it is larger or nothing was stated.
+    The noise in the residuals counts, axis by axis, where it is larger than ``sigma`` or nothing
+    was stated.
     """
     view = view_of(problem)
     whitened, unit, rest, scale = _whitened(problem, solution, sigma)
@@ -166,13 +191,10 @@ def judged(
     return engine.judged(before, groups, rest, weighed, BELIEF, common)
 
 
-def counted(
+def _counted(
     before: Gathering, problem: BallPlateProblem, redundancy: Floats, taken: Taken
 ) -> Gathering:
-    """Return ``before`` with what was rejected of each group of a problem that is not judged.
-
-    ``redundancy`` (n,) of its rows.
-    """
+    """Count what was rejected of each group of a problem that is not judged."""
     found = []
     for kind in _columns(problem):
         number, lost = taken.counted(problem, kind)
@@ -230,31 +252,22 @@ def details(gatherings: Sequence[Gathering]) -> dict[str, Any]:
     }
 
 
-def can_judge(problem: BallPlateProblem) -> bool:
-    """Tell whether a problem is small enough to be judged place by place."""
-    return model.offsets(problem).total <= MOST_UNKNOWNS
-
-
-def unseen(
-    problem: BallPlateProblem, sigma: tuple[Floats, Floats], significance: float = SIGNIFICANCE
-) -> Hidden | None:
+def unseen(problem: BallPlateProblem, noise: Floats, std: Floats) -> Hidden | None:
     """Return the worst at a table position, for its deviations, that no test sees; None: unknown.
 
-    ``sigma``: noise (3,) of the axes in units of ``std``, and standard deviations (6, M).
+    ``noise`` (3,) of the axes, in units of the rows' ``std``; ``std`` (6, M) of the deviations.
     """
-    if not can_judge(problem):
+    if not _can_judge(problem):
         return None
     view = view_of(problem)
-    scale, std = sigma
-    own = np.ones_like(problem.centres) if problem.std is None else problem.std
-    nothing, unit = np.zeros_like(problem.centres), 1.0 / (own * scale)
+    nothing, unit = np.zeros_like(problem.centres), 1.0 / (problem.noise_unit * noise)
     response = view.response.reshape(6, -1, *problem.centres.shape)[:, problem.table_positions]
-    response = response * scale / std[:, :, None, None]
+    response = response * noise / std[:, :, None, None]
     groups = [
         place.group(nothing, unit, response[:, k])
         for k, place in enumerate(p for p in view.places if p.kind == "table position")
     ]
-    return hidden(groups, np.ones(6), significance, POWER, LARGEST)
+    return hidden(groups, np.ones(6), SIGNIFICANCE, POWER, LARGEST)
 
 
 def _whitened(
@@ -262,15 +275,17 @@ def _whitened(
 ) -> tuple[Floats, Floats, tuple[float, float] | None, Floats]:
     """Return whitened residuals, units (n, 3), the yardstick of the rest, and the noise (3,).
 
-    x and y share one noise, z has its own.
+    The noise is that in the residuals where it is clearly larger than what was stated; x and y
+    share one, z has its own. The yardstick, chi-squared and degrees of freedom of all residuals,
+    is None where the statement holds.
     """
-    own = np.ones_like(problem.centres) if problem.std is None else problem.std
+    own = problem.noise_unit
     residuals = solution.residuals / own
     free = _freedom(problem)
     squares = np.sum(residuals**2, axis=0)
     squares = np.array([squares[0] + squares[1], squares[2]])
     found = np.sqrt(squares / np.maximum(free, 1.0))
-    found = np.maximum(found, 0.05 * found.max())
+    found = np.maximum(found, 0.05 * found.max())  # weights beyond that have no sense
     stated = max(sigma or 0.0, float(np.sqrt(model.least_variance(problem, solution.estimate))))
     beyond = stated**2 * chi2_isf(0.01, free) / np.maximum(free, 1.0)
     known = found**2 <= beyond
@@ -282,7 +297,11 @@ def _whitened(
 
 
 def _freedom(problem: BallPlateProblem) -> Floats:
-    """Return the degrees of freedom of the plane and of z, (2,), for the nominal design."""
+    """Return the degrees of freedom of the plane and of z, (2,), for the nominal design.
+
+    Along z: a ball and a CMM position have one unknown, the table position three (EZC, EAC, EBC),
+    the axis three; nine of the 19 constraints concern these.
+    """
     balls, cmm = len(problem.balls), len(problem.cmm_positions)
     turned, n = len(problem.table_positions), len(problem.centres)
     drift = problem.drift
@@ -296,6 +315,7 @@ def _common(groups: list[Group]) -> list[str]:
     found = []
     for kind in dict.fromkeys(group.kind for group in groups):
         both = np.array([group.together for group in groups if group.kind == kind])
+        # chi-squared over its median: 1 for a typical group of sound data
         typical = np.median(both[:, 0] / chi2_isf(0.5, np.maximum(both[:, 1], 1.0)))
         if len(both) > MANY and typical > SHARED:
             found.append(kind)
@@ -308,6 +328,7 @@ def _shows(group: Group, place: GatheredRows) -> bool:
     if squares > chi2_isf(SUSPICIOUS, max(rank, 1)):
         return True
     right = place.gathered @ group.residual
+    # chi-squared of each subset's common shift
     shift = np.einsum("qa,qab,qb->q", right, place.inverse, right)
     return float(shift.max(initial=0.0)) > SHOWS
 
@@ -325,17 +346,21 @@ def _named(groups: list[Group], problem: BallPlateProblem, taken: Taken) -> list
 def view_of(problem: BallPlateProblem) -> GatheringView:
     """Return the groups of a problem; those of a layout are remembered."""
     std = problem.std
-    if std is not None and not np.ptp(std, axis=0).any() and std[0, 0] == std[0, 1]:
+    if std is not None and problem.weighed_alike and std[0, 0] == std[0, 1]:
         std = None  # the plane and z do not meet: whitened, all is as without
-    view = _of_layout(layout_of(replace(problem, std=std, sigma=None), None))
+    view = _of_layout(RowLayout.of(replace(problem, std=std, sigma=None)))
     if std is problem.std:
         return view
-    own = np.ones(3) if problem.std is None else problem.std[0]
-    return GatheringView(view.places, view.response * own)
+    return GatheringView(view.places, view.response * problem.noise_unit[0])
 
 
 @lru_cache(maxsize=4)
-def _of_layout(layout: RowOrder) -> GatheringView:
+def _of_layout(layout: RowLayout) -> GatheringView:
+    """Return the groups of a layout with their residual cofactors, by one dense elimination.
+
+    With A the whitened design and C the covariance of the unknowns the cofactor is 1 - A C A'; the
+    columns of a drift take their part of it as further unknowns.
+    """
     problem = layout.problem()
     view = general_least_squares.linear_view(problem)
     n = len(problem.centres)
@@ -364,6 +389,7 @@ def _of_layout(layout: RowOrder) -> GatheringView:
 
 
 def _placed(problem: BallPlateProblem, cofactor: Floats, kind: str, number: int) -> GatheredRows:
+    """Return one group with its subsets and what the common shift of each is known to."""
     rows = np.flatnonzero(_columns(problem)[kind] == number)
     gathered = _subsets(problem, kind, rows)
     part = gathered.astype(np.float64)
@@ -371,7 +397,7 @@ def _placed(problem: BallPlateProblem, cofactor: Floats, kind: str, number: int)
     square = np.einsum("qaeb,qe->qab", both, part)
     inverse = np.linalg.pinv(square, rcond=1e-6, hermitian=True) if len(part) else square
     values, vectors = np.linalg.eigh(cofactor.reshape(3 * len(rows), -1))
-    eigen = (np.clip(values, 0.0, 1.0), vectors)
+    eigen = (np.clip(values, 0.0, 1.0), vectors)  # a projector's, but for rounding
     return GatheredRows(kind, number, rows, cofactor, eigen, gathered, inverse)
 
 
@@ -390,8 +416,4 @@ def _subsets(problem: BallPlateProblem, kind: str, rows: Ints) -> Bools:
     found = runs(along.astype(np.float64), closed=True)
     if kind != "ball step":
         found = distinct(found, runs(problem.rows[rows].astype(np.float64)))
-    return _short(found)
-
-
-def _short(subsets: Bools) -> Bools:
-    return np.asarray(subsets[np.isin(subsets.sum(axis=1), RUNS)])
+    return np.asarray(found[np.isin(found.sum(axis=1), RUNS)])

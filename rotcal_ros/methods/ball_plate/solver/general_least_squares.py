@@ -1,9 +1,12 @@
 """The least squares of any set of centres: gaps, reduced CMM positions, unequal weights.
 
-The table's six unknowns at a position only meet the centres measured there: they are eliminated
-position by position, which leaves a system in plate, CMM and axis only. It is solved in the
-gauge of smallest norm (the 19 invisible directions are known in closed form) and then moved to
-the constraints of Eq. 15 to 19. Result and covariances equal the dense form (Eq. 20, 21).
+The table's six unknowns c_i, d_i at a position only meet the centres measured there: they are
+eliminated position by position (6 x 6), which leaves a system in plate, CMM and axis only. It is
+solved in the gauge of smallest norm (the 19 invisible directions are known in closed form) and
+then moved along these directions to the constraints of Eq. 15 to 19. Result and covariances equal
+the dense form (Eq. 20, 21).
+
+n rows, P unknowns, M table positions in use.
 """
 
 from __future__ import annotations
@@ -20,26 +23,20 @@ from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate.solver import model
 from rotcal_ros.methods.ball_plate.solver.model import LinearFit, PlateParameters, Solution
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
+from rotcal_ros.methods.ball_plate.solver.separability import require_balls
 
-MIN_BALLS = 3
-"""Balls that a table position needs: two leave the rotation about their line open."""
 MAX_UNKNOWNS = 6000
 """Largest covariance matrix that is set up in memory (P x P, 288 MB)."""
 CONDITION_LIMIT = 1e-9
-
-
-def solve_general(problem: BallPlateProblem) -> Solution:
-    """Solve any set of centres.
-
-    Raises ObservabilityError when a table position has too few balls, or when the centres do
-    not determine all parameters; DataError when the problem is too large for this way.
-    """
-    linear = factored(problem)
-    return linear.solution(*linear.fit(problem.deviations))
+"""Smallest accepted squared pivot of the reduced system, relative to its mean diagonal."""
 
 
 def factored(problem: BallPlateProblem) -> LinearFit:
-    """Factor any set of centres; raises what :func:`solve_general` does."""
+    """Factor any set of centres.
+
+    Raises ObservabilityError when a table position has too few balls, when the centres do not
+    determine all parameters, or when the problem is too large for this way.
+    """
     _check(problem)
     system = _Eliminated(problem)
     mover = _to_constraints(problem, system.invisible)
@@ -82,24 +79,23 @@ class LinearView:
 
 
 def linear_view(problem: BallPlateProblem) -> LinearView:
-    """Return the linear model of any set of centres; raises what :func:`solve_general` does."""
+    """Return the linear model of any set of centres; raises what :func:`factored` does."""
     _check(problem)
     system = _Eliminated(problem)
     covariance = system.covariance()
     spread = _to_constraints(problem, system.invisible) @ covariance
-    start = {"rotation": system.at.rotation, "translation": system.at.translation}
+    own = 3 * np.arange(len(problem.table_positions))
     length = {"rotation": problem.radius, "translation": 1.0}
     table = np.concatenate(
         [
-            spread[start[field] + axis + 3 * np.arange(len(problem.table_positions))]
-            / length[field]
+            spread[getattr(system.at, field) + axis + own] / length[field]
             for field, axis in model.TABLE_COMPONENTS.values()
         ]
     )
     n, width = system.columns.shape
     rows = np.repeat(np.arange(3 * n), width)
     columns = np.repeat(system.columns, 3, axis=0).ravel()
-    std = np.ones_like(problem.centres) if problem.std is None else problem.std
+    std = problem.noise_unit
     whitened = (system.local / std[:, :, None]).ravel()
     design = csr_array((whitened, (rows, columns)), shape=(3 * n, system.at.total))
     return LinearView(design, std.ravel(), covariance, table)
@@ -122,10 +118,9 @@ class _Eliminated:
         self.problem = problem
         self.at = model.offsets(problem)
         self.local, self.columns = model.local_design(problem)
-        self.weight = np.ones_like(problem.centres)
-        if problem.std is not None:
-            self.weight = (np.median(problem.std) / problem.std) ** 2
-        self.unit = 1.0 if problem.std is None else float(np.median(problem.std)) ** 2
+        # weights near 1 keep the normal matrix well scaled; covariances are multiplied by ``unit``
+        typical = float(np.median(problem.noise_unit))
+        self.weight, self.unit = (typical / problem.noise_unit) ** 2, typical**2
         # Local columns: a, b, c, d, u, v of three each; the rest is a, b, u, v.
         self.table = self.local[:, :, 6:12]
         self.rest = np.concatenate([self.local[:, :, :6], self.local[:, :, 12:]], axis=2)
@@ -134,6 +129,11 @@ class _Eliminated:
         self._eliminate()
 
     def _eliminate(self) -> None:
+        """Set up and factor the reduced normal matrix; ``back`` brings its solution to the table.
+
+        With ``own`` the 6 x 6 blocks of the table and ``mixed`` what couples them to the rest, it
+        is the Schur complement rest - mixed' own^-1 mixed.
+        """
         problem, n_rest = self.problem, len(self.rest_index)
         turned = len(problem.table_positions)
         weighted = self.weight[:, :, None] * self.table
@@ -150,6 +150,7 @@ class _Eliminated:
         self.back = (self.own_inverse @ mixed).reshape(6 * turned, n_rest)
         normal -= mixed.reshape(6 * turned, n_rest).T @ self.back
         self.invisible = model.null_space(problem)
+        # weight on the invisible directions makes the matrix regular and the solution the shortest
         gauge, _ = np.linalg.qr(self.invisible[self.rest_index])
         size = np.trace(normal) / n_rest
         self.factor = _factor(normal + size * gauge @ gauge.T, size)
@@ -175,7 +176,7 @@ class _Eliminated:
         return fitted
 
     def covariance(self) -> Floats:
-        """Return the covariance (P, P) of the unknowns in the same gauge."""
+        """Return the unit covariance (P, P) of the unknowns in the same gauge, block by block."""
         n_rest, turned = len(self.rest_index), len(self.problem.table_positions)
         rest = cho_solve(self.factor, np.eye(n_rest))
         mixed = -self.back @ rest
@@ -183,11 +184,12 @@ class _Eliminated:
         blocks = own.reshape(turned, 6, turned, 6)
         every = np.arange(turned)
         blocks[every, :, every, :] += self.own_inverse
+        at_rest, at_table = self.rest_index, self.table_position
         covariance = np.empty((self.at.total,) * 2)
-        covariance[np.ix_(self.rest_index, self.rest_index)] = rest
-        covariance[np.ix_(self.table_position, self.rest_index)] = mixed
-        covariance[np.ix_(self.rest_index, self.table_position)] = mixed.T
-        covariance[np.ix_(self.table_position, self.table_position)] = own
+        covariance[np.ix_(at_rest, at_rest)] = rest
+        covariance[np.ix_(at_table, at_rest)] = mixed
+        covariance[np.ix_(at_rest, at_table)] = mixed.T
+        covariance[np.ix_(at_table, at_table)] = own
         covariance *= self.unit
         return covariance
 
@@ -196,17 +198,13 @@ def _rest_columns(at: model.Offsets, columns: Ints) -> tuple[Ints, Ints]:
     """Return where a, b, u, v of every row stand among themselves, and in the full vector."""
     index = np.concatenate([np.arange(at.rotation), np.arange(at.axis_rotation, at.total)])
     local = np.concatenate([columns[:, :6], columns[:, 12:]], axis=1)
-    return np.where(local < at.rotation, local, local - 6 * _turned(at)), index
-
-
-def _turned(at: model.Offsets) -> int:
-    """Return the number of table positions in use."""
-    return (at.translation - at.rotation) // 3
+    table = at.axis_rotation - at.rotation
+    return np.where(local < at.rotation, local, local - table), index
 
 
 def _table_columns(at: model.Offsets) -> Ints:
-    """Return where c_i, d_i stand in the full vector, position by position, (6 N,)."""
-    own = np.arange(3 * _turned(at)).reshape(-1, 3)
+    """Return where c_i, d_i stand in the full vector, position by position, (6 M,)."""
+    own = np.arange(at.translation - at.rotation).reshape(-1, 3)
     return np.concatenate([at.rotation + own, at.translation + own], axis=1).ravel()
 
 
@@ -227,7 +225,10 @@ _NOT_DETERMINED = (
 
 
 def _to_constraints(problem: BallPlateProblem, invisible: Floats) -> Floats:
-    """Return the projector (P, P) along the invisible directions onto the constraints."""
+    """Return the projector (P, P) along the invisible directions H onto the constraints G.
+
+    It is 1 - H (G H)^-1 G.
+    """
     constraints = model.constraint_matrix(problem)
     step = np.linalg.solve(constraints @ invisible, constraints)
     return np.eye(len(invisible)) - invisible @ step
@@ -241,24 +242,3 @@ def _check(problem: BallPlateProblem) -> None:
             "use a coarser grid, or measure the missing centres (complete data have no limit)"
         )
     require_balls(problem)
-
-
-def balls_at_positions(problem: BallPlateProblem) -> Ints:
-    """Return how many balls were measured at every table position, (n_positions,)."""
-    cells = np.unique(problem.position * problem.grid + problem.ball_step)
-    return np.bincount(cells // problem.grid, minlength=problem.n_positions)
-
-
-def require_balls(problem: BallPlateProblem, *, everywhere: bool = False) -> None:
-    """Raise ObservabilityError that names the table positions with fewer than three balls.
-
-    ``everywhere`` includes those without any; else they are no part of the problem.
-    """
-    count = balls_at_positions(problem)
-    poor = np.flatnonzero((count < MIN_BALLS) & ((count > 0) | everywhere))
-    if len(poor):
-        shown = ", ".join(f"{i} ({count[i]})" for i in poor[:10])
-        raise ObservabilityError(
-            f"at {len(poor)} table positions fewer than {MIN_BALLS} balls are left, the six "
-            f"errors there are open: position (balls) {shown}; measure more balls there"
-        )

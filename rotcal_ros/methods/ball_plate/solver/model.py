@@ -2,8 +2,13 @@
 
     m = p_k + c_i x p_k + B_i a_j + d_i + b_k + u x p_k + v,      i = k - j (mod N)
 
-The unknowns stand in one vector in the order a, b, c, d, u, v. Rotations (c, u) are multiplied
-by the radius of the ball circle, so that all unknowns are lengths of the same size.
+B_i turns by the table angle 2 pi i / N about z, p_k is the nominal place of a ball at the CMM
+position k. The unknowns stand in one vector in the order a, b, c, d, u, v; its length is P.
+Rotations (c, u) are multiplied by the radius of the ball circle, so that all unknowns are lengths
+of the same size.
+
+The 19 constraints G xi = 0 take away what the measurement cannot see: 19 directions of the
+unknowns that leave all centres where they are.
 """
 
 from __future__ import annotations
@@ -14,14 +19,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z
-from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, on_circle
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, grid_angles, on_circle
 
 N_CONSTRAINTS = 19
 ROUNDING = 4.0 * np.finfo(np.float64).eps
 """Smallest error of a coordinate that means anything, as part of the radius."""
 EXACT = 1e4
-"""Residuals with so many times the variance of rounding are noise; below, the data are exact."""
+"""Data whose residuals have less than so many times the variance of rounding count as exact."""
 FIELDS = ("plate", "cmm", "rotation", "translation", "axis_rotation", "axis_shift")
 TABLE_COMPONENTS = {
     "EXC": ("translation", 0),
@@ -55,6 +61,10 @@ class PlateParameters:
         field, axis = TABLE_COMPONENTS[name]
         column: Floats = getattr(self, field)[:, axis]
         return column
+
+    def curves(self) -> Floats:
+        """Return the six components (6, M) in the order of ``COMPONENTS``, m and rad."""
+        return np.array([self.component(name) for name in COMPONENTS])
 
 
 @dataclass(frozen=True)
@@ -101,6 +111,18 @@ class LinearFit:
     fit: Callable[[Floats], tuple[PlateParameters, Floats]]
     solution: Callable[[PlateParameters, Floats], Solution]
 
+    def solve(self, observed: Floats) -> Solution:
+        """Return the solution for deviations (n, 3)."""
+        return self.solution(*self.fit(observed))
+
+    def responses(self, displacements: Floats) -> tuple[list[PlateParameters], Floats]:
+        """Return what displacements (n, 3, m) of the centres, m, do: the fit is linear in them.
+
+        Parameters for each, and the residuals (n, 3, m).
+        """
+        found = [self.fit(displacements[:, :, m]) for m in range(displacements.shape[2])]
+        return [parameters for parameters, _ in found], np.stack([r for _, r in found], axis=2)
+
 
 def scaled(unit: PlateParameters, axes: Floats) -> PlateParameters:
     """Scale standard deviations: ``axes`` (3,) belong to x, y (the same) and z of a centre.
@@ -125,34 +147,28 @@ def of_component(axes: Floats, name: str) -> float:
 
 def weighted_square_sum(problem: BallPlateProblem, residuals: Floats) -> float:
     """Return w'w: residuals in metres, or in units of ``std`` where every row has its own."""
-    scaled = residuals if problem.std is None else residuals / problem.std
-    return float(np.sum(scaled**2))
+    return float(np.sum((residuals / problem.noise_unit) ** 2))
 
 
 def rounding_variance(problem: BallPlateProblem) -> float:
     """Return the variance of rounding alone of a centre, in units of ``std`` if there is one."""
-    return float((ROUNDING * problem.radius / _smallest(problem)) ** 2)
+    return float((ROUNDING * problem.radius / problem.noise_unit.min()) ** 2)
 
 
 def least_variance(problem: BallPlateProblem, found: PlateParameters) -> float:
-    """Return the variance of a centre that is no noise yet, in units of ``std`` if there is one.
+    """Return the variance that centres without noise leave, in units of ``std`` if there is one.
 
-    So much is left of exact data: by their last bits, and because the model takes the CMM's error
-    to be the same wherever around its position the errors of the plate take a ball. How the plate
-    stands does not count, the table's own motion takes that. Tests divide by no less.
+    It comes from their last bits, and from the product of the errors of plate and CMM over the
+    radius: the model takes the CMM's error to be the same wherever around its position the errors
+    of the plate take a ball. Tests divide by no less, or exact data would be rejected.
     """
-    place = np.concatenate(
-        [np.tile(np.eye(3), (len(found.plate), 1, 1)), cross_unit(problem.angles[problem.balls])],
-        axis=2,
-    ).reshape(-1, 6)
+    # place and attitude of the whole plate are taken off: the table's own motion takes those
+    mounting = rigid_motion(problem.angles[problem.balls]).reshape(-1, 6)
     plate = found.plate.ravel()
-    plate = plate - place @ np.linalg.lstsq(place, plate, rcond=None)[0]
+    plate = plate - mounting @ np.linalg.lstsq(mounting, plate, rcond=None)[0]
     products = 3.0 * np.sqrt(np.mean(plate**2) * np.mean(found.cmm**2)) / problem.radius
-    return max(EXACT * rounding_variance(problem), float(products / _smallest(problem)) ** 2)
-
-
-def _smallest(problem: BallPlateProblem) -> float:
-    return 1.0 if problem.std is None else float(problem.std.min())
+    smallest = float(problem.noise_unit.min())
+    return max(EXACT * rounding_variance(problem), float(products / smallest) ** 2)
 
 
 def degrees_of_freedom(problem: BallPlateProblem) -> int:
@@ -162,9 +178,28 @@ def degrees_of_freedom(problem: BallPlateProblem) -> int:
     return 3 * len(problem.centres) - unknowns + N_CONSTRAINTS
 
 
-def cross_unit(angles: Floats) -> Floats:
+def _cross_unit(angles: Floats) -> Floats:
     """Return the matrices C with C w = w x (cos, sin, 0), (n, 3, 3)."""
     return cross_matrix(-on_circle(angles))
+
+
+def rigid_motion(angles: Floats) -> Floats:
+    """Return what a shift x, y, z and a rotation times radius do to points of the circle.
+
+    (n, 3, 6) displacements per metre of each, of the points at ``angles`` (n,), rad.
+    """
+    cross = _cross_unit(angles)
+    return np.concatenate([np.broadcast_to(np.eye(3), cross.shape), cross], axis=2)
+
+
+def plate_motion(problem: BallPlateProblem) -> Floats:
+    """Return likewise (n, 3, 6) what a motion of the plate on the table does to the centres.
+
+    The motion is given in the frame of the table at position 0.
+    """
+    turn = rotation_about_z(problem.angles)[problem.position]
+    cross = _cross_unit(grid_angles(problem.grid))[problem.ball_step]
+    return np.concatenate([turn, turn @ cross], axis=2)
 
 
 @dataclass(frozen=True)
@@ -193,7 +228,7 @@ def local_design(problem: BallPlateProblem) -> tuple[Floats, Ints]:
     at = offsets(problem)
     n = len(problem.centres)
     turn = rotation_about_z(problem.angles)[problem.position]
-    cross = cross_unit(problem.angles)[problem.cmm_index]
+    cross = _cross_unit(problem.angles)[problem.cmm_index]
     identity = np.broadcast_to(np.eye(3), (n, 3, 3))
     coefficients = np.concatenate([turn, identity, cross, identity, cross, identity], axis=2)
     starts = np.stack(
@@ -234,7 +269,7 @@ def constraint_matrix(problem: BallPlateProblem) -> Floats:
     rotation = slice(at.rotation, at.translation)
     translation = slice(at.translation, at.axis_rotation)
     matrix[0:3, cmm] = np.tile(identity, len(problem.cmm_positions))  # Eq. 15, left
-    matrix[3:6, cmm] = -np.hstack(list(cross_unit(across)))  # Eq. 15, right
+    matrix[3:6, cmm] = -np.hstack(list(_cross_unit(across)))  # Eq. 15, right
     matrix[6, cmm] = on_circle(across).ravel()  # Eq. 16
     matrix[7:10, rotation] = matrix[10:13, translation] = np.tile(identity, len(back))  # Eq. 17
     matrix[13:15, rotation] = matrix[15:17, translation] = np.hstack(list(back[:, :2]))  # Eq. 18
@@ -257,10 +292,11 @@ def null_space(problem: BallPlateProblem) -> Floats:
     constant = np.tile(identity, (len(problem.table_positions), 1))
     all_cmm = np.tile(identity, (len(problem.cmm_positions), 1))
     ball_angles, cmm_angles = problem.angles[problem.balls], problem.angles[problem.cmm_positions]
-    cross_ball = cross_unit(ball_angles).reshape(-1, 3)
-    cross_cmm = cross_unit(cmm_angles).reshape(-1, 3)
+    cross_ball = _cross_unit(ball_angles).reshape(-1, 3)
+    cross_cmm = _cross_unit(cmm_angles).reshape(-1, 3)
     plate, cmm = slice(at.plate, at.cmm), slice(at.cmm, at.rotation)
     rotation, translation = slice(at.rotation, at.translation), slice(at.translation, -6)
+    # a plate shifted, turned; a table shifted, turned; an axis shifted, turned; larger and smaller
     space[translation, 0:3], space[plate, 0:3] = turn, -np.tile(identity, (len(ball_angles), 1))
     space[rotation, 3:6], space[plate, 3:6] = turn, -cross_ball
     space[translation, 6:9], space[cmm, 6:9] = constant, -all_cmm
@@ -310,6 +346,5 @@ def residual_cofactor(problem: BallPlateProblem, covariance: Floats) -> Floats:
     coefficients, columns = local_design(problem)
     local = covariance[columns[:, :, None], columns[:, None, :]]
     fitted = coefficients @ local @ coefficients.transpose(0, 2, 1)
-    own = np.ones_like(problem.centres) if problem.std is None else problem.std**2
-    cofactor: Floats = own[:, :, None] * np.eye(3) - fitted
+    cofactor: Floats = (problem.noise_unit**2)[:, :, None] * np.eye(3) - fitted
     return cofactor

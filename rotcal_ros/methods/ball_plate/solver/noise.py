@@ -1,8 +1,10 @@
 """The noise of a centre, axis by axis: estimated from the residuals, tested, and what is used.
 
 The nominal design keeps z apart from x and y: z has residuals and degrees of freedom of its own.
-x and y share the plane: their variances follow from two quadratic forms of the residuals,
+x and y share the plane: their variances follow from two quadratic forms of the residuals r,
 r'r and r'Dr with D = +1 for x and -1 for y, and the expectation of both (Helmert's estimator).
+With M the projector that takes noise to residuals these expectations hold traces of M, M D and
+M D M D.
 """
 
 from __future__ import annotations
@@ -28,9 +30,11 @@ OWN_SIGMA = 20
 """Degrees of freedom from which on z has a standard deviation of its own without further cause."""
 QUIETEST = 0.05
 """An axis is no quieter than this part of the noisiest one: what looks so is a drift or a motion
-along the other, and would get weights without sense."""
+along the other, and would get senseless weights."""
 PROBES = 3000
 """Degrees of freedom of all probes together, for the one trace that has no closed form."""
+NO_FREEDOM = 0.5
+"""Degrees of freedom, a trace with rounding, below which there are none."""
 PLANE = "x and y"
 
 
@@ -39,10 +43,11 @@ class CentreNoise:
     """Standard deviations of a centre in x, y, z: ``used`` and ``estimated`` (3,).
 
     In metres, or in units of the rows' own ``std``. ``dof`` (3,) are their degrees of freedom.
-    ``axial`` and ``plane`` are the probabilities that noise which is the same in z and in the
-    plane, in x and in y, differs so much. ``p_value`` belongs to the two-sided chi-square test of
-    the ``stated`` noise, ``p_axes`` (3,) to that of each axis; None when nothing was stated.
-    ``weights`` (3,) is what the fits assumed: their unit covariances belong to it.
+    ``axial`` and ``plane`` are the probabilities that chance makes equal noise differ so much: of
+    z and of the plane, of x and of y. ``p_value`` belongs to the two-sided chi-square test of the
+    ``stated`` noise, ``p_axes`` (3,) to that of each axis; None when nothing was stated.
+    ``weights`` (3,) are the standard deviations that the fits assumed: their unit covariances
+    belong to them.
     """
 
     used: Floats
@@ -113,6 +118,7 @@ class CentreNoise:
         return found
 
     def _differences(self, own_std: bool) -> list[str]:
+        """Say which axis is noisier than which."""
         x, y, z = self.estimated
         plane = float(np.sqrt(0.5 * (x**2 + y**2)))
         state = "correct what is stated" if own_std else "state a standard deviation"
@@ -155,8 +161,8 @@ def assess(
     """Return the noise of a centre from fits and the angles their frames are turned by, rad.
 
     ``stated`` is the standard deviation to be tested, None when nothing was stated. ``weights``
-    (3,) is what the fits assumed because the ``first`` assessment said so; whether the axes
-    differ is that one's word.
+    (3,) are the standard deviations that the fits assumed because the ``first`` assessment found
+    the axes different; whether they are is not asked again.
     """
     sums, plane, dof_z = np.zeros(3), np.zeros((2, 2)), 0.0
     rounding, least = 0.0, 0.0
@@ -168,17 +174,20 @@ def assess(
         plane += expected
         dof_z += axial
     weights = np.ones(3) if weights is None else weights
+    # mean and half difference of the variances of x and y
     mean, half = np.linalg.solve(plane, [sums[0] + sums[1], sums[0] - sums[1]])
     squares = np.array([mean + half, mean - half, sums[2] / max(dof_z, 1.0)])
     factors = np.sqrt(np.maximum(squares, rounding))
     factors = np.maximum(factors, QUIETEST * factors.max())
     dof = np.array([0.5 * (plane[0, 0] + plane[0, 1]), 0.5 * (plane[0, 0] - plane[0, 1]), dof_z])
-    if squares.max() < least:
+    if squares.max() < least:  # no noise at all: nothing can differ
         p_axial = p_plane = 1.0
     elif first is None:
         p_axial, p_plane = _z_against_plane(sums, plane, dof_z), _x_against_y(sums, plane)
     else:
         p_axial, p_plane = first.axial, first.plane
+    # x and y share one factor unless they differ beyond what the weights hold already; z shares
+    # theirs while it has too few residuals for one of its own
     used = factors.copy()
     if p_plane >= AXIS_SIGNIFICANCE or weights[0] != weights[1]:
         used[:2] = _pooled(factors[:2], dof[:2])
@@ -196,7 +205,7 @@ def _tested(noise: CentreNoise, stated: float) -> CentreNoise:
     p_value = _two_sided(chi2_sf(noise.pooled**2 * total / stated**2, total))
     p_axes = np.array(
         [
-            _two_sided(chi2_sf(e**2 * d / stated**2, d)) if d > 0.5 else 1.0
+            _two_sided(chi2_sf(e**2 * d / stated**2, d)) if d > NO_FREEDOM else 1.0
             for e, d in zip(noise.estimated, noise.dof, strict=True)
         ]
     )
@@ -208,7 +217,7 @@ def _tested(noise: CentreNoise, stated: float) -> CentreNoise:
 def _z_against_plane(sums: Floats, plane: Floats, dof_z: float) -> float:
     """Return how often equal noise makes z and the plane so different."""
     total, dof = sums[0] + sums[1], plane[0, 0]
-    if dof_z < 0.5 or not total > 0.0:
+    if dof_z < NO_FREEDOM or not total > 0.0:
         return 1.0
     return _two_sided(f_sf(sums[2] / dof_z / (total / dof), dof_z, dof))
 
@@ -219,8 +228,7 @@ def _moments(fit: Fitted, turn: float) -> tuple[Floats, Floats, float]:
     The latter: the matrix (2, 2) that takes mean and half difference of the variances of x and y
     to the expectations of the sum and the difference of the squares; degrees of freedom of z.
     """
-    problem = fit.problem
-    own = np.ones_like(problem.centres) if problem.std is None else problem.std
+    own = fit.problem.noise_unit
     back = rotation_about_z(turn)
     residuals = (fit.solution.residuals / own) @ back.T
     cofactor = fit.solution.cofactor() / (own[:, :, None] * own[:, None, :])
@@ -252,7 +260,11 @@ def _to_x(fit: Fitted, own: Floats, back: Floats, noise: Floats) -> float:
 
 
 def _x_against_y(sums: Floats, plane: Floats) -> float:
-    """Return how often equal noise gives x and y so different sums of squares."""
+    """Return how often equal noise gives x and y so different sums of squares.
+
+    Of equal noise the ratio of difference and sum has the mean tr(M D)/dof and this variance,
+    whatever the noise; it is nearly normal.
+    """
     dof, first, second = plane[0, 0], plane[0, 1], plane[1, 1]
     total = sums[0] + sums[1]
     variance = 2.0 * (dof * second - first**2) / (dof**2 * (dof + 2.0))

@@ -1,33 +1,42 @@
-"""What a drift or a knock does in a given order of measurement, and whether it would be seen.
+"""Drift and knocks in the order of measurement: whether they would be seen, and are there.
 
-Both displace the centres by known patterns, and the estimate is linear: so the error per unit is
-exact, and what the residuals keep of the pattern tells the size at which a test finds it with a
-probability of POWER. Nothing of this needs measured values.
+A drift of the CMM's origin and a knock, a motion of the plate on the table from some moment on,
+displace the centres by known patterns, and the estimate is linear. So the error per unit is exact,
+and what the residuals keep of the pattern tells the size at which a test finds it with a
+probability of POWER: :func:`order_effects` needs no measured values. :func:`find_drift` and
+:func:`find_motion` look for the same patterns in the residuals of a fit. :func:`find_knock`
+looks between any two rows, by itself, and has the last word on a plate that jumped; the test of a
+motion finds what is too small for it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
 import numpy as np
 
-from rotcal_ros.adjust.distributions import f_isf, f_noncentrality
+from rotcal_ros.adjust.distributions import f_isf, f_noncentrality, f_sf
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.protection import POWER
-from rotcal_ros.geometry.rotations import rotation_about_z
-from rotcal_ros.methods.ball_plate.solver import model
-from rotcal_ros.methods.ball_plate.solver.disturbance_response import curves, responses, weights
-from rotcal_ros.methods.ball_plate.solver.drift import drift_columns
-from rotcal_ros.methods.ball_plate.solver.estimate import factored
-from rotcal_ros.methods.ball_plate.solver.problem import (
-    BallPlateProblem,
-    grid_angles,
-    grid_step,
-    on_circle,
+from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
+from rotcal_ros.methods.ball_plate.solver.estimate import (
+    VISIBLE,
+    drift_columns,
+    drift_seen,
+    factored,
 )
+from rotcal_ros.methods.ball_plate.solver.model import (
+    LinearFit,
+    OriginDrift,
+    PlateParameters,
+    Solution,
+    least_variance,
+    plate_motion,
+)
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, RowLayout, places_of
 
 SIGNIFICANCE: Final = 0.01
 """Level of the tests for a drift, for a motion of the plate and of the closure."""
@@ -40,6 +49,14 @@ HARMLESS: Final = 1e-12
 """Square of an error per unit, in standard deviations, below which it is rounding."""
 NOTHING: Final = 1e-8
 """Part of the total information below which a direction counts as unseen."""
+SPARE: Final = 8
+"""Degrees of freedom below which nothing can be tested."""
+SETTLED: Final = 0.01
+"""Share of the stated noise that the iteration of the exact model may leave in the residuals."""
+FALSE_KNOCK: Final = 1e-6
+"""Probability that good data are said to contain a knock."""
+CANDIDATES: Final = 3
+"""Moments of a knock whose motion is fitted with all that table and CMM take of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,83 +92,27 @@ class OrderEffects:
     moments: Ints
 
 
-@dataclass(frozen=True)
-class RowOrder:
-    """Which rows are measured when, in a form that can be looked up: arrays as bytes."""
-
-    grid: int
-    bidirectional: bool
-    radius: float
-    columns: bytes
-    run_time: bytes
-    std: bytes
-    drift: int
-    closing: bytes
-
-    @property
-    def rows(self) -> Ints:
-        """Table position, ball step and row number, (3, n)."""
-        return np.frombuffer(self.columns, dtype=np.int64).reshape(3, -1)
-
-    def problem(self) -> BallPlateProblem:
-        """Return the problem with nominal centres."""
-        position, ball, row = self.rows
-        step = grid_step(position, self.grid)
-        angle = grid_angles(self.grid)[(step + ball) % self.grid]
-        return BallPlateProblem(
-            self.grid,
-            self.radius,
-            position,
-            ball,
-            self.radius * on_circle(angle),
-            std=np.frombuffer(self.std).reshape(-1, 3) if self.std else None,
-            row=row,
-            time=np.frombuffer(self.run_time),
-            drift=self.drift,
-            bidirectional=self.bidirectional,
-        )
-
-
 def order_effects(problem: BallPlateProblem, closing: BallPlateProblem | None) -> OrderEffects:
     """Return what drift and knocks do in the order of a problem and of its closing rows.
 
     With ``problem.drift`` a drift is estimated, and the knocks are those beside it. Layouts are
     remembered: the same one costs nothing the second time.
     """
-    return _of_layout(layout_of(problem, closing))
-
-
-def layout_of(problem: BallPlateProblem, closing: BallPlateProblem | None) -> RowOrder:
-    """Return what of a problem does not depend on the measured values."""
-    rows = np.stack([problem.position, problem.ball_step, problem.rows])
-    last = np.empty((0, 3), dtype=np.int64)
-    if closing is not None:
-        last = np.stack([closing.position, closing.ball_step, closing.rows], axis=1)
-    return RowOrder(
-        problem.grid,
-        problem.bidirectional,
-        problem.radius,
-        rows.tobytes(),
-        problem.run_time.tobytes(),
-        b"" if problem.std is None else problem.std.tobytes(),
-        problem.drift,
-        last.tobytes(),
-    )
+    return _of_layout(RowLayout.of(problem), b"" if closing is None else closing.cell.tobytes())
 
 
 @lru_cache(maxsize=4)
-def _of_layout(layout: RowOrder) -> OrderEffects:
+def _of_layout(layout: RowLayout, closing: bytes) -> OrderEffects:
+    """Return the effects in a layout; ``closing`` are the cells measured again at the end."""
     problem = layout.problem()
-    motion = motion_columns(problem)
-    pairs = _ClosingRows(
-        problem, np.frombuffer(layout.closing, dtype=np.int64).reshape(-1, 3), motion
-    )
+    motion = plate_motion(problem)
+    pairs = _ClosingRows(problem, np.frombuffer(closing, dtype=np.int64), motion)
     solve = _solver(problem)
     n = len(problem.centres)
     quick = problem.complete and n <= MANY_CENTRES
     count = MOMENTS if quick else MOMENTS // 4
     moments = np.unique(np.ceil((np.arange(count) + 0.5) / count * n).astype(np.int64))
-    place = np.empty(n, dtype=np.int64)
+    place = np.empty(n, dtype=np.int64)  # of each row in the order of measurement
     place[np.argsort(problem.rows, kind="stable")] = np.arange(n)
     return OrderEffects(
         drift=solve(drift_columns(problem.run_time, 1), pairs.drift()),
@@ -164,18 +125,21 @@ def _of_layout(layout: RowOrder) -> OrderEffects:
 
 
 def _solver(problem: BallPlateProblem) -> Callable[[Floats, Floats], DisplacementPatterns]:
-    """Return the function from columns (n, 3, m) and their closure to a disturbance."""
-    respond, weight = factored(problem).fit, weights(problem)[:, :, None]
+    """Return the function from columns (n, 3, m) and their closure (m, m) to their patterns.
+
+    Where a drift is estimated it takes its part of all other columns, as further unknowns do.
+    """
+    linear, weight = factored(problem), problem.weights[:, :, None]
     border = drift_columns(problem.run_time, problem.drift)
-    own, own_left = (None, None)
+    own = None
     if problem.drift:
-        found, own_left = responses(respond, border)
-        own = curves(found)
+        found, own_left = linear.responses(border)
+        own = _curves(found)
         inverse = np.linalg.inv(np.einsum("nia,nib->ab", weight * border, own_left))
 
     def solve(columns: Floats, closing: Floats) -> DisplacementPatterns:
-        found, left = responses(respond, columns)
-        response = curves(found)
+        found, left = linear.responses(columns)
+        response = _curves(found)
         information = np.einsum("nia,nib->ab", weight * columns, left)
         total = float(np.sum(weight * columns**2)) / columns.shape[2]
         if own is not None:
@@ -187,28 +151,24 @@ def _solver(problem: BallPlateProblem) -> Callable[[Floats, Floats], Displacemen
     return solve
 
 
-def motion_columns(problem: BallPlateProblem) -> Floats:
-    """Return (n, 3, 6): displacement per unit shift of the plate, and rotation times radius."""
-    turn = rotation_about_z(problem.angles)[problem.position]
-    cross = model.cross_unit(grid_angles(problem.grid))[problem.ball_step]
-    columns: Floats = np.concatenate([turn, turn @ cross], axis=2)
-    return columns
+def _curves(found: list[PlateParameters]) -> Floats:
+    """Return the six deviations of several fits, (6, N, m)."""
+    return np.stack([parameters.curves() for parameters in found], axis=2)
 
 
 class _ClosingRows:
-    """Closing rows (position, ball step, row number) with the rows that they repeat."""
+    """The rows whose ``cells`` are measured again at the end, what is known of them."""
 
-    def __init__(self, problem: BallPlateProblem, closing: Ints, motion: Floats) -> None:
+    def __init__(self, problem: BallPlateProblem, cells: Ints, motion: Floats) -> None:
         self.problem = problem
-        cell = problem.position * problem.grid + problem.ball_step
-        wanted = closing[:, 0] * problem.grid + closing[:, 1]
-        known = np.isin(wanted, cell)
-        order = np.argsort(cell, kind="stable")
-        self.first = order[np.searchsorted(cell[order], wanted[known])]
+        self.first = places_of(cells[np.isin(cells, problem.cell)], problem.cell)
         self.motion = motion[self.first]
 
     def drift(self) -> Floats:
-        """Return the information on a drift (3, 3): it was 0.5 at the end."""
+        """Return the information on a drift (3, 3), whose run time is 0.5 at the end.
+
+        The half is because a difference of two centres has twice the variance of one.
+        """
         change = 0.5 - self.problem.run_time[self.first]
         return 0.5 * float(change @ change) * np.eye(3)
 
@@ -240,7 +200,7 @@ def found_size(
     return float(best**-0.5) if best > blind else float("inf")
 
 
-def worst_unseen(
+def _worst_unseen(
     disturbance: DisplacementPatterns, std: Floats, fit: float, closure: float
 ) -> float:
     """Return the largest error, in ``std`` (6, N) for unit noise, of what is not yet found.
@@ -271,7 +231,7 @@ def _largest(gain: Floats, information: Floats, floor: float) -> Floats:
 
 def drift_error(effects: OrderEffects, std: Floats, dof: int) -> float:
     """Return the largest error of a linear drift that the tests leave unseen, in ``std``."""
-    return worst_unseen(effects.drift, std, needed(3, dof), needed(6, dof))
+    return _worst_unseen(effects.drift, std, needed(3, dof), needed(6, dof))
 
 
 def knock_error(effects: OrderEffects, std: Floats, dof: int) -> float:
@@ -280,5 +240,274 @@ def knock_error(effects: OrderEffects, std: Floats, dof: int) -> float:
     The largest of all directions, components and positions, for all but the worst moments.
     """
     fit, closure = needed(6, dof, len(effects.knocks)), needed(6, dof)
-    errors = np.sort([worst_unseen(k, std, fit, closure) for k in effects.knocks])
-    return float(errors[int(np.ceil(RANDOM_MOMENTS * len(errors))) - 1])
+    errors = np.array([_worst_unseen(k, std, fit, closure) for k in effects.knocks])
+    return float(errors[bad_moment(errors)])
+
+
+def bad_moment(errors: Floats) -> int:
+    """Return the moment whose error all but the worst moments do not exceed."""
+    return int(np.argsort(errors)[int(np.ceil(RANDOM_MOMENTS * len(errors))) - 1])
+
+
+@dataclass(frozen=True)
+class DriftTest:
+    """Linear drift of the CMM's origin: ``amount`` (3,), m over the run, with ``std``; p value.
+
+    ``estimated``: part of the fit, and so no reason for doubt.
+    """
+
+    amount: Floats
+    std: Floats
+    p_value: float
+    estimated: bool
+
+    @property
+    def significant(self) -> bool:
+        """Whether there is a drift."""
+        return self.p_value < SIGNIFICANCE
+
+    def sentence(self) -> str:
+        """Say in words how much drifts."""
+        shown = ", ".join(
+            f"{a / MICROMETRE:.3f} +- {2.0 * s / MICROMETRE:.3f}"
+            for a, s in zip(self.amount, self.std, strict=True)
+        )
+        found = f"the origin of the CMM drifts by ({shown}) um over the run in x, y, z"
+        if self.estimated:
+            return f"{found}; it is estimated and taken off"
+        return (
+            f"{found} (p = {self.p_value:.2g}): solver.drift: linear takes it off, with its "
+            "uncertainty"
+        )
+
+
+@dataclass(frozen=True)
+class MotionTest:
+    """The most likely motion of the plate: from ``row`` on, shift (3,) m, rotation (3,) rad."""
+
+    row: int
+    shift: Floats
+    rotation: Floats
+    p_value: float
+
+    @property
+    def significant(self) -> bool:
+        """Whether the plate has moved."""
+        return self.p_value < SIGNIFICANCE
+
+    def sentence(self) -> str:
+        """Say in words what seems to have moved when."""
+        return (
+            f"the plate seems to have moved on the table near row {self.row} by "
+            f"{triple(self.shift / MICROMETRE, 3)} um and {triple(self.rotation / ARCSEC, 3)} "
+            f"arcsec (p = {self.p_value:.2g}): look at its clamping, or measure again"
+        )
+
+
+def triple(values: Floats, digits: int) -> str:
+    """Write three numbers in brackets."""
+    return "(" + ", ".join(f"{value:.{digits}f}" for value in values) + ")"
+
+
+def find_drift(
+    problem: BallPlateProblem, solution: Solution, effects: OrderEffects
+) -> DriftTest | None:
+    """Test the three linear drifts together; None where the residuals do not keep them."""
+    if solution.drift is not None:
+        return _estimated(solution, solution.drift)
+    columns = drift_columns(problem.run_time, 1)
+    seen = drift_seen(problem, columns, effects.drift.information)
+    if seen < VISIBLE or solution.dof < SPARE:
+        return None
+    right = np.einsum("nia,ni->a", columns, problem.weights * solution.residuals)
+    least = _least(problem, solution)
+    amount, inverse, p_value, variance = _tested(effects.drift, right, solution, least)
+    return DriftTest(amount, np.sqrt(variance * np.diag(inverse)), p_value, estimated=False)
+
+
+def find_motion(
+    problem: BallPlateProblem, solution: Solution, effects: OrderEffects
+) -> MotionTest | None:
+    """Look for a motion of the plate at each of the moments of ``effects``."""
+    if solution.dof < SPARE:
+        return None
+    order, _, later = _pulled(problem, solution)
+    best: MotionTest | None = None
+    least = _least(problem, solution)
+    for moment, knock in zip(effects.moments, effects.knocks, strict=True):
+        if moment >= len(order):
+            continue  # after the last row nothing shows it
+        amount, _, p_value, _ = _tested(knock, later[moment], solution, least)
+        p_value = min(1.0, p_value * len(effects.knocks))  # Bonferroni: the best of so many
+        if best is None or p_value < best.p_value:
+            row = int(problem.rows[order[moment]])
+            best = MotionTest(row, amount[:3], amount[3:] / problem.radius, p_value)
+    return best
+
+
+def _pulled(problem: BallPlateProblem, solution: Solution) -> tuple[Ints, Floats, Floats]:
+    """Return what the residuals say of a motion of the plate, in the order of measurement.
+
+    The rows in this order (n,), what a motion does to each (n, 3, 6), and the right-hand side
+    (n, 6) of the motion of all rows from each one on.
+    """
+    order = np.argsort(problem.rows, kind="stable")
+    motion = plate_motion(problem)[order]
+    pulled = (problem.weights * solution.residuals)[order]
+    later = np.cumsum(np.einsum("nij,ni->nj", motion, pulled)[::-1], axis=0)[::-1]
+    return order, motion, later
+
+
+def _least(problem: BallPlateProblem, solution: Solution) -> float:
+    """Return the variance below which the rest is no noise; in units of ``std``, if given."""
+    stated = 1.0 if problem.std is not None else problem.sigma or 0.0
+    return max(least_variance(problem, solution.estimate), (SETTLED * stated) ** 2)
+
+
+def _tested(
+    pattern: DisplacementPatterns, right: Floats, solution: Solution, floor: float
+) -> tuple[Floats, Floats, float, float]:
+    """Return amount, unit covariance, p value of its F test, and the variance of the rest."""
+    # only along the directions of which the fit leaves anything
+    values, vectors = np.linalg.eigh(pattern.information)
+    seen = values > pattern.seen
+    rank = int(np.count_nonzero(seen))
+    inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
+    amount: Floats = inverse @ right
+    gain = float(right @ amount)
+    dof = solution.dof - rank
+    if not rank:
+        return amount, inverse, 1.0, floor
+    variance = max((solution.weighted_square_sum - gain) / dof, floor)
+    return amount, inverse, f_sf(gain / rank / variance, rank, dof), variance
+
+
+def _estimated(solution: Solution, drift: OriginDrift) -> DriftTest:
+    """Test the linear part of an estimated drift."""
+    linear = drift.unit_covariance[:3, :3]
+    variance = solution.weighted_square_sum / solution.dof
+    amount = drift.amount[0]
+    value = float(amount @ np.linalg.solve(linear, amount)) / 3.0 / max(variance, 1e-300)
+    std = np.sqrt(variance * np.diag(linear))
+    return DriftTest(amount, std, f_sf(value, 3, solution.dof), estimated=True)
+
+
+def stronger(
+    drifts: Sequence[DriftTest], motions: Sequence[MotionTest]
+) -> list[DriftTest | MotionTest]:
+    """Return the significant findings worth telling; of a drift and a motion the likelier one.
+
+    A drift looks like a small motion and the other way round.
+    """
+    known = [d for d in drifts if d.significant and d.estimated]
+    doubts: list[DriftTest | MotionTest] = [
+        *(d for d in drifts if d.significant and not d.estimated),
+        *(m for m in motions if m.significant),
+    ]
+    return [*known, *sorted(doubts, key=lambda t: t.p_value)[:1]]
+
+
+@dataclass(frozen=True)
+class Knock:
+    """The plate moved between the rows ``last`` and ``first`` (row numbers).
+
+    ``shift`` (3,) metres and ``rotation`` (3,) radians are its motion on the table, in the
+    table's frame at position 0, ``gain`` what it explains of w'w, ``scatter`` the variance it was
+    tested against. Motions that the CMM's own errors can imitate are found as zero: they do no
+    harm either.
+    """
+
+    last: int
+    first: int
+    ball_step: int
+    position: int
+    shift: Floats
+    rotation: Floats
+    gain: float
+    scatter: float
+
+    def sentence(self) -> str:
+        """Say in words what happened and when."""
+        return (
+            f"the plate moved on the table between rows {self.last} and {self.first} (before "
+            f"ball step {self.ball_step} at table position {self.position}): all later centres "
+            f"are displaced by about {triple(self.shift / MICROMETRE, 2)} um and turned by "
+            f"{triple(self.rotation / ARCSEC, 2)} arcsec; fix the plate and measure again"
+        )
+
+
+def find_knock(
+    problem: BallPlateProblem, linear: LinearFit, solution: Solution, sigma: float | None
+) -> Knock | None:
+    """Look along the rows in their order of measurement for a moment when the plate moved.
+
+    The motion has six parameters from the moment on; the gain of w'w is tested against the
+    remaining scatter, or the stated ``sigma`` (of unit weight) where that is larger. None when no
+    moment stands out.
+    """
+    if solution.dof <= 12:  # six parameters, and too little left to test them by
+        return None
+    order, motion, later = _pulled(problem, solution)
+    fitted = [
+        (*_fit_motion(problem, linear, order[start:], motion[start:], later[start]), start)
+        for start in _candidates(later, motion, problem.weights[order])
+    ]
+    gain, amount, start = max(fitted, key=lambda each: each[0])
+    rest = (solution.weighted_square_sum - gain) / (solution.dof - 6)
+    scatter = max(rest, (sigma or 0.0) ** 2, least_variance(problem, solution.estimate))
+    if gain / 6.0 < scatter * f_isf(FALSE_KNOCK / len(order), 6, solution.dof - 6):
+        return None
+    row = order[start]
+    return Knock(
+        last=int(problem.rows[order[start - 1]]),
+        first=int(problem.rows[row]),
+        ball_step=int(problem.ball_step[row]),
+        position=int(problem.position[row]),
+        shift=amount[:3],
+        rotation=amount[3:] / problem.radius,
+        gain=gain,
+        scatter=scatter,
+    )
+
+
+def _candidates(later: Floats, motion: Floats, weight: Floats) -> list[int]:
+    """Return the most likely moments by a bound on their gain, best first.
+
+    Rows in the order of measurement. The bound leaves out that table and CMM absorb part of the
+    motion; it peaks where the gain does. Moments within 1 % of each other count as one.
+    """
+    own = np.einsum("nij,ni,nik->njk", motion, weight, motion)
+    information = np.cumsum(own[::-1], axis=0)[::-1]
+    total = information[0]
+    starts = np.arange(1, len(later))
+    # a motion of all rows together is seen by nothing and taken off, as an unknown of its own;
+    # the small part of the total keeps the matrices regular at both ends of the run
+    share = information[starts] @ np.linalg.pinv(total)
+    spread = information[starts] @ (np.eye(6) - share.swapaxes(1, 2)) + 1e-9 * total
+    amount = np.linalg.solve(spread, later[starts][:, :, None])[:, :, 0]
+    bound = np.einsum("nj,nj->n", later[starts], amount)
+    chosen: list[int] = []
+    for index in np.argsort(-bound, kind="stable"):
+        if all(abs(int(starts[index]) - other) > 0.01 * len(later) for other in chosen):
+            chosen.append(int(starts[index]))
+        if len(chosen) == CANDIDATES:
+            break
+    return chosen
+
+
+def _fit_motion(
+    problem: BallPlateProblem,
+    linear: LinearFit,
+    rows: Ints,
+    motion: Floats,
+    right: Floats,
+) -> tuple[float, Floats]:
+    """Return gain of w'w and the motion (6,) when the rows from a moment on have moved."""
+    moved = np.zeros((len(problem.centres), 3, 6))
+    moved[rows] = motion
+    remains = linear.responses(moved)[1]
+    information = np.einsum("nij,ni,nik->jk", moved, problem.weights, remains)
+    information = 0.5 * (information + information.T)
+    # a motion that the CMM's own errors imitate leaves nothing: it counts as zero
+    amount: Floats = np.linalg.pinv(information, rcond=1e-6, hermitian=True) @ right
+    return float(right @ amount), amount

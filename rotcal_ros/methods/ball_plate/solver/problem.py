@@ -1,9 +1,14 @@
-"""What the ball plate method is given: centres of balls at table positions, nothing else."""
+"""What the ball plate method is given: centres of balls at table positions.
+
+Of a ball j at the table position i the method knows the CMM position k = i + j (mod N) where it
+stands, when it was measured, and how far it was found from its nominal place.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -61,21 +66,33 @@ class BallPlateProblem:
         centres = np.asarray(self.centres, dtype=np.float64)
         row = np.arange(len(table)) if self.row is None else np.asarray(self.row, dtype=np.int64)
         std = None if self.std is None else np.asarray(self.std, dtype=np.float64)
+        time = None if self.time is None else np.asarray(self.time, dtype=np.float64)
         _check_constants(self.grid, self.radius, self.sigma)
         _check_drift(self.drift, self.drift_allowance, self.group_allowance)
         _check_shapes(table, ball, centres, row, std)
         _check_indices(table, row, "table position", self.n_positions)
         _check_indices(ball, row, "ball step", self.grid)
-        order = np.lexsort((row, table, ball))
-        object.__setattr__(self, "position", table[order])
-        object.__setattr__(self, "ball_step", ball[order])
-        object.__setattr__(self, "centres", centres[order])
-        object.__setattr__(self, "row", row[order])
-        object.__setattr__(self, "std", None if std is None else std[order])
-        if self.time is not None:
-            time = np.asarray(self.time, dtype=np.float64)
+        if time is not None:
             _check_time(time, len(table))
-            object.__setattr__(self, "time", time[order])
+        order = np.lexsort((row, table, ball))
+        columns: dict[str, Floats | Ints | None] = {
+            "position": table,
+            "ball_step": ball,
+            "centres": centres,
+            "row": row,
+            "std": std,
+            "time": time,
+        }
+        for name, column in columns.items():
+            object.__setattr__(self, name, None if column is None else column[order])
+
+    @classmethod
+    def nominal(
+        cls, grid: int, radius: float, position: Ints, ball_step: Ints, **fields: Any
+    ) -> BallPlateProblem:
+        """Return a problem with nominal centres, for all that follows from the layout alone."""
+        angle = grid_angles(grid)[(grid_step(position, grid) + ball_step) % grid]
+        return cls(grid, radius, position, ball_step, radius * on_circle(angle), **fields)
 
     @cached_property
     def rows(self) -> Ints:
@@ -105,6 +122,34 @@ class BallPlateProblem:
         return self.grid * (1 + self.bidirectional)
 
     @cached_property
+    def cell(self) -> Ints:
+        """A number for each pair of table position and ball step, (n,)."""
+        return self.position * self.grid + self.ball_step
+
+    @cached_property
+    def stop(self) -> Ints:
+        """Number of the table's stop at which each row was measured, in their order, (n,)."""
+        order = np.argsort(self.rows, kind="stable")
+        stops = np.empty(len(order), dtype=np.int64)
+        stops[order] = np.cumsum(np.diff(self.position[order], prepend=-1) != 0) - 1
+        return stops
+
+    @cached_property
+    def noise_unit(self) -> Floats:
+        """What the noise of each coordinate is counted in, (n, 3): its ``std``, or 1 m."""
+        return np.ones_like(self.centres) if self.std is None else self.std
+
+    @cached_property
+    def weighed_alike(self) -> bool:
+        """Whether all rows have the same standard deviations of x, y, z, or none of their own."""
+        return self.std is None or not np.ptp(self.std, axis=0).any()
+
+    @cached_property
+    def weights(self) -> Floats:
+        """Weights of the coordinates, (n, 3)."""
+        return np.asarray(self.noise_unit**-2, dtype=np.float64)
+
+    @cached_property
     def balls(self) -> Ints:
         """The ball steps in use, ascending, (R,)."""
         return np.unique(self.ball_step)
@@ -132,10 +177,9 @@ class BallPlateProblem:
     @cached_property
     def complete(self) -> bool:
         """Whether every ball was measured exactly once at every table position, from one side."""
-        if self.bidirectional:
+        if self.bidirectional or len(self.cell) != len(self.balls) * self.grid:
             return False
-        cells = self.ball_step * self.grid + self.position
-        return len(cells) == len(self.balls) * self.grid and len(np.unique(cells)) == len(cells)
+        return len(np.unique(self.cell)) == len(self.cell)
 
     @cached_property
     def deviations(self) -> Floats:
@@ -159,6 +203,50 @@ class BallPlateProblem:
             row=self.rows[keep],
             std=None if self.std is None else self.std[keep],
             time=None if self.time is None else self.time[keep],
+        )
+
+
+class RowLayout(NamedTuple):
+    """What of a problem does not depend on the measured values, as a key to remember by.
+
+    The arrays are held as bytes: ``columns`` (3, n) are table position, ball step and row number.
+    """
+
+    grid: int
+    bidirectional: bool
+    radius: float
+    columns: bytes
+    run_time: bytes
+    std: bytes
+    drift: int
+
+    @classmethod
+    def of(cls, problem: BallPlateProblem) -> RowLayout:
+        """Return the layout of a problem."""
+        columns = np.stack([problem.position, problem.ball_step, problem.rows])
+        return cls(
+            problem.grid,
+            problem.bidirectional,
+            problem.radius,
+            columns.tobytes(),
+            problem.run_time.tobytes(),
+            b"" if problem.std is None else problem.std.tobytes(),
+            problem.drift,
+        )
+
+    def problem(self) -> BallPlateProblem:
+        """Return the problem with nominal centres."""
+        position, ball, row = np.frombuffer(self.columns, dtype=np.int64).reshape(3, -1)
+        return BallPlateProblem.nominal(
+            self.grid,
+            self.radius,
+            position,
+            ball,
+            std=np.frombuffer(self.std).reshape(-1, 3) if self.std else None,
+            row=row,
+            time=np.frombuffer(self.run_time),
+            drift=self.drift,
+            bidirectional=self.bidirectional,
         )
 
 
@@ -219,6 +307,12 @@ def grid_angles(grid: int) -> Floats:
 def on_circle(angle: Floats) -> Floats:
     """Return the points (n, 3) of the unit circle at ``angle`` (n,), rad from +x."""
     return np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
+
+
+def places_of(wanted: Ints, column: Ints) -> Ints:
+    """Return where in a ``column`` each of the ``wanted`` values stands first; all must occur."""
+    order = np.argsort(column, kind="stable")
+    return order[np.searchsorted(column, wanted, sorter=order)]
 
 
 def _check_constants(grid: int, radius: float, sigma: float | None) -> None:

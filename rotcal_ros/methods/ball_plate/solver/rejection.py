@@ -1,4 +1,8 @@
-"""Fit, test, reject, fit again: until every centre fits or the plate is found to have moved."""
+"""Fit, test, reject, fit again: until every centre fits or the plate is found to have moved.
+
+Each round leaves out what is proved to be wrong together in one place (:mod:`.gathering`), else
+single centres, the worst first, whose normalised residual is no chance among so many.
+"""
 
 from __future__ import annotations
 
@@ -11,29 +15,27 @@ from rotcal_ros.adjust.gathering import Gathering
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
 from rotcal_ros.foundation.results import Rejection
+from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.ball_plate.solver import model
 from rotcal_ros.methods.ball_plate.solver.estimate import solved
 from rotcal_ros.methods.ball_plate.solver.gathering import (
     Taken,
-    can_judge,
-    counted,
-    judged,
+    gathered,
     left_out,
     suspected,
 )
-from rotcal_ros.methods.ball_plate.solver.general_least_squares import (
+from rotcal_ros.methods.ball_plate.solver.model import LinearFit, Solution
+from rotcal_ros.methods.ball_plate.solver.order_effects import Knock, find_knock
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
+from rotcal_ros.methods.ball_plate.solver.separability import (
     MIN_BALLS,
     balls_at_positions,
     require_balls,
+    require_separable,
 )
-from rotcal_ros.methods.ball_plate.solver.knock import Knock, find_knock
-from rotcal_ros.methods.ball_plate.solver.model import LinearFit, Solution
-from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
-from rotcal_ros.methods.ball_plate.solver.separability import require_separable
 
 MOST = 0.1
 """Part of the centres that may be rejected before the data are called contradictory."""
-
 FALSE_ALARM = 0.01
 """Probability that good data lose any centre at all."""
 MOST_PLACES = 5
@@ -102,16 +104,14 @@ def fit_and_reject(problem: BallPlateProblem, named: BallPlateProblem | None = N
         test = judge_centres(problem, solution, sigma)
         knock = find_knock(problem, linear, solution, sigma)
         if knock is not None and _more_than_one_centre(knock, test, solution.dof):
-            gathering = Gathering(blamed=gathering.blamed)
-            return Fitted(problem, linear, solution, test, (*rejected, *poor), knock, gathering)
-        taken = Taken(whole, np.array([r.index for r in rejected], dtype=np.int64))
-        if can_judge(problem):
-            gathering = judged(gathering, problem, solution, sigma, taken)
+            gathering, why = Gathering(blamed=gathering.blamed), dict[int, str]()
         else:
-            gathering = counted(gathering, problem, test.redundancy, taken)
-        gathering, why = _next(gathering, problem, solution, test)
+            knock = None
+            taken = Taken(whole, np.array([r.index for r in rejected], dtype=np.int64))
+            gathering = gathered(gathering, problem, solution, sigma, test.redundancy, taken)
+            gathering, why = _next(gathering, problem, solution, test)
         if not why:
-            return Fitted(problem, linear, solution, test, (*rejected, *poor), None, gathering)
+            return Fitted(problem, linear, solution, test, (*rejected, *poor), knock, gathering)
         rejected += [Rejection(int(problem.rows[r]), text) for r, text in why.items()]
         _check_share(len(rejected), whole, rejected[0])
         problem = problem.take(np.setdiff1d(np.arange(len(problem.centres)), list(why)))
@@ -143,18 +143,16 @@ def _without_poor_positions(problem: BallPlateProblem) -> tuple[BallPlateProblem
     poor = np.flatnonzero(count < MIN_BALLS)
     if len(poor) > MOST_OPEN * problem.n_positions:
         require_balls(problem, everywhere=True)
-    rows = np.flatnonzero(np.isin(problem.position, poor))
-    left_out = [
+    away = np.isin(problem.position, poor)
+    rejected = [
         Rejection(
             int(problem.rows[r]),
             f"{problem.row_name(r)}: only {count[problem.position[r]]} balls are left at this "
             "table position, which leaves its six errors open: the angle is left out",
         )
-        for r in rows
+        for r in np.flatnonzero(away)
     ]
-    if not len(rows):
-        return problem, left_out
-    return problem.take(np.setdiff1d(np.arange(len(problem.centres)), rows)), left_out
+    return (problem.take(~away) if rejected else problem), rejected
 
 
 def _more_than_one_centre(knock: Knock, test: CentreTest, dof: int) -> bool:
@@ -177,7 +175,8 @@ def _solve(problem: BallPlateProblem) -> tuple[LinearFit, Solution]:
 
 
 def _reason(problem: BallPlateProblem, residual: Floats, test: CentreTest, r: int) -> str:
-    size = float(np.linalg.norm(residual)) / 1e-6
+    """Say why a row is rejected; ``residual`` (3,), m."""
+    size = float(np.linalg.norm(residual)) / MICROMETRE
     return (
         f"{problem.row_name(r)}: residual {size:.3g} um, normalised {test.value[r]:.1f} where "
         f"{test.critical[r]:.1f} is the limit"
@@ -201,17 +200,19 @@ def judge_centres(
     Where the stated ``sigma`` (of unit weight) is larger it takes the place of the scatter; a
     statement that is too small must not cost good centres (the chi-square test reports it).
     """
-    own = np.ones_like(problem.centres) if problem.std is None else problem.std**2
-    cofactor = solution.cofactor()
-    values, vectors = np.linalg.eigh(cofactor / own.max(axis=1)[:, None, None])
-    values = values * own.max(axis=1)[:, None]
-    checked = values > DETERMINED * own.max(axis=1)[:, None]
+    own = problem.noise_unit**2
+    cofactor, largest = solution.cofactor(), own.max(axis=1)[:, None]
+    # along the axes of its cofactor; coordinates that nothing checks have no part in the test
+    values, vectors = np.linalg.eigh(cofactor / largest[:, :, None])
+    values = values * largest
+    checked = values > DETERMINED * largest
     along = np.einsum("nij,ni->nj", vectors, solution.residuals)
     gain = np.sum(np.where(checked, along**2 / np.where(checked, values, 1.0), 0.0), axis=1)
     rank = np.maximum(checked.sum(axis=1), 1)
     others = np.maximum(solution.dof - rank, 1)
     ranks = np.arange(1, 4)  # every limit is one of three
     limits = f_isf(FALSE_ALARM / len(gain), ranks, np.maximum(solution.dof - ranks, 1))
+    # the scatter of the others, or what was stated, or what exact data leave
     least = max((sigma or 0.0) ** 2, model.least_variance(problem, solution.estimate))
     variance = np.maximum((solution.weighted_square_sum - gain) / others, least)
     return CentreTest(

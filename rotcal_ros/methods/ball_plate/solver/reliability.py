@@ -1,10 +1,10 @@
-"""From a solved problem to a result that says what could be wrong with it all the same.
+"""What could be wrong with a result all the same: tests, larger uncertainties, protections.
 
-Tests of a fit in its order of measurement, for a CMM that drifts and a plate that moves.
-
-Both look for patterns that :mod:`order_effects` predicts, in the residuals of the fit. The search
-for a knock in :mod:`knock` has the last word on a plate that jumped; the one here finds what is
-too small for it.
+The residuals of each fit are searched for what the fit takes no account of: a drift, a motion of
+the plate, a table that does not repeat, disturbances in one place. What is found becomes a doubt;
+what is probable, or allowed for by a statement, enlarges the covariances. What this order of
+measurement would not show is said by the protections: one sentence for each effect that could
+spoil a ball plate measurement.
 """
 
 from __future__ import annotations
@@ -15,42 +15,43 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.adjust.distributions import f_sf
 from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.reliability import Hidden
-from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS, ROTATIONS
+from rotcal_ros.foundation.protection import TOLERABLE, Protection, ordered
 from rotcal_ros.foundation.results import Result, plain_fields
-from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
+from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.geometry.rotations import rotation_about_z
-from rotcal_ros.methods.ball_plate.solver import gathering, repeatability
-from rotcal_ros.methods.ball_plate.solver.closure import PlateClosure, closures
-from rotcal_ros.methods.ball_plate.solver.disturbance_response import unit_std, weights
-from rotcal_ros.methods.ball_plate.solver.drift import VISIBLE, drift_columns
+from rotcal_ros.methods.ball_plate.solver import gathering
 from rotcal_ros.methods.ball_plate.solver.estimate import solved
-from rotcal_ros.methods.ball_plate.solver.model import (
-    OriginDrift,
-    Solution,
-    least_variance,
-    of_component,
-)
+from rotcal_ros.methods.ball_plate.solver.model import least_variance, of_component
 from rotcal_ros.methods.ball_plate.solver.noise import CentreNoise
 from rotcal_ros.methods.ball_plate.solver.order_effects import (
-    SIGNIFICANCE,
-    DisplacementPatterns,
+    DriftTest,
+    MotionTest,
     OrderEffects,
     drift_error,
+    find_drift,
+    find_motion,
     knock_error,
-    motion_columns,
     order_effects,
+    stronger,
 )
-from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
-from rotcal_ros.methods.ball_plate.solver.protections import PlateEvidence, protections
 from rotcal_ros.methods.ball_plate.solver.rejection import Fitted
-from rotcal_ros.methods.ball_plate.solver.repeatability import Repeatability
+from rotcal_ros.methods.ball_plate.solver.repeated_stops import (
+    MIN_BALLS_PER_STOP,
+    PlateClosure,
+    Repeatability,
+    arrivals,
+    closures,
+    repeatability,
+)
 from rotcal_ros.methods.ball_plate.solver.screening import RADIUS_TOLERANCE
-from rotcal_ros.methods.ball_plate.solver.solution import PlateSolution
-from rotcal_ros.methods.ball_plate.solver.zeros import allowed
+from rotcal_ros.methods.ball_plate.solver.solution import PlateSolution, allowed
+
+LEAST_DOF: Final = 8
+"""Degrees of freedom that a forecast of tests counts with at least."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ def completed(result: Result, solution: PlateSolution) -> Result:
         verdict="suspect" if doubt and result.verdict == "ok" else result.verdict,
         details={**result.details, **_details(found, solution.fits)},
     )
-    return replace(result, protections=protections(_facts(result, solution, found)))
+    return replace(result, protections=_protections(_facts(result, solution, found)))
 
 
 def _findings(solution: PlateSolution) -> Findings:
@@ -120,13 +121,14 @@ def _findings(solution: PlateSolution) -> Findings:
 def _scatter(fit: Fitted) -> Repeatability | None:
     """Return the table's repeatability from residuals of equal weight.
 
-    Weights found for the axes hold what the table scatters along them, as if it were noise.
+    Weights that were found for the axes already contain what the table scatters along them, as if
+    it were noise: those are taken off, and all is solved once more.
     """
     problem, residuals = fit.problem, fit.solution.residuals
-    if problem.std is not None and not np.ptp(problem.std, axis=0).any():
+    if problem.std is not None and problem.weighed_alike:
         problem = replace(problem, std=None)
         residuals = solved(problem)[1].residuals
-    return repeatability.repeatability(problem, residuals)
+    return repeatability(problem, residuals)
 
 
 def _sigma(noise: CentreNoise, fit: Fitted) -> tuple[Floats, Floats]:
@@ -149,9 +151,14 @@ def _added(solution: PlateSolution, found: Findings) -> dict[str, LowRank]:
     added = {name: LowRank.outer(allowed(solution, name)) for name in COMPONENTS}
     # a uniform distribution between the limits, alike along each axis
     drift = (0.0 if solution.problem.drift else solution.problem.drift_allowance) / np.sqrt(3.0)
-    places, count = _places(solution), len(solution.table_positions)
+    count = len(solution.table_positions)
     for group, fit, place, effects, scatter in zip(
-        solution.groups, solution.fits, places, found.effects, found.scatters, strict=True
+        solution.groups,
+        solution.fits,
+        solution.places(),
+        found.effects,
+        found.scatters,
+        strict=True,
     ):
         local = _of_places(fit, group.turn)
         turned = _turned(effects.drift.response, group.turn)
@@ -180,18 +187,11 @@ def _of_places(fit: Fitted, turn: float) -> Floats | None:
     if whole is None:
         return None
     known, count = fit.problem.table_positions, fit.problem.n_positions
+    # translations and rotations are vectors x, y, z: each is turned to the frame of the whole
     both = whole.reshape(2, 3, count, 2, 3, count)[:, :, known][..., known]
     back = rotation_about_z(turn)
     each: Floats = np.einsum("ij,bjmbkn,ik->bimn", back, both, back)
     return each.reshape(6, len(known), len(known))
-
-
-def _places(solution: PlateSolution) -> list[Ints]:
-    """Return where the solved positions of each group stand in the result."""
-    return [
-        np.searchsorted(solution.table_positions, group.positions[fit.problem.table_positions])
-        for group, fit in zip(solution.groups, solution.fits, strict=True)
-    ]
 
 
 def _turned(response: Floats, turn: float) -> Floats:
@@ -202,24 +202,25 @@ def _turned(response: Floats, turn: float) -> Floats:
 
 
 def _facts(result: Result, solution: PlateSolution, found: Findings) -> PlateEvidence:
+    """Return what the protections follow from."""
     problem = solution.problem
     errors = [(0.0, 0.0)]
     tiny = np.finfo(float).tiny
     scale = np.array([[of_component(solution.noise.scale, name)] for name in COMPONENTS])
-    for place, fit, effects in zip(_places(solution), solution.fits, found.effects, strict=True):
-        own = unit_std(fit.solution.unit_std)
+    for place, fit, effects in zip(solution.places(), solution.fits, found.effects, strict=True):
+        own = fit.solution.unit_std.curves()
         stated = np.array([result.std[name][place] for name in COMPONENTS])
-        std = np.maximum(stated / np.maximum(scale, tiny), own)
-        dof = max(fit.solution.dof, 8)
+        std = np.maximum(stated / np.maximum(scale, tiny), own)  # per unit noise of a centre
+        dof = max(fit.solution.dof, LEAST_DOF)
         errors.append((drift_error(effects, std, dof), knock_error(effects, std, dof)))
-    stops = [repeatability.arrivals(fit.problem) for fit in solution.fits]
+    stops = [arrivals(fit.problem) for fit in solution.fits]
     return PlateEvidence(
         drift_error=max(error for error, _ in errors),
         knock_error=max(error for _, error in errors),
         drift_degree=problem.drift,
         drift_allowance=problem.drift_allowance,
         n_repeated=sum(count for count, _ in stops),
-        own_arrivals=all(balls < repeatability.MIN_BALLS for _, balls in stops),
+        own_arrivals=all(balls < MIN_BALLS_PER_STOP for _, balls in stops),
         repeatability=all(scatter is not None for scatter in found.scatters),
         scale_error=_scale_error(result),
         n_groups=len(solution.groups),
@@ -231,10 +232,10 @@ def _facts(result: Result, solution: PlateSolution, found: Findings) -> PlateEvi
 def _hidden(result: Result, solution: PlateSolution) -> Hidden | None:
     """Return the worst disturbance of one place, of all groups, that stays unseen."""
     worst: Hidden | None = None
-    for place, fit in zip(_places(solution), solution.fits, strict=True):
+    for place, fit in zip(solution.places(), solution.fits, strict=True):
         std = np.array([result.std[name][place] for name in COMPONENTS])
         std = np.maximum(std, np.median(std, axis=1)[:, None])  # less is chance
-        found = gathering.unseen(fit.problem, (solution.noise.scale, std))
+        found = gathering.unseen(fit.problem, solution.noise.scale, std)
         if found is not None and (worst is None or found.error > worst.error):
             worst = found
     return worst
@@ -271,153 +272,150 @@ def _plain(records: Sequence[Any]) -> list[dict[str, Any]]:
     return [plain_fields(record) for record in records]
 
 
-SPARE: Final = 8
-"""Degrees of freedom below which nothing can be tested."""
-SETTLED: Final = 0.01
-"""Share of the stated noise that the iteration of the exact model may leave in the residuals."""
-
-
 @dataclass(frozen=True)
-class DriftTest:
-    """Linear drift of the CMM's origin: ``amount`` (3,), m over the run, with ``std``; p value.
+class PlateEvidence:
+    """What a result's protections follow from.
 
-    ``estimated``: part of the fit, and so no reason for doubt.
+    ``drift_error`` and ``knock_error`` are the largest errors, in stated standard uncertainties,
+    that the tests leave unseen with the probability of POWER; ``drift_degree`` is 0 where no drift
+    is estimated; ``drift_allowance`` is stated, m over the run. ``n_repeated`` counts the stops of
+    the table beyond the first at each position; ``own_arrivals``: nearly every centre has a stop
+    of its own; ``repeatability``: their scatter is estimated.
+    ``scale_error`` is the error, in standard uncertainties, of the largest radius error that
+    passes the check; ``n_groups`` the groups with a zero of their own,
+    ``group_allowance`` how far these are apart at most, m, 0 where that is not stated.
     """
 
-    amount: Floats
-    std: Floats
-    p_value: float
-    estimated: bool
+    drift_error: float
+    knock_error: float
+    drift_degree: int
+    drift_allowance: float
+    n_repeated: int
+    own_arrivals: bool
+    repeatability: bool
+    scale_error: float
+    n_groups: int
+    hidden: Hidden | None
+    group_allowance: float
 
-    @property
-    def significant(self) -> bool:
-        """Whether there is a drift."""
-        return self.p_value < SIGNIFICANCE
 
-    def sentence(self) -> str:
-        """Say in words how much drifts."""
-        shown = ", ".join(
-            f"{a / MICROMETRE:.3f} +- {2.0 * s / MICROMETRE:.3f}"
-            for a, s in zip(self.amount, self.std, strict=True)
+def _protections(facts: PlateEvidence) -> tuple[Protection, ...]:
+    """Return all protections, of centres that do not tell which way is up."""
+    return ordered(
+        [
+            _drift(facts),
+            _knock(facts),
+            Protection(
+                "axis noise", "estimated", "each axis has its own, also where one was stated"
+            ),
+            Protection("error motion", "estimated", "all six deviations are results"),
+            _repeatability(facts),
+            Protection("refraction", "harmless", "no light is used"),
+            _scale(facts),
+            Protection(
+                "tilt", "estimated", "the pose of the axis and the place of each ball are unknowns"
+            ),
+            _gauge(facts),
+            _one_place(facts.hidden),
+            Protection(
+                "numbering",
+                "not protected",
+                "which table angle belongs to position 0 is taken from the table: positions that "
+                "are all numbered off by one fit as well, on a plate whose ball steps are off by "
+                "as many the other way",
+            ),
+            Protection(
+                "sign of z",
+                "not protected",
+                "that z points away from the table is taken from the frame: a z column of the "
+                "other sign fits every centre as well and turns the signs of EZC, EAC and EBC; "
+                "touch points on the upper half of the balls would tell",
+            ),
+        ]
+    )
+
+
+def _drift(facts: PlateEvidence) -> Protection:
+    if facts.drift_degree:
+        shape = ("linear", "quadratic")[facts.drift_degree - 1]
+        return Protection("drift", "estimated", f"a {shape} drift of each axis is an unknown")
+    if facts.drift_error <= TOLERABLE:
+        why = "the order of measurement shows a linear drift of the CMM's origin"
+        return Protection("drift", "tested", why, facts.drift_error)
+    if facts.drift_allowance > 0.0:
+        why = f"the budget holds {facts.drift_allowance / MICROMETRE:g} um over the run"
+        return Protection("drift", "bounded", why)
+    return Protection(
+        "drift",
+        "not protected",
+        "the order of measurement hides a drift of the CMM's origin in the table's deviations: "
+        "measure in the order interleaved, or state solver.drift_allowance_m",
+        _finite(facts.drift_error),
+    )
+
+
+def _knock(facts: PlateEvidence) -> Protection:
+    if facts.knock_error <= TOLERABLE:
+        why = "a motion of the plate on the table contradicts earlier centres of the same balls"
+        return Protection("knock", "tested", why, facts.knock_error)
+    return Protection(
+        "knock",
+        "not protected",
+        "a small motion of the plate between two stops may pass for deviations of the table: "
+        "measure in the order interleaved, with more balls",
+        _finite(facts.knock_error),
+    )
+
+
+def _repeatability(facts: PlateEvidence) -> Protection:
+    if facts.repeatability:
+        why = f"from {facts.n_repeated} repeated stops of the table"
+        return Protection("repeatability", "estimated", why)
+    if facts.own_arrivals:
+        why = "every centre has a stop of its own, so it is part of the residuals"
+        return Protection("repeatability", "estimated", why)
+    return Protection(
+        "repeatability",
+        "not protected",
+        "not included: the table came to each position once, or too seldom to tell",
+    )
+
+
+def _scale(facts: PlateEvidence) -> Protection:
+    why = "a wrong radius of the ball circle shows in all centres; it scales the rotations"
+    return Protection("scale", "tested", why, facts.scale_error)
+
+
+def _gauge(facts: PlateEvidence) -> Protection:
+    if facts.n_groups > 1 and facts.group_allowance > 0.0:
+        why = f"the budget holds {facts.group_allowance / MICROMETRE:g} um between the groups"
+        return Protection("gauge", "bounded", why)
+    if facts.n_groups > 1:
+        why = f"{facts.n_groups} groups of table positions have each a zero of their own"
+        return Protection("gauge", "not protected", why)
+    return Protection(
+        "gauge",
+        "harmless",
+        "mean values, and what a shifted or tilted plate causes, are no part of the curves",
+    )
+
+
+def _one_place(hidden: Hidden | None) -> Protection:
+    if hidden is None:
+        return Protection(
+            "one place",
+            "not protected",
+            "too many positions to judge what gathers at one of them: single centres are tested",
         )
-        found = f"the origin of the CMM drifts by ({shown}) um over the run in x, y, z"
-        if self.estimated:
-            return f"{found}; it is estimated and taken off"
-        return (
-            f"{found} (p = {self.p_value:.2g}): solver.drift: linear takes it off, with its "
-            "uncertainty"
-        )
+    size = hidden.size / MICROMETRE
+    why = (
+        "what displaces several balls at one position together is looked for, and widens U where "
+        f"it can be neither proved nor excluded; of {hidden.count} neighbours it is found from "
+        f"{size:.2g} um on"
+    )
+    return Protection("one place", "tested", why, hidden.error)
 
 
-@dataclass(frozen=True)
-class MotionTest:
-    """The most likely motion of the plate: from ``row`` on, shift (3,) m, rotation (3,) rad."""
-
-    row: int
-    shift: Floats
-    rotation: Floats
-    p_value: float
-
-    @property
-    def significant(self) -> bool:
-        """Whether the plate has moved."""
-        return self.p_value < SIGNIFICANCE
-
-    def sentence(self) -> str:
-        """Say in words what seems to have moved when."""
-        x, y, z = self.shift / MICROMETRE
-        a, b, c = self.rotation / ARCSEC
-        return (
-            f"the plate seems to have moved on the table near row {self.row} by ({x:.3f}, "
-            f"{y:.3f}, {z:.3f}) um and ({a:.3f}, {b:.3f}, {c:.3f}) arcsec (p = "
-            f"{self.p_value:.2g}): look at its clamping, or measure again"
-        )
-
-
-def find_drift(
-    problem: BallPlateProblem, solution: Solution, effects: OrderEffects
-) -> DriftTest | None:
-    """Test the three linear drifts together; None where the residuals do not keep them."""
-    if solution.drift is not None:
-        return _estimated(solution, solution.drift)
-    columns = drift_columns(problem.run_time, 1)
-    centred = columns - columns.mean(axis=0)
-    weight = weights(problem)
-    total = np.einsum("nia,ni,nia->a", centred, weight, centred)
-    scale = 1.0 / np.sqrt(total)
-    kept = np.linalg.eigvalsh(effects.drift.information * np.outer(scale, scale))
-    if kept[0] < VISIBLE or solution.dof < SPARE:
-        return None
-    right = np.einsum("nia,ni->a", columns, weight * solution.residuals)
-    least = _least(problem, solution)
-    amount, inverse, p_value, variance = _tested(effects.drift, right, solution, least)
-    return DriftTest(amount, np.sqrt(variance * np.diag(inverse)), p_value, estimated=False)
-
-
-def find_motion(
-    problem: BallPlateProblem, solution: Solution, effects: OrderEffects
-) -> MotionTest | None:
-    """Look for a motion of the plate at each of the moments of ``effects``."""
-    if solution.dof < SPARE:
-        return None
-    order = np.argsort(problem.rows, kind="stable")
-    pulled = (weights(problem) * solution.residuals)[order]
-    each = np.einsum("nia,ni->na", motion_columns(problem)[order], pulled)
-    later = np.cumsum(each[::-1], axis=0)[::-1]
-    best: MotionTest | None = None
-    least = _least(problem, solution)
-    for moment, knock in zip(effects.moments, effects.knocks, strict=True):
-        if moment >= len(order):
-            continue
-        amount, _, p_value, _ = _tested(knock, later[moment], solution, least)
-        p_value = min(1.0, p_value * len(effects.knocks))
-        if best is None or p_value < best.p_value:
-            row = int(problem.rows[order[moment]])
-            best = MotionTest(row, amount[:3], amount[3:] / problem.radius, p_value)
-    return best
-
-
-def _least(problem: BallPlateProblem, solution: Solution) -> float:
-    """Return the variance below which the rest is no noise; in units of ``std``, if given."""
-    stated = 1.0 if problem.std is not None else problem.sigma or 0.0
-    return max(least_variance(problem, solution.estimate), (SETTLED * stated) ** 2)
-
-
-def _tested(
-    pattern: DisplacementPatterns, right: Floats, solution: Solution, floor: float
-) -> tuple[Floats, Floats, float, float]:
-    """Return amount, unit covariance, p value of its F test, and the variance of the rest."""
-    values, vectors = np.linalg.eigh(pattern.information)
-    seen = values > pattern.seen
-    rank = int(np.count_nonzero(seen))
-    inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
-    amount: Floats = inverse @ right
-    gain = float(right @ amount)
-    dof = solution.dof - rank
-    if not rank:
-        return amount, inverse, 1.0, floor
-    variance = max((solution.weighted_square_sum - gain) / dof, floor)
-    return amount, inverse, f_sf(gain / rank / variance, rank, dof), variance
-
-
-def _estimated(solution: Solution, drift: OriginDrift) -> DriftTest:
-    linear = drift.unit_covariance[:3, :3]
-    variance = solution.weighted_square_sum / solution.dof
-    amount = drift.amount[0]
-    value = float(amount @ np.linalg.solve(linear, amount)) / 3.0 / max(variance, 1e-300)
-    std = np.sqrt(variance * np.diag(linear))
-    return DriftTest(amount, std, f_sf(value, 3, solution.dof), estimated=True)
-
-
-def stronger(
-    drifts: Sequence[DriftTest], motions: Sequence[MotionTest]
-) -> list[DriftTest | MotionTest]:
-    """Return the significant findings worth telling; of a drift and a motion the likelier one.
-
-    A drift looks like a small motion and the other way round.
-    """
-    every: list[DriftTest | MotionTest] = [*drifts, *motions]
-    found = [t for t in every if t.significant]
-    known: list[DriftTest | MotionTest] = [d for d in drifts if d.significant and d.estimated]
-    doubts = sorted((t for t in found if t not in known), key=lambda t: t.p_value)
-    return known + doubts[:1]
+def _finite(error: float) -> float | None:
+    """Return the error, None where nothing bounds it."""
+    return error if error < float("inf") else None

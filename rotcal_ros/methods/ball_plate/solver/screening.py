@@ -30,6 +30,8 @@ FITS = 0.01
 """Largest typical distance of a centre from its place for the shifts to be believed."""
 ROUNDS = 10
 """Rounds of the robust fit of the two shifts."""
+COHERENT = 0.9
+"""Length of the mean direction of a ball's centres, 1 at most, from which on they are at rest."""
 FEW = 0.2
 """Part of the rows that may be misplaced before the whole table is refused."""
 
@@ -79,7 +81,7 @@ def _centred(problem: BallPlateProblem) -> BallPlateProblem:
     )
     weight, distance = np.ones(len(plane)), np.zeros(len(plane))
     found = np.zeros(3, dtype=np.complex128)
-    for _ in range(ROUNDS):
+    for _ in range(ROUNDS):  # weights 1/distance make least squares least absolute distances
         found = np.linalg.lstsq(weight[:, None] * design, weight * plane, rcond=1e-6)[0]
         distance = np.abs(plane - design @ found)
         weight = 1.0 / np.sqrt(np.maximum(distance, 1e-6 * problem.radius))
@@ -111,6 +113,7 @@ def _check_circle(problem: BallPlateProblem) -> None:
             f"{stated:.6g} m: the table looks like millimetres, metres are expected"
         )
     near = np.abs(distance - typical) < 0.2 * typical
+    # |p|^2 = 2 p c + r^2 - |c|^2 is linear in the centre c and in a constant (Kasa's circle)
     design = np.column_stack([2.0 * plane[near], np.ones(near.sum())])
     x, y, constant = np.linalg.lstsq(design, distance[near] ** 2, rcond=None)[0]
     radius = float(np.sqrt(max(constant + x**2 + y**2, 0.0)))
@@ -167,39 +170,45 @@ def _check_whole_balls(problem: BallPlateProblem, bad: Ints, steps: Floats) -> N
 def _mistake(problem: BallPlateProblem, angle: Floats) -> str:
     """Name the mistake behind a table of which most rows are misplaced."""
     grid, table = problem.grid, problem.angles[problem.position]
-    if _coherence(problem, angle - table) < 0.9:
-        if _coherence(problem, angle + table) > 0.9:
-            if _left_handed(problem, angle + table):
-                return (
-                    "in these coordinates both the balls' steps and the table run clockwise: the "
-                    "frame of the CMM is left-handed or its z axis points down (an axis turned "
-                    "round, or two exchanged); make it right-handed, with z along the table's "
-                    "axis and away from the table"
-                )
-            return (
-                "the balls move clockwise while the table positions count up: table angles must "
-                "be counter-clockwise seen from +z; reverse the sign of the table angle"
-            )
+    if _coherence(problem, angle - table) < COHERENT:
+        return _turning_otherwise(problem, angle + table)
+    found = _of_balls(problem, angle - table)
+    found_steps = np.round(found * grid / (2.0 * np.pi)).astype(int) % grid
+    shifts = np.unique((found_steps - problem.balls) % grid)
+    if len(shifts) > 1:
+        return _reversed(problem, found_steps)
+    if shifts[0] == 0:
+        return _between_steps(problem, found)
+    shift = int(shifts[0] if shifts[0] <= grid // 2 else shifts[0] - grid)
+    return (
+        f"all centres lie {shift} grid steps ({shift * 360.0 / grid:g} degrees) from their "
+        "place: the plate is mounted shifted; turn it back, or number the ball steps "
+        "from the ball that stands on +x. Or the table positions are numbered off by as many: "
+        "with the balls renumbered to fit, each deviation would stand at another angle"
+    )
+
+
+def _turning_otherwise(problem: BallPlateProblem, mirrored: Floats) -> str:
+    """Say how the balls turn that do not turn with the table.
+
+    ``mirrored`` (n,): where they stand on a plate that turns the other way round, rad.
+    """
+    if _coherence(problem, mirrored) <= COHERENT:
         return (
             "the centres of a ball do not turn with the table: the columns position and "
             "ball_step, or the grid of the plate, do not belong to these centres"
         )
-    found = np.array(
-        [_mean_angle((angle - table)[problem.ball_step == ball]) for ball in problem.balls]
-    )
-    found_steps = np.round(found * grid / (2.0 * np.pi)).astype(int) % grid
-    shifts = np.unique((found_steps - problem.balls) % grid)
-    if len(shifts) == 1 and shifts[0] != 0:
-        shift = int(shifts[0] if shifts[0] <= grid // 2 else shifts[0] - grid)
+    if _clockwise(problem, mirrored):
         return (
-            f"all centres lie {shift} grid steps ({shift * 360.0 / grid:g} degrees) from their "
-            "place: the plate is mounted shifted; turn it back, or number the ball steps "
-            "from the ball that stands on +x. Or the table positions are numbered off by as many: "
-            "with the balls renumbered to fit, each deviation would stand at another angle"
+            "in these coordinates both the balls' steps and the table run clockwise: the "
+            "frame of the CMM is left-handed or its z axis points down (an axis turned "
+            "round, or two exchanged); make it right-handed, with z along the table's "
+            "axis and away from the table"
         )
-    if len(shifts) == 1:
-        return _between_steps(problem, found)
-    return _reversed(problem, found_steps)
+    return (
+        "the balls move clockwise while the table positions count up: table angles must "
+        "be counter-clockwise seen from +z; reverse the sign of the table angle"
+    )
 
 
 def _reversed(problem: BallPlateProblem, found: Ints) -> str:
@@ -228,10 +237,9 @@ def _reversed(problem: BallPlateProblem, found: Ints) -> str:
     return f"balls do not stand at their steps (ball step at step: {pairs}): wrong plate file"
 
 
-def _left_handed(problem: BallPlateProblem, turning: Floats) -> bool:
-    """Return whether the balls run clockwise too where the table seems to: ``turning`` (k,)."""
-    seen = np.array([_mean_angle(turning[problem.ball_step == b]) for b in problem.balls])
-    places = 2.0 * np.pi * problem.balls / problem.grid
+def _clockwise(problem: BallPlateProblem, on_plate: Floats) -> bool:
+    """Return whether the balls' steps run clockwise; ``on_plate`` (n,) is where they stand."""
+    seen, places = _of_balls(problem, on_plate), problem.angles[problem.balls]
     mirrored, straight = (
         float(np.abs(np.mean(np.exp(1j * (seen + sign * places))))) for sign in (1.0, -1.0)
     )
@@ -240,7 +248,7 @@ def _left_handed(problem: BallPlateProblem, turning: Floats) -> bool:
 
 def _between_steps(problem: BallPlateProblem, found: Floats) -> str:
     """Say how far the balls stand from their places, none of them nearer to another step."""
-    off = wrap_angle(found - 2.0 * np.pi * problem.balls / problem.grid) / DEGREE
+    off = wrap_angle(found - problem.angles[problem.balls]) / DEGREE
     if np.ptp(off) < PLACE_TOLERANCE * 360.0 / problem.grid:
         return (
             f"all centres lie {off.mean():.2f} degrees from their place, less than a grid step: "
@@ -262,26 +270,27 @@ def _off_height(problem: BallPlateProblem) -> tuple[Ints, list[str]]:
 
 def _doubled(problem: BallPlateProblem) -> tuple[Ints, list[str]]:
     """Return rows of a ball measured twice at a table position where another is missing."""
-    cell = problem.position * problem.grid + problem.ball_step
-    cells, count = np.unique(cell, return_counts=True)
+    _, cell, count = np.unique(problem.cell, return_inverse=True, return_counts=True)
+    times = count[cell]
     bad: list[int] = []
     reasons = []
-    for twice in cells[count > 1]:
-        position = int(twice) // problem.grid
-        there = problem.ball_step[problem.position == position]
+    for r in np.flatnonzero(times > 1).tolist():
+        there = problem.ball_step[problem.position == problem.position[r]]
         missing = np.setdiff1d(problem.balls, there)
-        for r in np.flatnonzero(cell == twice) if len(missing) else ():
-            bad.append(int(r))
+        if len(missing):
+            bad.append(r)
             reasons.append(
-                f"measured {int(count[cells == twice][0])} times while ball "
+                f"measured {times[r]} times while ball "
                 f"{', '.join(map(str, missing))} is missing there; which is which is not known"
             )
-    order = np.argsort(bad)
-    return np.array(bad, dtype=np.int64)[order], [reasons[o] for o in order]
+    return np.array(bad, dtype=np.int64), reasons
 
 
-def _mean_angle(angle: Floats) -> float:
-    return float(np.angle(np.mean(np.exp(1j * angle))))
+def _of_balls(problem: BallPlateProblem, angle: Floats) -> Floats:
+    """Return the mean direction (R,) of each ball; ``angle`` (n,), rad."""
+    phase = np.exp(1j * angle)
+    each = [np.mean(phase[problem.ball_step == ball]) for ball in problem.balls]
+    return np.asarray(np.angle(each), dtype=np.float64)
 
 
 def _coherence(problem: BallPlateProblem, angle: Floats) -> float:

@@ -1,4 +1,9 @@
-"""Whether balls and positions separate table, plate and CMM; if not, what is lost, in words."""
+"""Whether balls and positions separate table, plate and CMM; if not, what is lost, in words.
+
+Three balls at every table position and a common divisor of 1 (Eq. 22) are necessary; whether they
+are enough the eigenvalues of each harmonic tell, of incomplete measurements the null space of the
+whole model.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +12,14 @@ from math import gcd
 
 import numpy as np
 
-from rotcal_ros.foundation.arrays import Complexes, Floats, Ints
+from rotcal_ros.foundation.arrays import Bools, Complexes, Floats, Ints
 from rotcal_ros.foundation.errors import ObservabilityError
-from rotcal_ros.methods.ball_plate.solver import harmonics, model
+from rotcal_ros.methods.ball_plate.solver import model
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
+from rotcal_ros.methods.ball_plate.solver.spectral import normal_matrices, phases
 
+MIN_BALLS = 3
+"""Balls that a table position needs: two leave the rotation about their line open."""
 TOLERANCE = 1e-9
 """Eigenvalues below this, relative to the number of balls, count as zero."""
 WEAK = 1e-3
@@ -70,8 +78,8 @@ def common_divisor(grid: int, balls: Ints) -> int:
 def separability(grid: int, balls: Ints) -> Separability:
     """Judge a layout of balls (steps) that is measured at all CMM positions."""
     balls = np.unique(balls)
-    sums = harmonics.phases(grid, balls).sum(axis=1)
-    values, vectors = np.linalg.eigh(harmonics.normal_matrices(sums, len(balls)))
+    sums = phases(grid, balls).sum(axis=1)
+    values, vectors = np.linalg.eigh(normal_matrices(sums, len(balls)))
     lost, weak = values < TOLERANCE * len(balls), values < WEAK * len(balls)
     return Separability(
         common_divisor=common_divisor(grid, balls),
@@ -104,20 +112,40 @@ def require_separable(problem: BallPlateProblem) -> None:
         )
 
 
-def _deficit(grid: int, zero: np.ndarray) -> int:
+def balls_at_positions(problem: BallPlateProblem) -> Ints:
+    """Return how many different balls were measured at every table position, (n_positions,)."""
+    return np.bincount(np.unique(problem.cell) // problem.grid, minlength=problem.n_positions)
+
+
+def require_balls(problem: BallPlateProblem, *, everywhere: bool = False) -> None:
+    """Raise ObservabilityError that names the table positions with fewer than three balls.
+
+    ``everywhere`` includes those without any; else they are no part of the problem.
+    """
+    count = balls_at_positions(problem)
+    poor = np.flatnonzero((count < MIN_BALLS) & ((count > 0) | everywhere))
+    if len(poor):
+        shown = ", ".join(f"{i} ({count[i]})" for i in poor[:10])
+        raise ObservabilityError(
+            f"at {len(poor)} table positions fewer than {MIN_BALLS} balls are left, the six "
+            f"errors there are open: position (balls) {shown}; measure more balls there"
+        )
+
+
+def _deficit(grid: int, zero: Bools) -> int:
     """Count real unknowns: a complex one has two, at the Nyquist harmonic one."""
     count = 2 * int(zero.sum())
     return count - int(zero[:, -1].sum()) if grid % 2 == 0 else count
 
 
-def _by_component(grid: int, chosen: np.ndarray, vectors: Complexes) -> dict[str, tuple[int, ...]]:
-    """Name the unknowns that take part in the chosen eigenvectors (2, Q, 3 columns)."""
+def _by_component(grid: int, chosen: Bools, vectors: Complexes) -> dict[str, tuple[int, ...]]:
+    """Name the unknowns that take part in the chosen eigenvectors (2, Q, 3)."""
     found: dict[str, set[int]] = {}
     for block, q, column in np.argwhere(chosen):
         share = np.abs(vectors[block, q, :, column])
         for part in np.flatnonzero(share > 1e-3):
             name, offset = _COMPONENTS[block][part]
-            harmonic = (q + 1 + offset) % grid
+            harmonic = (q + 1 + offset) % grid  # the systems start at q = 1
             found.setdefault(name, set()).add(int(min(harmonic, grid - harmonic)))
     return {name: tuple(sorted(found[name])) for name in sorted(found)}
 
@@ -132,7 +160,7 @@ def _lost_of_dense(problem: BallPlateProblem) -> tuple[dict[str, tuple[int, ...]
     for name, (field, axis) in model.TABLE_COMPONENTS.items():
         start = getattr(at, field) + axis
         end = start + 3 * len(problem.table_positions)
-        sequences: Floats = null[start:end:3][: problem.grid]
+        sequences: Floats = null[start:end:3][: problem.grid]  # of both sides the first
         share = np.abs(np.fft.rfft(sequences, axis=0)).max(axis=1, initial=0.0)
         present = np.flatnonzero(share > 1e-6 * np.sqrt(problem.grid))
         if len(present):

@@ -1,9 +1,13 @@
-"""The fits of a plate's groups, the noise of a centre, and the curves that follow from them.
+"""From a problem to the solved curves: groups of table positions, noise, and what is open.
 
 A plate whose balls share the factor 2 with the grid sees the even and the odd table positions
 separately (second paper, optimised method): half the work of the complete grid, but condition (22)
-fails. Every group is a three rosette measurement of its own; the offset between the groups is not
-measured.
+fails. Every group is a three-rosette measurement of its own, solved for itself on its own grid.
+
+Nothing joins the groups. Each sees its six curves up to a constant, which the CMM takes back at
+the CMM positions that it alone uses; and EXC, EYC and EAC, EBC up to what turns with the table,
+which a shifted or tilted plate takes back (the 19 invisible directions of the paper hold both, for
+one group). Groups share the plate, but as each is solved for itself, what turns is taken off each.
 """
 
 from __future__ import annotations
@@ -14,18 +18,21 @@ from functools import cached_property
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats, Ints
-from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.components import COMPONENTS, ROTATIONS
 from rotcal_ros.foundation.errors import ObservabilityError
-from rotcal_ros.foundation.results import Rejection
+from rotcal_ros.foundation.results import FreeDirection, Rejection
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.ball_plate.solver import general_least_squares, model
-from rotcal_ros.methods.ball_plate.solver.closure import split as closing_apart
 from rotcal_ros.methods.ball_plate.solver.model import Solution
 from rotcal_ros.methods.ball_plate.solver.noise import AXIS_SIGNIFICANCE, CentreNoise, assess
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, grid_step, position_of
 from rotcal_ros.methods.ball_plate.solver.rejection import Fitted, fit_and_reject
+from rotcal_ros.methods.ball_plate.solver.repeated_stops import closing_apart
 from rotcal_ros.methods.ball_plate.solver.screening import screen
 from rotcal_ros.methods.ball_plate.solver.separability import common_divisor
+
+PAIRS = (("EXC", "EYC"), ("EAC", "EBC"))
+"""Components that a plate shifted or tilted on the table takes back together."""
 
 
 @dataclass(frozen=True)
@@ -59,25 +66,33 @@ class PlateSolution:
     @cached_property
     def table_positions(self) -> Ints:
         """The table positions that could be solved, ascending, (M,); the others were left out."""
-        return np.sort(np.concatenate([*self._positions()]))
+        return np.sort(np.concatenate(self._positions()))
 
-    def _positions(self) -> tuple[Ints, ...]:
+    def _positions(self) -> list[Ints]:
         """Return the solved table positions of every group, on the whole grid."""
-        return tuple(
+        return [
             group.positions[fit.problem.table_positions]
             for group, fit in zip(self.groups, self.fits, strict=True)
-        )
+        ]
+
+    def places(self) -> list[Ints]:
+        """Return where the solved positions of each group stand among all that were solved."""
+        return [np.searchsorted(self.table_positions, own) for own in self._positions()]
+
+    def members(self) -> list[Floats]:
+        """Return 1 for the solved positions (M,) of each group and 0 for the others."""
+        step = grid_step(self.table_positions, self.problem.grid)
+        count = len(self.groups)
+        return [(step % count == first).astype(np.float64) for first in range(count)]
 
     def deviations(self) -> dict[str, Floats]:
         """Return the table's six deviations (M,), metres and radians."""
-        fields = {
-            name: np.empty((self.problem.n_positions, 3)) for name in ("translation", "rotation")
-        }
-        for group, fit, positions in zip(self.groups, self.fits, self._positions(), strict=True):
+        count = len(self.table_positions)
+        fields = {name: np.empty((count, 3)) for name in ("translation", "rotation")}
+        for group, fit, place in zip(self.groups, self.fits, self.places(), strict=True):
             for name, field in fields.items():
-                field[positions] = turned_back(group, getattr(fit.solution.estimate, name))
-        kept = self.table_positions
-        return {n: fields[f][kept, axis] for n, (f, axis) in model.TABLE_COMPONENTS.items()}
+                field[place] = turned_back(group, getattr(fit.solution.estimate, name))
+        return {n: fields[f][:, axis].copy() for n, (f, axis) in model.TABLE_COMPONENTS.items()}
 
     def std(self) -> dict[str, Floats]:
         """Return the standard deviations (M,) of the six deviations."""
@@ -93,18 +108,17 @@ class PlateSolution:
         return covariance
 
     def _unit_covariance(self, name: str) -> Floats:
+        """Return the (M, M) covariance of a component for unit noise."""
         if len(self.groups) == 1:
-            return turned_covariance(self.groups[0], self.fits[0].solution, name)
+            return _turned_covariance(self.groups[0], self.fits[0].solution, name)
         covariance = np.zeros((len(self.table_positions),) * 2)
-        for group, fit, positions in zip(self.groups, self.fits, self._positions(), strict=True):
-            at = np.searchsorted(self.table_positions, positions)
-            place = np.ix_(at, at)
-            covariance[place] = turned_covariance(group, fit.solution, name)
+        for group, fit, place in zip(self.groups, self.fits, self.places(), strict=True):
+            covariance[np.ix_(place, place)] = _turned_covariance(group, fit.solution, name)
         return covariance
 
 
 def adjust(problem: BallPlateProblem) -> PlateSolution:
-    """Return the solution of ``problem``; raises what :func:`~.solve.solve` raises.
+    """Return the solution of ``problem``; raises what :func:`~.result.solve` raises.
 
     Where one axis proves noisier than another, all is done again with the weights found; not after
     a knock, whose residuals are no noise.
@@ -116,8 +130,8 @@ def adjust(problem: BallPlateProblem) -> PlateSolution:
     noise = assess(_turned(groups, fits), stated)
     if noise.unequal and all(fit.knock is None for fit in fits):
         weights = _weights(whole, len(groups), noise)
-        own = np.ones_like(whole.centres) if whole.std is None else whole.std
-        groups, fits = _fitted(replace(whole, sigma=None, std=own * weights), closing)
+        std = whole.noise_unit * weights
+        groups, fits = _fitted(replace(whole, sigma=None, std=std), closing)
         noise = assess(_turned(groups, fits), stated, first=noise, weights=weights)
     rejected = unusable + [r for fit in fits for r in fit.rejected]
     in_order = tuple(sorted(rejected, key=lambda r: r.index))
@@ -139,6 +153,7 @@ def _fitted(
 def _turned(
     groups: tuple[PositionGroup, ...], fits: tuple[Fitted, ...]
 ) -> list[tuple[Fitted, float]]:
+    """Return the fits with the angles (rad) that their frames are turned by."""
     return [(fit, group.turn) for group, fit in zip(groups, fits, strict=True)]
 
 
@@ -176,7 +191,10 @@ def split(
 def _group(
     problem: BallPlateProblem, first: int, count: int, start: int | None = None
 ) -> PositionGroup:
-    """Cut out the table positions first, first + count, ... and turn them to start at zero."""
+    """Cut out the table positions first, first + count, ... and turn them to start at zero.
+
+    ``start``: the first ball step of the group's plate; None: that of the problem.
+    """
     step = grid_step(problem.position, problem.grid)
     rows = np.flatnonzero(step % count == first)
     if not len(rows):
@@ -187,6 +205,7 @@ def _group(
     part = problem.take(rows)
     if start is None:
         start = int(problem.balls[0] % count)  # ball steps are start + multiples of count
+    # the group's position 0 with its ball step 0 lies on its +x axis
     turn = float(problem.angles[(first + start) % problem.grid])
     back = rotation_about_z(-turn)
     std = part.std
@@ -214,7 +233,7 @@ def turned_back(group: PositionGroup, vectors: Floats) -> Floats:
     return back
 
 
-def turned_covariance(group: PositionGroup, solution: Solution, name: str) -> Floats:
+def _turned_covariance(group: PositionGroup, solution: Solution, name: str) -> Floats:
     """Return the (M, M) unit covariance of one component in the frame of the whole."""
     field, axis = model.TABLE_COMPONENTS[name]
     if group.turn == 0.0:
@@ -227,3 +246,56 @@ def turned_covariance(group: PositionGroup, solution: Solution, name: str) -> Fl
             if weight and other:
                 total += weight * other * solution.unit_covariance(first, second)
     return total
+
+
+def groups_in_words(count: int) -> str:
+    """Return what the groups are called in messages."""
+    names = f"{count} groups of" if count > 2 else "odd and even"
+    return f"the {names} table positions"
+
+
+def zeros_of(solution: PlateSolution) -> tuple[str, tuple[FreeDirection, ...]]:
+    """Return what the deviations count from, and the free directions between the groups.
+
+    A stated allowance bounds these: the covariance holds it, and none is free.
+    """
+    if len(solution.groups) == 1:
+        return "mean", ()
+    problem = solution.problem
+    bounded = problem.group_allowance > 0.0
+    return "mean of each group", () if bounded else _free_directions(solution)
+
+
+def _free_directions(solution: PlateSolution) -> tuple[FreeDirection, ...]:
+    """Return the offsets of all groups but the first against it, and what turns with each."""
+    angles = solution.problem.angles[solution.table_positions]
+    name = groups_in_words(len(solution.groups))
+    found = []
+    for own in solution.members()[1:]:
+        found += [FreeDirection(name, {c: own}) for c in COMPONENTS]
+        for x, y in PAIRS:
+            cos, sin = own * np.cos(angles), own * np.sin(angles)
+            found += [FreeDirection(name, {x: cos, y: sin})]
+            found += [FreeDirection(name, {x: -sin, y: cos})]
+    return tuple(found)
+
+
+def allowed(solution: PlateSolution, component: str) -> Floats:
+    """Return what a stated allowance does to a component, (M, r) independent errors.
+
+    Between any two groups constant and turning part differ by no more than the allowance, m on the
+    circle of the balls, with equal probability for all values in between; within a group they do
+    not differ.
+    """
+    problem = solution.problem
+    count = len(solution.table_positions)
+    if len(solution.groups) == 1 or not problem.group_allowance:
+        return np.zeros((count, 0))
+    size = problem.group_allowance / (problem.radius if component in ROTATIONS else 1.0)
+    # what all groups have in common is nobody's zero
+    columns = constant = [own - np.mean(own) for own in solution.members()]
+    if any(component in pair for pair in PAIRS):
+        angles = problem.angles[solution.table_positions]
+        columns = constant + [own * turn(angles) for own in constant for turn in (np.cos, np.sin)]
+    # uniform within +- size: a variance of size^2 / 3, of which either zero has one half
+    return np.asarray(size / np.sqrt(6.0) * np.column_stack(columns), dtype=np.float64)

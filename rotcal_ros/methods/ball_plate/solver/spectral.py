@@ -1,45 +1,320 @@
-"""The least squares of a complete measurement, harmonic by harmonic.
+"""Complete measurements with equal weights: one small system per harmonic, nothing to eliminate.
 
-Result and covariances equal the dense form (Eq. 20, 21 of the paper); time and memory grow like
-N R log N and N R instead of N^3 and N^2.
+In the frame that turns with the CMM position every ball sees a shifted copy of the table's
+sequence, so a discrete Fourier transform over the CMM positions splits the least squares into
+systems that do not know of each other (docs/ball_plate.md has the derivation). Result and
+covariances equal the dense form (Eq. 20, 21 of the paper); time and memory grow like N R log N and
+N R instead of N^3 and N^2.
+
+Notation: q is the number of the harmonic, Q = N // 2 their count, R that of the balls, rho the
+radius of the ball circle. A plane vector is held as w+ = (w_x + i w_y)/sqrt 2 and
+w- = (w_x - i w_y)/sqrt 2, a unitary change of basis that makes every coefficient a pure phase. Two
+blocks of three unknowns of the table, stacked along the first axis: PLANE (d+, d-, rho c_z),
+measured by the rows +, -, and AXIS (rho c+, rho c-, d_z), measured by the row z (its second row is
+empty).
+
+With as many balls as table positions the couplings between the unknowns vanish, and the same
+solution is a matter of means: :func:`closed_form` (second paper, Eq. 1 to 12).
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache, partial
 
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Complexes, Floats, Ints
 from rotcal_ros.foundation.components import ROTATIONS
+from rotcal_ros.foundation.errors import ObservabilityError, PlanError
 from rotcal_ros.geometry.rotations import rotation_about_z
-from rotcal_ros.methods.ball_plate.solver import harmonics, model
-from rotcal_ros.methods.ball_plate.solver.harmonics import AXIS, PLANE, Harmonics
+from rotcal_ros.methods.ball_plate.solver import model
 from rotcal_ros.methods.ball_plate.solver.model import FIELDS, LinearFit, PlateParameters, Solution
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, grid_angles
 
+PLANE, AXIS = 0, 1
+POSE = ((1, PLANE), (0, AXIS))
+"""Rows that tell the pose of the axis at q = 1: w- (shift) and z (tilt)."""
+ROOT_HALF = np.sqrt(0.5)
+TO_PLANE = ROOT_HALF * np.array([[1.0, 1.0], [-1j, 1j]])  # (w+, w-) to (w_x, w_y)
+RANK_TOLERANCE = 1e-9
+"""Smallest accepted eigenvalue of a harmonic's reduced matrix, relative to the ball count."""
 
-def solve_spectral(problem: BallPlateProblem) -> Solution:
-    """Solve a complete measurement with equal weights; the same answer as Eq. 20 and 21.
+WEAK = 100.0
+"""Amplification of the noise from which on the solution is refined."""
+LAYOUTS = 8
+"""How many layouts are remembered."""
 
-    For ``problem.complete`` without ``std`` only; the general solution takes all others. Raises
-    ObservabilityError when the balls do not separate all harmonics.
+
+@dataclass(frozen=True)
+class Harmonics:
+    """The factored systems of q = 1..N//2, Q of them, for R balls.
+
+    ``shift`` (3, Q, R) are the phases that bring the rows +, - and z from the frame that turns
+    with the table to the one that turns with the CMM position; in the former the table's design
+    is the same for all harmonics, ``adjoint`` (3, R, 3) being its adjoint. ``mean`` (2, Q, 2, 3)
+    is the mean of the design over the balls in the latter; ``inverse`` (2, Q, 3, 3) is the unit
+    covariance of the table's unknowns, zero where a constraint fixes one; ``amplification`` is
+    its largest entry, 1 for balls that share nothing.
     """
-    linear = factored(problem)
-    return linear.solution(*linear.fit(problem.deviations))
+
+    grid: int
+    balls: Ints
+    phase: Complexes
+    shift: Complexes
+    adjoint: Complexes
+    mean: Complexes
+    inverse: Complexes
+    amplification: float
+
+
+def phases(grid: int, balls: Ints) -> Complexes:
+    """Return exp(-2 pi i q j / N), (N//2 + 2, R), for q = 0 .. N//2 + 1."""
+    turn = np.exp(-1j * grid_angles(grid))
+    powers: Complexes = turn[np.outer(np.arange(grid // 2 + 2), balls) % grid]
+    return powers
+
+
+def _design(phase: Complexes) -> Complexes:
+    """Return the table's design (2, Q, R, 2, 3) from :func:`phases`, for q = 1..N//2."""
+    below, own, above = phase[:-2], phase[1:-1], phase[2:]
+    matrix = np.zeros((2, *own.shape, 2, 3), dtype=np.complex128)
+    half = (1j * ROOT_HALF) * phase  # a rotation moves p_0 = (rho, 0, 0), as w+ and w- of i rho
+    matrix[PLANE, ..., 0, 0] = above
+    matrix[PLANE, ..., 1, 1] = below
+    matrix[PLANE, ..., 0, 2] = half[1:-1]
+    matrix[PLANE, ..., 1, 2] = -half[1:-1]
+    matrix[AXIS, ..., 0, 0] = half[2:]
+    matrix[AXIS, ..., 0, 1] = -half[:-2]
+    matrix[AXIS, ..., 0, 2] = own
+    return matrix
+
+
+def couplings(sums: Complexes, n_balls: int) -> tuple[Floats, Complexes, Complexes, Complexes]:
+    """Return the pieces of all normal matrices from P(q) = sum of the phases over the balls.
+
+    ``sums`` (..., Q + 2) holds q = 0..N//2 + 1. Returns R - |P(q)|^2 / R (..., Q + 2), and for
+    q = 1..N//2 the couplings of the unknowns of q + 1 with those of q, of q - 1 with q and of
+    q + 1 with q - 1, (..., Q) each. At q = 1 a constraint fixes the unknown of q - 1: its
+    couplings are zero, and its diagonal is R so that the matrices stay regular.
+    """
+    below, own, above = sums[..., :-2], sums[..., 1:-1], sums[..., 2:]
+    share = 1.0 / n_balls
+    diagonal = n_balls - share * (sums.real**2 + sums.imag**2)
+    diagonal[..., 0] = n_balls
+    up = sums[..., 1, None] - share * above * own.conj()
+    down = sums[..., 1, None] - share * below.conj() * own
+    across = sums[..., 2, None] - share * above * below.conj()
+    down[..., 0] = across[..., 0] = 0.0
+    return diagonal, up, down, across
+
+
+def normal_matrices(sums: Complexes, n_balls: int) -> Complexes:
+    """Return the normal matrices (2, Q, 3, 3) after the CMM is eliminated."""
+    diagonal, up, down, across = couplings(sums, n_balls)
+    lower, middle, upper = diagonal[:-2], diagonal[1:-1], diagonal[2:]
+    normal = np.zeros((2, len(middle), 3, 3), dtype=np.complex128)
+    normal[PLANE, :, 0, 0], normal[AXIS, :, 0, 0] = upper, 0.5 * upper
+    normal[PLANE, :, 1, 1], normal[AXIS, :, 1, 1] = lower, 0.5 * lower
+    normal[..., 2, 2] = middle
+    up, down, across = (1j * ROOT_HALF) * up.conj(), (-1j * ROOT_HALF) * down, -0.5 * across
+    normal[PLANE, :, 0, 2], normal[PLANE, :, 2, 0] = up, up.conj()
+    normal[PLANE, :, 1, 2], normal[PLANE, :, 2, 1] = down, down.conj()
+    normal[AXIS, :, 0, 1], normal[AXIS, :, 1, 0] = across.conj(), across
+    normal[AXIS, :, :2, 2] = -normal[PLANE, :, :2, 2]
+    normal[AXIS, :, 2, :2] = -normal[PLANE, :, 2, :2]
+    return normal
+
+
+def factor(grid: int, balls: Ints) -> Harmonics:
+    """Invert the systems of all harmonics; raise ObservabilityError when one is singular.
+
+    The last layouts are remembered, as trials and a plate measured again use the same one; the
+    arrays are read-only.
+    """
+    return _factor(grid, tuple(balls.tolist()))
+
+
+@lru_cache(maxsize=LAYOUTS)
+def _factor(grid: int, steps: tuple[int, ...]) -> Harmonics:
+    balls = np.array(steps, dtype=np.int64)
+    phase = phases(grid, balls)
+    sums = phase.sum(axis=1)
+    normal = normal_matrices(sums, len(balls))
+    try:
+        inverse = np.asarray(np.linalg.inv(normal), dtype=np.complex128)
+    except np.linalg.LinAlgError:
+        inverse = np.full_like(normal, np.inf)
+    # without any coupling the largest entry of the inverse is about 1 / R
+    amplification = float(np.abs(inverse).max()) * len(balls)
+    if not amplification * RANK_TOLERANCE < 1.0:
+        raise ObservabilityError(
+            f"balls at steps {balls.tolist()} of {grid} do not separate table, plate and CMM at "
+            "every harmonic; choose other steps (separability names the lost harmonics)"
+        )
+    inverse[:, 0, 1, 1] = 0.0  # the unknowns d- and c- of q = 1 are zero by Eq. 17
+    system = Harmonics(
+        grid=grid,
+        balls=balls,
+        phase=phase,
+        shift=np.stack([phase[2:], phase[:-2], phase[1:-1]]),
+        adjoint=_adjoint(phase[1]),
+        mean=_design(sums[:, None] / len(balls))[:, :, 0],
+        inverse=inverse,
+        amplification=amplification,
+    )
+    for array in (balls, phase, system.shift, system.adjoint, system.mean, inverse):
+        array.flags.writeable = False
+    return system
+
+
+def _adjoint(turn: Complexes) -> Complexes:
+    """Return the adjoint (3, R, 3) of the design in the table's frame; ``turn`` is e_1 (R,)."""
+    half = (1j * ROOT_HALF) * turn
+    adjoint = np.zeros((3, len(turn), 3), dtype=np.complex128)
+    adjoint[0, :, 0] = adjoint[1, :, 1] = adjoint[2, :, 2] = 1.0
+    adjoint[0, :, 2] = -half
+    adjoint[2, :, 1] = half
+    adjoint[1, :, 2] = adjoint[2, :, 0] = half.conj()
+    adjoint[1, :, 2] *= -1.0
+    return adjoint
+
+
+def _solve_harmonics(
+    system: Harmonics, spectrum: Complexes
+) -> tuple[Complexes, Complexes, Complexes]:
+    """Solve all harmonics: ``spectrum`` (3, Q, R) to table (2, Q, 3), CMM (3, Q), rest (3, Q, R).
+
+    Rows are +, - and z in the frame that turns with the table. Where a layout is weak, a step of
+    iterative refinement takes the squared condition number out of the answer.
+    """
+    table = _table_of(system, _centred(system, spectrum.copy())[1])
+    cmm, rest = _centred(system, spectrum - _fitted(system, table))
+    if system.amplification > WEAK:
+        table = table + _table_of(system, rest)
+        cmm, rest = _centred(system, spectrum - _fitted(system, table))
+    return table, cmm, rest
+
+
+def _centred(system: Harmonics, rows: Complexes) -> tuple[Complexes, Complexes]:
+    """Split rows (3, Q, R), in place, into the CMM's mean over the balls (3, Q) and the rest."""
+    rows *= system.shift  # there and back: only with the CMM position its unknowns are the mean
+    mean = rows.sum(axis=2)
+    mean /= len(system.balls)
+    rows -= mean[:, :, None]
+    rows *= system.shift.conj()
+    return mean, rows
+
+
+def _table_of(system: Harmonics, centred: Complexes) -> Complexes:
+    """Return the table's unknowns (2, Q, 3) from centred rows (3, Q, R)."""
+    right = centred @ system.adjoint
+    right[1] += right[0]  # the rows + and - both measure the block PLANE
+    unknowns: Complexes = np.einsum("bqij,bqj->bqi", system.inverse, right[1:])
+    return unknowns
+
+
+def _fitted(system: Harmonics, table: Complexes) -> Complexes:
+    """Return the rows (3, Q, R) that the table's unknowns (2, Q, 3) cause."""
+    fitted: Complexes = table[[PLANE, PLANE, AXIS]] @ system.adjoint.conj().swapaxes(1, 2)
+    return fitted
+
+
+def _cmm_covariance(system: Harmonics) -> tuple[Complexes, Floats]:
+    """Return the unit covariance of the CMM's unknowns at lag 0, (2, 2, 2), and of the pose.
+
+    The pose (2,), shift and tilt, are the coefficients of w- and z at q = 1, which the CMM does
+    not have.
+    """
+    grid, noise = system.grid, 1.0 / len(system.balls)
+    rows = system.mean.transpose(2, 3, 0, 1).copy()  # harmonics last: quick for small matrices
+    carried = np.einsum("ikbq,klbq->ilbq", rows, system.inverse.transpose(2, 3, 0, 1))
+    adjoint = rows.conj()
+    pose = noise + np.array(
+        [(carried[i, :, block, 0] @ adjoint[i, :, block, 0]).real for i, block in POSE]
+    )
+    for i, block in POSE:
+        carried[i, :, block, 0] = adjoint[i, :, block, 0] = 0.0
+    carried *= multiplicity(grid) / grid
+    lag = np.einsum("ikbq,jkbq->bij", carried, adjoint)
+    # N - 1 harmonics of both signs have no mean. The w- and z of q = 1 went to the pose, counted
+    # twice as all are: N - 3. For z these are q = 1 and q = -1. For w- it is q = 1 alone, but as
+    # w-(q) is the conjugate of w+(-q), w+ and w- lack one harmonic each: x and y get the mean
+    # of both entries, N - 2 (_real_basis).
+    lag[PLANE, 0, 0] += noise * (grid - 1) / grid
+    lag[PLANE, 1, 1] += noise * (grid - 3) / grid
+    lag[AXIS, 0, 0] += noise * (grid - 3) / grid
+    return lag, pose
+
+
+def multiplicity(grid: int) -> Floats:
+    """How often the harmonics q = 1..N//2 occur with both signs; Nyquist has no twin."""
+    twice = np.full(grid // 2, 2.0)
+    twice[-1] = 1.0 + grid % 2
+    return twice
+
+
+def _to_harmonics(sequences: Complexes) -> tuple[Complexes, Complexes]:
+    """Transform x + i y, then z, (2 R, N): rows +, -, z (3, Q, R) of q = 1..N//2; mean (2, R)."""
+    n_balls, grid = len(sequences) // 2, sequences.shape[1]
+    last = grid // 2 + 1
+    full = np.fft.fft(sequences, axis=1)
+    rows = np.empty((3, last - 1, n_balls), dtype=np.complex128)
+    rows[0] = full[:n_balls, 1:last].T
+    # x and y are real: w-(q) is the conjugate of w+(-q), found at the end of the transform
+    rows[1] = full[:n_balls, : grid - last : -1].T.conj()
+    rows[:2] *= ROOT_HALF
+    rows[2] = full[n_balls:, 1:last].T
+    return rows, full[:, 0].reshape(2, n_balls) / grid
+
+
+def _to_sequences(plus: Complexes, minus: Complexes, axial: Complexes, grid: int) -> Complexes:
+    """Return x + i y, then z, (m + n, N) of zero mean from w+ and w- (m, Q) and z (n, Q)."""
+    n_plane, last = len(plus), grid // 2 + 1
+    full = np.zeros((n_plane + len(axial), grid), dtype=np.complex128)
+    backward = full[:, : grid - last : -1]  # a view of the harmonics -1, -2, ...
+    full[:n_plane, 1:last], backward[:n_plane] = plus, minus.conj()
+    full[:n_plane] *= 1.0 / ROOT_HALF
+    full[n_plane:, 1:last], backward[n_plane:] = axial, axial.conj()
+    return np.fft.ifft(full, axis=1)
+
+
+def _to_time(coefficients: Complexes, grid: int) -> Floats:
+    """Return the real sequences (N, ...) of zero mean with the coefficients (Q, ...), q >= 1."""
+    padded = np.zeros((len(coefficients) + 1, *coefficients.shape[1:]), dtype=np.complex128)
+    padded[1:] = coefficients
+    return np.fft.irfft(padded, n=grid, axis=0)
+
+
+def _zero_lag(spectrum: Complexes, grid: int) -> Complexes:
+    """Return the sum over harmonics of both signs / N of (2, Q, ...), still complex.
+
+    Its real part is the covariance at lag 0 once the basis is real (:func:`_real_basis`).
+    """
+    mean: Complexes = np.einsum("bq...,q->b...", spectrum, multiplicity(grid) / grid)
+    return mean
+
+
+def _real_basis(covariance: Complexes) -> Complexes:
+    """Turn (w+, w-[, s]) into (w_x, w_y[, s]) in covariances (..., 2 or 3, 2 or 3)."""
+    basis = np.eye(covariance.shape[-1], dtype=np.complex128)
+    basis[:2, :2] = TO_PLANE
+    turned: Complexes = basis @ covariance @ basis.conj().T
+    return turned
 
 
 def factored(problem: BallPlateProblem) -> LinearFit:
-    """Factor a complete measurement with equal weights; raises what :func:`solve_spectral` does.
+    """Factor a complete measurement with equal weights; the fits equal Eq. 20 and 21.
 
-    Its centres play no part, only grid, balls and radius.
+    For ``problem.complete`` without ``std`` only; the centres play no part, only grid, balls and
+    radius. Raises ObservabilityError when the balls do not separate all harmonics.
     """
-    system = harmonics.factor(problem.grid, problem.balls)
+    system = factor(problem.grid, problem.balls)
     turn = np.exp(1j * problem.angles)
 
     def fit(observed: Floats) -> tuple[PlateParameters, Floats]:
-        spectrum, mean = harmonics.to_harmonics(_in_table_frame(problem, observed, turn))
-        table, cmm, rest = harmonics.fit(system, spectrum)
+        spectrum, mean = _to_harmonics(_in_table_frame(problem, observed, turn))
+        table, cmm, rest = _solve_harmonics(system, spectrum)
         pose = _axis_pose(problem, cmm)
         fields, residuals = _back(problem, turn, table, cmm, rest)
         return _estimate(problem, turn, fields, mean, pose), residuals
@@ -65,15 +340,16 @@ def _in_table_frame(problem: BallPlateProblem, observed: Floats, turn: Complexes
     x, y, z = observed.T.reshape(3, n_balls, problem.grid)
     sequences = np.zeros((2 * n_balls, problem.grid), dtype=np.complex128)
     sequences[:n_balls].real, sequences[:n_balls].imag = x, y
-    sequences[:n_balls] *= turn.conj()
+    sequences[:n_balls] *= turn.conj()  # turns x + i y back by the table angle
     sequences[n_balls:].real = z
     return sequences
 
 
 def _axis_pose(problem: BallPlateProblem, cmm: Complexes) -> tuple[complex, complex]:
-    """Take tilt (radians) and shift (m) of the axis out of the CMM's coefficients (3, Q).
+    """Take tilt (rad) and shift (m) of the axis out of the CMM's coefficients (3, Q), in place.
 
-    At q = 1 the CMM's coefficient is the pose of the axis (Eq. 15 leaves nothing for b).
+    At q = 1 the CMM's coefficients of w- and z are the pose of the axis: Eq. 15 leaves nothing of
+    them for b.
     """
     shift = np.sqrt(2.0) * cmm[1, 0].conjugate() / problem.grid
     tilt = -2.0 * cmm[2, 0] / (problem.grid * problem.radius)
@@ -93,8 +369,8 @@ def _back(
     plus[3:], minus[3:], axial[3:] = rest.transpose(0, 2, 1)
     plus[:2], minus[:2] = table[:, :, 0], table[:, :, 1]
     axial[0], axial[1] = table[AXIS, :, 2], table[PLANE, :, 2]
-    plus[2], minus[2], axial[2] = cmm
-    sequences = harmonics.to_sequences(plus, minus, axial, grid)
+    plus[2], minus[2], axial[2] = cmm  # fields in a row: translation, rotation, CMM, residuals
+    sequences = _to_sequences(plus, minus, axial, grid)
     plane = sequences[: n_balls + 3] * turn
     vectors = np.empty((n_balls + 3, grid, 3))
     vectors[..., 0], vectors[..., 1] = plane.real, plane.imag
@@ -112,7 +388,7 @@ def _estimate(
     """Join all parameters; ``mean`` (2, R), x + i y and z, is harmonic zero on the plate."""
     tilt, shift = pose
     out = turn[problem.balls]
-    local = mean[0] * out.conj()  # radial and tangential
+    local = mean[0] * out.conj()  # radial + i tangential
     common = local.imag.sum() / len(out), mean[1].real.sum() / len(out)  # u_z, v_z (Eq. 19)
     ball = (local - 1j * common[0]) * out
     return PlateParameters(
@@ -125,15 +401,15 @@ def _estimate(
     )
 
 
-@lru_cache(maxsize=harmonics.LAYOUTS)
+@lru_cache(maxsize=LAYOUTS)
 def _unit_std(grid: int, radius: float, balls: tuple[int, ...]) -> PlateParameters:
     """Return the standard deviations of all parameters for unit noise, read-only."""
     steps = np.array(balls, dtype=np.int64)
-    system, turn = harmonics.factor(grid, steps), np.exp(1j * grid_angles(grid))
-    cmm, (shift, tilt) = harmonics.cmm_covariance(system)
-    table = harmonics.zero_lag(system.inverse, grid)
+    system, turn = factor(grid, steps), np.exp(1j * grid_angles(grid))
+    cmm, (shift, tilt) = _cmm_covariance(system)
+    table = _zero_lag(system.inverse, grid)
     shift, tilt = shift / grid, 2.0 * tilt / grid / radius**2
-    common = 1.0 / (grid * len(balls))
+    common = 1.0 / (grid * len(balls))  # of u_z rho and v_z, the mean of all centres
     pairs = np.empty((3, 2, 2), dtype=np.complex128)
     pairs[:2], pairs[2] = table[:, :2, :2], cmm[PLANE]
     along = np.array([table[AXIS, 2, 2], table[PLANE, 2, 2], cmm[AXIS, 0, 0]]).real
@@ -179,12 +455,13 @@ def _residual_cofactor(cmm_index: Ints, system: Harmonics) -> Floats:
     """
     n_balls = len(system.balls)
     # the design at the CMM, its mean over the balls taken off
-    rows = harmonics.design(system.phase) - system.mean[:, :, None]
+    rows = _design(system.phase) - system.mean[:, :, None]
+    # of noise 1 an observation keeps 1, less 1/R for the CMM's mean, less what the table fits
     fitted = rows @ system.inverse[:, :, None] @ rows.conj().swapaxes(3, 4)
     kept = np.eye(2) * (1.0 - 1.0 / n_balls) - fitted
-    lag = harmonics.zero_lag(kept, system.grid)
+    lag = _zero_lag(kept, system.grid)
     turning = np.zeros((n_balls, 3, 3))
-    turning[:, :2, :2] = harmonics.real_basis(lag[PLANE]).real
+    turning[:, :2, :2] = _real_basis(lag[PLANE]).real
     turning[:, 2, 2] = lag[AXIS, :, 0, 0].real
     turn = rotation_about_z(grid_angles(system.grid)[cmm_index])
     every = np.repeat(turning, system.grid, axis=0)
@@ -204,8 +481,8 @@ def _table_covariance(radius: float, system: Harmonics, first: str, second: str)
     total = np.zeros((grid, grid))
     if block != other_block:
         return total  # the plane and the axis are measured by different coordinates
-    covariance = harmonics.to_time(harmonics.real_basis(system.inverse[block]), grid)
-    lag = (np.arange(grid)[:, None] - np.arange(grid)) % grid
+    covariance = _to_time(_real_basis(system.inverse[block]), grid)
+    lag = (np.arange(grid)[:, None] - np.arange(grid)) % grid  # circulant: only the lag counts
     for index, weight in first_weights:
         for other, other_weight in second_weights:
             total += weight[:, None] * covariance[lag, index, other] * other_weight
@@ -213,7 +490,7 @@ def _table_covariance(radius: float, system: Harmonics, first: str, second: str)
 
 
 def _weights(name: str, radius: float, grid: int) -> tuple[int, list[tuple[int, Floats]]]:
-    """Return the block and the turning-frame unknowns of which a component is made."""
+    """Return the block of a component and its unknowns in the turning frame, with weights (N,)."""
     scale = 1.0 / radius if name in ROTATIONS else 1.0
     block = PLANE if name in ("EXC", "EYC", "ECC") else AXIS
     angles = grid_angles(grid)
@@ -223,3 +500,78 @@ def _weights(name: str, radius: float, grid: int) -> tuple[int, list[tuple[int, 
     if name in ("EYC", "EBC"):
         return block, [(0, sin), (1, cos)]
     return block, [(2, np.full_like(angles, scale))]
+
+
+@dataclass(frozen=True)
+class ClosedForm:
+    """Deviations of the table: ``translation`` (N, 3) in metres, ``rotation`` (N, 3) in radians.
+
+    ``radius`` is the radius of the ball circle that the rotations were divided by, in metres;
+    ``unit_std`` (6,) are the standard deviations of EXC, EYC, EZC, EAC, EBC, ECC for unit
+    standard deviation of a centre, the same at every position.
+    """
+
+    translation: Floats
+    rotation: Floats
+    radius: float
+    unit_std: Floats
+
+
+def closed_form(problem: BallPlateProblem, *, nominal_radius: bool = False) -> ClosedForm:
+    """Return the table's deviations from all N x N centres (Eq. 1-12).
+
+    The paper divides the rotations by the mean measured radius (Eq. 12); ``nominal_radius``
+    divides by the plate's, as the least squares does. Raises PlanError when the grid is not
+    complete.
+    """
+    grid = problem.grid
+    if not problem.complete or len(problem.balls) != grid:
+        raise PlanError(
+            f"the closed form needs {grid} balls at {grid} table positions, all {grid * grid} "
+            f"centres once; found {len(problem.centres)} centres of {len(problem.balls)} balls"
+        )
+    # The nominal circle has no part in the means: without it nothing is lost to rounding.
+    offsets = problem.deviations.reshape(grid, grid, 3)  # ball, table position, coordinate
+    angles = grid_angles(grid)
+    place = angles[:, None] + angles  # where ball j stands at table position i
+    x, y, z = np.moveaxis(offsets, 2, 0)
+    radius = problem.radius
+    if not nominal_radius:
+        radius += float(np.mean(x * np.cos(place) + y * np.sin(place)))  # Eq. 12
+    shift = offsets.mean(axis=0) - offsets.mean(axis=(0, 1))  # Eq. 4, 5 and z of Eq. 3
+    turn = np.stack(
+        [
+            2.0 / radius * np.mean(z * np.sin(place), axis=0),  # Eq. 9
+            -2.0 / radius * np.mean(z * np.cos(place), axis=0),  # Eq. 10
+            np.mean(y * np.cos(place) - x * np.sin(place), axis=0) / radius,  # Eq. 11
+        ],
+        axis=1,
+    )
+    return ClosedForm(
+        translation=_without_first_harmonic(shift, angles),
+        rotation=_without_first_harmonic(turn - turn.mean(axis=0), angles),
+        radius=radius,
+        unit_std=_std_of_means(grid, radius),
+    )
+
+
+def _without_first_harmonic(sequence: Floats, angles: Floats) -> Floats:
+    """Take the part off x, y that turns with the table: shift and tilt of the plate.
+
+    Eq. 1, 2, 6, 7.
+    """
+    phase = np.exp(1j * angles)
+    plane = sequence[:, 0] + 1j * sequence[:, 1]
+    plane = plane - np.mean(plane * phase.conj()) * phase
+    return np.stack([plane.real, plane.imag, sequence[:, 2]], axis=1)
+
+
+def _std_of_means(grid: int, radius: float) -> Floats:
+    """Return the ``unit_std`` of a closed form.
+
+    A mean over N balls has the variance 1/N. Of the N harmonics of a sequence the constraints take
+    two in the plane (mean and what turns with the table) and one along z.
+    """
+    plane, along = (1.0 - 2.0 / grid) / grid, (1.0 - 1.0 / grid) / grid
+    tilt, turn = 2.0 * plane / radius**2, along / radius**2
+    return np.sqrt([plane, plane, along, tilt, tilt, turn])

@@ -1,13 +1,12 @@
 """Laser tracker and plane mirror: direct, by stitching, by registration, or all in one."""
 
-from rotcal_ros.methods.plane_mirror.solver.nest_tests import check_nests
 from rotcal_ros.methods.plane_mirror.solver.problem import (
     PlaneMirrorProblem,
     TrackerNoise,
     problem_from_observations,
 )
-from rotcal_ros.methods.plane_mirror.solver.solve import METHOD, solve
-from rotcal_ros.methods.plane_mirror.solver.trials import mirror_trials
+from rotcal_ros.methods.plane_mirror.solver.registration import check_nests
+from rotcal_ros.methods.plane_mirror.solver.solve import METHOD, mirror_trials, solve
 from rotcal_ros.methods.plane_mirror.solver_settings import WAYS
 
 __all__ = [

@@ -39,6 +39,7 @@ from rotcal_ros.methods.plane_mirror.solver.prepare import (
     prepare,
 )
 from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem
+from rotcal_ros.methods.plane_mirror.solver_settings import DIRECT
 
 LEAST_OF_GROUP: Final = 2
 """Readings that are a group: of two that disagree, either may be wrong."""
@@ -140,6 +141,7 @@ def _judged(screened: ScreenedPoints, before: Gathering) -> Settled:
         return Settled(screened, before, None)
     points = linear(prepared, prepared.deviations(prepared.problem.xyz))
     groups = groups_of(points, prepared.problem, screened.lost)
+    # Where the stated noise does not explain the residuals, groups are judged by each other.
     unexplained = points.chi_square > chi2_isf(prepared.problem.significance, max(points.dof, 1))
     rest = (points.chi_square, float(points.dof)) if unexplained else None
     weighed = [group for group in groups if group.kind in TURNING]
@@ -148,6 +150,7 @@ def _judged(screened: ScreenedPoints, before: Gathering) -> Settled:
 
 
 def _unknowns(prepared: PreparedWay) -> int:
+    """Return about how many unknowns the linear view has."""
     return 3 * len(prepared.angles) + prepared.drift.size
 
 
@@ -168,7 +171,7 @@ def _left_out(
         return None
     pairs, members = prepared.pairs, case.group.members[case.subset]
     if members.max() >= len(pairs.direct):
-        return None
+        return None  # nests: the solution needs them all
     kept = np.isin(np.arange(len(pairs.direct)), members, invert=True)
     if len(np.unique(pairs.group[kept])) < pairs.n_groups:
         return None
@@ -231,23 +234,26 @@ def _places(
     elements: Elements, problem: PlaneMirrorProblem, lost: tuple[int, ...]
 ) -> Iterator[tuple[str, str, Ints, int]]:
     """Yield kind, name, elements and how many were lost, of each group."""
-    what = "on the table" if problem.way == "direct" else "in the mirror"
-    pair, gone_rows = np.arange(len(elements.row)) < elements.pairs, np.array(lost, dtype=np.int64)
+    what = "on the table" if problem.way == DIRECT else "in the mirror"
+    pair, rows = np.arange(len(elements.row)) < elements.pairs, np.array(lost, dtype=np.int64)
+
+    def gone(values: Ints, number: int) -> int:
+        """Return how many of the lost pairs have this number among the ``values`` of all rows."""
+        return int((values[rows] == number).sum())
+
     for position in np.unique(problem.position[elements.row[pair]]).tolist():
         here = pair & (problem.position[elements.row] == position)
-        gone = int((problem.position[gone_rows] == position).sum())
         name = problem.position_name(position)
-        yield "position", name, np.flatnonzero(here), gone
+        yield "position", name, np.flatnonzero(here), gone(problem.position, position)
     for station in np.unique(elements.station).tolist():
         here = elements.station == station
         name = f"tracker station {problem.station_name(station)}"
-        gone = int((problem.station[gone_rows] == station).sum())
-        yield "station", f"{name}, {what}", np.flatnonzero(here & pair), gone
+        lost_here = gone(problem.station, station)
+        yield "station", f"{name}, {what}", np.flatnonzero(here & pair), lost_here
         yield "station", f"{name}, its nests", np.flatnonzero(here & ~pair), 0
     for number in np.unique(elements.nest[pair]).tolist():
         here = pair & (elements.nest == number)
-        gone = int((problem.nest[gone_rows] == number).sum())
-        yield "reflector", f"reflector {number}", np.flatnonzero(here), gone
+        yield "reflector", f"reflector {number}", np.flatnonzero(here), gone(problem.nest, number)
     for number in np.unique(elements.nest[~pair]).tolist():
         yield "nest", f"nest {number}", np.flatnonzero(~pair & (elements.nest == number)), 0
 
@@ -274,6 +280,7 @@ def _of_names(count: int) -> Bools:
     if count > FEW:
         alone = np.eye(count, dtype=np.bool_)
         return distinct(runs(np.arange(count, dtype=np.float64), closed=True), alone)
+    # All subsets but the empty one, as the bits of numbers; those of more than half are left out.
     every = (np.arange(1, 2**count)[:, None] >> np.arange(count)) % 2 == 1
     return np.asarray(every[every.sum(axis=1) <= count // 2])
 

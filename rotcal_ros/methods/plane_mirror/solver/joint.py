@@ -19,11 +19,15 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.geometry.rotations import rotation_from_vector
-from rotcal_ros.methods.plane_mirror.solver import cone
-from rotcal_ros.methods.plane_mirror.solver.layout import MirrorPairs, Nests
-from rotcal_ros.methods.plane_mirror.solver.normals import Normals
+from rotcal_ros.methods.plane_mirror.solver.normals import (
+    Normals,
+    axis_frame,
+    azimuths,
+    fit_cone,
+)
+from rotcal_ros.methods.plane_mirror.solver.problem import MirrorPairs, Nests
 from rotcal_ros.methods.plane_mirror.solver.registration import (
     Poses,
     nest_equations,
@@ -66,7 +70,12 @@ class Together:
 
 @dataclass(frozen=True)
 class Equations:
-    """Normal equations with the nests eliminated: per position (3 x 3) and shared (c x c)."""
+    """Normal equations with the nests eliminated.
+
+    ``local`` (..., N, 3, 3) of the unknowns of each position, ``shared`` (..., c, c) of the common
+    ones, ``coupling`` (..., N, 3, c) between them; their right sides, and the ``chi_square`` (...)
+    where they are linearised.
+    """
 
     local: Floats
     coupling: Floats
@@ -77,16 +86,17 @@ class Equations:
 
 
 def start_mirror(normals: Normals, pairs: MirrorPairs, poses: Poses, angles: Floats) -> Mirror:
-    """Return approximate unknowns from registered normals; positions seen twice use the first."""
+    """Return approximate unknowns from registered normals.
+
+    Of a position that several stations see, the first one's normal serves.
+    """
     placed = poses.turned(normals.normal, pairs.station)
-    axis, height = cone.fit_cone(placed, angles[pairs.position])
-    e2 = np.cross(axis, placed[..., 0, :])
-    e2 = e2 / np.linalg.norm(e2, axis=-1, keepdims=True)
-    frame = np.stack([np.cross(e2, axis), e2, axis], axis=-1)
+    axis, height = fit_cone(placed, angles[pairs.position])
+    frame = np.stack([*axis_frame(placed[..., 0, :], axis), axis], axis=-1)
     tracker = poses.translation[..., pairs.station, :]
     distance = normals.offset + np.einsum("...gi,...gi->...g", placed, tracker)
     _, first = np.unique(pairs.position, return_index=True)
-    psi = cone.azimuths(placed, axis)[..., first]
+    psi = azimuths(placed, axis)[..., first]
     return Mirror(poses, frame, np.arcsin(height), psi, np.zeros_like(psi), distance[..., first])
 
 
@@ -101,7 +111,7 @@ def adjust_joint(
     mirror = _for_trials(start, normals.offset.shape[:-1])
     for _ in range(steps):
         equations = joint_equations(points, normals, together, mirror)
-        change, shared = solve_equations(equations)
+        change, shared = _solved(equations)
         mirror = _moved(mirror, change, shared)
         if max(np.abs(change).max(), np.abs(shared).max()) < _TOLERANCE:
             break
@@ -123,10 +133,10 @@ def joint_equations(
     local_weight = np.swapaxes(local, -1, -2) @ weight
     pull = weight @ discrepancy[..., None]
     block = per_position(local_weight @ local, -3)
-    block[..., 1, 1] += tilt_std**-2
+    block[..., 1, 1] += tilt_std**-2  # eps is observed to be zero, with this uncertainty
     local_right = per_position((local_weight @ discrepancy[..., None])[..., 0], -2)
     local_right[..., 1] -= mirror.eps * tilt_std**-2
-    flat = (*shared.shape[:-3], -1, shared.shape[-1])
+    flat = (*shared.shape[:-3], -1, shared.shape[-1])  # all rows of all groups below each other
     transposed = np.swapaxes(shared.reshape(flat), -1, -2)
     matrix = transposed @ (weight @ shared).reshape(flat)
     right = (transposed @ pull.reshape(*flat[:-1], 1))[..., 0]
@@ -138,14 +148,17 @@ def joint_equations(
         nest_normal, nest_right, residual = nest_equations(points, nests, weights, poses)
         matrix[..., :p, :p] += nest_normal
         right[..., :p] += nest_right
-        chi_square = chi_square + nest_chi_square(residual, nests, weights, poses)
+        chi_square = chi_square + _nest_chi_square(residual, nests, weights, poses)
     return Equations(
         block, per_position(local_weight @ shared, -3), matrix, local_right, right, chi_square
     )
 
 
-def solve_equations(equations: Equations) -> tuple[Floats, Floats]:
-    """Return the changes of the positions (..., N, 3) and of the shared unknowns (..., c)."""
+def _solved(equations: Equations) -> tuple[Floats, Floats]:
+    """Return the changes of the positions (..., N, 3) and of the shared unknowns (..., c).
+
+    The positions are eliminated first (Schur complement), as no two of them touch.
+    """
     solved = np.linalg.solve(equations.local, equations.coupling)
     free = np.linalg.solve(equations.local, equations.local_right[..., None])
     flat = (*solved.shape[:-3], -1, solved.shape[-1])
@@ -158,7 +171,7 @@ def solve_equations(equations: Equations) -> tuple[Floats, Floats]:
 
 
 def angle_covariance(equations: Equations) -> Floats:
-    """Return the covariance (N, N) in rad^2 of psi."""
+    """Return the covariance (N, N) in rad^2 of psi: of each alone, and by the shared unknowns."""
     inverse = np.linalg.inv(equations.local)
     solved = inverse @ equations.coupling
     flat = (-1, solved.shape[-1])
@@ -167,10 +180,10 @@ def angle_covariance(equations: Equations) -> Floats:
     return np.diag(inverse[:, 0, 0]) + lean @ np.linalg.solve(matrix, lean.T)
 
 
-def nest_chi_square(residual: Floats, nests: Nests, weight: Floats, poses: Poses) -> Floats:
+def _nest_chi_square(residual: Floats, nests: Nests, weight: Floats, poses: Poses) -> Floats:
     """Return the weighted sum of squares (...) of nest residuals (..., Q, 3)."""
     rotation = poses.rotation[..., nests.station, :, :]
-    own = np.einsum("...qji,...qj->...qi", rotation, residual)
+    own = np.einsum("...qji,...qj->...qi", rotation, residual)  # along the axes of the stations
     chi_square: Floats = np.einsum("...qi,qij,...qj->...", own, weight, own)
     return chi_square
 
@@ -178,8 +191,10 @@ def nest_chi_square(residual: Floats, nests: Nests, weight: Floats, poses: Poses
 def group_terms(
     normals: Normals, pairs: MirrorPairs, mirror: Mirror
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Per group: derivatives by (psi, eps, d) and by the shared unknowns, discrepancy, weight.
+    """Return what each group of pairs says of the unknowns, at the model of ``mirror``.
 
+    These are the derivatives (..., G, 3, 3) by (psi, eps, d) and (..., G, 3, c) by the shared
+    unknowns, the discrepancies (..., G, 3), observed - computed, and their weights (..., G, 3, 3).
     The three rows are the plane's normal along t and along b, and its offset from the tracker.
     """
     elevation = (mirror.beta[..., None] + mirror.eps)[..., pairs.position]
@@ -202,10 +217,12 @@ def group_terms(
     sine = np.sin(elevation)
     shared[..., 0, p], shared[..., 0, p + 1] = -sine * np.sin(psi), sine * np.cos(psi)
     shared[..., 1, p], shared[..., 1, p + 1] = -np.cos(psi), -np.sin(psi)
-    shared[..., 1, p + 2] = 1.0
+    shared[..., 1, p + 2] = 1.0  # beta
+    # A normal that turns about the origin changes the plane's offset from a tracker away from it.
     shared[..., 2, p:] = -(
         t_arm[..., None] * shared[..., 0, p:] + b_arm[..., None] * shared[..., 1, p:]
     )
+    # A station that turns or shifts sees the same plane moved the other way.
     movable, columns = station_columns(pairs.station)
     shared[..., movable[:, None], 0, columns[:, :3]] = -b[..., movable, :]
     shared[..., movable[:, None], 1, columns[:, :3]] = t[..., movable, :]
@@ -220,11 +237,20 @@ def plane_weight(
 
     t and b (..., G, 3) are unit vectors in the common frame.
     """
-    rotation = poses.rotation[..., pairs.station, :, :]
+    basis = plane_basis(poses, pairs.station, t, b)
+    return np.swapaxes(basis, -1, -2) @ normals.information @ basis
+
+
+def plane_basis(poses: Poses, station: Ints, t: Floats, b: Floats) -> Floats:
+    """Return changes (..., G, 4, 3) of (n, h) in the frame of each group's station.
+
+    They are n along t, n along b, and h; t and b (..., G, 3) are given in the common frame.
+    """
+    rotation = poses.rotation[..., station, :, :]
     across = np.swapaxes(rotation, -1, -2) @ np.stack([t, b], axis=-1)
     basis = np.zeros((*across.shape[:-2], 4, 3))
     basis[..., :3, :2], basis[..., 3, 2] = across, 1.0
-    return np.swapaxes(basis, -1, -2) @ normals.information @ basis
+    return basis
 
 
 def _model_normals(frame: Floats, elevation: Floats, psi: Floats) -> tuple[Floats, Floats, Floats]:
@@ -240,6 +266,8 @@ def _model_normals(frame: Floats, elevation: Floats, psi: Floats) -> tuple[Float
 
 
 def _for_trials(mirror: Mirror, trials: tuple[int, ...]) -> Mirror:
+    """Return the same unknowns for each of the ``trials``, the leading axes."""
+
     def spread(values: Floats, own: int) -> Floats:
         return np.broadcast_to(values, (*trials, *values.shape[values.ndim - own :]))
 
@@ -255,7 +283,9 @@ def _for_trials(mirror: Mirror, trials: tuple[int, ...]) -> Mirror:
 
 
 def _moved(mirror: Mirror, local: Floats, shared: Floats) -> Mirror:
+    """Return the unknowns after a change of those of positions and of the shared ones."""
     p = shared.shape[-1] - _SHARED
+    # The axis leans by u along e1 and v along e2: a turn by (-v, u, 0) in the mirror's own frame.
     tilt = np.stack([-shared[..., p + 1], shared[..., p], np.zeros(shared.shape[:-1])], axis=-1)
     return replace(
         mirror,

@@ -1,7 +1,8 @@
 """Screening a problem and laying it out, once for one solution or for thousands of trials.
 
 What depends only on the layout and on the noise is prepared once, in the type that belongs to the
-way; the estimates then take points with any leading axes.
+way; the estimates then take points (..., n, 3) with any leading axes. An estimate frees points of
+the drift, brings the stations together, makes readings of angles, and joins these to deviations.
 """
 
 from __future__ import annotations
@@ -17,34 +18,41 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.results import Rejection
-from rotcal_ros.methods.plane_mirror.solver import cone, joint, screening
-from rotcal_ros.methods.plane_mirror.solver.direct import (
-    direct_readings,
-    fit_circle,
-    require_circles,
-)
+from rotcal_ros.methods.plane_mirror.solver import joint, screening
 from rotcal_ros.methods.plane_mirror.solver.drift import NestDrift, displaced_nests, find_drift
-from rotcal_ros.methods.plane_mirror.solver.layout import (
+from rotcal_ros.methods.plane_mirror.solver.normals import (
+    Normals,
+    angle_deviation,
+    fit_normals,
+    pair_weights,
+)
+from rotcal_ros.methods.plane_mirror.solver.problem import (
     MirrorPairs,
     Nests,
+    PlaneMirrorProblem,
     Reflectors,
     find_nests,
     find_pairs,
     find_reflectors,
 )
-from rotcal_ros.methods.plane_mirror.solver.nest_tests import register
-from rotcal_ros.methods.plane_mirror.solver.normals import Normals, fit_normals, pair_weights
-from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem
-from rotcal_ros.methods.plane_mirror.solver.registration import Poses, adjust_stations
-from rotcal_ros.methods.plane_mirror.solver.stitching import (
+from rotcal_ros.methods.plane_mirror.solver.readings import (
+    direct_readings,
+    fit_circle,
     joining_map,
+    registered_readings,
+    require_circles,
     require_cone,
     require_overlap,
     stitch,
 )
-from rotcal_ros.methods.plane_mirror.solver_settings import STITCHING
+from rotcal_ros.methods.plane_mirror.solver.registration import (
+    Poses,
+    adjust_stations,
+    register,
+)
+from rotcal_ros.methods.plane_mirror.solver_settings import DIRECT, JOINT, STITCHING
 
-DRIFT_STEP: Final = 1e-6
+_DRIFT_STEP: Final = 1e-6
 """Turn (rad), shift and range (m) that the response to a drift is found with."""
 _TRIAL_STEPS: Final = 2  # Gauss-Newton from the nominal solution: noise squared, then rounding
 
@@ -89,10 +97,12 @@ class Prepared(ABC):
         By central differences of the estimate itself, so that it is the same for every way; a
         step moves points by micrometres, where the estimate is linear to 1e-6.
         """
-        steps = DRIFT_STEP * np.eye(self.drift.size)
+        if not self.drift.size:
+            return np.zeros((len(self.angles), 0))
+        steps = _DRIFT_STEP * np.eye(self.drift.size)
         moved = self.drift.displacement(self.problem.xyz, np.concatenate([steps, -steps]))
         ahead, behind = np.split(self.deviations(self.problem.xyz - moved), 2)
-        return np.asarray((ahead - behind).T / (2.0 * DRIFT_STEP), dtype=np.float64)
+        return np.asarray((ahead - behind).T / (2.0 * _DRIFT_STEP), dtype=np.float64)
 
     def stations_of(self, points: Floats) -> Poses:
         """Return the adjusted stations for points (..., n, 3)."""
@@ -153,18 +163,11 @@ class PreparedJoint(PreparedNormals):
         mirror = joint.adjust_joint(
             points, self.normals(points), self.adjusted_together, self.mirror, _TRIAL_STEPS
         )
-        return cone.deviation(mirror.psi, self.angles)
+        return angle_deviation(mirror.psi, self.angles)
 
 
 PreparedWay = PreparedPoints | PreparedNormals
 """A prepared problem of any way; that of "joint" is one of normals."""
-
-
-def registered_readings(normals: Floats, pairs: MirrorPairs, angles: Floats) -> Floats:
-    """Return one reading (..., G) per normal (..., G, 3) in the common frame."""
-    commanded = angles[pairs.position]
-    axis, _ = cone.fit_cone(normals, commanded)
-    return cone.deviation(cone.azimuths(normals, axis), commanded)
 
 
 @dataclass(frozen=True)
@@ -191,7 +194,7 @@ def prepare(
     drift = find_drift(problem)
     if drift.size:
         problem = replace(problem, xyz=drift.corrected(problem.xyz))
-    if problem.way == "direct":
+    if problem.way == DIRECT:
         return _prepare_direct(problem, drift)
     return _prepare_mirror(problem, drift, left_out or {}, singly)
 
@@ -205,6 +208,7 @@ def _prepare_mirror(
         pairs = pairs.keep(~np.isin(pairs.direct, list(left_out)))
     weight = pair_weights(problem.xyz, pairs, problem.noise)
     pairs, rejected = screening.drop_steep(problem, pairs, fit_normals(problem.xyz, pairs, weight))
+    # Again: the weight rests on the approximate plane of a group, from the pairs that are left.
     weight = pair_weights(problem.xyz, pairs, problem.noise)
     inconsistent = [Rejection(row, why) for row, why in sorted(left_out.items())]
     if singly:
@@ -227,6 +231,7 @@ def _prepare_mirror(
         warnings += moved
         zero = np.zeros_like(pairs.station)
         _require_three(problem, angles)
+    # A normal from k pairs weighs k times one from a single pair.
     joining = joining_map(pairs.position, zero, 1.0 / np.bincount(pairs.group), len(angles))
     prepared = PreparedNormals(
         problem=problem,
@@ -239,7 +244,7 @@ def _prepare_mirror(
         pairs=pairs,
         pair_weight=weight,
     )
-    if problem.way == "joint":
+    if problem.way == JOINT:
         prepared = _with_mirror(prepared)
     lost = tuple(r.index for r in inconsistent if problem.kind[r.index] == PointKind.MIRRORED)
     return ScreenedPoints(prepared, (*rejected, *inconsistent), tuple(warnings), lost)
@@ -254,7 +259,7 @@ def _prepare_direct(problem: PlaneMirrorProblem, drift: NestDrift) -> ScreenedPo
     reflectors = replace(reflectors, position=position.astype(np.int64))
     angles = problem.angles[used]
     placed = poses.placed(problem.xyz[reflectors.row], reflectors.station)
-    variance = np.zeros(len(placed))
+    variance = np.zeros(len(placed))  # of an angle: a place is as exact on a large circle
     for at, commanded in reflectors.circles(angles):
         variance[at] = 1.0 / fit_circle(placed[at], commanded)[2] ** 2
     joining = joining_map(reflectors.position, reflectors.reflector, variance, len(angles))
@@ -272,6 +277,7 @@ def _prepare_direct(problem: PlaneMirrorProblem, drift: NestDrift) -> ScreenedPo
 
 
 def _stations(problem: PlaneMirrorProblem, drift: NestDrift) -> tuple[Poses, Nests, list[str]]:
+    """Return the registered stations, the nests of that, and what moved in words."""
     if problem.station.max() == 0:
         return *_one_station(), displaced_nests(problem, drift)
     poses, nests, moved = register(problem, find_nests(problem), drift.size)
@@ -279,11 +285,12 @@ def _stations(problem: PlaneMirrorProblem, drift: NestDrift) -> tuple[Poses, Nes
 
 
 def _one_station() -> tuple[Poses, Nests]:
-    none = np.zeros(0, dtype=np.int64)
-    return Poses(np.eye(3)[None], np.zeros((1, 3))), Nests(none, none, none, none, none, none)
+    """Return what stands for stations that no nests bring together."""
+    return Poses.untied(1), Nests.none()
 
 
 def _with_mirror(prepared: PreparedNormals) -> PreparedJoint:
+    """Return the problem with its least squares, from the registered stations."""
     xyz = prepared.problem.xyz
     normals = prepared.normals(xyz)
     start = joint.start_mirror(normals, prepared.pairs, prepared.poses, prepared.angles)
@@ -292,6 +299,7 @@ def _with_mirror(prepared: PreparedNormals) -> PreparedJoint:
 
 
 def _absent(problem: PlaneMirrorProblem, used: Ints) -> list[str]:
+    """Return in words which positions are not among the ``used`` ones."""
     absent = np.setdiff1d(np.arange(len(problem.angles)), used)
     names = ", ".join(problem.position_name(int(i)) for i in absent)
     return [f"no usable points at {names}: left out of the result"] if len(absent) else []

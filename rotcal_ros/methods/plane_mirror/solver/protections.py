@@ -10,7 +10,7 @@ from rotcal_ros.adjust.distributions import chi2_isf, normal_isf
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.protection import POWER, Protection, ordered
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.methods.plane_mirror.solver.correction import DriftCorrection, unseen_knock
+from rotcal_ros.methods.plane_mirror.solver.drift import DriftCorrection
 from rotcal_ros.methods.plane_mirror.solver.prepare import PreparedPoints, PreparedWay
 
 
@@ -118,7 +118,7 @@ def _knock(facts: MirrorEvidence) -> Protection:
         )
     found = normal_isf(problem.significance / 2.0) + normal_isf(1.0 - POWER)
     on_table = found * facts.closure_std / float(facts.std[1:].min())
-    error = max(on_table, unseen_knock(facts.prepared, facts.correction, facts.std))
+    error = max(on_table, facts.correction.unseen_knock(facts.std))
     return Protection(
         "knock",
         "tested",

@@ -16,9 +16,8 @@ from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.results import Rejection
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.geometry.rotations import wrap_angle
-from rotcal_ros.methods.plane_mirror.solver.layout import MirrorPairs
 from rotcal_ros.methods.plane_mirror.solver.normals import Normals, fit_normals, incidence
-from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem
+from rotcal_ros.methods.plane_mirror.solver.problem import MirrorPairs, PlaneMirrorProblem
 
 MIN_SEPARATION: Final = 1e-3
 """Two reflectors, or a reflector and its image, are never closer than this (m)."""
@@ -88,6 +87,7 @@ def drop_inconsistent(
     undecided: set[tuple[int, int]] = set()
     while True:
         normals = fit_normals(problem.xyz, pairs, weight)
+        # Of k pairs there are 3 k conditions for the three unknowns of a plane.
         squares = np.einsum("pi,pij,pj->p", normals.misclosure, weight, normals.misclosure)
         total = np.add.reduceat(squares, pairs.start)
         count = np.bincount(pairs.group)
@@ -159,6 +159,7 @@ def repeats(
     entries: list[dict[str, float | int]] = []
     warnings: list[str] = []
     for later in range(len(angles)):
+        # What is left of whole turns, on either side of zero.
         turn = (angles[later] - angles[:later] + 1e-7) % (2.0 * np.pi)
         same_side = upward is None or upward[:later] == upward[later]
         for earlier in np.flatnonzero((turn < 2e-7) & same_side)[:1]:
@@ -194,7 +195,7 @@ def _culprit(
         rest = pairs.keep(wanted)
         e = fit_normals(problem.xyz, rest, weight[wanted]).misclosure
         left.append(float(np.einsum("pi,pij,pj->", e, weight[wanted], e)))
-    dof = 3 * len(members) - 6
+    dof = 3 * len(members) - 6  # of one pair less
     if dof == 0 or min(left) > chi2_isf(problem.significance / pairs.n_groups, dof):
         return None
     return int(members[int(np.argmin(left))])

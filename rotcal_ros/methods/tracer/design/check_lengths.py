@@ -9,7 +9,6 @@ taken away from them. It finds a good plan, and proves nothing about the best.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -17,9 +16,9 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import PlanError
-from rotcal_ros.methods.tracer.design.depth import LEAST_DEPTH, least_depth
 from rotcal_ros.methods.tracer.design.information import Information
-from rotcal_ros.methods.tracer.design.scene import Lengths, Scene
+from rotcal_ros.methods.tracer.design.optimum import Progress
+from rotcal_ros.methods.tracer.design.scene import LEAST_DEPTH, Lengths, Scene, least_depth
 from rotcal_ros.methods.tracer.solver.grid import STATION_MINIMUM
 from rotcal_ros.planning.check_rule import CheckRule
 
@@ -34,8 +33,6 @@ BETTER: Final = 1e-3
 
 WAYS: Final = 3
 """From how many of the smallest sets of targets lengths are taken away, to keep the fewest."""
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,4 @@
-"""From a goal to a plan: candidates, the ideal plan with its bound, and whole lengths.
-
-Among which lengths whole plans are sought, and with which of them the search begins.
-"""
+"""From a goal to a plan: candidates, the ideal plan with its bound, and whole lengths."""
 
 from __future__ import annotations
 
@@ -14,21 +11,38 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.errors import PlanError
-from rotcal_ros.methods.tracer.design.candidates import candidates, scene_of
-from rotcal_ros.methods.tracer.design.checks import UNCHECKED, Checks, checks_of
-from rotcal_ros.methods.tracer.design.depth import LEAST_DEPTH, Spread, flat_stations
-from rotcal_ros.methods.tracer.design.exchange import fewest_lengths
-from rotcal_ros.methods.tracer.design.information import Information
+from rotcal_ros.methods.tracer.design.exchange import Demands, fewest_lengths
+from rotcal_ros.methods.tracer.design.information import UNCHECKED, Checks, Information, checks_of
 from rotcal_ros.methods.tracer.design.optimum import Optimum, Progress, ideal_plan
-from rotcal_ros.methods.tracer.design.penalty import Demands
-from rotcal_ros.methods.tracer.design.scene import Lengths, Scene
+from rotcal_ros.methods.tracer.design.scene import (
+    LEAST_DEPTH,
+    Lengths,
+    Scene,
+    Spread,
+    candidates,
+    flat_stations,
+    scene_of,
+)
 from rotcal_ros.methods.tracer.design.settings import PER_STATION, TracerDesignSettings
 from rotcal_ros.methods.tracer.solver.grid import station_minimum
 
 ARCSEC: Final = unit_of("ECC")[0]
 IDEAL_GAP: Final = 0.05
+"""Share by which the ideal plan may lie above its bound: what follows rounds to whole lengths."""
 STRICTER: Final = (4.0, 16.0, 64.0)
 """By which the goal's variance is divided to find targets that check each other."""
+POOL_TARGETS: Final = 64
+ENOUGH_TARGETS: Final = 40
+POOL_SPACINGS: Final = 1.8
+"""Whole plans are sought among all pairs of so many good targets, so many spacings apart."""
+START_CHECKED: Final = 14
+"""Lengths per station to begin with, where each is to be checked."""
+START_PLAIN: Final = 6
+"""The same for the plain minimum."""
+OFF_PLANE: Final = 2
+"""Lengths off the plane of the others to begin with, at each station."""
+DEEP: Final = 0.5
+"""Share of the largest depth that such a length gives."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +134,7 @@ class DesignSearch:
 
     def _offer(self, ideal: Optimum) -> None:
         """Seek whole plans among the targets that the ``ideal`` plan likes."""
-        self._pool, self._start = pool_and_start(ideal, self._pairs, self.scene, self.settings)
+        self._pool, self._start = _pool_and_start(ideal, self._pairs, self.scene, self.settings)
         if flat_stations(self.scene, self._pool).size:  # nothing else is offered
             self.demands = replace(self.demands, depth=0.0)
 
@@ -253,20 +267,7 @@ def finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-POOL_TARGETS: Final = 64
-ENOUGH_TARGETS: Final = 40
-POOL_SPACINGS: Final = 1.8
-"""Whole plans are sought among all pairs of so many good targets, so many spacings apart."""
-START_CHECKED: Final = 14
-START_PLAIN: Final = 6
-"""Lengths per station to begin with."""
-OFF_PLANE: Final = 2
-"""Lengths off the plane of the others to begin with, at each station."""
-DEEP: Final = 0.5
-"""Share of the largest depth that such a length gives."""
-
-
-def pool_and_start(
+def _pool_and_start(
     ideal: Optimum, pairs: Lengths, scene: Scene, settings: TracerDesignSettings
 ) -> tuple[Lengths, Ints]:
     """Return the pairs among which whole plans are sought, and with which of them to begin.

@@ -11,6 +11,11 @@ Targets are eliminated one by one (Schur complement), which leaves M of 3 m + q 
 angles are t = G dP. By Sherman and Morrison a further length lowers the mean variance of the
 angles by |G a|^2 / (m (v + s)), with a = F^-1 g and s = g' F^-1 g; the derivative by its weight is
 the same without s. Exact to first order; nothing depends on the readings, for the model is linear.
+
+What the lengths check of each other (Baarda, W. (1968), A testing procedure for use in geodetic
+networks): a length with redundancy r shows an error in it with power beta when the error is
+delta0 sigma / sqrt(r); delta0 is the limit of the solver's test of single lengths plus the
+quantile of beta. An error just below, undetected, moves the angles by F^-1 g / v times it.
 """
 
 from __future__ import annotations
@@ -22,12 +27,19 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from rotcal_ros.adjust.distributions import normal_isf
 from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.methods.tracer.design.scene import Lengths, Scene, Which
 
 NOMINAL_STD: Final = 0.02
 """How well (m) stations and zeros are known before anything is measured. It keeps every inverse
 finite, and is so wide beside micrometres that it adds no knowledge (1e-9 of a variance)."""
+ROUNDING: Final = 1e-6
+"""Redundancy that is none: an error of that length shows nowhere, however large."""
+UNCHECKED: Final = 1e-3
+"""Redundancy of which is said that nothing checks the length: it takes an error of 150 times its
+noise to show."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,3 +235,36 @@ def _diagonal_blocks(covariance: Floats, m: int) -> Floats:
 
 def _quadratic(matrix: Floats, vector: Floats) -> Floats:
     return np.asarray(np.einsum("ka,kab,kb->k", vector, matrix, vector), dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Checks:
+    """Of N lengths: ``redundancy`` (N,), ``detectable`` (N,) error in m, ``effect`` (N, m) in rad.
+
+    ``effect``: what the smallest detectable error does to the angles less their mean. ``share``
+    (N,): the largest effect of each length in expanded uncertainties (k = 2) of the same angle.
+    """
+
+    redundancy: Floats
+    detectable: Floats
+    effect: Floats
+    share: Floats
+
+
+def detectable_in_std(count: int, significance: float, power: float) -> float:
+    """Return delta0: the two-sided limit shared among ``count`` lengths, plus that of power."""
+    return normal_isf(0.5 * significance / count) + normal_isf(1.0 - power)
+
+
+def checks_of(known: Information, significance: float, power: float) -> Checks:
+    """Return what the lengths in ``known`` check of each other."""
+    beams = known.beams(known.lengths)
+    delta0 = detectable_in_std(len(known.lengths), significance, power)
+    redundancy = np.clip(1.0 - beams.spread / beams.variance, 0.0, 1.0)
+    redundancy[redundancy < ROUNDING] = 0.0
+    with np.errstate(divide="ignore"):
+        detectable = delta0 * np.sqrt(beams.variance / redundancy)
+    effect = beams.angles * (detectable / beams.variance)[:, None]
+    expanded = COVERAGE_FACTOR * np.sqrt(known.variances())
+    share = (np.abs(effect) / expanded).max(axis=1)
+    return Checks(redundancy, detectable, effect, share)

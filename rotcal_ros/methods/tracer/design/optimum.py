@@ -34,10 +34,13 @@ Progress = Callable[[int, int], None]
 POWER: Final = 0.7
 """Exponent of the multiplicative step: 1 is quick and may swing, 0.5 is slow and sure."""
 ROUNDS: Final = 40
+"""Looks at all candidates before the search gives up."""
 STEPS: Final = 25
 """Steps between two looks at all candidates."""
 LARGEST_SCALING: Final = 0.5
+"""Share by which all weights change at most in one step."""
 SCALINGS: Final = 4
+"""Scalings in a row that bring a plan to its goal."""
 PRUNED: Final = 1e-4
 """Weight, as a share of the largest, below which a candidate is set aside."""
 NEARLY: Final = 0.999
@@ -133,6 +136,7 @@ class _MultiplicativeSearch:
                 "allow repeats"
             )
         self.cap = most
+        # twelve lengths per station, shared evenly among all candidates
         start = 4.0 * scene.stations.size / len(candidates)
         self.weight = np.full(len(candidates), min(start, most))
 
@@ -181,6 +185,7 @@ class _MultiplicativeSearch:
             excess = information.mean_variance / self.goal - 1.0
             if not 0.0 < excess < LARGEST_SCALING:
                 break
+            # variance falls like 1 / weight, or more slowly where targets limit it
             self.weight = np.minimum(self.weight * (1.0 + 1.5 * excess), self.cap)
             information = self._information(self.weight)
         return information

@@ -16,16 +16,15 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Ints
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
-from rotcal_ros.methods.tracer.design.candidates import candidates, scene_of
-from rotcal_ros.methods.tracer.design.checks import Checks, checks_of
 from rotcal_ros.methods.tracer.design.design import ARCSEC, demands_of, segments_of
-from rotcal_ros.methods.tracer.design.information import Information
+from rotcal_ros.methods.tracer.design.information import Checks, Information, checks_of
 from rotcal_ros.methods.tracer.design.optimum import ideal_plan
-from rotcal_ros.methods.tracer.design.scene import Lengths, Scene
+from rotcal_ros.methods.tracer.design.scene import Lengths, Scene, candidates, scene_of
 from rotcal_ros.methods.tracer.design.settings import TracerDesignSettings
 from rotcal_ros.planning.sequence_time import TimeModel
 
 MOST_TARGETS: Final = 64
+"""As many as the paper has; a goal that takes more is called out of reach."""
 TRIED: Final = 8
 """Targets that are tried exactly before the best is taken."""
 

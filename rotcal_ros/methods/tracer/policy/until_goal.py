@@ -13,54 +13,48 @@ is the set that reaches the goal with the planned noise. What is not known is le
 * what the result states: where that misses the goal, although what is planned reaches it, further
   steps follow. The goal is reached when both do: the U of the result is the one that is told.
 
-Where all steps together would miss the goal with the noise as it is, it ends at once.
+Where all steps together would miss the goal with the noise as it is, it ends at once: hours of
+lengths would lead to nothing (:class:`Reach`).
 
-Closing a sweep that drifts: two of its lengths are measured again, and tell by how much.
-
-The first sweep: few steps that reach an uncertainty, in an order that hides little.
-
-With known noise this is all that there is to plan. The fewest steps are found by exchange; they
-are then shared among sweeps there and back, so that neither a drift of the machine nor a knock of
-the tracer is mistaken for a deviation (:mod:`rotcal_ros.methods.tracer.design.sequence_choice`).
-
-How probably each beam is free: what hides a target hides its neighbours as well.
-
-Whether the goal is within reach of all steps: hours of lengths might lead to nothing.
-
-Lengths that do not agree with the others: measured again, or replaced by another target.
+With known noise the first sweep is all that there is to plan. The fewest steps are found by
+exchange; they are then shared among sweeps there and back, so that neither a drift of the machine
+nor a knock of the tracer is mistaken for a deviation
+(:mod:`rotcal_ros.methods.tracer.design.sequence`). Further steps are those with the best gain per
+second, spread over the stations (:func:`pick`).
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from rotcal_ros.adjust.distributions import normal_isf
-from rotcal_ros.foundation.arrays import Bools, Floats
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.protection import TOLERABLE
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
-from rotcal_ros.methods.tracer.design.exchange import fewest_lengths
-from rotcal_ros.methods.tracer.design.penalty import Demands
-from rotcal_ros.methods.tracer.design.sequence_choice import least_hidden, measuring_orders
-from rotcal_ros.methods.tracer.design.sequence_forecast import SequenceForecast
-from rotcal_ros.methods.tracer.policy.lengths import LengthExperiment
-from rotcal_ros.methods.tracer.policy.measured_lengths import MeasuredLengths
-from rotcal_ros.methods.tracer.policy.noise import LengthNoise, student_factor
-from rotcal_ros.methods.tracer.policy.stated_uncertainty import Allowance, Stated
-from rotcal_ros.methods.tracer.policy.step_selection import (
-    MOST_AT_ONCE,
-    Wish,
-    as_sweep,
-    best_at,
-    pick,
+from rotcal_ros.methods.tracer.design.exchange import Demands, fewest_lengths
+from rotcal_ros.methods.tracer.design.information import Information
+from rotcal_ros.methods.tracer.design.scene import Lengths
+from rotcal_ros.methods.tracer.design.sequence import (
+    SequenceForecast,
+    least_hidden,
+    measuring_orders,
 )
+from rotcal_ros.methods.tracer.policy.experiment import (
+    Allowance,
+    LengthExperiment,
+    MeasuredLengths,
+    Stated,
+    rms,
+)
+from rotcal_ros.methods.tracer.policy.noise import LengthNoise, student_factor
 from rotcal_ros.planning.choices import Choice, Standing, StepOutcome
 from rotcal_ros.planning.sequence_time import stated_time
 
@@ -79,6 +73,37 @@ POOR_CHANCE: Final = 0.5
 """A planned step with a smaller chance gives way to a better one at the same station."""
 UNKNOWN: Final = 1e-3
 """A larger uncertainty (rad) is that of a station that nothing has placed yet."""
+EXCHANGES: Final = 300
+CHECKED_EXCHANGES: Final = 40
+"""So long the first sweep is sought by exchange, before anything moves: about a second."""
+LEAST_REDUNDANCY: Final = 0.02
+"""Of each length of the first sweep: an error of 33 standard deviations shows."""
+HIDDEN: Final = 0.9 * TOLERABLE
+"""What a drift or knock may do unseen (std); below the limit, as the noise is not known yet."""
+NEARLY_HIDDEN: Final = 0.95 * TOLERABLE
+"""No larger set is measured for what is nearly as little."""
+SHARES: Final = (1.0, 0.93)
+"""Of the uncertainty that is wanted: some lengths more may need a sweep less to be protected, and
+the quickest of both is taken."""
+TRIES: Final = 3
+"""Times that a smaller uncertainty is tried, to make room for what the solver allows for slips."""
+BLOCKED_WIDTH: Final = 15.0 * DEGREE
+"""A beam so near to a blocked one is as likely blocked as free."""
+TINY: Final = 1e-6
+"""Angle (rad) that stands for none, to divide by."""
+FEW_SUSPECTS: Final = 4
+SUSPECT_SHARE: Final = 0.1
+"""When more lengths than either are suspect, that is no error of single lengths but noise."""
+ROUNDS: Final = 6
+"""In about so many rounds further steps are put together."""
+SHORTLIST: Final = 700
+"""Only so many of the best candidates are looked at again in every round."""
+MOST_PER_STATION: Final = 3
+"""No more lengths of a station are taken in one round: they would all be alike."""
+MOST_AT_ONCE: Final = 60
+"""So many further lengths are planned at once: choosing has to be quick."""
+LEAST_GAIN: Final = 5e-4
+"""A length that lowers the mean variance by less than this share is not worth its time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,7 +280,7 @@ class UntilGoal:
         if len(more) >= MOST_AT_ONCE:
             self._reach.doubt()  # worked out for the next choice: this one was long enough
         why = f"{self._learnt}: {len(more)} more lengths to {_in_words(goal)}"
-        self._queue += ((step, why) for step in as_sweep(self._experiment, more, self._at))
+        self._queue += ((step, why) for step in _as_sweep(self._experiment, more, self._at))
         return ""
 
     def _reached(self, now: float, result: Stated | None) -> str:
@@ -412,22 +437,6 @@ def _by(change: float) -> str:
     return f"by {change / MICROMETRE:+.2f} um" if math.isfinite(change) else "with another zero"
 
 
-EXCHANGES: Final = 300
-CHECKED_EXCHANGES: Final = 40
-"""So long the first sweep is sought by exchange, before anything moves: about a second."""
-LEAST_REDUNDANCY: Final = 0.02
-"""Of each length of the first sweep: an error of 33 standard deviations shows."""
-HIDDEN: Final = 0.9 * TOLERABLE
-"""What a drift or knock may do unseen (std); below the limit, as the noise is not known yet."""
-NEARLY_HIDDEN: Final = 0.95 * TOLERABLE
-"""No larger set is measured for what is nearly as little."""
-SHARES: Final = (1.0, 0.93)
-"""Of the uncertainty that is wanted: some lengths more may need a sweep less to be protected, and
-the quickest of both is taken."""
-TRIES: Final = 3
-"""Times that a smaller uncertainty is tried, to make room for what the solver allows for slips."""
-
-
 def first_sweep(of: LengthExperiment, uncertainty: float) -> list[int]:
     """Return the steps that reach ``uncertainty`` (rad) with the planned noise, in their order.
 
@@ -463,8 +472,8 @@ def _reaching(of: LengthExperiment, uncertainty: float) -> Sweep:
 def protected(of: LengthExperiment, steps: list[int]) -> Sweep:
     """Return ``steps`` in the quickest order that shows drift and knock in time, or most of it."""
     if not of.solvable(of.nothing, steps):
-        return Sweep(tuple(as_sweep(of, steps, None)), np.inf, np.inf)
-    rows = np.array(as_sweep(of, steps, None))
+        return Sweep(tuple(_as_sweep(of, steps, None)), np.inf, np.inf)
+    rows = np.array(_as_sweep(of, steps, None))
     position, target = of.position[rows], of.target[rows]
     time = stated_time(of.costs.turn_s, of.costs.step_s)
     costs = time.costs(of.scene.table_angles, of.scene.targets, position, target)
@@ -507,11 +516,6 @@ def _exchanged(of: LengthExperiment, steps: list[int], uncertainty: float) -> li
         found = fewest_lengths(of.scene, pool, zeros, demands, best, exchanges=exchanges)
         best = best if found is None else found
     return [int(step) for step in near[best]]
-
-
-BLOCKED_WIDTH: Final = 15.0 * DEGREE
-"""A beam so near to a blocked one is as likely blocked as free."""
-TINY: Final = 1e-6
 
 
 class FreeBeams:
@@ -581,11 +585,6 @@ class Reach:
         return allowance.stated(self._best)
 
 
-FEW_SUSPECTS: Final = 4
-SUSPECT_SHARE: Final = 0.1
-"""When more lengths than either are suspect, that is no error of single lengths but noise."""
-
-
 class Suspects:
     """The steps whose lengths were suspect, and how far that has been followed."""
 
@@ -618,3 +617,149 @@ class Suspects:
             self._gone_over.add(place)
             return others, f"{why} once more: measured again with all of its station"
         return [], f"{why} again and again: another target in its place"
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What a set of steps has to reach: ``uncertainty`` (rad) with this noise and coverage factor.
+
+    ``noise`` is a factor on the planned standard deviation of a length.
+    """
+
+    uncertainty: float
+    noise: float
+    coverage_factor: float
+
+    def excess(self, known: Information) -> float:
+        """Return by which share the mean variance is too large."""
+        return float((self.coverage_factor * rms(known) / self.uncertainty) ** 2 - 1.0)
+
+
+def pick(
+    of: LengthExperiment,
+    measured: MeasuredLengths,
+    allowed: Bools,
+    chance: Floats,
+    wish: Wish,
+    *,
+    sweep: bool = False,
+) -> list[int]:
+    """Return further steps that grant the wish, the best gain per time first.
+
+    ``allowed`` (k,): candidates; ``chance`` (k,): how probably the beam is free. ``sweep``:
+    all stations are visited anyway, so that a turn of the table costs nothing extra. Stops
+    short of the wish when no candidate helps, and where very many are needed.
+    """
+    chosen: list[int] = []
+    free = allowed.copy()
+    free[list(measured.steps)] = False
+    known = of.information(measured, wish.noise)
+    visited = np.full(of.stations, sweep)
+    shortlist = _shortlist(of, known, np.flatnonzero(free), measured, chance)
+    batch = 0
+    while len(shortlist) and (sweep or len(chosen) < MOST_AT_ONCE):
+        missing = wish.excess(known)
+        lacking = of.lacking(known.lengths)
+        if missing <= 0.0 and not lacking.any():
+            break
+        batch = 1 if sweep else _batch(of, known, missing, batch)  # at first there is time
+        offered = of.lengths(shortlist, measured)
+        value = _value(of, known, offered, chance[shortlist], visited)
+        if lacking.any():
+            value = value * lacking[offered.position]
+            batch = len(visited)
+        elif not (value > LEAST_GAIN * known.mean_variance / of.costs.dearest_s).any():
+            break
+        best = _spread_out(of, shortlist, value, batch)
+        if not best:
+            break
+        chosen += best
+        visited[of.position[best]] = True
+        shortlist = shortlist[~np.isin(shortlist, best)]
+        known = of.information(measured, wish.noise, chosen)
+    return chosen
+
+
+def _batch(of: LengthExperiment, known: Information, missing: float, before: int) -> int:
+    """Return how many lengths the next round takes; ``before``: the round before, 0 at first."""
+    needed = max(missing, 0.0) * max(len(known.lengths), of.minimum)
+    batch = before or max(1, round(needed / ROUNDS))
+    return min(batch, MOST_PER_STATION * of.stations, max(1, round(0.5 * needed)))
+
+
+def best_at(
+    of: LengthExperiment,
+    position: int | None,
+    measured: MeasuredLengths,
+    queued: Collection[int],
+    allowed: Bools,
+    chance: Floats,
+    noise: float,
+) -> int | None:
+    """Return the step with the largest gain beside those ``measured`` and ``queued``.
+
+    ``position``: of the table, None for any. None if there is none.
+    """
+    done = measured.steps
+    further = [step for step in queued if step not in done]
+    free = allowed.copy() if position is None else allowed & (of.position == position)
+    free[[*done, *further]] = False
+    candidates = np.flatnonzero(free)
+    if not len(candidates):
+        return None
+    known = of.information(measured, noise, further)
+    gains = known.gains(of.lengths(candidates, measured))
+    return int(candidates[np.argmax(gains * chance[candidates])])
+
+
+def _as_sweep(of: LengthExperiment, steps: Collection[int], at: int | None) -> list[int]:
+    """Return ``steps`` station by station, from the end that is nearer to position ``at``."""
+    ordered = sorted(steps, key=lambda step: (of.position[step], step))
+    if not ordered or at is None:
+        return ordered
+    first, last = of.position[ordered[0]], of.position[ordered[-1]]
+    if abs(last - at) < abs(first - at):
+        return sorted(steps, key=lambda step: (-of.position[step], step))
+    return ordered
+
+
+def _shortlist(
+    of: LengthExperiment,
+    known: Information,
+    candidates: Ints,
+    measured: MeasuredLengths,
+    chance: Floats,
+) -> Ints:
+    """Return some candidates of each station: the best ones, and some of all directions."""
+    if len(candidates) <= SHORTLIST:
+        return candidates
+    share = SHORTLIST // (2 * of.stations)
+    gains = known.gains(of.lengths(candidates, measured)) * chance[candidates]
+    kept = []
+    for position in np.unique(of.position[candidates]):
+        here = np.flatnonzero(of.position[candidates] == position)
+        kept.append(here[np.argsort(-gains[here], kind="stable")[:share]])
+        kept.append(here[np.linspace(0, len(here) - 1, share).astype(np.int64)])
+    return np.asarray(candidates[np.unique(np.concatenate(kept))])
+
+
+def _value(
+    of: LengthExperiment, known: Information, offered: Lengths, chance: Floats, visited: Bools
+) -> Floats:
+    """Return by how much the mean variance falls per second, (c,)."""
+    turn = np.where(visited[offered.position], 0.0, of.costs.turn_s)
+    return np.asarray(known.gains(offered) * chance / (of.costs.step_s + turn))
+
+
+def _spread_out(of: LengthExperiment, candidates: Ints, value: Floats, count: int) -> list[int]:
+    """Return up to ``count`` of the best candidates, shared among the stations."""
+    order = np.argsort(-value, kind="stable")
+    order = order[value[order] > 0.0]
+    position = of.position[candidates[order]]
+    by_station = np.argsort(position, kind="stable")
+    sorted_position = position[by_station]
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[by_station] = np.arange(len(order)) - np.searchsorted(sorted_position, sorted_position)
+    most = -(-count // of.stations)
+    best: list[int] = candidates[order[rank < most][:count]].tolist()
+    return best

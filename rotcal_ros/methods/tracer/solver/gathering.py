@@ -25,18 +25,15 @@ from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.protection import POWER, Protection
 from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.tracer.solver.adjustment import Adjustment
-from rotcal_ros.methods.tracer.solver.angles import bearing_slopes, table_motion
+from rotcal_ros.methods.tracer.solver.circle import bearing_slopes, table_motion
 from rotcal_ros.methods.tracer.solver.grid import FREE_TARGET_MINIMUM, Grid
-from rotcal_ros.methods.tracer.solver.length_view import view_of
-from rotcal_ros.methods.tracer.solver.network import linearise
+from rotcal_ros.methods.tracer.solver.network import network_of, view_of
 from rotcal_ros.methods.tracer.solver_settings import TracerLimits
 
 LEAST_OF_GROUP: Final = 4
 """Lengths that are a group."""
 LARGEST: Final = 1e-4
 """Error (m) of several lengths that nobody would overlook."""
-KNOWN: Final = 1e-9
-"""Standard deviation (m) of a coordinate that is called known, where others have errors."""
 WORDS: Final = Words(
     "lengths", "warm air, a person or an obstacle", "in the beams", "in its beams"
 )
@@ -111,10 +108,7 @@ def groups_of(
 
     ``angles`` (m,): as commanded. ``order`` (k,): when each row of the problem was taken.
     """
-    network = fit.network
-    if network is None:
-        std = grid.target_std if grid.free else np.maximum(grid.target_std, KNOWN)
-        network = linearise(replace(grid, target_std=std), fit.state, fit.targets)
+    network = network_of(grid, fit)
     slopes = bearing_slopes(fit.stations, table_motion(fit.stations, angles)).from_first
     view = view_of(network, slopes)
     found: list[Group | Undivided] = []

@@ -18,7 +18,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.methods.tracer.solver.circle_prior import contrast_count
+from rotcal_ros.methods.tracer.solver.circle import contrast_count
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 
 STATION_MINIMUM: Final = 5
@@ -140,6 +140,10 @@ class Grid:
             return self.station
         return np.searchsorted(self.segment_numbers, self.segment_ids[self.zero])
 
+    def placed(self, values: Floats) -> Floats:
+        """Return ``values`` (k,) of the problem's rows at their places (p, n), 0 at empty ones."""
+        return np.where(self.row >= 0, values[self.row], 0.0)
+
     def take(self, strips: Ints, part: Bools) -> Grid:
         """Return the grid of some ``strips`` (q,), of each only the places ``part`` (q, n)."""
         used = self.used[strips] & part
@@ -189,7 +193,8 @@ class Absent:
 class _Strips(NamedTuple):
     """``position`` and ``segment`` (p,) of each strip, and the strip of each row (k,).
 
-    ``segment`` None: strips are stations; else what has a zero, be it the position.
+    ``segment`` None: strips are stations; else what each zero belongs to: a segment, or where
+    there are none, the position.
     """
 
     position: Ints

@@ -18,8 +18,8 @@ from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import Result, Verdict
 from rotcal_ros.geometry.rotations import wrap_angle
-from rotcal_ros.methods.tracer.solver.error_response import slope_along
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
+from rotcal_ros.methods.tracer.solver.protections import slope_along
 from rotcal_ros.methods.tracer.solver.reported import (
     Reported,
     WeighedSolution,

@@ -32,13 +32,17 @@ from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.geometry.rotations import fit_rotation
-from rotcal_ros.methods.tracer.solver.adjustment import Adjustment, StationCovariance
+from rotcal_ros.methods.tracer.solver.adjustment import (
+    Adjustment,
+    StationCovariance,
+    adjust_stations,
+)
 from rotcal_ros.methods.tracer.solver.grid import Grid
-from rotcal_ros.methods.tracer.solver.network import Network, linearise, relax, rigid
+from rotcal_ros.methods.tracer.solver.network import Network, linearise, network_of, relax, rigid
 from rotcal_ros.methods.tracer.solver.observability import CURE, name_direction, or_prior
-from rotcal_ros.methods.tracer.solver.station import adjust_stations
 
 RANK_TOLERANCE: Final = 1e-13
+"""Eigenvalue, as a share of the largest, of a direction that the lengths leave open."""
 CHECKED: Final = 0.01
 """Redundancy from which a coordinate is held to be checked by the lengths."""
 
@@ -101,7 +105,7 @@ def _others(grid: Grid) -> int:
 
 def network_covariance(grid: Grid, fit: Adjustment) -> StationCovariance:
     """Return the covariance of the stations, split into lengths, targets' prior and circle."""
-    network = fit.network or linearise(grid, fit.state, fit.targets)
+    network = network_of(grid, fit)
     if not network.stations_kept:
         return _apart_covariance(network, grid, float(fit.dof))
     kept = network.reduced.covariance()
@@ -122,6 +126,7 @@ def network_covariance(grid: Grid, fit: Adjustment) -> StationCovariance:
     coordinates = network.layout.places
     places = np.ix_(coordinates, coordinates)
     sensitivity = sensitivity[coordinates].reshape(-1, *grid.targets.shape)
+    # the covariance is a sum over independent sources: what prior and circle leave is the lengths'
     lengths, circle = stations - prior, None
     if by_circle is not None:
         shared = by_circle @ by_circle.T
@@ -219,8 +224,7 @@ def _felt_by_targets(
     redundancy = np.eye(3) - spread.targets / area
     kept, transfer = spread.kept, network.reduced.transfer
     if not network.stations_kept:
-        whole = -kept.reshape(n, 3, n, 3) / (std[:, :, None, None] * std)
-        whole[np.arange(n), :, np.arange(n)] += np.eye(3)
+        whole = redundancy_of_targets(kept.reshape(n, 3, n, 3), std)
         return corrections, redundancy, np.einsum("iajb,iajb->ab", whole, whole)
     # M = blocks - G'G, with the blocks that the targets have alone and G by way of the stations
     alone = np.eye(3) - network.reduced.inverse / area
@@ -248,7 +252,19 @@ def _felt_by_circle(network: Network, grid: Grid, lengths: float) -> Floats:
         moved = (network.reduced.transfer.T @ (kept @ pull)).reshape(*grid.targets.shape, -1)
         others = ((moved / grid.target_std[:, :, None]) ** 2).sum(axis=(0, 2))
     rest = float(np.trace(own) - (own**2).sum() - others.sum())
+    # rounding may leave a little less than nothing, or more than the lengths have
     return np.append(others, min(max(rest, 0.0), lengths))
+
+
+def redundancy_of_targets(covariance: Floats, std: Floats) -> Floats:
+    """Return the redundancy matrix (n, 3, n, 3) of coordinates stated with ``std`` (n, 3).
+
+    ``covariance`` (n, 3, n, 3) of the adjusted ones, m^2.
+    """
+    whole = -covariance / (std[:, :, None, None] * std)
+    each = np.arange(len(std))
+    whole[each, :, each] += np.eye(3)
+    return np.asarray(whole, dtype=np.float64)
 
 
 def target_test(corrections: Floats, redundancy: Floats) -> Floats:

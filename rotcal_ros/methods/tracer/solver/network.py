@@ -1,32 +1,48 @@
-"""The joint network of stations and targets: one linearisation, and the way to its minimum.
+"""The network of stations, zeros and targets that lengths tie together: its linear algebra.
 
-Every length touches one station and one target; one side is eliminated: with a prior the one
-with more unknowns, in a free network always the targets. What a free network leaves open is fixed
-by constraints; see :mod:`.joint`.
+Every length touches one station and one target, so that the normal equations have two block
+diagonals:
 
-Zeros that several stations share join the stations, which then are always kept: the blocks of the
-strips are added up into one matrix of three unknowns per station and one per zero. So they
-do where the stations' circle is stated, which ties them together.
+    [ A   C ] [x]   [a]      A: p blocks (s, s), stations or targets - the kept side
+    [ C'  B ] [y] = [b]      B: q blocks (t, t), the other - the eliminated side
+
+Eliminating B leaves p s unknowns (Schur complement), from whose inverse all covariances follow.
+With a prior the side with more unknowns is eliminated, in a free network always the targets; what
+a free network leaves open is fixed by constraints, see :mod:`.joint`.
+
+With a zero per station the unknowns of the stations are (X, Y, Z, d), station by station. Zeros
+that several stations share join the stations, which then are always kept: the blocks of the strips
+are added up into one matrix of the coordinates of all stations, then all zeros. The same holds
+where the stations' circle is stated, which ties them together.
+
+Where many stations are tied by nothing but targets, whatever lengths of one station have to do
+with those of others goes by way of the targets: :func:`view_of` then never makes the whole
+covariance.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
-from rotcal_ros.foundation.arrays import Floats
-from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.adjust.low_rank import LowRank, Slopes
+from rotcal_ros.adjust.sensitivity import Sensitivity
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.errors import DataError, ObservabilityError
 from rotcal_ros.geometry.rotations import cross_matrix
-from rotcal_ros.methods.tracer.solver.adjustment import ranges
-from rotcal_ros.methods.tracer.solver.circle_prior import circle_contrasts
+from rotcal_ros.methods.tracer.solver.adjustment import Adjustment, ranges
+from rotcal_ros.methods.tracer.solver.circle import circle_contrasts
 from rotcal_ros.methods.tracer.solver.grid import Grid
-from rotcal_ros.methods.tracer.solver.layout import UnknownsLayout
 from rotcal_ros.methods.tracer.solver.observability import or_prior
-from rotcal_ros.methods.tracer.solver.schur import SchurComplement, eliminate, eliminate_from
 
+_UNDETERMINED: Final = (
+    "the lengths do not determine stations and targets together: the normal matrix is singular; "
+    "measure more targets from more stations"
+)
 CONVERGED: Final = 1e-17
 """Squared length in standard deviations of the step that would follow the last."""
 CONTRACTING: Final = 1e-4
@@ -38,9 +54,238 @@ FLAT: Final = 1e-4
 SHRINKING: Final = 1e-4
 """Ratio of squared steps above which the normal matrix is made anew."""
 MAX_ITERATIONS: Final = 200
+"""Steps on the way to the minimum: many, for the bent valleys of free networks."""
 LEAST_DAMPING: Final = 1e-9
 """Damping that is none, as a share of the largest weight of a coordinate."""
 RIGID_MOTIONS: Final = 6
+"""Three shifts and three turns."""
+KNOWN: Final = 1e-9
+"""Standard deviation (m) of a coordinate that is called known, where others have errors."""
+
+
+@dataclass(frozen=True, eq=False)
+class SchurComplement:
+    """The Schur complement of one normal matrix.
+
+    ``matrix`` (p s, p s) = A - C B^-1 C'; ``inverse`` (q, t, t) = B^-1;
+    ``transfer`` (p s, q t) = C B^-1; ``scale`` (p s,) brings the diagonal of ``matrix`` to one;
+    ``constraints`` (p s, c): orthonormal columns that the scaled x has to be orthogonal to.
+    """
+
+    matrix: Floats
+    inverse: Floats
+    transfer: Floats
+    scale: Floats
+    constraints: Floats
+
+    def regular(self) -> Floats:
+        """Return the scaled matrix plus the squared constraints: positive definite."""
+        # the squared constraints lift exactly the directions that the matrix leaves at zero
+        scaled = self.matrix * self.scale * self.scale[:, None]
+        return np.asarray(scaled + self.constraints @ self.constraints.T, dtype=np.float64)
+
+    def solve(self, kept: Floats, other: Floats) -> tuple[Floats, Floats]:
+        """Return x (p s,) and y (q t,) for right-hand sides of those shapes.
+
+        Raises ObservabilityError when the matrix is singular in spite of its constraints.
+        """
+        factor = self._factor
+        reduced = self.scale * (kept - self.transfer @ other)
+        both = cho_solve(factor, np.column_stack([reduced, self.constraints]), check_finite=False)
+        x = self.scale * (both[:, 0] - self._violation(both[:, 1:], both[:, :1])[:, 0])
+        q, t, _ = self.inverse.shape
+        y = (self.inverse @ other.reshape(q, t, 1)).ravel() - self.transfer.T @ x
+        return x, y
+
+    @cached_property
+    def _factor(self) -> tuple[Floats, bool]:
+        try:
+            factor = cho_factor(self.regular(), lower=True, check_finite=False)
+        except np.linalg.LinAlgError:
+            raise ObservabilityError(_UNDETERMINED) from None
+        return np.asarray(factor[0], dtype=np.float64), bool(factor[1])
+
+    def covariance(self) -> Floats:
+        """Return the covariance (p s, p s) of the kept side, under the constraints."""
+        return self._covariance
+
+    @cached_property
+    def _covariance(self) -> Floats:
+        inverse: Floats = np.asarray(np.linalg.inv(self.regular()), dtype=np.float64)
+        inverse -= self._violation(inverse @ self.constraints, inverse)
+        inverse *= self.scale * self.scale[:, None]
+        return np.asarray(0.5 * (inverse + inverse.T), dtype=np.float64)
+
+    def _violation(self, response: Floats, columns: Floats) -> Floats:
+        """Return what to subtract from ``columns`` to bring them on the constraints.
+
+        ``response`` is the inverse of :meth:`regular` times the constraints (Lagrange).
+        """
+        multipliers = np.linalg.solve(self.constraints.T @ response, self.constraints.T @ columns)
+        return response @ multipliers
+
+    def other_blocks(self, covariance: Floats) -> Floats:
+        """Return the covariance blocks (q, t, t) of the eliminated side."""
+        q, t, _ = self.inverse.shape
+        columns = self.transfer.T.reshape(q, t, -1)
+        spread = (self.transfer.T @ covariance).reshape(q, t, -1)
+        return np.asarray(self.inverse + spread @ columns.swapaxes(1, 2), dtype=np.float64)
+
+    def other_times(self, covariance: Floats, vectors: Floats) -> Floats:
+        """Return the covariance of the eliminated side times ``vectors`` (q t, c)."""
+        q, t, _ = self.inverse.shape
+        own = (self.inverse @ vectors.reshape(q, t, -1)).reshape(q * t, -1)
+        product = own + self.transfer.T @ (covariance @ (self.transfer @ vectors))
+        return np.asarray(product, dtype=np.float64)
+
+
+def eliminate(
+    kept: Floats, other: Floats, cross: Floats, constraints: Floats | None = None
+) -> SchurComplement:
+    """Eliminate the side ``other`` (q, t, t) from ``kept`` (p, s, s), ``cross`` (p s, q t).
+
+    ``constraints`` (p s, c): x has to be orthogonal to these columns, which stand in for what the
+    data leave open.
+    """
+    p, s, _ = kept.shape
+    inverse, transfer, matrix = _schur(other, cross)
+    matrix.reshape(p, s, p, s)[np.arange(p), :, np.arange(p)] += kept
+    return _reduced(matrix, inverse, transfer, constraints)
+
+
+def _eliminate_from(
+    kept: Floats, other: Floats, cross: Floats, constraints: Floats | None = None
+) -> SchurComplement:
+    """Do as :func:`eliminate` for a kept side that is one matrix (y, y), ``cross`` (y, q t)."""
+    inverse, transfer, matrix = _schur(other, cross)
+    return _reduced(matrix + kept, inverse, transfer, constraints)
+
+
+def _schur(other: Floats, cross: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return B^-1, C B^-1 and -C B^-1 C'; raises ObservabilityError where a block is singular.
+
+    Such is a station from which all targets stand in one line.
+    """
+    q, t, _ = other.shape
+    try:
+        inverse = np.asarray(np.linalg.inv(other))
+    except np.linalg.LinAlgError:
+        raise ObservabilityError(_UNDETERMINED) from None
+    transfer = np.empty_like(cross)
+    by_block = cross.reshape(-1, q, t).swapaxes(0, 1) @ inverse
+    transfer.reshape(-1, q, t)[...] = by_block.swapaxes(0, 1)
+    matrix = -transfer @ cross.T
+    return inverse, transfer, 0.5 * (matrix + matrix.T)  # rounding leaves it a little askew
+
+
+def _reduced(
+    matrix: Floats, inverse: Floats, transfer: Floats, constraints: Floats | None
+) -> SchurComplement:
+    scale = 1.0 / np.sqrt(np.maximum(matrix.diagonal(), np.finfo(np.float64).tiny))
+    if constraints is None:
+        columns = np.empty((len(matrix), 0))
+    else:
+        columns = np.linalg.qr(constraints * scale[:, None])[0]
+    return SchurComplement(matrix, inverse, transfer, scale, np.asarray(columns))
+
+
+@dataclass(frozen=True, eq=False)
+class UnknownsLayout:
+    """The places of the unknowns of m stations and s zeros, as p strips see them.
+
+    ``index`` (p, 4): places of (X, Y, Z, d) of a strip among ``size`` unknowns; ``places`` (3 m,):
+    those of all coordinates, station by station. ``first_strip`` (m,), ``first_of_zero`` (s,).
+    ``tension`` (s, s): inverse covariance of zeros that wander, 1/m^2; None: they do not.
+    ``walk`` (s,): as in the grid.
+    """
+
+    index: Ints
+    size: int
+    places: Ints
+    shared: bool
+    first_strip: Ints
+    first_of_zero: Ints
+    tension: Floats | None
+    walk: Floats | None = None
+
+    @classmethod
+    def of(cls, grid: Grid) -> UnknownsLayout:
+        """Return the layout of a grid."""
+        m = grid.n_stations
+        if grid.zero is None and grid.circle_std is None:
+            index, each = np.arange(4 * m).reshape(m, 4), np.arange(m)
+            return cls(index, 4 * m, index[:, :3].ravel(), False, each, each, None)
+        of_station = 3 * grid.station[:, None] + np.arange(3)
+        return cls(
+            index=np.column_stack(
+                [of_station, 3 * m + (grid.station if grid.zero is None else grid.zero)]
+            ),
+            size=3 * m + grid.n_zeros,
+            places=np.arange(3 * m),
+            shared=True,
+            first_strip=grid.first_strip,
+            first_of_zero=grid.first_of_zero,
+            tension=None if grid.walk is None else _tension(grid.walk),
+            walk=grid.walk,
+        )
+
+    def stretch(self, zeros: Floats) -> tuple[Floats, Floats]:
+        """Return steps of ``zeros`` (..., s) in standard deviations, and their pull (..., s).
+
+        From the differences: their squares would drown in those of the zeros.
+        """
+        assert self.walk is not None
+        steps = np.diff(zeros, axis=-1) / self.walk[:-1]
+        tight = steps / self.walk[:-1]
+        pull = np.zeros_like(zeros)
+        pull[..., :-1] -= tight
+        pull[..., 1:] += tight
+        return steps, pull
+
+    def collect(self, of_strips: Floats) -> Floats:
+        """Return gradients (..., p, 4) of the strips as one (..., size) of the unknowns."""
+        flat = of_strips.reshape(*of_strips.shape[:-2], -1)
+        if not self.shared:
+            return flat
+        total = np.zeros((self.size, *flat.shape[:-1]))
+        np.add.at(total, self.index.ravel(), np.moveaxis(flat, -1, 0))
+        return np.moveaxis(total, 0, -1)
+
+    def gather(
+        self, blocks: Floats, targets: Floats, cross: Floats, circle: Floats | None = None
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return the normal matrix of the unknowns from blocks (p, 4, 4) and (4 p, 3 n).
+
+        ``circle`` (c, 3 m): slopes of what else is observed of the stations, in its standard
+        deviations.
+        """
+        kept = np.zeros((self.size, self.size))
+        np.add.at(kept, (self.index[:, :, None], self.index[:, None, :]), blocks)
+        if circle is not None:
+            kept[np.ix_(self.places, self.places)] += circle.T @ circle
+        if self.tension is not None:
+            zeros = slice(len(self.places), None)
+            kept[zeros, zeros] += self.tension
+        # a zero that has lost all its lengths would make the matrix singular: it stays where it is
+        idle = np.flatnonzero(kept.diagonal() == 0.0)
+        kept[idle, idle] = 1.0
+        together = np.zeros((self.size, cross.shape[1]))
+        np.add.at(together, self.index.ravel(), cross)
+        return kept, targets, together
+
+    def with_zeros(self, motions: Floats) -> Floats:
+        """Insert the zeros, which these motions of the stations do not change: (3 m, c)."""
+        full = np.zeros((self.size, motions.shape[1]))
+        full[self.places] = motions
+        return full
+
+
+def _tension(walk: Floats) -> Floats:
+    """Return the inverse covariance (s, s) of zeros whose steps have the deviations ``walk``."""
+    pull = np.append(walk[:-1] ** -2.0, 0.0)
+    tension = np.diag(pull + np.roll(pull, 1))
+    tension -= np.diag(pull[:-1], 1) + np.diag(pull[:-1], -1)
+    return np.asarray(tension, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +355,7 @@ class Network:
             constraints = _constraints(self.state[layout.first_strip, :3], layout)
         if layout.shared:
             gathered = layout.gather(stations, targets, cross, self.circle)
-            return eliminate_from(*gathered, constraints)
+            return _eliminate_from(*gathered, constraints)
         if self.stations_kept:
             return eliminate(stations, targets, cross, constraints)
         return eliminate(targets, stations, np.ascontiguousarray(cross.T))
@@ -121,6 +366,7 @@ class Network:
 
     def bend(self, reduced: SchurComplement, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         """Return what a step (x, y) lacks to keep the errors linear to second order."""
+        # the second derivative of a distance: the square of the step across the beam over it
         apart, unit = x[:, None, :3] - y, self.rows[:, :, :3]
         reach = self.f + self.lengths + self.state[:, 3:]
         curve = (apart**2).sum(axis=2) - (unit * apart).sum(axis=2) ** 2
@@ -164,6 +410,7 @@ def relax(grid: Grid, state: Floats, targets: Floats) -> Network:
             more = network.bend(reduced, by_station, by_target)
             by_station, by_target = by_station + more[0], by_target + more[1]
         trial = linearise(grid, network.state + by_station, network.targets + by_target)
+        # a rise within 1e-9 of chi-squared is its rounding
         if trial.chi2 > network.chi2 + 1e-9 * max(network.chi2, 1.0):
             if squared < STAGNANT and damping < 2.0 * least:
                 return network  # what is left to gain drowns in the rounding of chi-squared
@@ -172,6 +419,7 @@ def relax(grid: Grid, state: Floats, targets: Floats) -> Network:
             continue
         network = trial
         if damping == 0.0:
+            # chord steps shrink by a constant ratio, which foretells the step that would follow
             contracts = squared < CONTRACTING and before < np.inf
             follows = squared * squared / before if contracts else squared
             if follows < CONVERGED or (squared < STAGNANT and squared > 0.25 * before):
@@ -222,6 +470,17 @@ def linearise(grid: Grid, state: Floats, targets: Floats) -> Network:
     )  # fmt: skip
 
 
+def network_of(grid: Grid, fit: Adjustment) -> Network:
+    """Return the network at the adjustment ``fit`` of ``grid``, whichever variant made it.
+
+    A target that is taken as known gets the standard deviation KNOWN, for a finite weight.
+    """
+    if fit.network is not None:
+        return fit.network
+    known = replace(grid, target_std=np.maximum(grid.target_std, KNOWN))
+    return linearise(known, fit.state, fit.targets)
+
+
 def rigid(points: Floats) -> Floats:
     """Return what three shifts and three turns about the origin do to ``points``: (3 k, 6)."""
     motions = np.empty((len(points), 3, RIGID_MOTIONS))
@@ -238,3 +497,167 @@ def _constraints(stations: Floats, layout: UnknownsLayout) -> Floats:
     """
     spread = stations - stations.mean(axis=0)
     return layout.with_zeros(np.column_stack([rigid(spread), spread.ravel()]))
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkGain:
+    """Gauss-Newton steps for many gradients at once: by the covariance of the kept side."""
+
+    kept: Floats
+    reduced: SchurComplement
+    stations_kept: bool
+    layout: UnknownsLayout
+
+    @classmethod
+    def of(cls, network: Network) -> NetworkGain:
+        """Return the gain of a network."""
+        covariance = network.reduced.covariance()
+        return cls(covariance, network.reduced, network.stations_kept, network.layout)
+
+    def step(self, station: Floats, target: Floats) -> tuple[Floats, Floats]:
+        """Return the Gauss-Newton steps, to be subtracted, for gradients (t, p, 4), (t, n, 3)."""
+        a, b = self.layout.collect(station), target.reshape(len(target), -1)
+        kept, other = (a, b) if self.stations_kept else (b, a)
+        blocks = len(self.reduced.inverse)
+        x = (kept - other @ self.reduced.transfer.T) @ self.kept
+        own = np.einsum("qab,tqb->tqa", self.reduced.inverse, other.reshape(len(x), blocks, -1))
+        y = own.reshape(other.shape) - x @ self.reduced.transfer
+        a, b = (x, y) if self.stations_kept else (y, x)
+        return a[:, self.layout.index], b.reshape(target.shape)
+
+
+class LengthView(Protocol):
+    """The linear view at a network, by the lengths of e places: their strips and targets (e,)."""
+
+    def leverage(self, strip: Ints, target: Ints) -> Floats:
+        """Return the covariance (e, e) of the adjusted lengths, m^2."""
+
+    def sensitivity(self, strip: Ints, target: Ints) -> Sensitivity:
+        """Return what the outputs are off by for a unit of each length over its variance."""
+
+    def cofactor(self, strip: Ints, target: Ints, unit: Floats) -> LowRank:
+        """Return the residual cofactor of lengths of one target, with 1 / std ``unit`` (e,)."""
+
+
+def view_of(network: Network, outputs: Slopes) -> LengthView:
+    """Return the view at ``network``; ``outputs`` (m, 3 m): slopes by the stations."""
+    if network.stations_kept or network.targets.size > len(network.state):
+        return _Whole(network, outputs)
+    return _Apart(network, outputs)
+
+
+@dataclass(frozen=True, eq=False)
+class _Whole:
+    """By the covariance of all unknowns."""
+
+    network: Network
+    outputs: Slopes
+
+    @cached_property
+    def covariance(self) -> Floats:
+        """The covariance of stations and zeros, then of targets."""
+        reduced = self.network.reduced
+        kept = reduced.covariance()
+        mixed = -(kept @ reduced.transfer)
+        other = reduced.other_times(kept, np.eye(mixed.shape[1]))
+        if self.network.stations_kept:
+            return np.block([[kept, mixed], [mixed.T, other]])
+        return np.block([[other, mixed.T], [mixed, kept]])
+
+    @cached_property
+    def carried(self) -> Floats:
+        """The outputs' slopes times the covariance, (unknowns, m)."""
+        return np.ascontiguousarray(
+            self.outputs.times(self.covariance[self.network.layout.places]).T
+        )
+
+    def leverage(self, strip: Ints, target: Ints) -> Floats:
+        columns, values = self._rows(strip, target)
+        spread = _combined(self.covariance, columns, values)
+        return _combined(spread.T, columns, values)
+
+    def sensitivity(self, strip: Ints, target: Ints) -> Sensitivity:
+        return Sensitivity.whole(_combined(self.carried, *self._rows(strip, target)).T)
+
+    def cofactor(self, strip: Ints, target: Ints, unit: Floats) -> LowRank:
+        leverage = self.leverage(strip, target) * unit * unit[:, None]
+        return LowRank.whole(np.eye(len(unit)) - 0.5 * (leverage + leverage.T))
+
+    def _rows(self, strip: Ints, target: Ints) -> tuple[Ints, Floats]:
+        """Return the columns (e, 7) that the lengths touch, and their slopes (e, 7)."""
+        slopes, layout = self.network.rows[strip, target], self.network.layout
+        of_target = layout.size + 3 * target[:, None] + np.arange(3)
+        columns = np.column_stack([layout.index[strip], of_target])
+        return columns, np.column_stack([slopes, -slopes[:, :3]])
+
+
+def _combined(matrix: Floats, columns: Ints, values: Floats) -> Floats:
+    """Return sums of rows of ``matrix``: those of ``columns`` (e, k), times ``values`` (e, k)."""
+    found = values[:, :1] * matrix[columns[:, 0]]
+    for k in range(1, columns.shape[1]):
+        found += values[:, k : k + 1] * matrix[columns[:, k]]
+    return np.asarray(found)
+
+
+@dataclass(frozen=True, eq=False)
+class _Apart:
+    """By what each station has to itself, and the targets that all have in common.
+
+    With stations x eliminated, B their normal blocks, K the covariance of the targets and T the
+    transfer to them, cov x = B^-1 + T' K T: a length with slopes s by its station and t by its
+    target is off by s'B^-1 of its own and K (t - T s) of the targets.
+    """
+
+    network: Network
+    outputs: Slopes
+
+    @cached_property
+    def common(self) -> Floats:
+        """What outputs feel of what all stations feel, and of the targets: (m, c + 3 n)."""
+        stations = self._transfer[:, :, :3].reshape(-1, self.outputs.along.shape[1])
+        return np.hstack([self.outputs.common, -self.outputs.times(stations.T)])
+
+    @cached_property
+    def _transfer(self) -> Floats:
+        """T by stations, (3 n, m, 4)."""
+        return self.network.reduced.transfer.reshape(-1, len(self.network.state), 4)
+
+    def _by_target(self, strip: Ints, target: Ints) -> Floats:
+        """Return t - T s, (e, 3 n)."""
+        slopes = self.network.rows[strip, target]
+        if (strip == strip[0]).all():
+            found = -(slopes @ self._transfer[:, strip[0]].T)
+        else:
+            found = -np.einsum("ea,tea->et", slopes, self._transfer[:, strip])
+        columns = 3 * target[:, None] + np.arange(3)
+        found[np.arange(len(strip))[:, None], columns] -= slopes[:, :3]
+        return np.asarray(found)
+
+    def _by_station(self, strip: Ints, target: Ints) -> Floats:
+        """Return B^-1 s, (e, 4)."""
+        slopes = self.network.rows[strip, target]
+        return np.asarray((self.network.reduced.inverse[strip] @ slopes[:, :, None])[:, :, 0])
+
+    def leverage(self, strip: Ints, target: Ints) -> Floats:
+        by_target = self._by_target(strip, target)
+        own = self._by_station(strip, target) @ self.network.rows[strip, target].T
+        own *= strip[:, None] == strip
+        return np.asarray(own + by_target @ self.network.reduced.covariance() @ by_target.T)
+
+    def sensitivity(self, strip: Ints, target: Ints) -> Sensitivity:
+        moved = self._by_station(strip, target)[:, :3]
+        of_targets = self.network.reduced.covariance() @ self._by_target(strip, target).T
+        columns = 3 * strip[:, None] + np.arange(3)
+        shared = np.einsum("cea,ea->ce", self.outputs.along[:, columns], moved)
+        at, which = np.unique(strip, return_inverse=True)
+        own = np.zeros((len(at), len(strip)))
+        own[which, np.arange(len(strip))] = (self.outputs.own[strip] * moved).sum(axis=1)
+        return Sensitivity(np.vstack([shared, of_targets]), self.common, at, own)
+
+    def cofactor(self, strip: Ints, target: Ints, unit: Floats) -> LowRank:
+        slopes = self.network.rows[strip, target]
+        own = (self._by_station(strip, target) * slopes).sum(axis=1) * unit**2
+        columns = self._by_target(strip, target) * unit[:, None]
+        values, axes = np.linalg.eigh(self.network.reduced.covariance())
+        root = axes * np.sqrt(np.maximum(values, 0.0))
+        return LowRank((1.0 - own)[:, None, None], columns @ root, -np.eye(len(root)))

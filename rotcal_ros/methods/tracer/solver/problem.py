@@ -53,7 +53,7 @@ class TracerProblem:
 
     ``circle_std``: standard deviation, m, by which the stations leave one circle about the table's
     axis, radially and along it; the circle is unknown. It is an observation that the lengths may
-    contradict (:mod:`.circle_prior`), and says nothing of errors along the circle: those are
+    contradict (:mod:`.circle`), and says nothing of errors along the circle: those are
     ``error_motion_std``, which is taken as large when it is None. None: nothing is said.
 
     ``repeated_runs``: equal table angles are separate arrivals, whose differences are the table's
@@ -69,7 +69,7 @@ class TracerProblem:
     ``zero_walk_std``: with segments, the zero wanders by so much (m, standard deviation) from one
     length to the next of its segment, in their ``order``; 0: it stands, None: it is estimated.
     ``slip``: with segments, a fringe (m) by which the counter may slip unseen, allowed for in the
-    uncertainty (:mod:`.slips`); 0: it does not slip.
+    uncertainty (:mod:`.zeros`); 0: it does not slip.
 
     ``again`` (k,), optional: how often the pair of each length had been measured before, 0, 1,
     ...: what a plan repeats is a length of its own, to the same place of the target. None: every
@@ -77,7 +77,8 @@ class TracerProblem:
 
     ``start_stations`` (m, 3), optional: start values in metres; without them the start is
     found by linear multilateration. They also settle which of two mirror images is meant when
-    all targets lie in one plane, and tell how the positions are numbered (:mod:`.numbering`).
+    all targets lie in one plane, and tell how the positions are numbered
+    (:class:`~.observability.Numbering`).
 
     Lengths may be missing (a blocked beam): leave the row out. A pair (position, target) has one
     length in each segment, or each time it is measured ``again``; an identical repetition is

@@ -1,41 +1,55 @@
 """What protects a tracer result against each effect that could spoil it, and how well.
 
-Drift, knock, scale and refraction are worked out for the measurement at hand: what each does to
-the deviations, and at which size a test would turn the verdict (:mod:`.error_response`).
-
-What could go wrong while a tracer measures, as errors of its lengths per unit of size.
-
-Each pattern has shape (p, n), m per unit; see :class:`LengthTiming` for when a length was taken.
+Drift, knock, scale and refraction are worked out for the measurement at hand, to first order about
+its solution. Each is a *pattern*: errors (p, n) of the lengths per unit of its size. It moves the
+deviations, and it shows in what the fit cannot take up, in the circle of the stations, and in
+closures. The size at which one of these turns the verdict with a probability of POWER is the
+*detectable* one.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from math import sqrt
 
 import numpy as np
 
-from rotcal_ros.adjust.distributions import chi2_isf
+from rotcal_ros.adjust.distributions import chi2_isf, normal_isf
 from rotcal_ros.adjust.low_rank import LowRank
+from rotcal_ros.adjust.noise import LEAST_REDUNDANCY
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
 from rotcal_ros.foundation.protection import POWER, Effect, Protection, ordered
-from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
+from rotcal_ros.foundation.raw_data import MOST_INFLUENCES, Influence
+from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix
 from rotcal_ros.methods.tracer.solver import gathering
-from rotcal_ros.methods.tracer.solver.adjustment import ranges
-from rotcal_ros.methods.tracer.solver.angles import bearing_slopes
-from rotcal_ros.methods.tracer.solver.error_motion import circle_tested, error_motion_spread
-from rotcal_ros.methods.tracer.solver.error_response import Worst, respond
+from rotcal_ros.methods.tracer.solver.adjustment import ranges, station_gain
+from rotcal_ros.methods.tracer.solver.circle import bearing_slopes
+from rotcal_ros.methods.tracer.solver.effects import (
+    KNOCKED_AT,
+    LARGEST_MOVE,
+    LARGEST_RATIO,
+    MOST_PATTERNS,
+    NOTHING,
+    Worst,
+    found_growth,
+    noise_protection,
+    refracted,
+    share_gone,
+    tangential_protection,
+)
+from rotcal_ros.methods.tracer.solver.network import (
+    KNOWN,
+    Network,
+    NetworkGain,
+    network_of,
+    view_of,
+)
+from rotcal_ros.methods.tracer.solver.reported import Slope, excess_of
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution
+from rotcal_ros.methods.tracer.solver.uncertainty import circle_tested, error_motion_spread
 from rotcal_ros.methods.tracer.solver.verdict import FAILED_FACTORS, closures
-
-LARGEST_MOVE: Final = 1e-4
-"""Drift or knock (m, or rad times the largest reach) that nobody would overlook."""
-LARGEST_RATIO: Final = 1e-3
-"""Error of the scale, or of the air's index per metre of height, that nobody would overlook."""
-HARMLESS: Final = 0.1
-"""Error, in standard uncertainties, of what cannot be told from nothing."""
 
 
 def protections(solution: TracerSolution) -> tuple[Protection, ...]:
@@ -49,7 +63,7 @@ def protections(solution: TracerSolution) -> tuple[Protection, ...]:
     return ordered(
         (
             *_of_the_order(solution, worst),
-            _noise(solution),
+            noise_protection(float(np.max(_hidden_noise(solution)))),
             _error_motion(solution),
             _repeatability(solution, int(when.arrivals.min())),
             _of_the_air("refraction", "air in layers", worst["refraction"]),
@@ -121,41 +135,26 @@ def _slip(solution: TracerSolution) -> tuple[Protection, ...]:
 
 def _moved(effect: Effect, worst: Worst, solution: TracerSolution, what: str) -> Protection:
     """Return the statement about ``what`` moves during the run and is a closure's to find."""
-    if worst.error <= HARMLESS:
-        return Protection(effect, "harmless", f"{what} moves what cancels in the angle")
     closes = bool(solution.evidence.closures)
-    if not worst.seen:
-        cure = (
-            "the closure does not show it"
-            if closes
-            else "no position was measured again after a whole turn to show it"
-        )
-        return Protection(effect, "not protected", f"{what} turns the curve: {cure}")
+    cure = "the closure does not show it"
+    if not closes:
+        cure = "no position was measured again after a whole turn to show it"
     tests = "residuals, circle and closure" if closes else "residuals and circle"
-    return Protection(effect, "tested", f"{what} shows in {tests} of the stations", worst.error)
+    return worst.stated(
+        effect,
+        f"{what} moves what cancels in the angle",
+        f"{what} turns the curve: {cure}",
+        f"{what} shows in {tests} of the stations",
+    )
 
 
 def _of_the_air(effect: Effect, what: str, worst: Worst) -> Protection:
     """Return the statement about ``what`` spoils all lengths alike."""
-    if worst.error <= HARMLESS:
-        return Protection(effect, "harmless", f"{what} moves all stations alike")
-    if not worst.seen:
-        return Protection(
-            effect, "not protected", f"{what} bends the curve and leaves no residual"
-        )
-    return Protection(
-        effect, "tested", f"{what} shows in the residuals before it matters", worst.error
-    )
-
-
-def _noise(solution: TracerSolution) -> Protection:
-    """Return the statement about components of the noise that are larger than stated."""
-    return Protection(
-        "axis noise",
-        "tested",
-        "the noise of lengths and of the targets' x, y and z is tested apart, and estimated where "
-        "the statement does not hold",
-        float(np.max(_hidden_noise(solution))),
+    return worst.stated(
+        effect,
+        f"{what} moves all stations alike",
+        f"{what} bends the curve and leaves no residual",
+        f"{what} shows in the residuals before it matters",
     )
 
 
@@ -166,6 +165,7 @@ def _hidden_noise(solution: TracerSolution) -> Floats:
     f times as large it grows by (f^2 - 1) H.
     """
     evidence, angles = solution.noise_evidence, solution.angles
+    # absent components have no redundancy; their share below is zero whatever comes out here
     redundancy = np.maximum(evidence.redundancy, 1e-9)
     information = np.maximum(evidence.information.diagonal(), 1e-9)
     dof = np.maximum(redundancy**2 / information, 1e-3)
@@ -234,33 +234,22 @@ def returned(solution: TracerSolution) -> tuple[Returned, ...]:
 def _tangential(solution: TracerSolution, turns: int) -> Protection:
     """Return the statement about a tracer that moves along its circle between the angles.
 
-    All its lengths are those of a table that turned further: none can show it, and a closing
-    measurement bounds only what does not come back with the angle. Where every position is come
-    to in each of several ``turns``, a frame of the machine that drifts in step with them displaces
-    each station by the same each time: that is the same thing.
+    Where every position is come to in each of several ``turns``, a frame of the machine that
+    drifts in step with them displaces each station by the same each time: that is the same thing.
     """
-    radius = solution.motion.radius
-    origin = ", or a machine whose origin drifts in step with each turn of the table,"
-    why = (
-        "a tracer that mount or cable shift along its circle between the angles"
-        f"{origin if turns > 1 else ''} leaves no trace "
-        f"in any length: 1 um of it is {MICROMETRE / radius / ARCSEC:.2f} arcsec; the uncertainty "
-        f"holds {solution.error_motion.used / MICROMETRE:.2g} um (k = 1), which is believed and "
-        "not measured"
-    )
     closing = max(returned(solution), key=lambda each: each.within, default=None)
-    if closing is None:
-        bound = (
-            "no angle was measured again, which would bound what of it does not come back with "
-            "the angle"
-        )
-    else:
-        bound = (
-            f"what of it does not come back with the angle is less than "
-            f"{closing.within / MICROMETRE:.2g} um, {closing.within / radius / ARCSEC:.2g} arcsec "
-            f"(95 %, positions {closing.first} and {closing.last}, at the same angle)"
-        )
-    return Protection("tangential motion", "not protected", f"{why}; {bound}")
+    drift = ", or a machine whose origin drifts in step with each turn of the table,"
+    held = f"{solution.error_motion.used / MICROMETRE:.2g} um (k = 1)"
+    return tangential_protection(
+        solution.motion.radius,
+        alike=drift if turns > 1 else "",
+        beside=f"; the uncertainty holds {held}, which is believed and not measured",
+        within=None if closing is None else closing.within,
+        shown=""
+        if closing is None
+        else f"positions {closing.first} and {closing.last}, at the same angle",
+        untested="the angle",
+    )
 
 
 def _tilt(solution: TracerSolution) -> Protection:
@@ -284,7 +273,7 @@ def _hidden_motion(solution: TracerSolution) -> float:
     if dof == 0:
         return float("inf")
     significance = solution.problem.settings.test_significance
-    ratio = float(chi2_isf(significance, dof) / chi2_isf(POWER, dof))
+    ratio = found_growth(significance, dof)
     bearing = bearing_slopes(solution.fit.stations, motion)
     others = np.arange(1, len(angles.std))
     unit = bearing.spread(error_motion_spread(motion, 1.0)).between(np.zeros_like(others), others)
@@ -313,10 +302,6 @@ def _repeatability(solution: TracerSolution, arrivals: int) -> Protection:
     )
 
 
-KNOCKED_AT: Final = (0.25, 0.5, 0.75)
-"""Shares of the run after which a knock is tried."""
-
-
 @dataclass(frozen=True, eq=False)
 class LengthTiming:
     """When the lengths were taken: ``share`` (m, n) of the run that had gone, 0 to 1.
@@ -330,14 +315,12 @@ class LengthTiming:
 
 def timing(solution: TracerSolution) -> LengthTiming:
     """Return when the lengths of ``solution`` were taken; see TracerProblem.order."""
-    problem, row = solution.problem, solution.grid.row
-    first = np.argsort(problem.measuring_order, kind="stable")
-    rank = np.empty(len(first))
-    rank[first] = np.linspace(0.0, 1.0, len(first))
-    at = problem.position[first]
+    problem, order = solution.problem, solution.problem.measuring_order
+    at = problem.position[np.argsort(order, kind="stable")]
     come = np.append(True, np.diff(at) != 0)
     arrivals = np.bincount(at[come], minlength=len(problem.table_angles))
-    return LengthTiming(np.where(row >= 0, rank[row], 0.0), arrivals[solution.positions])
+    share = solution.grid.placed(share_gone(order))
+    return LengthTiming(share, arrivals[solution.positions])
 
 
 def drifts(solution: TracerSolution, when: LengthTiming) -> Floats:
@@ -375,7 +358,145 @@ def scale(solution: TracerSolution) -> Floats:
 
 def refraction(solution: TracerSolution) -> Floats:
     """Return an index of the air that grows by one per metre of height: (1, m, n)."""
-    fit = solution.fit
-    distance, _ = ranges(fit.standing, fit.targets)
-    height = 0.5 * (fit.standing[:, None, 2] + fit.targets[:, 2])
-    return np.asarray(distance * (height - height.mean()))[None]
+    standing, targets = solution.fit.standing, solution.fit.targets
+    return refracted(ranges(standing, targets)[0], standing, targets)
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """What k patterns of unit size do: to the deviations (k, m) in rad, and to the tests.
+
+    ``stations`` (k, m, 3) in m. ``detectable`` (k,): size that is found; infinite when no test
+    feels the pattern.
+    """
+
+    deviations: Floats
+    stations: Floats
+    detectable: Floats
+
+    def worst(self, std: Floats, largest: float) -> Worst:
+        """Return the largest error that may stay unseen; no pattern is larger than ``largest``.
+
+        ``std`` (m,): stated standard uncertainties, rad.
+        """
+        uncertain = std > 0.0
+        share = np.abs(self.deviations[:, uncertain]) / std[uncertain]
+        return Worst.of(self.detectable, share.max(axis=1), largest)
+
+    def take(self, which: slice) -> Response:
+        """Return some of the patterns."""
+        return Response(self.deviations[which], self.stations[which], self.detectable[which])
+
+
+def respond(solution: TracerSolution, errors: Floats) -> Response:
+    """Return what errors (k, m, n) of the lengths, in m, do to ``solution``."""
+    moved, unexplained = _as_network(solution, errors)
+    if solution.problem.variant == "station":
+        moved = np.einsum("kji,jia->kja", errors, station_gain(solution.grid, solution.fit))
+    motion, fit = solution.motion, solution.fit
+    cumulative = bearing_slopes(fit.stations, motion).from_first
+    deviations = cumulative.times(moved.reshape(len(moved), -1).T).T
+    significance = solution.problem.settings.test_significance
+    redundancy = solution.noise_evidence.redundancy
+    by_part = np.array([redundancy[:2].sum(), *redundancy[2:]])
+    found = [
+        _needed(dof, significance) / (seen + NOTHING)
+        for dof, seen in zip(by_part.tolist(), unexplained.T, strict=True)
+        if dof > LEAST_REDUNDANCY
+    ]
+    dof, off_circle = _off_circle(solution, moved)
+    if dof:
+        found.append(_needed(dof, significance) / off_circle)
+    for closure in solution.evidence.closures:
+        first, last = np.searchsorted(solution.positions, [closure.first, closure.last])
+        jump = deviations[:, last] - deviations[:, first]
+        found.append(_needed(1.0, significance) / ((jump / closure.std) ** 2 + NOTHING))
+    return Response(deviations, moved, np.sqrt(np.min(found, axis=0)))
+
+
+def influence_of(solution: TracerSolution) -> Influence | None:
+    """Return what standard errors of lengths and targets do to ECC; None where they are many."""
+    grid, fit, scale = solution.grid, solution.fit, solution.scale
+    strip, target = np.nonzero(grid.used)
+    k, m = len(strip), len(solution.positions)
+    if m * (k + fit.targets.size) > MOST_INFLUENCES or k * grid.used.size > MOST_PATTERNS:
+        return None
+    cumulative = bearing_slopes(fit.stations, solution.motion).from_first
+    if solution.problem.variant == "station":
+        moved = station_gain(grid, fit)[strip, target] * grid.length_std[strip, target][:, None]
+        lengths = (cumulative.dense().reshape(m, m, 3)[:, strip] * moved).sum(axis=2)
+    else:
+        sensitivity = view_of(network_of(grid, fit), cumulative).sensitivity(strip, target)
+        lengths = sensitivity.weighted(1.0 / grid.length_std[strip, target]).dense()
+    lengths = scale * lengths
+    targets = scale * cumulative.times(solution.covariance.sensitivity.reshape(3 * m, -1))
+    # Named by the place that is stated for a target: its number is another one in other tables.
+    places = (", ".join(f"{x:.4f}" for x in place) for place in grid.targets.tolist())
+    causes = tuple(f"{axis} of the target at {place} m" for place in places for axis in "xyz")
+    return Influence(grid.row[strip, target], 1, {"ECC": np.hstack([lengths, targets])}, causes)
+
+
+def _needed(dof: float, significance: float) -> float:
+    """Return the noncentrality of chi-squared that is found with POWER.
+
+    Normal approximation, exact for one degree of freedom.
+    """
+    beyond = normal_isf(1.0 - POWER)
+    if dof == 1.0:
+        return (normal_isf(0.5 * significance) + beyond) ** 2
+    above = float(chi2_isf(significance, dof)) - dof
+    # above + x with a variance of 2 dof + 4 (above + x) about it has to stay beyond it
+    return above + 2.0 * beyond**2 + beyond * sqrt(4.0 * beyond**2 + 4.0 * above + 2.0 * dof)
+
+
+def _as_network(solution: TracerSolution, errors: Floats) -> tuple[Floats, Floats]:
+    """Return moves of the stations (k, m, 3), and what residuals add to sums of squares (k, 4).
+
+    To those of the lengths and of the targets' x, y and z: both variants are tested as a network.
+    """
+    network, x, y, left = _left(solution, errors)
+    unexplained = np.zeros((len(errors), 4))
+    unexplained[:, 0] = (network.weights * left**2).sum(axis=(1, 2))
+    if not solution.grid.free:
+        std = np.maximum(solution.grid.target_std, KNOWN)
+        unexplained[:, 1:] = ((y / std) ** 2).sum(axis=1)
+    return x[:, solution.grid.first_strip, :3], unexplained
+
+
+def _left(solution: TracerSolution, errors: Floats) -> tuple[Network, Floats, Floats, Floats]:
+    """Return the network, the moves (k, p, 4), (k, n, 3) by errors (k, p, n), and what is left."""
+    network = network_of(solution.grid, solution.fit)
+    gain = NetworkGain.of(network)
+    rows = network.rows
+    seen = np.ascontiguousarray(rows[:, :, :3].swapaxes(0, 1))  # (n, m, 3)
+    pull = network.weights * errors
+    by_target = (pull.transpose(2, 0, 1) @ seen).swapaxes(0, 1)
+    x, y = gain.step((pull.swapaxes(0, 1) @ rows).swapaxes(0, 1), -by_target)
+    taken = (rows @ x.transpose(1, 2, 0)).transpose(2, 0, 1)
+    taken -= (seen @ y.transpose(1, 2, 0)).transpose(2, 1, 0)
+    return network, x, y, errors - taken
+
+
+def slope_along(solution: TracerSolution, errors: Floats) -> Slope:
+    """Return what the residuals of a solution say of ``errors`` (k,), m, row by row."""
+    grid, fit = solution.grid, solution.fit
+    column = grid.placed(errors)
+    _, unexplained = _as_network(solution, column[None])
+    network, _, _, left = _left(solution, column[None])
+    # at its minimum a network has taken up what it can of its residuals; lone stations have not
+    felt = column if solution.problem.variant == "joint" else left[0]
+    score = float((network.weights * felt * fit.residual).sum())
+    excess = excess_of(solution.noise, solution.problem.settings.test_significance)
+    return Slope(score, float(unexplained.sum()), fit.chi2, fit.dof, excess)
+
+
+def _off_circle(solution: TracerSolution, moved: Floats) -> tuple[int, Floats]:
+    """Return the circle's degrees of freedom, and what moves (k, m, 3) add to its chi-squared."""
+    circle = circle_tested(
+        solution.fit.stations, solution.motion, solution.covariance.total,
+        solution.error_motion.used, solution.grid.circle_std,
+    )  # fmt: skip
+    dof = circle.residuals.dof
+    if dof == 0:
+        return 0, np.full(len(moved), NOTHING)
+    return dof, circle.residuals.squares(circle.moved(moved)) + NOTHING

@@ -27,11 +27,12 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import MICROMETRE
-from rotcal_ros.methods.tracer.solver.noise import NoiseFactors
+from rotcal_ros.methods.tracer.solver.screening import NoiseFactors
 
 CONSISTENT: Final = 3.0
 """Standard deviations within which a weight of 1, or of 0, is what the lengths say."""
 MOST_STEPS: Final = 4
+"""Gauss-Newton steps of the weight, in which the lengths are nearly linear."""
 SETTLED: Final = 0.1
 """Step of the weight, in its standard deviations, that is the last."""
 NOISELESS: Final = 1e-2

@@ -1,16 +1,27 @@
-"""Which lengths are believed: data snooping with a stated chance of a false alarm.
+"""How large the noise really is, and which lengths are believed.
 
-Nothing is rejected before the noise is consistent (:mod:`.noise`): where the statements are
-contradicted, the components are estimated first, with large residuals bent so that outliers do
-not pass for noise, and estimated again after every round.
+Nothing is rejected before the noise is consistent. The observations fall into components, each
+with a factor s on its stated standard deviations:
 
-Rule: the normalised residual (residual over its own standard deviation, after Baarda) of every
-length is compared with the two-sided normal quantile at ``rejection_significance`` shared among
-all lengths. While any exceeds it, the largest of each station is rejected - in the joint variant
-only where it is also the largest of its target, because there residuals smear over both - and
-everything is adjusted again. A station keeps one length more than it has unknowns, which is five
-where nothing ties it to others, a free target four. Rejected
-lengths keep their residual against the final solution, and are flagged.
+lengths
+    the constant part of the noise of a length;
+distance
+    the part that grows with the distance, where one is stated;
+targets x, targets y, targets z
+    the machine's coordinates, axis by axis, where they are observations.
+
+They are tested, and estimated where the statement is contradicted, as in ``adjust.noise``.
+The targets' axes are coupled in the prior, so that an axis which the lengths cannot check follows
+the others. While outliers are looked for, large residuals are bent, so that outliers do not pass
+for noise, and the factors are estimated again after every round.
+
+Rule of rejection: the normalised residual (residual over its own standard deviation, after Baarda)
+of every length is compared with the two-sided normal quantile at ``rejection_significance`` shared
+among all lengths. While any exceeds it, the largest of each station is rejected - in the joint
+variant only where it is also the largest of its target, because there residuals smear over both -
+and everything is adjusted again. A station keeps one length more than it has unknowns, which is
+five where nothing ties it to others, a free target four. Rejected lengths keep their residual
+against the final solution, and are flagged.
 
 Where the machine's coordinates are observations too, they are tested by the same rule: a target
 whose correction stands out more than any of its lengths loses all of them.
@@ -19,47 +30,178 @@ Before single lengths are judged, groups are (:mod:`.gathering`): where it is pr
 station's lengths are off together, that subset is left out which explains them best, and then the
 rest is judged. A length that is the largest of its station is often a good one there.
 
-A network is preceded by a coarse round of the same rule, station by station: a free
-network is too limber to be bent by gross errors and still converge.
+A network is preceded by a coarse round of the same rule, station by station: a free network is too
+limber to be bent by gross errors and still converge.
 
 The variant "station" sees the targets' errors as noise, five times that of a length or more, and
-would miss what its angles feel: they owe their accuracy to errors that are common to all
-stations. So its lengths are screened as a joint network too. A length that goes at one station
-takes its target's error out of what is common; see :func:`without_targets`.
+would miss what its angles feel: they owe their accuracy to errors that are common to all stations.
+So its lengths are screened as a joint network too. A length that goes at one station takes its
+target's error out of what is common; see :func:`without_targets`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from rotcal_ros.adjust.distributions import normal_isf
 from rotcal_ros.adjust.gathering import Gathering, judged
 from rotcal_ros.adjust.groups import Group, Undivided
+from rotcal_ros.adjust.noise import (
+    LEAST_FACTOR,
+    NEARLY_SETTLED,
+    PRIOR,
+    SETTLED,
+    EstimatedFactors,
+    NoiseEvidence,
+    bent_squares,
+    estimate_factors,
+)
 from rotcal_ros.foundation.arrays import Bools, Floats
-from rotcal_ros.methods.tracer.solver.adjustment import Adjuster, Adjustment
+from rotcal_ros.methods.tracer.solver.adjustment import MINIMAL_REDUNDANCY, Adjuster, Adjustment
 from rotcal_ros.methods.tracer.solver.gathering import left_out
 from rotcal_ros.methods.tracer.solver.grid import FREE_TARGET_MINIMUM, Grid
-from rotcal_ros.methods.tracer.solver.noise import (
-    LEAST_FACTOR,
-    NoiseEvidence,
-    NoiseFactors,
-    as_stated,
-    estimate_noise,
-    noise_evidence,
-    scaled,
-)
 from rotcal_ros.methods.tracer.solver_settings import TracerLimits
 
+COMPONENTS: Final = ("lengths", "distance", "targets x", "targets y", "targets z")
+"""Of the noise, in the order of all arrays (5,) here."""
+PRIOR_AXIS: Final = 0.5
+"""Standard deviation of ln s of one axis of the targets against the others."""
 GROSS: Final = 5.0
 """Margin of the coarse round over the fine one."""
 HARDLY_CHECKED: Final = 0.01
 """Redundancy of a length below which its residual, next to none, tells nothing of its error."""
 NORMAL_QUARTILE: Final = 0.6745
 """Median of |x| for a standard normal x."""
+Grouping = Callable[[Grid, Adjustment], tuple[Group | Undivided, ...]]
+"""What makes the groups of a network at its solution."""
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseFactors:
+    """The factors (5,) on the stated standard deviations of COMPONENTS.
+
+    ``log_std`` (5,): standard deviations of their logarithms, ``stated`` (5,): the mean stated
+    standard deviations (m; m/m for the distance); NaN where a component is absent. ``estimated``:
+    the statements were contradicted; else all factors are one.
+    """
+
+    factors: Floats
+    log_std: Floats
+    stated: Floats
+    estimated: bool
+
+    def contradicted(self, significance: float) -> Bools:
+        """Return (5,) the components whose factor cannot be one, two-sided."""
+        if not self.estimated:
+            return np.zeros(len(COMPONENTS), dtype=np.bool_)
+        return EstimatedFactors(self.factors, self.log_std).contradicted(significance)
+
+    def details(self) -> list[dict[str, Any]]:
+        """Return each component for the details of a result: its statement, its factor."""
+        return [
+            {
+                "component": name,
+                "stated": self.stated[k],
+                "factor": self.factors[k],
+                "relative_std": self.log_std[k],
+            }
+            for k, name in enumerate(COMPONENTS)
+            if self.stated[k] > 0.0 or k == 0
+        ]
+
+
+def noise_evidence(grid: Grid, fit: Adjustment, bent: bool = False) -> NoiseEvidence:
+    """Return what the residuals of ``fit`` say; ``bent``: large ones count no more than BEND."""
+    share = grid.distance_std**2 / grid.length_std**2
+    lengths = grid.used * (fit.residual / fit.std) ** 2
+    targets = fit.corrections**2
+    if bent:
+        lengths = bent_squares(lengths, fit.redundancy, MINIMAL_REDUNDANCY)
+        targets = bent_squares(targets, fit.target_redundancy, MINIMAL_REDUNDANCY)
+    shares = np.stack([1.0 - share, share])
+    squares = np.concatenate([(shares * lengths).sum(axis=(1, 2)), targets.sum(axis=0)])
+    of_lengths = (shares * fit.redundancy).sum(axis=(1, 2))
+    redundancy = np.concatenate([of_lengths, fit.target_redundancy.sum(axis=0)])
+    present = np.array([True, bool(share.any()), *[bool(fit.coupling.any())] * 3])
+    return NoiseEvidence(present, squares, redundancy, _information(redundancy, fit, shares))
+
+
+def _information(redundancy: Floats, fit: Adjustment, shares: Floats) -> Floats:
+    """Return H (5, 5): rows of a projection; each component's row sums to its redundancy.
+
+    The two parts of the lengths share what the lengths have together in proportion; the slope of
+    the likelihood, which decides where the factors settle, is exact.
+    """
+    information = np.zeros((5, 5))
+    information[2:, 2:] = fit.coupling
+    with_lengths = redundancy[2:] - fit.coupling.sum(axis=1) - fit.circle_coupling[:3]
+    lengths = max(float(redundancy[:2].sum()), np.finfo(np.float64).tiny)
+    part = redundancy[:2] / lengths
+    information[:2, 2:] = part[:, None] * with_lengths
+    information[2:, :2] = information[:2, 2:].T
+    within = np.einsum("gji,hji->gh", shares, shares * fit.redundancy)
+    others = with_lengths.sum() + fit.circle_coupling[3]
+    information[:2, :2] = within * (1.0 - others / lengths)
+    return information
+
+
+def _prior() -> Floats:
+    """Return the information (5, 5) of the statements on ln s."""
+    covariance = np.diag([PRIOR**2, PRIOR**2, *[PRIOR_AXIS**2] * 3])
+    covariance[2:, 2:] += PRIOR**2
+    return np.asarray(np.linalg.inv(covariance), dtype=np.float64)
+
+
+def _as_stated(grid: Grid) -> NoiseFactors:
+    """Return the noise of ``grid`` as it is stated."""
+    return NoiseFactors(np.ones(5), np.full(5, np.nan), _stated(grid), estimated=False)
+
+
+def _estimate_noise(
+    adjust: Adjuster, grid: Grid, start: Adjustment, factors: Floats, bent: bool
+) -> tuple[NoiseFactors, Adjustment]:
+    """Return the factors that fit the residuals best, and the adjustment with them.
+
+    From ``factors`` (5,) and the adjustment ``start``. Residuals that are ``bent`` keep outliers
+    from passing for noise.
+    """
+
+    def at(factors: Floats, before: Adjustment) -> tuple[NoiseEvidence, Adjustment]:
+        here = scaled(grid, factors)
+        fit = adjust(here, before.state, before.targets)
+        return noise_evidence(here, fit, bent), fit
+
+    settled = NEARLY_SETTLED if bent else SETTLED
+    found, fit = estimate_factors(at, start, factors, _prior(), settled)
+    stated = np.where(np.isnan(found.log_std), np.nan, _stated(grid))
+    return NoiseFactors(found.factors, found.log_std, stated, estimated=True), fit
+
+
+def scaled(grid: Grid, factors: Floats) -> Grid:
+    """Return ``grid`` with its stated standard deviations times ``factors`` (5,)."""
+    if (factors == 1.0).all():
+        return grid
+    distance = factors[1] * grid.distance_std
+    constant = factors[0] ** 2 * (grid.length_std**2 - grid.distance_std**2)
+    return replace(
+        grid,
+        length_std=np.sqrt(constant + distance**2),
+        distance_std=distance,
+        target_std=grid.target_std * factors[2:],
+    )
+
+
+def _stated(grid: Grid) -> Floats:
+    """Return (5,) the root mean squares of the stated standard deviations, m."""
+    used = grid.used
+    distance = (grid.distance_std**2)[used].mean()
+    constant = (grid.length_std**2)[used].mean() - distance
+    targets = (grid.target_std**2).mean(axis=0)
+    return np.sqrt(np.maximum([constant, distance, *targets], 0.0))
 
 
 def critical_value(significance: float, n_tests: int) -> float:
@@ -95,10 +237,6 @@ class ScreenedLengths:
         return noise_evidence(scaled(self.grid, self.noise.factors), self.fit)
 
 
-Grouping = Callable[[Grid, Adjustment], tuple[Group | Undivided, ...]]
-"""What makes the groups of a network at its solution."""
-
-
 def adjust_and_screen(
     adjust: Adjuster,
     grid: Grid,
@@ -109,7 +247,7 @@ def adjust_and_screen(
     """Adjust ``grid`` from ``start`` (m, 4) until noise and residuals fit, and none stands out."""
     limit = rejection_limit(grid, limits.rejection_significance)
     why: dict[int, str] = {}
-    stated, noise, bent = adjust(grid, start), as_stated(grid), True
+    stated, noise, bent = adjust(grid, start), _as_stated(grid), True
     gathering = Gathering()
     while True:
         noise, fit = _settled(adjust, grid, stated, noise, limits.noise_significance, bent)
@@ -141,10 +279,11 @@ def _settled(
     """Return the noise as stated, or estimated where that is contradicted, and its fit."""
     chance = noise_evidence(grid, stated, bent).probabilities()
     if chance.min() >= significance / len(chance):
-        return as_stated(grid), stated
-    noise, fit = estimate_noise(adjust, grid, stated, before.factors, bent)
+        return _as_stated(grid), stated
+    noise, fit = _estimate_noise(adjust, grid, stated, before.factors, bent)
+    # the estimate has run to its bound
     if noise.factors[0] < LEAST_FACTOR * (1.0 + 1e-9):
-        return as_stated(grid), stated
+        return _as_stated(grid), stated
     return noise, fit
 
 

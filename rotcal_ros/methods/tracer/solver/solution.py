@@ -1,12 +1,4 @@
-"""The adjustment of a problem and all that follows from it but the verdict.
-
-A zero that wanders within its segment: dead path and temperature move it a little all the time.
-
-Every length gets a zero of its own, and the steps from one to the next, in the order of measuring,
-are observations: none, with the standard deviation of the walk. That is exact; the steps make a
-band in the normal matrix of the zeros. An unknown standard deviation is estimated by restricted
-maximum likelihood, from the same normal matrix.
-"""
+"""The adjustment of a problem and all that follows from it but the verdict."""
 
 from __future__ import annotations
 
@@ -17,29 +9,23 @@ import numpy as np
 
 from rotcal_ros.adjust.groups import Group, Undivided
 from rotcal_ros.adjust.low_rank import LowRank
+from rotcal_ros.adjust.noise import NoiseEvidence
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, RotcalError
 from rotcal_ros.foundation.units import DEGREE
-from rotcal_ros.methods.tracer.solver import joint, station
 from rotcal_ros.methods.tracer.solver.adjustment import (
     MINIMAL_REDUNDANCY,
     Adjustment,
     StationCovariance,
+    adjust_stations,
     ranges,
+    stations_covariance,
 )
-from rotcal_ros.methods.tracer.solver.angles import TableMotion, table_motion
-from rotcal_ros.methods.tracer.solver.error_motion import (
-    CircleTest,
-    ErrorMotion,
-    circle_tested,
-    error_motion_of,
-    likely_circle,
-)
+from rotcal_ros.methods.tracer.solver.circle import TableMotion, table_motion
 from rotcal_ros.methods.tracer.solver.gathering import groups_of
 from rotcal_ros.methods.tracer.solver.grid import STATION_MINIMUM, Grid, arrange
-from rotcal_ros.methods.tracer.solver.jumps import Jump, find_jump, split
-from rotcal_ros.methods.tracer.solver.network import relax
-from rotcal_ros.methods.tracer.solver.noise import NoiseEvidence, NoiseFactors, scaled
+from rotcal_ros.methods.tracer.solver.joint import adjust_network, network_covariance
+from rotcal_ros.methods.tracer.solver.network import KNOWN
 from rotcal_ros.methods.tracer.solver.observability import (
     check_counts,
     check_station_spread,
@@ -51,35 +37,46 @@ from rotcal_ros.methods.tracer.solver.screening import (
     GROSS,
     NORMAL_QUARTILE,
     Grouping,
+    NoiseFactors,
     ScreenedLengths,
     adjust_and_screen,
     reject_gross,
+    scaled,
     without_targets,
 )
-from rotcal_ros.methods.tracer.solver.shared_start import find_any_start, with_zeros
-from rotcal_ros.methods.tracer.solver.slips import Slips, slips_among
+from rotcal_ros.methods.tracer.solver.start import find_any_start, with_zeros
 from rotcal_ros.methods.tracer.solver.uncertainty import (
     AngleUncertainty,
     CircleStatement,
+    CircleTest,
+    ErrorMotion,
     GlobalTest,
     angle_uncertainty,
     circle_test,
+    circle_tested,
+    error_motion_of,
     length_test,
+    likely_circle,
 )
 from rotcal_ros.methods.tracer.solver.verdict import Evidence, closures, judge
-from rotcal_ros.methods.tracer.solver.zero_shifts import Shifts, find_shifts
+from rotcal_ros.methods.tracer.solver.zeros import (
+    MOST_JUMPS,
+    Jump,
+    Shifts,
+    Slips,
+    find_jump,
+    find_shifts,
+    likely_walk,
+    slips_among,
+    split,
+    wandering,
+)
 
 LOST: Final = 0.1
 """Deviation (rad) beyond which the stations are not those of the commanded angles."""
-MOST_JUMPS: Final = 10
-"""Jumps of the zero after which no further ones are looked for: the beam is no beam."""
-KNOWN: Final = 1e-9
-"""Standard deviation (m) of a coordinate that is called known, where others have errors."""
-
 FREE_CIRCLE: Final = 1e-4
 """Deviation (m) from the circle that keeps every station near it and tells nothing else."""
-
-_COVARIANCE: Final = {"station": station.stations_covariance, "joint": joint.network_covariance}
+_COVARIANCE: Final = {"station": stations_covariance, "joint": network_covariance}
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,8 +181,7 @@ def _adjusted(problem: TracerProblem, wider: CircleStatement | None = None) -> T
     _check_sense(motion, fit.stations, commanded, grid)
     unexplained = length_test(fit, covariance.dof_effective)
     significance = problem.settings.test_significance
-    failed = unexplained.probability < significance
-    scale = unexplained.sigma0 if failed and unexplained.sigma0 > 1.0 else 1.0
+    scale = unexplained.enlargement(significance)
     stated = 0.0 if problem.error_motion_std is None else problem.error_motion_std
     circle_std = problem.circle_std
     seen = circle_tested(
@@ -271,13 +267,11 @@ def _screened(problem: TracerProblem, grid: Grid, start: Floats) -> ScreenedLeng
     limits = problem.settings
     as_network = problem.variant == "joint" or bool(grid.target_std.any())
     if not as_network:
-        return adjust_and_screen(station.adjust_stations, grid, start, limits, _grouping(problem))
-    coarse, gross = reject_gross(
-        station.adjust_stations, grid, start, limits.rejection_significance
-    )
+        return adjust_and_screen(adjust_stations, grid, start, limits, _grouping(problem))
+    coarse, gross = reject_gross(adjust_stations, grid, start, limits.rejection_significance)
     if problem.variant == "station":
         coarse = replace(coarse, target_std=np.maximum(coarse.target_std, KNOWN))
-    screened = adjust_and_screen(joint.adjust_network, coarse, start, limits, _grouping(problem))
+    screened = adjust_and_screen(adjust_network, coarse, start, limits, _grouping(problem))
     kept = replace(screened.grid, target_std=grid.target_std)
     return replace(screened, grid=kept, why=screened.why | gross)
 
@@ -329,16 +323,14 @@ def _screened_together(
         if std:
             coarse, source = wandering(coarse, order, std)
             begin = with_zeros(coarse, start[source, :3])
-        screened = adjust_and_screen(
-            joint.adjust_network, coarse, begin, limits, _grouping(problem)
-        )
+        screened = adjust_and_screen(adjust_network, coarse, begin, limits, _grouping(problem))
         if not broken(scaled(screened.grid, screened.noise.factors), screened.fit, 1.0):
             return replace(screened, why=screened.why | gross), tuple(jumps), shifts
 
 
 def _known_targets(grid: Grid, start: Floats, targets: Floats | None = None) -> Adjustment:
     """Adjust stations to targets as the machine has them, whose errors join the lengths'."""
-    return joint.adjust_network(_missing(grid), start, targets)
+    return adjust_network(_missing(grid), start, targets)
 
 
 def _missing(grid: Grid) -> Grid:
@@ -362,11 +354,11 @@ def _placed(problem: TracerProblem, grid: Grid, screened: ScreenedLengths) -> _P
         return _placed_by(problem, scaled(screened.grid, screened.noise.factors), screened.fit)
     start = screened.fit.state
     singly = scaled(screened.grid, screened.noise.factors)
-    found = _placed_by(problem, singly, station.adjust_stations(singly, start))
+    found = _placed_by(problem, singly, adjust_stations(singly, start))
     wholly, with_them = without_targets(grid, singly)
     if not with_them or not _enough(wholly):
         return found
-    other = _placed_by(problem, wholly, station.adjust_stations(wholly, start), with_them)
+    other = _placed_by(problem, wholly, adjust_stations(wholly, start), with_them)
     return other if other.mean_variance() < found.mean_variance() else found
 
 
@@ -420,60 +412,3 @@ def _check_sense(motion: TableMotion, stations: Floats, commanded: Floats, grid:
         f"station {grid.position_ids[worst]} stands at {(order + off) % 360.0:.4f} degrees where "
         f"{order:.4f} were commanded, {off:+.4f} degrees off: {cure}"
     )
-
-
-MOST_LENGTHS: Final = 3000
-LEAST_STD, LARGEST_STD = 1e-9, 1e-6
-"""Walks (m) among which an unknown one is looked for; the least is none."""
-NEAR: Final = 0.05
-"""Relative precision of an estimated walk: far below what the data tell."""
-
-
-def wandering(grid: Grid, order: Ints, std: float) -> tuple[Grid, Ints]:
-    """Return ``grid`` with zeros that wander by ``std`` (m) per length, and each strip's old one.
-
-    ``order`` (k,): when each row of the problem was taken.
-    """
-    strip, target = np.nonzero(grid.row >= 0)
-    if len(strip) > MOST_LENGTHS:
-        raise DataError(
-            f"{len(strip)} lengths are too many for a zero that wanders: up to {MOST_LENGTHS} are "
-            "solved; set zero_walk_std_m to 0"
-        )
-    assert grid.zero is not None
-    assert grid.segment_ids is not None
-    in_time = np.lexsort((order[grid.row[strip, target]], grid.zero[strip]))
-    strip, target = strip[in_time], target[in_time]
-    chain = grid.zero[strip]
-    part = np.zeros((len(strip), grid.used.shape[1]), dtype=np.bool_)
-    part[np.arange(len(strip)), target] = True
-    walk = np.where(np.append(np.diff(chain) == 0, False), std, np.inf)
-    every = np.arange(len(strip))
-    free = replace(
-        grid.take(strip, part), zero=every, segment_ids=grid.segment_ids[chain], walk=walk
-    )
-    return free, strip
-
-
-def likely_walk(grid: Grid, start: Floats, order: Ints) -> float:
-    """Return the standard deviation (m) per length that ``grid`` tells best, 0 if it tells none.
-
-    ``start`` (p, 4): state of the strips of ``grid``.
-    """
-    at = start
-
-    def deviance(log_std: float) -> float:
-        wide, source = wandering(grid, order, float(np.exp(log_std)))
-        network = relax(wide, with_zeros(wide, at[source, :3]), grid.targets)
-        reduced = network.reduced
-        steps = int(np.isfinite(wide.walk).sum()) if wide.walk is not None else 0
-        size = np.linalg.slogdet(reduced.regular())[1] - 2.0 * np.log(reduced.scale).sum()
-        size -= np.linalg.slogdet(reduced.inverse)[1].sum()
-        return float(network.chi2 + 2.0 * steps * log_std + size)
-
-    from scipy.optimize import minimize_scalar  # slow to load, and rarely needed
-
-    bounds = (np.log(LEAST_STD), np.log(LARGEST_STD))
-    found = minimize_scalar(deviance, bounds=bounds, method="bounded", options={"xatol": NEAR})
-    nothing = deviance(bounds[0])
-    return float(np.exp(found.x)) if found.fun < nothing else 0.0

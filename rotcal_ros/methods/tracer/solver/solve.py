@@ -11,17 +11,15 @@ from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
 from rotcal_ros.foundation.protection import ordered
 from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import Rejection, Residuals, Result, Zeros
-from rotcal_ros.methods.tracer.solver.angles import algorithm_error, scatter
-from rotcal_ros.methods.tracer.solver.error_response import influence_of
+from rotcal_ros.methods.tracer.solver.circle import algorithm_error, scatter
 from rotcal_ros.methods.tracer.solver.gathering import details as gathering_details
-from rotcal_ros.methods.tracer.solver.numbering import Numbering, turned_by
-from rotcal_ros.methods.tracer.solver.observability import weakest_direction
+from rotcal_ros.methods.tracer.solver.observability import Numbering, turned_by, weakest_direction
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
-from rotcal_ros.methods.tracer.solver.protections import protections, returned
+from rotcal_ros.methods.tracer.solver.protections import influence_of, protections, returned
 from rotcal_ros.methods.tracer.solver.screening import rejection_limit
-from rotcal_ros.methods.tracer.solver.segments import segment_report
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
 from rotcal_ros.methods.tracer.solver.verdict import judge
+from rotcal_ros.methods.tracer.solver.zeros import segment_report
 
 METHOD = "tracer_multistation"
 
@@ -195,7 +193,9 @@ def _zeros(solution: TracerSolution) -> dict[str, Any]:
         return {}
     walk, slips = solution.grid.walk, solution.slips
     return {
-        "segments": segment_report(solution),
+        "segments": segment_report(
+            solution.grid, solution.fit, solution.problem.measuring_order, solution.scale
+        ),
         "zero_walk_std": 0.0 if walk is None else float(walk.min()),
         "slips": None if slips is None else {"size": slips.size, "found": slips.found},
     }

@@ -1,9 +1,12 @@
-"""Monte Carlo trials of the laser-tracer method, vectorised: hundreds of solutions in one go.
+"""What a problem would give: the covariance of a plan, and Monte Carlo trials of a measurement.
 
-Every trial is solved to the end: Gauss-Newton with the exact gradient; only the normal matrix is
-that of the measurement for all of them. Its error is of the order of noise over distance (1e-5):
-a few steps leave nothing but rounding. A trial that does not settle so, as some of a free network
-with weak geometry, is solved alone.
+A plan needs no data: :func:`predicted` is the solver's own covariance on the nominal geometry.
+
+Trials are vectorised, hundreds of solutions in one go, and every one is solved to the end:
+Gauss-Newton with the exact gradient; only the normal matrix is that of the measurement for all of
+them. Its error is of the order of noise over distance (1e-5): a few steps leave nothing but
+rounding. A trial that does not settle so, as some of a free network with weak geometry, is solved
+alone.
 """
 
 from __future__ import annotations
@@ -15,13 +18,26 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.geometry.rotations import wrap_angle
-from rotcal_ros.methods.tracer.solver.circle_prior import CircleContrasts, circle_contrasts
-from rotcal_ros.methods.tracer.solver.grid import Grid
-from rotcal_ros.methods.tracer.solver.network import linearise, relax
-from rotcal_ros.methods.tracer.solver.network_gain import NetworkGain
+from rotcal_ros.methods.tracer.solver.adjustment import (
+    Adjustment,
+    StationCovariance,
+    adjust_stations,
+    stations_covariance,
+)
+from rotcal_ros.methods.tracer.solver.circle import (
+    CircleContrasts,
+    TableMotion,
+    circle_contrasts,
+    table_motion,
+)
+from rotcal_ros.methods.tracer.solver.grid import Grid, arrange
+from rotcal_ros.methods.tracer.solver.joint import adjust_network, network_covariance
+from rotcal_ros.methods.tracer.solver.network import NetworkGain, network_of, relax
+from rotcal_ros.methods.tracer.solver.observability import check_counts
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
-from rotcal_ros.methods.tracer.solver.slips import Slips
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
+from rotcal_ros.methods.tracer.solver.uncertainty import AngleUncertainty, angle_uncertainty
+from rotcal_ros.methods.tracer.solver.zeros import Slips, find_shifts, slips_among
 
 STEPS: Final = 3
 """Each step leaves 1e-5 of the error before it: from noise of 1e-6 m, two reach rounding."""
@@ -31,6 +47,56 @@ SETTLED: Final = 1e-10
 """Squared length, in standard deviations, of a last step that left nothing to do."""
 PLACES: Final = 200_000
 """Lengths of all trials of a chunk together: arrays of this size stay in the cache."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What a problem would give: ``angles`` holds the covariance (m, m) of ECC in rad^2.
+
+    ``redundancy`` (k,) by row of the problem; NaN for lengths that have no place on the ``grid``.
+    ``fit``, ``stations`` and ``motion`` are as in a solution.
+    """
+
+    grid: Grid
+    fit: Adjustment
+    stations: StationCovariance
+    motion: TableMotion
+    angles: AngleUncertainty
+    redundancy: Floats
+
+
+def predicted(problem: TracerProblem, stations: Floats) -> Prediction:
+    """Return what ``problem`` would give with its tracer at ``stations`` (one per table angle, m).
+
+    Its lengths do not matter: exact ones take their place. Noise is as stated, and nothing is
+    rejected. The table's error motion is taken as stated, None as none.
+
+    Raises ObservabilityError when the lengths are too few or leave a direction open.
+    """
+    apart = stations[problem.position] - problem.targets[problem.target]
+    exact = replace(problem, length=np.sqrt((apart**2).sum(axis=1)))
+    grid, _ = arrange(exact)
+    check_counts(grid)
+    standing = stations[grid.position_ids][grid.station]
+    start = np.column_stack([standing, np.zeros(len(standing))])
+    if problem.variant == "joint":
+        fit = adjust_network(grid, start, grid.targets)
+        covariance = network_covariance(grid, fit)
+    else:
+        fit = adjust_stations(grid, start)
+        covariance = stations_covariance(grid, fit)
+    motion = table_motion(fit.stations, problem.table_angles[grid.position_ids])
+    error_motion = problem.error_motion_std or 0.0
+    slips = None
+    if grid.zero is not None:
+        shifts = find_shifts(grid, fit, problem.measuring_order)
+        slips = slips_among(shifts, problem.slip, problem.settings.rejection_significance)
+    unseen = None if slips is None else slips.covariance()
+    angles = angle_uncertainty(motion, fit, covariance, error_motion, 1.0, unseen)
+    redundancy = np.full(len(problem.position), np.nan)
+    placed = grid.row >= 0
+    redundancy[grid.row[placed]] = fit.redundancy[placed]
+    return Prediction(grid, fit, covariance, motion, angles, redundancy)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +252,7 @@ def trials_about(solution: TracerSolution) -> TracerTrials:
     weights = grid.used / fit.std**2
     gain: Floats | NetworkGain
     if problem.variant == "joint":
-        network = fit.network or linearise(grid, fit.state, fit.targets)
+        network = network_of(grid, fit)
         gain = NetworkGain.of(network)
     else:
         difference = fit.stations[:, None] - fit.targets
@@ -212,7 +278,7 @@ def trials_about(solution: TracerSolution) -> TracerTrials:
 def cumulative_deviations(stations: Floats, angles: Floats) -> Floats:
     """Return the cumulative deviations (..., m) in rad for ``stations`` (..., m, 3).
 
-    The same as :func:`~rotcal_ros.methods.tracer.solver.angles.table_motion` for many sets of
+    The same as :func:`~rotcal_ros.methods.tracer.solver.circle.table_motion` for many sets of
     stations at once. The normal comes from the 3 by 3 moments: what their squares lose of it is of
     second order for the angles.
     """

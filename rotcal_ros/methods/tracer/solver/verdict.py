@@ -1,15 +1,15 @@
 """ok, suspect or failed: the rules, and the sentences that say why.
 
 suspect
-    a component of the noise is larger than stated (:mod:`.noise`; the estimate is used), or the
-    chi-squared test of the lengths fails all the same (the covariance is then enlarged by
+    a component of the noise is larger than stated (:mod:`.screening`; the estimate is used), or
+    the chi-squared test of the lengths fails all the same (the covariance is then enlarged by
     sigma0^2); more than ``max_rejected_share`` of the lengths were rejected; some lengths of one
     station or stretch of time are off together, or look like it; a station, target or stretch lost
     more lengths than chance explains, or has too large a chi-squared (:mod:`.gathering`); a
     closure is larger than its uncertainty allows; the stations leave the circle by more than the
-    stated error motion (the estimate of :mod:`.error_motion` is used) or by more than the stated
+    stated error motion (the estimate of :mod:`.uncertainty` is used) or by more than the stated
     circle allows (what they leave of it is used); a zero jumps within a segment of
-    unbroken beam (:mod:`.jumps`; it is split); or a position of the plan is missing.
+    unbroken beam (:mod:`.zeros`; it is split); or a position of the plan is missing.
 failed
     the lengths scatter more than 10 times or the targets more than 30 times as stated (the model
     does not describe the data), or more than a fifth of the lengths were rejected.
@@ -28,16 +28,15 @@ from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.results import Verdict
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.methods.tracer.solver.error_motion import ErrorMotion
 from rotcal_ros.methods.tracer.solver.gathering import doubts as doubt_gathering
 from rotcal_ros.methods.tracer.solver.grid import FREE_TARGET_MINIMUM
-from rotcal_ros.methods.tracer.solver.jumps import Jump
-from rotcal_ros.methods.tracer.solver.noise import NoiseFactors
-from rotcal_ros.methods.tracer.solver.uncertainty import CircleStatement, GlobalTest
+from rotcal_ros.methods.tracer.solver.screening import NoiseFactors
+from rotcal_ros.methods.tracer.solver.uncertainty import CircleStatement, ErrorMotion, GlobalTest
+from rotcal_ros.methods.tracer.solver.zeros import Jump
 from rotcal_ros.methods.tracer.solver_settings import TracerLimits
 
 FAILED_FACTORS: Final = np.array([10.0, 10.0, 30.0, 30.0, 30.0])
-"""Times the stated noise of each component of :mod:`.noise`."""
+"""Times the stated noise of each component of :mod:`.screening`."""
 WORDS: Final = (
     "the scatter of the lengths",
     "the part of the lengths' scatter that grows with the distance",
@@ -46,11 +45,13 @@ WORDS: Final = (
     "the targets' z",
 )
 FAILED_SHARE: Final = 0.2
+"""Share of rejected lengths beyond which the rest is not believed either."""
 NOISY: Final = 2.0
 """Times the stated noise from which the middle half of all residuals is no matter of outliers."""
 HARDLY_CHECKED: Final = 0.01
 """Share of a stated circle below which nothing would contradict it."""
 TURN: Final = 2.0 * np.pi
+"""One turn of the table, rad."""
 SAME_ANGLE: Final = 1e-9
 """Turns that the sum of commanded steps may be off by rounding; 1.3 milliarcsec."""
 
@@ -139,12 +140,16 @@ def judge(evidence: Evidence, settings: TracerLimits) -> tuple[Verdict, tuple[st
         *doubt_gathering(evidence.gathering, settings),
         *_doubt_stations(evidence, settings),
     ]
-    share = evidence.n_rejected / evidence.n_lengths
-    verdict: Verdict = "suspect" if doubts else "ok"
     factors = evidence.unexplained * evidence.noise.factors
-    if (factors > FAILED_FACTORS).any() or share > FAILED_SHARE:
-        verdict = "failed"
+    verdict = verdict_of(doubts, factors, evidence.n_rejected / evidence.n_lengths)
     return verdict, (*doubts, *_remarks(evidence, settings))
+
+
+def verdict_of(doubts: list[str], factors: Floats, rejected_share: float) -> Verdict:
+    """Return the verdict where there are ``doubts``; ``factors`` (5,): times the stated noise."""
+    if (factors > FAILED_FACTORS).any() or rejected_share > FAILED_SHARE:
+        return "failed"
+    return "suspect" if doubts else "ok"
 
 
 def _doubt_lengths(evidence: Evidence, settings: TracerLimits) -> list[str]:
@@ -164,7 +169,7 @@ def doubt_noise(noise: NoiseFactors, settings: TracerLimits) -> list[str]:
     """Return a sentence for every component of the noise that is larger than stated."""
     larger = noise.contradicted(settings.test_significance) & (noise.factors > 1.0)
     return [
-        f"{times_stated(noise, k)}: the estimate is used; {_advice(noise, k)}"
+        f"{_times_stated(noise, k)}: the estimate is used; {_advice(noise, k)}"
         for k in np.flatnonzero(larger).tolist()
     ]
 
@@ -260,12 +265,7 @@ def _cause(jump: Jump, fringe: float) -> str:
 
 
 def _remarks(evidence: Evidence, settings: TracerLimits) -> list[str]:
-    noise = evidence.noise
-    remarks = [
-        f"{times_stated(noise, k)}, and so the estimate is used"
-        for k in np.flatnonzero(noise.contradicted(settings.noise_significance)).tolist()
-        if noise.factors[k] < 1.0 or not noise.contradicted(settings.test_significance)[k]
-    ]
+    remarks = remark_noise(evidence.noise, settings)
     if evidence.spare:
         names = ", ".join(str(i) for i in evidence.spare)
         remarks.append(
@@ -278,10 +278,7 @@ def _remarks(evidence: Evidence, settings: TracerLimits) -> list[str]:
             f"the lengths check {100 * circle.redundancy:.2g} % of the stated circle: that the "
             "stations stand on it is believed, not measured"
         )
-    if evidence.unchecked:
-        remarks.append(
-            f"{evidence.unchecked} lengths are checked by no other: an error in them stays unseen"
-        )
+    remarks += remark_unchecked(evidence.unchecked)
     if evidence.mirror_ambiguous:
         remarks.append(
             "all targets lie in one plane, so the tracer could stand on either side of it: the "
@@ -290,6 +287,23 @@ def _remarks(evidence: Evidence, settings: TracerLimits) -> list[str]:
     return remarks
 
 
-def times_stated(noise: NoiseFactors, k: int) -> str:
+def remark_noise(noise: NoiseFactors, settings: TracerLimits) -> list[str]:
+    """Return a sentence for every component whose estimate is used, and is no reason to doubt."""
+    doubted = noise.contradicted(settings.test_significance)
+    return [
+        f"{_times_stated(noise, k)}, and so the estimate is used"
+        for k in np.flatnonzero(noise.contradicted(settings.noise_significance)).tolist()
+        if noise.factors[k] < 1.0 or not doubted[k]
+    ]
+
+
+def remark_unchecked(count: int) -> list[str]:
+    """Return a sentence about so many lengths without redundancy; none where there are none."""
+    if not count:
+        return []
+    return [f"{count} lengths are checked by no other: an error in them stays unseen"]
+
+
+def _times_stated(noise: NoiseFactors, k: int) -> str:
     """Return how many times its statement component ``k`` is, in words."""
     return f"{WORDS[k]} is {noise.factors[k]:.2g} times its stated {noise.stated[k]:.2g} m"

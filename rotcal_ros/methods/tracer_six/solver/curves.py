@@ -19,7 +19,9 @@ from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotation_from_vector
 
 MAX_ITERATIONS: Final = 20
+"""Steps to the gauge; each takes off all but the second order."""
 ROUNDING: Final = 1e-15
+"""Motion of the frames (rad or m) that is none."""
 TOO_FAR: Final = 0.05
 """Deviation (rad) from the commanded angles that no table has."""
 
@@ -75,7 +77,7 @@ def gauge_design(angles: Floats) -> tuple[Floats, Floats]:
     return design, np.asarray(np.linalg.pinv(design), dtype=np.float64)
 
 
-def without_gauge(angles: Floats) -> Floats:
+def _without_gauge(angles: Floats) -> Floats:
     """Return the projection (3 m, 3 m) that takes the motions of both frames off d or c."""
     m = len(angles)
     design, inverse = gauge_design(angles)
@@ -99,7 +101,7 @@ def curve_jacobian(curves: Curves, rotation: Floats, angles: Floats) -> Floats:
     own[0, each, :, each, :3] = -back @ cross_matrix(arms)
     own[0, each, :, each, 3:] = back
     own[1, each, :, each, :3] = log_slope(curves.rotation) @ back
-    project = without_gauge(angles)
+    project = _without_gauge(angles)
     return np.concatenate([project @ part.reshape(3 * m, 6 * m) for part in own])
 
 
@@ -109,6 +111,7 @@ def rotation_vector(matrices: Floats) -> Floats:
     vector = np.stack([odd[..., 2, 1], odd[..., 0, 2], odd[..., 1, 0]], axis=-1)
     sine = np.minimum(np.linalg.norm(vector, axis=-1), 1.0)
     angle = np.arctan2(sine, 0.5 * (np.trace(matrices, axis1=-2, axis2=-1) - 1.0))
+    # angle / sine is 1 + angle^2 / 6: beyond the last digit
     tiny = sine < 1e-8
     stretch = np.where(tiny, 1.0, angle / np.where(tiny, 1.0, sine))
     return np.asarray(vector * stretch[..., None], dtype=np.float64)

@@ -1,34 +1,45 @@
-"""Table, places and targets as one network of lengths: its linearisation, and its minimum.
+"""Table, places and targets as one network of lengths: its minimum, and what follows from it.
 
 A station is R_i q_k + t_i, with the pose (R_i, t_i) of the table's frame at a position and the
 place q_k in that frame. Scatter from arrival to arrival moves it by e ~ N(0, S) and is
 integrated out, so that the lengths of a station have the covariance D + U S U'; its inverse is
 W = D^-1 - H H' with H (n, 3). Poses, six unknowns each, are eliminated; targets, places and zeros
-are kept. What no length feels is fixed by constraints.
+are kept.
 
-What no length feels: frames, and the flex of places on one circle.
+What no length feels is fixed by constraints. Right motions: the table's own frame may lie
+anywhere, q -> W q + w with the poses to match. Left motions: without a prior on the targets the
+whole network may, too. And with free targets, places at one height on one circle about the axis
+leave a seventh: targets and circle as in :mod:`rotcal_ros.methods.tracer.solver.joint`. None of
+them is felt by the curves.
 
-Right motions: the table's own frame may lie anywhere, q -> W q + w with the poses to match. Left
-motions: without a prior on the targets the whole network may, too. And with free targets, places
-at one height on one circle about the axis leave a seventh: targets and circle as in
-:mod:`rotcal_ros.methods.tracer.solver.joint`. None of them is felt by the curves.
+Places that cannot tell the table's tilts need a prior: the tilt c_i of each position, less what
+both frames contribute, u + Rz w with four unknowns (u, w), is an observation of zero with the
+standard deviation ``tilt_std``; in a trial it is one of what chance has drawn.
+
+About the minimum follow the covariances of all unknowns, stations and lengths, and to first order
+what a pattern of errors of the lengths does.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.geometry.rotations import cross_matrix, rotation_from_vector
+from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z, rotation_from_vector
 from rotcal_ros.methods.tracer.solver.grid import Grid
-from rotcal_ros.methods.tracer.solver.network import rigid
-from rotcal_ros.methods.tracer.solver.schur import SchurComplement
-from rotcal_ros.methods.tracer_six.solver import tilts
-from rotcal_ros.methods.tracer_six.solver.curves import table_curves
+from rotcal_ros.methods.tracer.solver.network import SchurComplement, rigid
+from rotcal_ros.methods.tracer_six.solver.curves import (
+    Curves,
+    curve_jacobian,
+    gauge_design,
+    log_slope,
+    rotation_vector,
+    table_curves,
+)
 from rotcal_ros.methods.tracer_six.solver.layout import StationLayout
 
 CONVERGED: Final = 1e-14
@@ -38,6 +49,57 @@ STAGNANT: Final = 1e-6
 SHRINKING: Final = 1e-4
 """Ratio of squared steps above which the normal matrix is made anew."""
 MAX_ITERATIONS: Final = 60
+"""Of chord steps, each with the slopes of now."""
+FLAT: Final = 1e-4
+"""Difference of the places' heights and radii (m) up to which they lie on one circle: what they
+tell then about the flex is below any noise."""
+
+
+class TiltSlopes(NamedTuple):
+    """What the prior adds to chi-squared and to half its slopes, poses (m, 6) and lean (4,)."""
+
+    chi2: float
+    poses: Floats
+    lean: Floats
+
+
+def _tilts(rotation: Floats, angles: Floats) -> Floats:
+    return rotation_vector(rotation @ rotation_about_z(-angles))
+
+
+def _tilt_slopes(rotation: Floats, lean: Floats, layout: StationLayout) -> TiltSlopes:
+    """Return what the prior adds at poses ``rotation`` (m, 3, 3) and ``lean`` (4,) rad."""
+    std = layout.tilt_std
+    assert std is not None
+    design, _ = gauge_design(layout.angles)
+    vector = _tilts(rotation, layout.angles)
+    expected = (design @ lean).reshape(-1, 2)
+    if layout.tilts is not None:
+        expected = expected + layout.tilts
+    error = (vector[:, :2] - expected) / std
+    slope = log_slope(vector)[:, :2]
+    poses = np.zeros((len(vector), 6))
+    poses[:, :3] = (error[:, None] @ slope)[:, 0] / std
+    return TiltSlopes(float((error**2).sum()), poses, -design.T @ error.ravel() / std)
+
+
+def _with_tilts(
+    poses: Floats, cross: Floats, matrix: Floats, rotation: Floats, layout: StationLayout
+) -> tuple[Floats, Floats]:
+    """Return the normal matrices of poses (m, 6, 6) and (m, 6, K) with the prior.
+
+    ``matrix`` (K, K), whose last four are the lean, is changed in place.
+    """
+    assert layout.tilt_std is not None
+    weight = layout.tilt_std**-2
+    design, _ = gauge_design(layout.angles)
+    slope = log_slope(_tilts(rotation, layout.angles))[:, :2]
+    back = weight * slope.swapaxes(1, 2)
+    poses, cross = poses.copy(), cross.copy()
+    poses[:, :3, :3] += back @ slope
+    cross[:, :3, -4:] -= back @ design.reshape(-1, 2, 4)
+    matrix[-4:, -4:] += weight * design.T @ design
+    return poses, cross
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +197,7 @@ def slopes(
     chi2 = float((weighted * error).sum())
     push = unit * weighted[:, :, None]
     at_station = push.sum(axis=1)
+    # a force at a station turns the table by its moment about the origin of the pose
     own = np.concatenate([np.cross(arms, at_station), at_station], axis=1)
     poses = layout.by_position @ own
     turned = (at_station[:, None] @ state.rotation[layout.position])[:, 0]
@@ -147,7 +210,7 @@ def slopes(
         by_target = by_target + correction / grid.target_std
     kept = [by_target.ravel(), (layout.by_place @ turned).ravel(), -zeros]
     if layout.tilt_std is not None:
-        known = tilts.slopes(state.rotation, state.lean, layout)
+        known = _tilt_slopes(state.rotation, state.lean, layout)
         chi2, poses = chi2 + known.chi2, poses + known.poses
         kept.append(known.lean)
     return ChiSquaredSlope(error, unit, factor, chi2, poses, np.concatenate(kept))
@@ -185,7 +248,7 @@ def linearise(
     cross = _summed(layout.by_position, backward @ across)
     matrix = _kept_matrix(grid, layout, state, here, across)
     if layout.tilt_std is not None:
-        poses, cross = tilts.add(poses, cross, matrix, state.rotation, layout)
+        poses, cross = _with_tilts(poses, cross, matrix, state.rotation, layout)
     reduced = _reduced(poses, cross, matrix, constraints(layout, state, free=grid.free))
     return LengthNetwork(grid, layout, scatter, state, here, motion, pull, normal, across, reduced)
 
@@ -280,6 +343,7 @@ def relax(
     for _ in range(MAX_ITERATIONS):
         kept, poses = network.reduced.solve(-here.kept, -here.poses.ravel())
         squared = -float(here.kept @ kept + here.poses.ravel() @ poses)
+        # a step that shrinks by less than half is no longer progress but rounding
         if abs(squared) < CONVERGED or (abs(squared) < STAGNANT and squared > 0.25 * before):
             return linearise(grid, layout, scatter, state, here)
         if abs(squared) > SHRINKING * before:
@@ -291,11 +355,6 @@ def relax(
         f"table, places and targets do not settle together in {MAX_ITERATIONS} iterations: the "
         "lengths do not fit the targets or the places; check their order and units"
     )
-
-
-FLAT: Final = 1e-4
-"""Difference of the places' heights and radii (m) up to which they lie on one circle: what they
-tell then about the flex is below any noise."""
 
 
 def constraints(layout: StationLayout, state: NetworkState, *, free: bool) -> Floats:
@@ -336,3 +395,172 @@ def _flex(layout: StationLayout, state: NetworkState) -> Floats | None:
     shrunk = np.column_stack([-places[:, :2], np.zeros(p)])
     flex[3 * n : 3 * (n + p)] = (shrunk @ curves.table_turn.T).ravel()
     return flex
+
+
+@dataclass(frozen=True, eq=False)
+class PatternGradient:
+    """Patterns (k, V, n), m, in a network: ``weighted`` (k, V, n) by the inverse covariance.
+
+    ``force`` (k, V, 3): their pull at each station; ``slope`` (k, T): at all unknowns, half the
+    slope of chi-squared.
+    """
+
+    weighted: Floats
+    force: Floats
+    slope: Floats
+
+
+def pattern_gradient(network: LengthNetwork, patterns: Floats) -> PatternGradient:
+    """Return ``patterns`` (k, V, n) of errors of the lengths, m, as ``network`` feels them."""
+    layout, here, (k, _, n) = network.layout, network.slopes, patterns.shape
+    weighted = network.grid.weights * patterns
+    if here.factor is not None:
+        taken = here.factor.swapaxes(1, 2) @ patterns[..., None]
+        weighted = weighted - (here.factor @ taken)[..., 0]
+    force = (here.unit * weighted[..., None]).sum(axis=2)  # (k, V, 3)
+    poses = layout.by_position @ (force[:, :, None] @ network.motion)[:, :, 0]
+    turned = (force[:, :, None] @ network.state.rotation[layout.position])[:, :, 0]
+    by_target = -np.einsum("kvt,vta->kta", weighted, here.unit).reshape(k, -1)
+    zeros = np.stack(
+        [np.bincount(layout.zero.ravel(), w.ravel(), layout.n_zeros) for w in weighted]
+    )
+    kept = [by_target, (layout.by_place @ turned).reshape(k, -1), -zeros]
+    lean = np.zeros((k, layout.size - 3 * n - 3 * len(layout.places) - layout.n_zeros))
+    return PatternGradient(
+        weighted, force, np.concatenate([*kept, lean, poses.reshape(k, -1)], axis=1)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """``covariance`` (T, T) of all unknowns, T = K + 6 m: the kept ones, then the poses.
+
+    ``arrived`` (V, 3): the scatter of each station, as its lengths tell it, m; ``leverage``
+    (V, n): variance of each computed length, scatter included, m^2.
+    """
+
+    network: LengthNetwork
+    covariance: Floats
+    arrived: Floats
+    leverage: Floats
+
+    @property
+    def targets(self) -> Floats:
+        """The covariance (n, 3, n, 3) of the targets, m^2."""
+        n = len(self.network.state.targets)
+        return self.covariance[: 3 * n, : 3 * n].reshape(n, 3, n, 3)
+
+    @property
+    def poses(self) -> Floats:
+        """The covariance (6 m, 6 m) of the poses."""
+        k = self.network.layout.size
+        return self.covariance[k:, k:]
+
+
+def posterior(network: LengthNetwork) -> Posterior:
+    """Return the covariances of a network at its minimum."""
+    covariance = full_covariance(network)
+    arrived, own, response = scattered(network)
+    spread = response @ covariance  # (3 V, T)
+    return Posterior(
+        network, covariance, arrived, _leverage(network, covariance, own, response, spread)
+    )
+
+
+def full_covariance(network: LengthNetwork) -> Floats:
+    """Return the covariance (T, T) of kept unknowns and poses, under the constraints."""
+    kept = network.reduced.covariance()
+    k, t = len(kept), len(kept) + network.reduced.inverse.shape[0] * 6
+    whole = np.empty((t, t))
+    whole[:k, :k] = kept
+    whole[:k, k:] = -kept @ network.reduced.transfer
+    whole[k:, :k] = whole[:k, k:].T
+    whole[k:, k:] = -network.reduced.transfer.T @ whole[:k, k:]
+    m = len(network.reduced.inverse)
+    each = np.arange(m)
+    whole[k:, k:].reshape(m, 6, m, 6)[each, :, each] += network.reduced.inverse
+    return whole
+
+
+def pulled(network: LengthNetwork) -> Floats:
+    """Return U' W J (3 V, T): what unknowns do to the weighted errors along each station."""
+    v, _, k = network.across.shape
+    whole = np.zeros((v, 3, k + 6 * len(network.layout.angles)))
+    whole[:, :, :k] = network.across
+    _at_poses(network, whole, network.normal @ network.motion)
+    return whole.reshape(3 * v, -1)
+
+
+def _at_poses(network: LengthNetwork, whole: Floats, blocks: Floats) -> None:
+    """Put ``blocks`` (V, 3, 6) where the poses of their stations are in ``whole`` (V, 3, T)."""
+    each = np.arange(len(blocks))[:, None]
+    columns = network.layout.size + 6 * network.layout.position[:, None] + np.arange(6)
+    whole[each, :, columns] = blocks.swapaxes(1, 2)
+
+
+def scattered(network: LengthNetwork) -> tuple[Floats, Floats, Floats]:
+    """Return scatter (V, 3), its own covariance (V, 3, 3), and (3 V, T) how stations move.
+
+    The scatter of a station follows its lengths, and so every unknown that these depend on.
+    """
+    layout, state, here = network.layout, network.state, network.slopes
+    v, n, _ = here.unit.shape
+    turned = state.rotation[layout.position]
+    response = np.zeros((v, 3, layout.size + 6 * len(layout.angles)))
+    columns = 3 * (n + layout.place)[:, None] + np.arange(3)
+    response[np.arange(v)[:, None], :, columns] = turned.swapaxes(1, 2)
+    _at_poses(network, response, network.motion)
+    if network.scatter is None:
+        return np.zeros((v, 3)), np.zeros((v, 3, 3)), response.reshape(3 * v, -1)
+    root = network.scatter
+    weighted = (here.unit * network.grid.weights[:, :, None]).swapaxes(1, 2)
+    alone = weighted @ here.unit
+    back = root.swapaxes(1, 2)
+    own = root @ np.linalg.inv(np.eye(3) + back @ alone @ root) @ back
+    gain = own @ weighted  # (V, 3, n)
+    arrived = -(gain @ here.error[:, :, None])[:, :, 0]
+    response -= own @ alone @ response
+    response[:, :, : 3 * n] += (gain[:, :, :, None] * here.unit[:, None]).reshape(v, 3, 3 * n)
+    station, zero, by_pair = layout.pairs
+    first = 3 * (n + len(layout.places))
+    response[station, :, first + zero] += by_pair @ gain.swapaxes(1, 2).reshape(v * n, 3)
+    return arrived, own, response.reshape(3 * v, -1)
+
+
+def _leverage(
+    network: LengthNetwork, covariance: Floats, own: Floats, response: Floats, spread: Floats
+) -> Floats:
+    layout, unit = network.layout, network.slopes.unit
+    v, n, _ = unit.shape
+    each, targets = np.arange(v), np.arange(n)
+    own = own + spread.reshape(v, 3, -1) @ response.reshape(v, 3, -1).swapaxes(1, 2)
+    first = 3 * (n + len(layout.places))
+    at_target = covariance[: 3 * n, : 3 * n].reshape(n, 3, n, 3)[targets, :, targets]
+    at_zero = covariance[first + layout.zero, first + layout.zero]
+    between = spread.reshape(v, 3, -1)[:, :, : 3 * n].reshape(v, 3, n, 3).transpose(0, 2, 1, 3)
+    block = own[:, None] + at_target - between - between.swapaxes(2, 3)
+    total = ((unit[:, :, None] @ block)[:, :, 0] * unit).sum(axis=2) + at_zero
+    station = spread.reshape(v, 3, -1)[each[:, None], :, first + layout.zero]
+    target = covariance[: 3 * n].reshape(n, 3, -1)[targets, :, first + layout.zero]
+    return np.asarray(total - 2.0 * (unit * (station - target)).sum(axis=2), dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class CurvePosterior:
+    """The table's ``curves`` and their ``covariance`` (6 m, 6 m): d of all positions, then c.
+
+    ``jacobian`` (6 m, 6 m): what steps of the poses do to them.
+    """
+
+    curves: Curves
+    covariance: Floats
+    jacobian: Floats
+
+
+def curve_posterior(network: LengthNetwork, covariance: Floats) -> CurvePosterior:
+    """Return the curves of a network and their covariance, from that of all unknowns (T, T)."""
+    state, angles = network.state, network.layout.angles
+    curves = table_curves(state.rotation, state.translation, angles)
+    jacobian = curve_jacobian(curves, state.rotation, angles)
+    k = network.layout.size
+    return CurvePosterior(curves, jacobian @ covariance[k:, k:] @ jacobian.T, jacobian)

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.methods.columns import broadcast, indices, matrix, require, vector
+from rotcal_ros.methods.tracer.solver.effects import share_gone
+from rotcal_ros.methods.tracer.solver.grid import Grid
 from rotcal_ros.methods.tracer.solver_settings import Datum, TracerLimits
 from rotcal_ros.methods.tracer_six.solver_settings import TracerSixSolverSettings, Zero
 
@@ -36,7 +38,7 @@ class SixProblem:
     the table came to each position, where it came from both.
     ``places``: where the tracer stands on the table, m, in the frame that turns with it and
     coincides with the machine's at angle zero: good to ``place_tolerance``, m; start values, and
-    what tells how the positions are numbered (:mod:`rotcal_ros.methods.tracer.solver.numbering`).
+    what tells how the positions are numbered (the tracer's ``Numbering``).
     Machine z along the table axis, origin near it (10 mrad and 10 mm are taken exactly); the
     deviations are those of the point of the axis at z = 0.
 
@@ -109,6 +111,14 @@ class SixProblem:
             if getattr(self, name) is not None:
                 self._store(name, indices(name, getattr(self, name), _LATEST, k))
 
+    @property
+    def measuring_order(self) -> Ints:
+        """When each length (k,) was taken: ``order``, or else run by run and angle by angle."""
+        if self.order is not None:
+            return self.order
+        arrival = np.zeros_like(self.place) if self.arrival is None else self.arrival
+        return np.lexsort((self.target, self.position, arrival, self.place)).argsort()
+
     def _check_names(self) -> None:
         names = {"datum": get_args(Datum), "zero": get_args(Zero)}
         for name, known in names.items():
@@ -139,3 +149,21 @@ class SixProblem:
         values.setflags(write=False)
         object.__setattr__(self, name, values)
         return values
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkTiming:
+    """Shares (V, n), 0 to 1, that had gone of all runs, and of the own run."""
+
+    whole: Floats
+    own: Floats
+
+
+def timing(problem: SixProblem, grid: Grid) -> NetworkTiming:
+    """Return when the lengths of ``grid`` were taken; see SixProblem.order."""
+    order = problem.measuring_order
+    own = np.zeros(len(order))
+    for place in np.unique(problem.place):
+        here = problem.place == place
+        own[here] = share_gone(order[here])
+    return NetworkTiming(grid.placed(share_gone(order)), grid.placed(own))

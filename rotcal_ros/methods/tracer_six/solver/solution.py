@@ -1,26 +1,4 @@
-"""The adjustment of a problem and all that follows from it but the verdict.
-
-Fringes that the counter slips while nobody notices: found by the lengths, or not.
-
-The search of :mod:`rotcal_ros.methods.tracer.solver.jumps`, on the network of a rigid table.
-Lengths of a run that grow by the same amount from some moment on look like a place that rose
-there, and three places always have a plane: where no angle is measured again in the same run, most
-of a slip is taken for tilts and heights of the table. The uncertainty allows for what stays unseen
-as for the tracer (:mod:`rotcal_ros.methods.tracer.solver.slips`).
-
-What gathers in one place: the lengths of a rigid network as groups for the engine.
-
-As in :mod:`rotcal_ros.methods.tracer.solver.gathering`, with the arrivals of the table at a
-position in one run as stations. Their scatter from arrival to arrival is adjusted beside the
-unknowns.
-
-Start values: stations by multilateration, then poses by rigid fits.
-
-Targets in one plane leave two images of each station; the nominal places tell which is meant. A
-position without three of its stations starts at its commanded angle.
-
-The rigid network as an adjustment that the tracer's screening and noise estimate work on.
-"""
+"""The adjustment of a problem and all that follows from it but the verdict."""
 
 from __future__ import annotations
 
@@ -34,59 +12,42 @@ from rotcal_ros.adjust.distributions import chi2_sf
 from rotcal_ros.adjust.gathering import Gathering
 from rotcal_ros.adjust.groups import Group
 from rotcal_ros.adjust.low_rank import LowRank
-from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
-from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.geometry.rigid import align
-from rotcal_ros.geometry.rotations import rotation_about_z
-from rotcal_ros.methods.tracer.solver.adjustment import Adjustment
-from rotcal_ros.methods.tracer.solver.gathering import group_at, places_of
+from rotcal_ros.methods.tracer.solver.adjustment import Adjustment, adjust_stations
 from rotcal_ros.methods.tracer.solver.grid import STATION_MINIMUM, Grid
-from rotcal_ros.methods.tracer.solver.joint import target_test
-from rotcal_ros.methods.tracer.solver.jumps import Jump, find_jump
-from rotcal_ros.methods.tracer.solver.noise import NoiseFactors, scaled
 from rotcal_ros.methods.tracer.solver.observability import told_of_a_turned_sign
 from rotcal_ros.methods.tracer.solver.screening import (
     Grouping,
+    NoiseFactors,
     ScreenedLengths,
     adjust_and_screen,
     reject_gross,
+    scaled,
 )
-from rotcal_ros.methods.tracer.solver.slips import Slips, slips_among
-from rotcal_ros.methods.tracer.solver.start import start_candidates
-from rotcal_ros.methods.tracer.solver.station import adjust_stations
 from rotcal_ros.methods.tracer.solver.uncertainty import GlobalTest
 from rotcal_ros.methods.tracer.solver.verdict import CircleClosure, closures
-from rotcal_ros.methods.tracer.solver.zero_shifts import PLACES, Shifts, TimedLengths
-from rotcal_ros.methods.tracer_six.solver.layout import (
-    StationLayout,
-    lay_out,
-    lost_direction,
-    renamed,
+from rotcal_ros.methods.tracer.solver.zeros import MOST_JUMPS, Jump, Shifts, Slips, slips_among
+from rotcal_ros.methods.tracer_six.solver.adjustment import (
+    RigidAdjuster,
+    RigidAdjustment,
+    check_curves,
+    find_broken_zero,
+    find_shifts,
+    find_start,
+    groups_of,
+    split,
 )
-from rotcal_ros.methods.tracer_six.solver.movement_tests import Moves, moves
-from rotcal_ros.methods.tracer_six.solver.network import LengthNetwork, NetworkState, relax
-from rotcal_ros.methods.tracer_six.solver.observability import check_curves, check_determined
-from rotcal_ros.methods.tracer_six.solver.patterns import pattern_gradient
-from rotcal_ros.methods.tracer_six.solver.posterior import (
+from rotcal_ros.methods.tracer_six.solver.layout import StationLayout, lay_out, renamed
+from rotcal_ros.methods.tracer_six.solver.network import (
     CurvePosterior,
-    Posterior,
+    LengthNetwork,
+    NetworkState,
     curve_posterior,
-    posterior,
     pulled,
-    scattered,
 )
-from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
-from rotcal_ros.methods.tracer_six.solver.scatter import (
-    Scatter,
-    contrasts,
-    enlargement,
-    estimate,
-    stated,
-    turned,
-)
-from rotcal_ros.methods.tracer_six.solver.timing import taken, timing
+from rotcal_ros.methods.tracer_six.solver.problem import SixProblem, timing
+from rotcal_ros.methods.tracer_six.solver.scatter import Moves, Scatter, enlargement, moves, turned
 
 FITTING: Final = 3.0
 """Times the stated noise up to which lengths of the opposite sign are said to fit."""
@@ -232,7 +193,7 @@ def _adjusted(problem: SixProblem) -> SixSolution:
 
 def _grouping(problem: SixProblem) -> Grouping:
     """Return what makes the groups of this ``problem``."""
-    order = taken(problem)
+    order = problem.measuring_order
 
     def grouping(grid: Grid, fit: Adjustment) -> tuple[Group, ...]:
         assert isinstance(fit, RigidAdjustment)
@@ -255,12 +216,12 @@ def _unbroken(
     jumps: list[Jump] = []
     if problem.zero == "per_station" or problem.slip == 0.0:
         return screened, (), None
-    order = taken(problem)
+    order = problem.measuring_order
     while True:
         fit = screened.fit
         assert isinstance(fit, RigidAdjustment)
         shifts = find_shifts(fit, order)
-        jump = find(fit, shifts, problem.settings.rejection_significance)
+        jump = find_broken_zero(fit, shifts, problem.settings.rejection_significance)
         if jump is None or len(jumps) == MOST_JUMPS:
             return screened, tuple(jumps), shifts
         jumps.append(jump)
@@ -290,8 +251,7 @@ def _length_test(fit: RigidAdjustment, significance: float) -> tuple[GlobalTest,
     """Return the test of chi-squared, and the factor by which noise is larger than it allows."""
     dof = max(fit.dof, 1)
     test = GlobalTest(float(np.sqrt(fit.chi2 / dof)), chi2_sf(fit.chi2, dof))
-    failed = fit.dof > 0 and test.probability < significance and test.sigma0 > 1.0
-    return test, test.sigma0 if failed else 1.0
+    return test, test.enlargement(significance) if fit.dof > 0 else 1.0
 
 
 def _enlarged(fit: RigidAdjustment, table: CurvePosterior) -> Floats:
@@ -303,6 +263,7 @@ def _enlarged(fit: RigidAdjustment, table: CurvePosterior) -> Floats:
         by_station = gain.reshape(len(gain), -1, 3)
         arms = network.state.arms(network.layout)
         across = turned(arms)
+        # what a unit of squared shift, and of squared turn, of all stations adds to each variance
         slope = np.stack(
             [
                 (by_station**2).sum(axis=(1, 2)),
@@ -337,258 +298,3 @@ def _closures(
         )
         for name, at in PLACE.items()
     }
-
-
-MOST_JUMPS: Final = 10
-"""Jumps after which no further ones are looked for: the beam is no beam."""
-
-
-def find_shifts(fit: RigidAdjustment, order: Ints) -> Shifts:
-    """Return shifts of the zeros at some moments, and what they do to the curves (t, 6 m).
-
-    ``order`` (k,): when each row of the problem was taken.
-    """
-    network = fit.posterior.network
-    moments = TimedLengths.of(network.grid, order, network.layout.zero)
-    jacobian = curve_posterior(network, fit.posterior.covariance).jacobian
-    return shifts_at(fit, jacobian, moments, moments.few())
-
-
-def shifts_at(fit: RigidAdjustment, jacobian: Floats, moments: TimedLengths, at: Ints) -> Shifts:
-    """Return the shifts that begin ``at`` (t,) some of the ``moments``."""
-    after, grid = fit.posterior, fit.posterior.network.grid
-    score, information, alike = np.zeros(len(at)), np.zeros(len(at)), np.ones(len(at))
-    moved = np.zeros((len(at), len(jacobian)))
-    size = max(2, PLACES // grid.weights.size)
-    for begin in range(0, len(at), size - 1):  # the last of a chunk is the first of the next
-        part = slice(begin, begin + size)
-        later = moments.later(grid, at[part]).astype(np.float64)
-        here = pattern_gradient(after.network, later)
-        step = here.slope @ after.covariance
-        total = (here.weighted * later).sum(axis=(1, 2))
-        left = np.maximum(total - (step * here.slope).sum(axis=1), 1e-9 * total)
-        both = (here.weighted[1:] * later[:-1]).sum(axis=(1, 2))
-        both -= (step[1:] * here.slope[:-1]).sum(axis=1)
-        root = np.sqrt(left)
-        score[part] = (later * (grid.weights * fit.residual)).sum(axis=(1, 2))
-        information[part] = left
-        alike[part][1:] = both / (root[1:] * root[:-1])
-        moved[part] = step[:, after.network.layout.size :] @ jacobian.T
-    return Shifts(moments, at, score, information, alike, moved)
-
-
-def find(fit: RigidAdjustment, shifts: Shifts, significance: float) -> Jump | None:
-    """Return the jump of a zero that stands out most, None if none does.
-
-    ``significance``: of the largest at any moment. The jump's segment is the zero that broke.
-    """
-
-    def near(at: Ints) -> Shifts:
-        return shifts_at(
-            fit, np.zeros((0, 6 * len(fit.posterior.network.layout.angles))), shifts.moments, at
-        )
-
-    return find_jump(fit.posterior.network.grid, fit, shifts, significance, at=near)
-
-
-def split(
-    layout: StationLayout, state: NetworkState, grid: Grid, jump: Jump, order: Ints
-) -> tuple[StationLayout, NetworkState]:
-    """Return ``layout`` and ``state`` with a new zero from ``jump`` on."""
-    filled = grid.row >= 0
-    time = np.where(filled, order[grid.row], order.max())
-    time = np.where(filled, time, time.min(axis=1, keepdims=True))
-    later = (layout.zero == jump.segment) & (time >= order[jump.row])
-    return replace(
-        layout,
-        zero=np.where(later, layout.n_zeros, layout.zero),
-        offset=np.append(layout.offset, layout.offset[jump.segment]),
-    ), replace(state, zeros=np.append(state.zeros, state.zeros[jump.segment]))
-
-
-def groups_of(grid: Grid, fit: RigidAdjustment, order: Ints) -> tuple[Group, ...]:
-    """Return the groups of a network; outputs are its curves (6 m,): d of all positions, then c.
-
-    ``order`` (k,): when each row of the problem was taken.
-    """
-    network, covariance = fit.posterior.network, fit.posterior.covariance
-    layout, unit = network.layout, network.slopes.unit
-    outputs = np.zeros((6 * len(layout.angles), len(covariance)))
-    outputs[:, layout.size :] = curve_posterior(network, covariance).jacobian
-    carried = outputs @ covariance
-    _, own, response = scattered(network)
-    moved = response.reshape(len(unit), 3, -1)
-    first_zero = 3 * (unit.shape[1] + len(layout.places))
-    found = []
-    for places in places_of(grid, fit, order):
-        station, target = places.at.T
-        each, towards = np.arange(len(station)), unit[station, target]
-        design = (towards[:, None] @ moved[station])[:, 0]
-        design[each[:, None], 3 * target[:, None] + np.arange(3)] -= towards
-        design[each, first_zero + layout.zero[station, target]] -= 1.0
-        beside = (towards[:, None] @ own[station])[:, 0] @ towards.T
-        beside *= station[:, None] == station
-        sensitivity = Sensitivity.whole(carried @ design.T)
-        found.append(
-            group_at(
-                grid, places, fit.residual, design @ covariance @ design.T + beside, sensitivity
-            )
-        )
-    return tuple(found)
-
-
-NEAR: Final = 0.05
-"""Distance (m) from its nominal place beyond which a multilaterated station is not believed."""
-ROUNDS: Final = 2
-"""Poses from places, then places from poses: each round takes nearly all that nominals lack."""
-
-
-def find_start(layout: StationLayout) -> NetworkState:
-    """Return start values for ``layout``; raises DataError when places and lengths contradict."""
-    grid = layout.grid
-    about = rotation_about_z(layout.angles)
-    nominal = (about[layout.position] @ layout.places[layout.place][:, :, None])[:, :, 0]
-    most = layout.most
-    found = start_candidates(grid.targets, grid.length, most)[:, :, :3]
-    away = np.linalg.norm(found - nominal, axis=2)
-    best = np.argmin(away, axis=0)
-    each = np.arange(len(best))
-    near = away[best, each] < NEAR
-    _check_near(layout, near | (most.sum(axis=1) < STATION_MINIMUM), away[best, each])
-    stations = np.where(near[:, None], found[best, each], nominal)
-    rotation, translation, places = about, np.zeros((len(about), 3)), layout.places
-    for _ in range(ROUNDS):
-        rotation, translation = _poses(layout, stations, near, places, about)
-        back = (stations - translation[layout.position])[:, None] @ rotation[layout.position]
-        weight = layout.by_place * np.where(near, 1.0, 1e-9)
-        places = (weight / weight.sum(axis=1, keepdims=True)) @ back[:, 0]
-    tilts = np.zeros(0 if layout.tilt_std is None else 4)
-    state = NetworkState(
-        rotation, translation, places, np.zeros(layout.n_zeros), grid.targets.copy(), tilts
-    )
-    distance = np.linalg.norm(state.stations(layout)[:, None] - grid.targets, axis=2)
-    apart = np.where(grid.used, distance - grid.length, 0.0)
-    total = np.bincount(layout.zero.ravel(), apart.ravel(), minlength=layout.n_zeros)
-    count = np.bincount(layout.zero.ravel(), grid.used.ravel(), minlength=layout.n_zeros)
-    state.zeros[:] = total / np.maximum(count, 1)
-    return state
-
-
-def _poses(
-    layout: StationLayout, stations: Floats, near: Bools, places: Floats, about: Floats
-) -> tuple[Floats, Floats]:
-    """Return rotations (m, 3, 3) and translations (m, 3) that take ``places`` to ``stations``."""
-    rotation, translation = about.copy(), np.zeros((len(about), 3))
-    for i in range(len(about)):
-        here = np.flatnonzero((layout.position == i) & near)
-        own = places[layout.place[here]]
-        if lost_direction(own) is None:
-            rotation[i], translation[i] = align(own, stations[here])
-    return rotation, translation
-
-
-def _check_near(layout: StationLayout, near: Bools, away: Floats) -> None:
-    if np.mean(near) > 0.5:
-        return
-    worst = int(np.argmax(away))
-    raise DataError(
-        f"{layout.station_name(worst)}: the lengths put the tracer {away[worst]:.3g} m from its "
-        f"nominal place, and {np.count_nonzero(~near)} of {len(near)} stations are farther than "
-        f"{NEAR:g} m: check the places, the numbering of the positions, the sense of the table "
-        "angles, and whether the targets are in the frame of the machine with z along the axis"
-    )
-
-
-NONE: Final = stated(0.0, 0.0)
-
-
-@dataclass(frozen=True, eq=False)
-class RigidAdjustment(Adjustment):
-    """An adjustment whose stations follow a rigid table, ``posterior`` and ``scatter`` with it."""
-
-    posterior: Posterior = None  # type: ignore[assignment]
-    scatter: Scatter = NONE
-
-
-@dataclass(frozen=True, eq=False)
-class RigidAdjuster:
-    """Adjusts a grid with the table rigid, from one ``state``; ``stated`` scatter in m and rad.
-
-    A scatter that is not known is estimated anew each time, so that it does not pass for noise.
-    """
-
-    layout: StationLayout
-    state: NetworkState
-    stated: tuple[float | None, float | None]
-    significance: float
-
-    def __call__(
-        self, grid: Grid, start: Floats, targets: Floats | None = None
-    ) -> RigidAdjustment:
-        """Return the adjustment of ``grid``; it starts from its own state, whatever is given."""
-        network, scatter = solve_network(
-            grid, self.layout, self.state, self.stated, self.significance
-        )
-        return _adjustment(network, scatter)
-
-
-def solve_network(
-    grid: Grid,
-    layout: StationLayout,
-    state: NetworkState,
-    known: tuple[float | None, float | None],
-    significance: float,
-) -> tuple[LengthNetwork, Scatter]:
-    """Return the network at its minimum with the scatter that it tells, or that is ``known``."""
-    network = relax(grid, layout, None, state)
-    check_determined(network)
-    arms = network.state.arms(layout)
-    scatter = estimate(contrasts(network, arms), *known, significance)
-    roots = scatter.roots(arms)
-    if roots is not None:
-        network = relax(grid, layout, roots, network.state)
-    return network, scatter
-
-
-def _adjustment(network: LengthNetwork, scatter: Scatter) -> RigidAdjustment:
-    grid, layout, state = network.grid, network.layout, network.state
-    after = posterior(network)
-    felt = (network.slopes.unit @ after.arrived[:, :, None])[:, :, 0]
-    corrections, redundancy, coupling = _felt_by_targets(grid, state, after)
-    unknowns = layout.size + 6 * len(layout.angles)
-    rank = unknowns - network.reduced.constraints.shape[1]
-    extra = 0 if grid.free else state.targets.size
-    extra += 0 if layout.tilt_std is None else 2 * len(layout.angles)
-    return RigidAdjustment(
-        stations=state.stations(layout) + after.arrived,
-        distances=state.zeros[layout.zero[:, 0]],
-        targets=state.targets,
-        residual=-(network.slopes.error + felt),
-        std=grid.length_std,
-        redundancy=grid.used - grid.weights * after.leverage,
-        chi2=network.slopes.chi2,
-        dof=int(grid.used.sum()) + extra - rank,
-        unknowns=unknowns,
-        rank=rank,
-        target_test=target_test(corrections, redundancy),
-        corrections=corrections,
-        target_redundancy=np.diagonal(redundancy, axis1=1, axis2=2),
-        coupling=coupling,
-        posterior=after,
-        scatter=scatter,
-    )
-
-
-def _felt_by_targets(
-    grid: Grid, state: NetworkState, after: Posterior
-) -> tuple[Floats, Floats, Floats]:
-    """Return corrections (n, 3), redundancy (n, 3, 3), coupling (3, 3) as Adjustment has them."""
-    n = len(grid.targets)
-    if grid.free:
-        return np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((3, 3))
-    std = grid.target_std
-    whole = -after.targets / (std[:, :, None, None] * std)
-    each = np.arange(n)
-    whole[each, :, each] += np.eye(3)
-    coupling = np.einsum("iajb,iajb->ab", whole, whole)
-    return (state.targets - grid.targets) / std, whole[each, :, each], coupling

@@ -1,13 +1,4 @@
-"""The six-deviations method from problem to result.
-
-What became of the zeros of unbroken beams: where they are, and their steps at one place.
-
-Whether the stated frame has z away from the table: what no length tells, and beams may.
-
-Targets and places typed in a frame whose z points into the table fit every length as well, and
-EZC, EAC and EBC change their signs. But a tracer stands on the table: no beam goes through it.
-
-ok, suspect or failed: the rules, and the sentences that say why.
+"""The six-deviations method from problem to result, and its verdict: ok, suspect or failed.
 
 suspect
     a component of the noise is larger than stated (the estimate is used), or chi-squared of the
@@ -15,8 +6,9 @@ suspect
     between the places contradict the stated scatter (the estimate is used); more than
     ``max_rejected_share`` of the lengths were rejected; a closure is larger than its uncertainty
     allows; something gathers (:mod:`rotcal_ros.methods.tracer.solver.gathering`); the zero of a
-    place jumps where no beam broke; the machine or the tracer has moved
-    between the runs or within one (:mod:`.movement_tests`); a position of the plan is missing.
+    place jumps where no beam broke; the machine or the tracer has moved between the runs or within
+    one (:mod:`.scatter`); a position of the plan is missing; or the stated z seems to point into
+    the table (:class:`Upward`).
 failed
     the noise is beyond the limits of :mod:`rotcal_ros.methods.tracer.solver.verdict`, or more than
     a fifth of the lengths were rejected.
@@ -38,27 +30,33 @@ from rotcal_ros.foundation.units import DEGREE, MICROMETRE
 from rotcal_ros.methods.tracer.solver.adjustment import MINIMAL_REDUNDANCY
 from rotcal_ros.methods.tracer.solver.gathering import details as gathering_details
 from rotcal_ros.methods.tracer.solver.gathering import doubts as doubt_gathering
-from rotcal_ros.methods.tracer.solver.jumps import Jump
-from rotcal_ros.methods.tracer.solver.numbering import Numbering
+from rotcal_ros.methods.tracer.solver.observability import Numbering
 from rotcal_ros.methods.tracer.solver.screening import rejection_limit
-from rotcal_ros.methods.tracer.solver.segments import step_between
 from rotcal_ros.methods.tracer.solver.verdict import (
-    FAILED_FACTORS,
-    FAILED_SHARE,
     doubt_jump,
     doubt_noise,
     doubt_rejected,
-    times_stated,
+    remark_noise,
+    remark_unchecked,
+    verdict_of,
 )
-from rotcal_ros.methods.tracer_six.solver.error_response import influence_of
+from rotcal_ros.methods.tracer.solver.zeros import Jump, step_between
 from rotcal_ros.methods.tracer_six.solver.layout import renamed
-from rotcal_ros.methods.tracer_six.solver.movement_tests import Kind
-from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
-from rotcal_ros.methods.tracer_six.solver.protections import protections
+from rotcal_ros.methods.tracer_six.solver.problem import SixProblem, timing
+from rotcal_ros.methods.tracer_six.solver.protections import influence_of, protections
+from rotcal_ros.methods.tracer_six.solver.scatter import Kind
 from rotcal_ros.methods.tracer_six.solver.solution import SixSolution, adjust
-from rotcal_ros.methods.tracer_six.solver.timing import timing
 
 METHOD = "tracer_six"
+STEEP: Final = 45.0 * DEGREE
+"""No beam goes down so steeply: tracers look past their own foot by 35 degrees or so at most."""
+MOVED: Final[dict[Kind, str]] = {
+    "between runs": "the machine stands elsewhere in one run than in another: it drifted, or was "
+    "knocked",
+    "slip": "the tracer slipped on the table",
+    "within runs": "angles measured again in the same run contradict the first time: the machine "
+    "drifted, or the tracer slipped on the table",
+}
 
 
 def solve(problem: SixProblem) -> Result:
@@ -236,13 +234,14 @@ def segment_report(solution: SixSolution) -> list[dict[str, Any]]:
     return found
 
 
-STEEP: Final = 45.0 * DEGREE
-"""No beam goes down so steeply: tracers look past their own foot by 35 degrees or so at most."""
-
-
 @dataclass(frozen=True, slots=True)
 class Upward:
-    """The elevations (rad, above the tracer along +z) of the steepest beams both ways."""
+    """The elevations (rad, above the tracer along +z) of the steepest beams both ways.
+
+    Targets and places typed in a frame whose z points into the table fit every length as well, and
+    EZC, EAC and EBC change their signs. No length tells that. But a tracer stands on the table: no
+    beam goes through it.
+    """
 
     lowest: float
     highest: float
@@ -289,23 +288,11 @@ class Upward:
         )
 
 
-MOVED: Final[dict[Kind, str]] = {
-    "between runs": "the machine stands elsewhere in one run than in another: it drifted, or was "
-    "knocked",
-    "slip": "the tracer slipped on the table",
-    "within runs": "angles measured again in the same run contradict the first time: the machine "
-    "drifted, or the tracer slipped on the table",
-}
-
-
 def judge(solution: SixSolution) -> tuple[Verdict, tuple[str, ...]]:
     """Return the verdict and its warnings by the rules in this module's docstring."""
     doubts = [*_doubt_noise(solution), *_doubt_gathering(solution), *_doubt_motion(solution)]
-    verdict: Verdict = "suspect" if doubts else "ok"
     factors = solution.scale * solution.noise.factors
-    share = solution.n_rejected / solution.n_lengths
-    if (factors > FAILED_FACTORS).any() or share > FAILED_SHARE:
-        verdict = "failed"
+    verdict = verdict_of(doubts, factors, solution.n_rejected / solution.n_lengths)
     return verdict, (*doubts, *_remarks(solution))
 
 
@@ -382,15 +369,6 @@ def _doubt_moves(solution: SixSolution) -> list[str]:
 
 
 def _remarks(solution: SixSolution) -> list[str]:
-    noise, settings = solution.noise, solution.problem.settings
-    remarks = [
-        f"{times_stated(noise, k)}, and so the estimate is used"
-        for k in np.flatnonzero(noise.contradicted(settings.noise_significance)).tolist()
-        if noise.factors[k] < 1.0 or not noise.contradicted(settings.test_significance)[k]
-    ]
     bare = solution.grid.used & (solution.fit.redundancy <= MINIMAL_REDUNDANCY)
-    if unchecked := int(bare.sum()):
-        remarks.append(
-            f"{unchecked} lengths are checked by no other: an error in them stays unseen"
-        )
-    return remarks
+    remarks = remark_noise(solution.noise, solution.problem.settings)
+    return remarks + remark_unchecked(int(bare.sum()))

@@ -1,29 +1,24 @@
 """Monte Carlo trials of six deviations: every trial is solved to the end.
 
-Gauss-Newton with the exact slopes of each trial and the normal matrix of the measurement, whose
-error is of the order of noise over distance (1e-5): a few steps leave nothing but rounding.
+Gauss-Newton with the exact slopes of each trial and the normal matrix of the measurement, as in
+:mod:`rotcal_ros.methods.tracer.solver.trials`; but one by one, for the table turns in space.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.methods.tracer.solver.grid import Grid
+from rotcal_ros.methods.tracer.solver.trials import MOST_STEPS, SETTLED
 from rotcal_ros.methods.tracer_six.solver.curves import table_curves
 from rotcal_ros.methods.tracer_six.solver.layout import StationLayout
 from rotcal_ros.methods.tracer_six.solver.network import LengthNetwork, NetworkState, relax, slopes
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
 from rotcal_ros.methods.tracer_six.solver.scatter import roots_of
 from rotcal_ros.methods.tracer_six.solver.solution import SixSolution, adjust
-
-MOST_STEPS: Final = 6
-"""Noise of 1e-6 m needs three; what has not settled then is linearised anew."""
-SETTLED: Final = 1e-10
-"""Squared length, in standard deviations, of a last step that left nothing to do."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rotcal_ros.foundation.errors import ConfigurationError, PlanError
-from rotcal_ros.methods.tracer.design.candidates import candidates, crosses, lattice, scene_of
+from rotcal_ros.methods.tracer.design.scene import candidates, crosses, lattice, scene_of
 from rotcal_ros.methods.tracer.design.settings import TracerDesignSettings
 
 

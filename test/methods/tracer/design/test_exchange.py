@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from tracer_scenes import every_pair, paper_scene
 
-from rotcal_ros.methods.tracer.design.checks import checks_of, detectable_in_std
-from rotcal_ros.methods.tracer.design.exchange import fewest_lengths
-from rotcal_ros.methods.tracer.design.information import Information
-from rotcal_ros.methods.tracer.design.penalty import Demands, LengthSelection
+from rotcal_ros.methods.tracer.design.exchange import Demands, LengthSelection, fewest_lengths
+from rotcal_ros.methods.tracer.design.information import Information, checks_of, detectable_in_std
 from rotcal_ros.methods.tracer.design.scene import Scene
 
 ARCSEC = np.pi / 180.0 / 3600.0

@@ -18,7 +18,7 @@ from tracer_scenes import (
 from rotcal_ros.methods.tracer.design.information import Information
 from rotcal_ros.methods.tracer.design.scene import Lengths, Scene
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
-from rotcal_ros.methods.tracer.solver.prediction import predicted
+from rotcal_ros.methods.tracer.solver.trials import predicted
 
 
 def solved(scene, lengths):

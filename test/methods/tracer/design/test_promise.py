@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from rotcal_ros.methods.tracer.design.promise import (
+from rotcal_ros.methods.tracer.design.ordering import (
     LOOKS,
     Promise,
     expanded,

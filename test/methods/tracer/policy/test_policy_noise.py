@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from rotcal_ros.methods.tracer.policy.contrasts import LengthContrasts, likeliest
 from rotcal_ros.methods.tracer.policy.noise import (
+    LengthContrasts,
     estimated_noise,
     judged_lengths,
+    likeliest,
     student_factor,
     suspect_length,
 )

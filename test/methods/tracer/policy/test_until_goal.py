@@ -9,14 +9,13 @@ from simulated import figures
 
 from rotcal_ros.foundation.protection import TOLERABLE
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.methods.tracer.policy.stated_uncertainty import Allowance
+from rotcal_ros.methods.tracer.policy.experiment import Allowance
 from rotcal_ros.methods.tracer.policy.until_goal import GoalLimits, UntilGoal, first_sweep
-from rotcal_ros.methods.tracer.solver.prediction import predicted
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 from rotcal_ros.methods.tracer.solver.protections import protections
 from rotcal_ros.methods.tracer.solver.solution import adjust
-from rotcal_ros.planning.as_listed import AsListed
-from rotcal_ros.planning.choices import StepOutcome
+from rotcal_ros.methods.tracer.solver.trials import predicted
+from rotcal_ros.planning.choices import AsListed, StepOutcome
 
 GOAL = figures.GOAL
 LOW, HIGH = (0.90, 0.99) if LONG else (share(0.95, 33)[0], 1.0)

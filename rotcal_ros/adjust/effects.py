@@ -1,0 +1,206 @@
+"""What a disturbance of known form does to the outputs, and from which size on a test finds it.
+
+An *effect* is one or more columns A (n, k) of errors of the observations per unit of size: a
+drift along each axis, a knock from here on, a wrong scale. At a solution with whitened residuals
+r, S = A'RA and u = A'r say all about it: its size is S^+u with the covariance S^+, and T = u'S^+u
+is chi-squared with the rank of S, or F where the noise was estimated from the same residuals and
+the rest of them is the yardstick (external studentisation; Baarda 1968; Koch 1999, section 4.4).
+
+The members of a *family* exclude each other: a knock at this moment or at that one. Neighbours in
+time are alike, so that the largest of many is judged by the expected number of upcrossings (Rice
+1944; Davies 1987) and by no more than independent ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.special import erfc
+
+from rotcal_ros.adjust.distributions import chi2_sf, f_sf, noncentrality, normal_isf
+from rotcal_ros.adjust.roots import root_between
+from rotcal_ros.foundation.arrays import Floats
+
+UNSEEN: Final = 1e-9
+"""Information of a size, per that of its errors without the unknowns, that is none."""
+NOTHING: Final = 1e-150
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What the solution makes of k columns of errors, each of unit size.
+
+    ``moved`` (k, o): what they do to the outputs. ``information`` (k, k): S, what of them is left
+    in the residuals; ``score`` (k,): u; ``whole`` (k,): their squared length before the unknowns
+    took up their part.
+    """
+
+    moved: Floats
+    information: Floats
+    score: Floats
+    whole: Floats
+
+    def part(self, which: slice) -> Seen:
+        """Return what is seen of some of the columns."""
+        return Seen(
+            self.moved[which],
+            self.information[which, which],
+            self.score[which],
+            self.whole[which],
+        )
+
+
+class EffectTest(NamedTuple):
+    """How an effect explains the residuals.
+
+    ``size`` (k,) with ``covariance`` (k, k): of the columns, zero where nothing is seen.
+    Chi-squared falls by ``squares`` for ``rank`` more unknowns; chance makes more of it with
+    ``probability``.
+    ``member``: which of a family it is, else 0.
+    """
+
+    size: Floats
+    covariance: Floats
+    squares: float
+    rank: int
+    probability: float
+    member: int = 0
+
+
+def effect_test(seen: Seen, rest: tuple[float, float] | None = None) -> EffectTest:
+    """Test all columns together.
+
+    ``rest``: chi-squared and degrees of freedom of the adjustment where the noise was estimated
+    from it; None: the noise is known.
+    """
+    inverse, rank = _inverse(seen)
+    size = inverse @ seen.score
+    squares = float(seen.score @ size)
+    return EffectTest(size, inverse, squares, rank, _chance(squares, rank, rest))
+
+
+def family_test(seen: Seen, rest: tuple[float, float] | None = None) -> EffectTest:
+    """Test single columns of which at most one is there, and return the best; neighbours alike."""
+    information = seen.information.diagonal()
+    checked = information > UNSEEN * seen.whole
+    safe = np.where(checked, information, 1.0)
+    squares = np.where(checked, seen.score**2 / safe, 0.0)
+    k = int(np.argmax(squares))
+    alone = effect_test(seen.part(slice(k, k + 1)), rest)
+    u = normal_isf(max(0.5 * alone.probability, NOTHING))
+    chance = above_of_family(u, correlations(seen.information)) if alone.rank else 1.0
+    return alone._replace(probability=min(chance, 1.0), member=k)
+
+
+def _inverse(seen: Seen) -> tuple[Floats, int]:
+    """Return S^+ and the rank of S."""
+    scale, values, vectors = _axes(seen)
+    checked = values > UNSEEN
+    kept = vectors[:, checked] / scale[:, None]
+    return np.asarray((kept / values[checked]) @ kept.T), int(checked.sum())
+
+
+def _axes(seen: Seen) -> tuple[Floats, Floats, Floats]:
+    """Return lengths (k,) of the columns; eigenvalues, vectors of S for columns of length one."""
+    scale = np.sqrt(np.maximum(seen.whole, np.finfo(np.float64).tiny))
+    values, vectors = np.linalg.eigh(seen.information / scale / scale[:, None])
+    return scale, values, vectors
+
+
+def _chance(squares: float, rank: int, rest: tuple[float, float] | None) -> float:
+    if not rank:
+        return 1.0
+    if rest is None:
+        return chi2_sf(squares, rank)
+    left = rest[1] - rank
+    if left < 1.0:
+        return 1.0
+    variance = max(rest[0] - squares, 1e-300) / left
+    return f_sf(squares / rank / variance, rank, left)
+
+
+def correlations(information: Floats) -> Floats:
+    """Return the correlations (k - 1,) between the scores of neighbours, from S (k, k)."""
+    root = np.sqrt(np.maximum(information.diagonal(), np.finfo(np.float64).tiny))
+    return np.asarray(np.diagonal(information, 1) / (root[1:] * root[:-1]))
+
+
+def above_of_family(u: float, alike: Floats) -> float:
+    """Return how probably the largest |score| of a family exceeds ``u`` by chance, two-sided.
+
+    ``alike`` (k - 1,): correlations of neighbours. Expected upcrossings, acos(rho) / (2 pi)
+    exp(-u^2 / 2) each (Rice's formula for a sequence), and never more than of independent scores.
+    """
+    rate = float(np.arccos(np.clip(alike, -1.0, 1.0)).sum()) / (2.0 * np.pi)
+    above = 0.5 * float(erfc(u / np.sqrt(2.0)))
+    crossings = min(rate * float(np.exp(-0.5 * u * u)), len(alike) * above)
+    return 2.0 * (above + crossings)
+
+
+class Unseen(NamedTuple):
+    """The largest error that may stay unseen, in standard uncertainties of the outputs.
+
+    ``found``: a larger effect is found with the stated power; else none larger was considered.
+    """
+
+    error: float
+    found: bool
+
+
+def unseen(
+    seen: Seen, std: Floats, largest: float, *, significance: float, power: float
+) -> Unseen:
+    """Return the worst that columns together do before their test finds them.
+
+    ``std`` (o,) of the outputs, zero: one that does not count; ``largest``: a size that nobody
+    would overlook. ``significance``: of this effect's own test.
+    """
+    share = _share(seen.moved, std)
+    inverse, _ = _inverse(seen)
+    needed = noncentrality(significance, power, max(len(seen.whole), 1))
+    shown = np.sqrt(needed * np.maximum(np.einsum("ko,kl,lo->o", share, inverse, share), 0.0))
+    hidden = largest * np.linalg.norm(_hidden_directions(seen).T @ share, axis=0)
+    bound = largest * np.linalg.norm(share, axis=0)
+    error = np.minimum(shown + hidden, bound)
+    if not error.size:
+        return Unseen(0.0, found=True)
+    worst = int(np.argmax(error))
+    found = hidden[worst] <= UNSEEN and shown[worst] <= bound[worst]
+    return Unseen(float(error[worst]), bool(found))
+
+
+def unseen_family(
+    seen: Seen, std: Floats, largest: float, *, significance: float, power: float
+) -> Unseen:
+    """Return the worst that one column of a family does before the test of all finds it."""
+    share = _share(seen.moved, std).max(axis=1, initial=0.0)
+    information = seen.information.diagonal()
+    checked = information > UNSEEN * seen.whole
+    limit = limit_of_family(significance, correlations(seen.information))
+    needed = limit + normal_isf(1.0 - power)
+    size = np.where(checked, needed / np.sqrt(np.where(checked, information, 1.0)), np.inf)
+    error = np.minimum(size, largest) * share
+    worst = int(np.argmax(error))
+    return Unseen(float(error[worst]), bool(size[worst] <= largest))
+
+
+def limit_of_family(significance: float, alike: Floats) -> float:
+    """Return what the largest |score| of a family exceeds by chance with ``significance``."""
+    return root_between(lambda u: above_of_family(u, alike) - significance, 0.0, 40.0, 1e-12)
+
+
+def _share(moved: Floats, std: Floats) -> Floats:
+    """Return moves (k, o') of the outputs that count, in their standard uncertainties."""
+    counts = std > 0.0
+    return np.asarray(moved[:, counts] / std[counts])
+
+
+def _hidden_directions(seen: Seen) -> Floats:
+    """Return the sizes (k, h) that leave no residual, as orthonormal columns."""
+    scale, values, vectors = _axes(seen)
+    open_ = values <= UNSEEN
+    if not open_.any():
+        return np.zeros((len(scale), 0))
+    return np.asarray(np.linalg.qr(vectors[:, open_] / scale[:, None])[0])

@@ -1,0 +1,342 @@
+"""From a model to a result that says what could be wrong with it: the whole of the engine.
+
+:func:`adjust` takes a :class:`~.model.Model` and goes through these stages.
+
+1. *Start.* Least absolute deviations, then concentration on the better part of every group, lead
+   to a place that gross errors do not bend; what misses it beyond all noise waits outside, unless
+   something explains it together.
+2. *Noise.* Components are tested, and estimated where the statement is contradicted
+   (:mod:`.noise`).
+3. *Causes.* Groups, effects and single observations are asked what explains the residuals, until
+   nothing significant is left (:mod:`.causes`).
+4. *Statement.* Covariance, doubts in words, verdict, and what each effect may do unseen.
+
+:func:`predicted` tells the same of a plan without data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+
+from rotcal_ros.adjust import gathering
+from rotcal_ros.adjust.causes import Diagnosis, Limits, found_causes, seen_by
+from rotcal_ros.adjust.distributions import chi2_isf, chi2_sf
+from rotcal_ros.adjust.effects import Seen, Unseen, unseen, unseen_family
+from rotcal_ros.adjust.gathering import SUSPECTED, GatheringLimits
+from rotcal_ros.adjust.model import Disturbing, Fit, Model, fitted, require_determined
+from rotcal_ros.adjust.reliability import hidden
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.protection import POWER, Effect, Protection, ordered
+from rotcal_ros.foundation.raw_data import Influence, RawData
+from rotcal_ros.foundation.results import Rejection, Residuals, Result, Verdict
+
+HARMLESS: Final = 0.1
+"""Error, in standard uncertainties, of an effect that nobody has to be told of."""
+LARGEST: Final = 1000.0
+"""Errors of several observations, in their stated noise, that nobody would overlook."""
+FAILED_SHARE: Final = 0.2
+"""Share of rejected observations from which the rest proves nothing."""
+FAILED_FACTOR: Final = 10.0
+"""Times the stated noise from which the model does not describe the observations."""
+LIMITS: Final = Limits()
+
+
+@dataclass(frozen=True, eq=False)
+class Adjusted:
+    """A solved model: the ``diagnosis`` of its observations, and the solution that follows."""
+
+    diagnosis: Diagnosis
+    fit: Fit
+
+    @property
+    def model(self) -> Model:
+        """What was solved."""
+        return self.fit.model
+
+    @property
+    def why(self) -> dict[int, str]:
+        """By row, why an observation was left out."""
+        return self.diagnosis.why
+
+    @property
+    def value(self) -> Floats:
+        """The outputs (o,)."""
+        return self.fit.value
+
+    @cached_property
+    def covariance(self) -> Floats:
+        """Covariance (o, o) of the outputs, with all that is probable but not proved."""
+        total = self.scale**2 * (self.fit.response @ self.fit.response.T)
+        for weight, change in self.diagnosis.contested:
+            total = total + weight * np.outer(change, change)
+        gathers = self.diagnosis.gathering.covariance()
+        return np.asarray(total if gathers is None else total + gathers)
+
+    @property
+    def std(self) -> Floats:
+        """Standard uncertainties (o,) of the outputs."""
+        return np.sqrt(np.maximum(self.covariance.diagonal(), 0.0))
+
+    @property
+    def scale(self) -> float:
+        """Factor on all standard uncertainties for noise that its components do not explain."""
+        fit, significance = self.fit, self.diagnosis.limits.significance
+        if not fit.dof or fit.chi2 <= fit.dof or chi2_sf(fit.chi2, fit.dof) >= significance:
+            return 1.0
+        return float(np.sqrt(fit.chi2 / fit.dof))
+
+    @property
+    def sigma0(self) -> float:
+        """Scatter of the residuals over what is stated; 1 where nothing is checked."""
+        fit = self.fit
+        stated = np.where(fit.used, fit.residual / self.model.std, 0.0)
+        return float(np.sqrt(stated @ stated / fit.dof)) if fit.dof else 1.0
+
+    @property
+    def rejected(self) -> tuple[Rejection, ...]:
+        """The observations that were left out."""
+        return tuple(Rejection(row, why) for row, why in sorted(self.why.items()))
+
+    @cached_property
+    def seen(self) -> list[tuple[Disturbing, Seen]]:
+        """What the solution makes of each declared effect."""
+        return [
+            (effect, seen_by(self.fit, effect.at(self.fit.computed)))
+            for effect in self.model.effects
+        ]
+
+    @cached_property
+    def doubts(self) -> tuple[str, ...]:
+        """A sentence about everything that is odd; any makes the result suspect."""
+        return tuple(_doubts(self))
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the model describes the observations."""
+        share = len(self.why) / max(int(self.model.may_go.sum()), 1)
+        larger = self.scale * self.diagnosis.noise.factors.max(initial=1.0)
+        if share > FAILED_SHARE or larger > FAILED_FACTOR:
+            return "failed"
+        return "suspect" if self.doubts else "ok"
+
+    def trials(self, rng: np.random.Generator, count: int) -> Floats:
+        """Draw ``count`` measurements with the noise that was used; return outputs (count, o)."""
+        noise = self.scale * rng.standard_normal((count, len(self.fit.std))) * self.fit.used
+        return np.asarray(self.value + noise @ self.fit.response.T)
+
+    def protections(self) -> tuple[Protection, ...]:
+        """Return what is done about each declared effect, the noise, and what gathers."""
+        return tuple(_protections(self))
+
+    def result(
+        self,
+        method: str,
+        angles: Floats,
+        components: Mapping[str, slice],
+        places: tuple[Ints, Ints],
+        *,
+        counts_from: str = "first angle",
+        doubts: Sequence[str] = (),
+        protections: Sequence[Protection] = (),
+        details: Mapping[str, Any] | None = None,
+    ) -> Result:
+        """Return the result that all methods share, the table at ``angles`` (m,), rad.
+
+        ``components`` says which outputs are the deviations of which component. ``places``: table
+        position (k,) and target (k,) of the first k observations, which a table measured; others
+        are known beforehand. What the method itself doubts, protects against and tells joins what
+        was found here; its word on an effect takes the place of ours.
+        """
+        (position, target), fit, whole = places, self.fit, self.covariance
+        measured = slice(len(position))
+        every = {p.effect: p for p in (*self.protections(), *protections)}
+        suspect = self.verdict == "ok" and bool(doubts)
+        return Result(
+            method=method,
+            angles=angles,
+            deviations={name: self.value[part] for name, part in components.items()},
+            std={name: self.std[part] for name, part in components.items()},
+            covariance={name: whole[part, part] for name, part in components.items()},
+            sigma0=self.sigma0,
+            dof=fit.dof,
+            n_observations=len(position),
+            rejected=self.rejected,
+            verdict="suspect" if suspect else self.verdict,
+            warnings=(*doubts, *self.doubts),
+            protections=ordered(every.values()),
+            residuals=Residuals(
+                position, target, fit.residual[measured], fit.redundancy[measured],
+                fit.test_value[measured], fit.used[measured], fit.std[measured],
+            ),
+            raw_data=RawData(influence=self._influence(components, len(position))),
+            details={**self.details(), **(details or {})},
+        ).counted_from(counts_from)  # fmt: skip
+
+    def _influence(self, components: Mapping[str, slice], measured: int) -> Influence:
+        """Return what standard errors of what is used do to the deviations."""
+        rows = np.flatnonzero(self.fit.used[:measured])
+        known = np.arange(measured, len(self.fit.used))
+        felt = self.scale * self.fit.response[:, np.append(rows, known)]
+        causes = tuple(self.model.row_name(row) for row in known.tolist())
+        return Influence(rows, 1, {n: felt[part] for n, part in components.items()}, causes)
+
+    def details(self) -> dict[str, Any]:
+        """Return what was found for the details of a result, SI."""
+        return {
+            "chi_square": {
+                "value": self.fit.chi2,
+                "dof": self.fit.dof,
+                "p_value": chi2_sf(self.fit.chi2, self.fit.dof) if self.fit.dof else None,
+            },
+            "noise": dict(
+                zip(self.model.components, self.diagnosis.noise.factors.tolist(), strict=True)
+            ),
+            "effects_found": [
+                {"effect": e.effect.effect, "size": e.test.size}
+                for e in self.diagnosis.taken
+                if e.effect is not None and e.test is not None
+            ],
+            "gathering": gathering.details(self.diagnosis.gathering, "observations"),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class PlanPrediction:
+    """What a plan would give: ``std`` (o,), ``redundancy`` (n,), by effect what stays unseen."""
+
+    std: Floats
+    redundancy: Floats
+    unseen: dict[Effect, Unseen]
+
+
+def predicted(model: Model, limits: Limits = LIMITS) -> PlanPrediction:
+    """Return what ``model`` would give; its observations do not matter.
+
+    Raises ObservabilityError where they leave a direction open.
+    """
+    computed, _ = model.equations(model.first)
+    exact = replace(model, observed=computed)
+    fit = fitted(exact, np.ones(len(computed), dtype=np.bool_), model.std, model.first)
+    std = np.linalg.norm(fit.response, axis=1)
+    every = {
+        e.effect: _unseen(e, seen_by(fit, e.at(computed)), std, limits.of_each_effect(model))
+        for e in model.effects
+    }
+    return PlanPrediction(std, fit.redundancy, every)
+
+
+def adjust(model: Model, limits: Limits = LIMITS) -> Adjusted:
+    """Solve ``model`` and say what is wrong with it; see the module's docstring.
+
+    Raises ObservabilityError where the observations leave more open than the free directions,
+    DataError where they contradict each other so much that nothing settles.
+    """
+    require_determined(model)
+    diagnosis = found_causes(model, limits)
+    return Adjusted(diagnosis, diagnosis.fit)
+
+
+def _doubts(found: Adjusted) -> Iterator[str]:
+    model, limits = found.model, found.diagnosis.limits
+    for k in np.flatnonzero(_larger(found)).tolist():
+        yield (
+            f"the scatter of {model.components[k]} is {found.diagnosis.noise.factors[k]:.2g} "
+            "times as stated: the estimate is used; state it, or look for drift"
+        )
+    if found.scale > 1.0:
+        yield (
+            f"the residuals are {found.scale:.2g} times what their standard deviations allow "
+            "(chi-squared test): the uncertainty is enlarged by that factor"
+        )
+    for effect, test in ((e.effect, e.test) for e in found.diagnosis.taken):
+        if effect is not None and test is not None:
+            sizes = ", ".join(effect.unit.shown(s) for s in test.size.tolist())
+            yield (
+                f"it looks as if {effect.what}, by {sizes} (p = {test.probability:.2g}): that was "
+                "taken off, and the uncertainty holds it; find out why, and measure again"
+            )
+    yield from found.diagnosis.rivals
+    yield from gathering.doubts(
+        found.diagnosis.gathering,
+        GatheringLimits(limits.rejected_share, limits.significance),
+        model.words,
+    )
+    share = len(found.why) / max(int(model.may_go.sum()), 1)
+    if share > limits.rejected_share:
+        yield (
+            f"{len(found.why)} of {int(model.may_go.sum())} {model.words.elements} were left out, "
+            f"more than {100 * limits.rejected_share:g} % is suspicious"
+        )
+
+
+def _larger(found: Adjusted) -> Bools:
+    """Return which components of the noise are larger than stated."""
+    estimated = found.diagnosis.noise.estimated
+    if estimated is None:
+        return np.zeros(len(found.model.components), dtype=np.bool_)
+    beyond = estimated.contradicted(found.diagnosis.limits.significance)
+    return np.asarray(beyond & (estimated.factors > 1.0), dtype=np.bool_)
+
+
+def _protections(found: Adjusted) -> Iterator[Protection]:
+    each = found.diagnosis.limits.of_each_effect(found.model)
+    taken = {e.effect.effect for e in found.diagnosis.taken if e.effect is not None}
+    worst: dict[Effect, tuple[Unseen, Disturbing]] = {}
+    for effect, seen in found.seen:
+        hides = _unseen(effect, seen, found.std, each)
+        if effect.effect not in worst or hides.error > worst[effect.effect][0].error:
+            worst[effect.effect] = hides, effect
+    for name, (hides, effect) in worst.items():
+        if name in taken:
+            yield Protection(name, "estimated", f"it was found that {effect.what}")
+        elif hides.error <= HARMLESS:
+            why = f"that {effect.what} moves the result by less than a tenth of its uncertainty"
+            yield Protection(name, "harmless", why)
+        elif not hides.found:
+            why = f"that {effect.what} leaves no residual"
+            yield Protection(name, "not protected", why)
+        else:
+            why = f"that {effect.what} contradicts other {found.model.words.elements}"
+            yield Protection(name, "tested", why, hides.error)
+    yield _against_noise(found)
+    yield from _against_gathering(found)
+
+
+def _unseen(effect: Disturbing, seen: Seen, std: Floats, significance: float) -> Unseen:
+    worst = unseen_family if effect.family else unseen
+    return worst(seen, std, effect.largest, significance=significance, power=POWER)
+
+
+def _against_noise(found: Adjusted) -> Protection:
+    dof = found.fit.dof
+    if not dof:
+        return Protection("axis noise", "not protected", "nothing is measured twice")
+    ratio = float(chi2_isf(found.diagnosis.limits.significance, dof) / chi2_isf(POWER, dof))
+    why = f"{dof} residuals test the stated noise, which is estimated where it does not hold"
+    return Protection("axis noise", "tested", why, float(np.sqrt(max(ratio - 1.0, 0.0))))
+
+
+def _against_gathering(found: Adjusted) -> Iterator[Protection]:
+    judgement = found.diagnosis.gathering.judgement
+    if judgement is None:
+        return
+    words, unit = found.model.words, found.model.unit
+    worst = hidden(
+        judgement.groups, found.std, SUSPECTED, POWER, LARGEST * float(found.model.std.max())
+    )
+    if worst is None:
+        return
+    what = f"several {words.elements} that are off together ({words.cause})"
+    if not worst.seen:
+        yield Protection("one place", "not protected", f"{what} leave no residual")
+        return
+    why = (
+        f"{what} are looked for; {worst.count} of {worst.name} by {unit.shown(worst.size)} are "
+        "found, the worst case"
+    )
+    yield Protection("one place", "tested", why, worst.error)

@@ -1,0 +1,275 @@
+"""Settings of recording and of reading: the groups ``recorder``, ``topics`` and ``reading``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.settings import check_ros_name, group, load, setting
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICRORADIAN
+from rotcal_ros.foundation.untrusted import load_yaml
+
+
+@dataclass(frozen=True)
+class WriterSettings:
+    """When chunks are closed and files are split."""
+
+    sync_interval_s: float = setting(
+        0.5,
+        doc="s, longest time that data wait in memory before they are on disk",
+        minimum=0.01,
+        maximum=1.0,
+    )
+    chunk_bytes: int = setting(
+        262144, doc="bytes, size at which a chunk is closed early", minimum=1024, maximum=67108864
+    )
+    split_bytes: int = setting(
+        0, doc="bytes, size at which a new file is begun; 0: never", minimum=0
+    )
+    split_duration_s: float = setting(
+        0.0, doc="s, recording time after which a new file is begun; 0: never", minimum=0.0
+    )
+    min_free_bytes: int = setting(
+        67108864, doc="bytes of free disk below which recording stops in good order", minimum=0
+    )
+
+
+@dataclass(frozen=True)
+class RecorderSettings:
+    """Where and how a cell is recorded."""
+
+    folder: str = setting(
+        "~/.ros/rotcal", doc="folder below which every calibration gets its session folder"
+    )
+    session: str = setting(
+        "", doc="name of the session folder; empty: UTC time and the start of the plan's hash"
+    )
+    run: int = setting(
+        0,
+        doc="run of an interrupted session that this one is; 0 begins a session, later runs "
+        "continue its bag in a new file",
+        minimum=0,
+        maximum=1_000_000,
+    )
+    queue_bytes: int = setting(
+        67_108_864,
+        doc="bytes waiting for the disk at most; beyond that messages are lost and counted",
+        minimum=65_536,
+    )
+    silence_s: float = setting(
+        30.0,
+        doc="s without a message after which tracer_length, joint_states or what is known "
+        "of the air counts as silent",
+        minimum=0.1,
+        maximum=3600.0,
+    )
+    writer: WriterSettings = group(WriterSettings)
+
+
+LENGTH_UNITS: Final = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}
+"""Units of lengths and positions in m."""
+ANGLE_UNITS: Final = {"rad": 1.0, "deg": DEGREE, "arcsec": ARCSEC, "urad": MICRORADIAN}
+"""Units of angles in rad."""
+Length = Literal["m", "mm", "um", "nm"]
+Clock = Literal["stamp", "sent"]
+
+_MAX_OFFSET_S: Final = 4e9
+"""A clock that counts from its start is behind by the time since 1970."""
+_OFFSET_DOC: Final = "the clock of {} is ahead by so much (behind: negative): it is taken off"
+_CLOCK_DOC: Final = (
+    "when {} was taken: what its header says, or when its message was sent (a device whose clock "
+    "drifts or counts from its start); a message without a header always when it was sent"
+)
+
+
+@dataclass(frozen=True)
+class TopicSettings:
+    """Topics that bear other names, and the units and clocks of those who publish them."""
+
+    tracer_length: str = setting("", doc="topic of the lengths; empty: by its last name")
+    probe_point: str = setting("", doc="topic of the probe; empty: by its last name")
+    joint_states: str = setting("", doc="topic of the table's feedback; empty: by its last name")
+    temperature: str = setting("", doc="topic of the temperature; empty: by its last name")
+    air_pressure: str = setting("", doc="topic of the air pressure; empty: by its last name")
+    relative_humidity: str = setting("", doc="topic of the humidity; empty: by its last name")
+    length_unit: Length = setting("m", doc="unit of the lengths")
+    length_unit_m: float = setting(
+        1.0,
+        doc="m, unit of the lengths where it has no name; negative where a length shrinks with "
+        "distance",
+    )
+    angle_unit: Literal["rad", "deg", "arcsec", "urad"] = setting(
+        "rad", doc="unit of the table's angles; of its velocities, in a second"
+    )
+    angle_unit_rad: float = setting(
+        1.0,
+        doc="rad, unit of the angles where it has no name; negative where the table counts "
+        "clockwise",
+    )
+    angle_span_s: float = setting(
+        0.1,
+        doc="s, the speed of angles without velocity is taken over so long: longer, and rest "
+        "begins as much later; shorter, and noise is a motion",
+        minimum=1e-3,
+        maximum=10.0,
+    )
+    position_unit: Length = setting("m", doc="unit of the probe's positions")
+    temperature_unit: Literal["degC", "K", "degF"] = setting(
+        "degC", doc="unit of the temperatures"
+    )
+    pressure_unit: Literal["Pa", "hPa", "kPa"] = setting("Pa", doc="unit of the air pressure")
+    humidity_unit: Literal["share", "percent"] = setting(
+        "share", doc="unit of the relative humidity"
+    )
+    length_single_shot: bool = setting(
+        False,
+        doc="lengths come one by one or in bursts, when the instrument is asked: its silence is "
+        "no loss",
+    )
+    probe_single_shot: bool = setting(
+        False, doc="the probe tells a point only when it has arrived: the preflight does without"
+    )
+    length_trigger: str = setting(
+        "",
+        doc="service (std_srvs/Trigger) that takes one length, called at rest as often as the "
+        "window needs; empty: nobody has to ask",
+    )
+    tip_radius_m: float = setting(
+        0.0, doc="m, radius of the tip that touches, where the points do not tell", minimum=0.0
+    )
+    length_clock: Clock = setting("stamp", doc=_CLOCK_DOC.format("a length"))
+    table_clock: Clock = setting("stamp", doc=_CLOCK_DOC.format("an angle"))
+    probe_clock: Clock = setting("stamp", doc=_CLOCK_DOC.format("a point"))
+    length_clock_offset_s: float = setting(
+        0.0,
+        doc=f"s, {_OFFSET_DOC.format('the lengths')}",
+        minimum=-_MAX_OFFSET_S,
+        maximum=_MAX_OFFSET_S,
+    )
+    table_clock_offset_s: float = setting(
+        0.0,
+        doc=f"s, {_OFFSET_DOC.format('the table')}",
+        minimum=-_MAX_OFFSET_S,
+        maximum=_MAX_OFFSET_S,
+    )
+    probe_clock_offset_s: float = setting(
+        0.0,
+        doc=f"s, {_OFFSET_DOC.format('the probe')}",
+        minimum=-_MAX_OFFSET_S,
+        maximum=_MAX_OFFSET_S,
+    )
+    clock_bound_s: float = setting(
+        0.0,
+        doc="s, by which the clocks of table, probe and instrument may differ all the same: times "
+        "the creep of a table at rest (capture.velocity_tolerance_deg_s) it is in the uncertainty "
+        "of ECC",
+        minimum=0.0,
+        maximum=10.0,
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse names that no topic can bear, units that are none, and two for one."""
+        for role, topic in self.renamed().items():
+            check_ros_name(topic, role)
+        if self.length_trigger:
+            check_ros_name(self.length_trigger, "length_trigger")
+        for name, factor, short in (
+            ("length_unit_m", self.length_unit_m, self.length_unit != "m"),
+            ("angle_unit_rad", self.angle_unit_rad, self.angle_unit != "rad"),
+        ):
+            if factor == 0.0:
+                raise ConfigurationError(f"{name} = 0 makes every value zero")
+            if short and abs(factor) != 1.0:
+                by_name = name.rpartition("_")[0]
+                raise ConfigurationError(
+                    f"{by_name} = {getattr(self, by_name)} and {name} = {factor:g} are two units "
+                    f"for one stream: state one of them (beside {by_name}, {name} may be -1 to "
+                    "turn the sign)"
+                )
+
+    @property
+    def length_m(self) -> float:
+        """The unit of the lengths in m, with its sign."""
+        return LENGTH_UNITS[self.length_unit] * self.length_unit_m
+
+    @property
+    def angle_rad(self) -> float:
+        """The unit of the angles in rad, with its sign."""
+        return ANGLE_UNITS[self.angle_unit] * self.angle_unit_rad
+
+    def renamed(self) -> dict[str, str]:
+        """Return role -> topic of those that were given."""
+        roles = (
+            "tracer_length", "probe_point", "joint_states", "temperature", "air_pressure",
+            "relative_humidity",
+        )  # fmt: skip
+        return {role: getattr(self, role) for role in roles if getattr(self, role)}
+
+
+_GROUP: Final = "reading"
+
+LARGEST_MESSAGE: Final = 128 * 1024 * 1024
+"""Bytes of the largest message that a database may hold, or a definition ask for."""
+
+
+@dataclass(frozen=True)
+class ReadingLimits:
+    """What a bag may cost to read; what goes beyond is left out and said."""
+
+    record_bytes: int = setting(
+        50_331_648,
+        doc="bytes, largest record of a file that is taken into memory",
+        minimum=65_536,
+    )
+    chunk_bytes: int = setting(
+        50_331_648,
+        doc="bytes, largest chunk or message that is unpacked",
+        minimum=65_536,
+    )
+    unpacked_bytes: int = setting(
+        268_435_456,
+        doc="bytes that a file of any size may unpack to in all",
+        minimum=65_536,
+    )
+    unpacked_ratio: int = setting(
+        1000,
+        doc="times the size of a file that it may unpack to where this is more",
+        minimum=1,
+    )
+    other_records: int = setting(
+        200_000,
+        doc="records in a chunk that are no messages",
+        minimum=1000,
+    )
+    kept_bytes: int = setting(
+        33_554_432,
+        doc="bytes of memory for all definitions, attachments and metadata of a file together",
+        minimum=65_536,
+    )
+
+
+DEFAULT_LIMITS: Final = ReadingLimits()
+
+
+def is_limit(change: str) -> bool:
+    """Return whether a ``group.name=value`` is about the limits of reading."""
+    return change.partition(".")[0] == _GROUP
+
+
+def changed_limits(changes: Sequence[str]) -> ReadingLimits:
+    """Return the limits with ``reading.name=value`` changes; ConfigurationError for all others."""
+    values: dict[str, Any] = {}
+    for change in changes:
+        name, equals, value = change.partition("=")
+        first, dot, limit = name.partition(".")
+        if first != _GROUP or not dot or not equals:
+            raise ConfigurationError(f"--set {change}: expected {_GROUP}.NAME=VALUE")
+        values[limit] = load_yaml(value, f"--set {change}")
+    return load(ReadingLimits, values, f"--set: {_GROUP}")
+
+
+def refusal(what: str, setting_name: str, least: int) -> str:
+    """Return the words for something beyond a limit: what it is, and what lets it pass."""
+    return f"{what}; --set reading.{setting_name}={least} of rotcal bag repair lets it pass"

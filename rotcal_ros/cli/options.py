@@ -1,0 +1,210 @@
+"""Options that several verbs share, and what the shell offers for a parameter at the Tab key.
+
+Completion is switched on by one line in the shell's own configuration: docs/command_line.md. All
+of this is loaded before every verb, so it imports nothing that takes time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+import click
+from click.shell_completion import CompletionItem
+
+from rotcal_ros.cli.console import path_type
+from rotcal_ros.foundation import plugins
+from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.errors import PlanError
+from rotcal_ros.foundation.units import ARCSEC
+
+if TYPE_CHECKING:
+    from rotcal_ros.curves.measured import MeasuredCurve
+    from rotcal_ros.planning.check_rule import CheckRule
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+shown_option = partial(click.option, show_default=True)
+positive: Final = click.FloatRange(min=0.0, min_open=True)
+set_option = click.option(
+    "--set", "changes", multiple=True, metavar="GROUP.NAME=VALUE", help="Change a setting."
+)
+
+
+def setup_options(function: Function) -> Function:
+    """Add ``--setup`` and ``--targets``."""
+    function = click.option(
+        "--targets", type=path_type, help="Target positions of a tracer table."
+    )(function)
+    return click.option(
+        "--setup",
+        type=path_type,
+        shell_complete=configurations,
+        help="Configuration; a table needs it, a bag brings its own.",
+    )(function)
+
+
+def numbers(text: str, option: str) -> tuple[float, ...]:
+    """Return the numbers in the text of an option, which commas separate; raises PlanError."""
+    try:
+        return tuple(float(part) for part in text.replace(",", " ").split())
+    except ValueError:
+        raise PlanError(f"{option} {text}: expected numbers separated by commas") from None
+
+
+def whole_numbers(text: str, option: str) -> list[int]:
+    """Return the whole numbers in the text of an option; raises PlanError."""
+    found = numbers(text, option)
+    if not all(map(float.is_integer, found)):
+        raise PlanError(f"{option} {text}: expected whole numbers")
+    return [int(number) for number in found]
+
+
+component_option: Final = click.option(
+    "--component",
+    type=click.Choice(COMPONENTS),
+    default="ECC",
+    show_default=True,
+    help="The deviation to compare.",
+)
+align_option: Final = click.option(
+    "--align-order",
+    type=click.IntRange(0, 12),
+    default=0,
+    show_default=True,
+    help="Harmonics removed besides the offset; 1 for radial deviations of different origins.",
+)
+reference_option: Final = click.option(
+    "--reference-u",
+    "reference_std",
+    type=click.FloatRange(min=0.0),
+    metavar="ARCSEC",
+    callback=lambda _context, _option, given: None if given is None else given * ARCSEC,
+    help="Standard uncertainty (k = 1) of reference tables that state none; 0: exact.",
+)
+
+
+def polygon_faces(polygon: Path | None, sources: Iterable[Path]) -> MeasuredCurve | None:
+    """Return the calibrated faces in the file ``polygon``, if one is given.
+
+    Raises UsageError where no reference table is among ``sources`` to take them off.
+    """
+    if polygon is None:
+        return None
+    from rotcal_ros.evaluation.reference import read_reference
+    from rotcal_ros.foundation.tables import is_table
+    from rotcal_ros.recordings.result_sources import read_text
+
+    if not any(map(is_table, sources)):
+        raise click.UsageError("--polygon belongs to a reference table, and none is given")
+    return read_reference(read_text(polygon), str(polygon))
+
+
+_risk = click.FloatRange(0.0, 0.5, min_open=True, max_open=True)
+
+_RULE_OPTIONS = (
+    click.option(
+        "--within",
+        type=click.FloatRange(0.0, min_open=True),
+        required=True,
+        help="arcsec or um: by how much the earlier curve may be off at any angle.",
+    ),
+    shown_option(
+        "--ageing",
+        type=click.FloatRange(0.0),
+        default=0.0,
+        help="arcsec or um a month, usual change of an angle (k = 1).",
+    ),
+    shown_option(
+        "--months",
+        type=click.FloatRange(0.0),
+        default=0.0,
+        help="Since the earlier measurement.",
+    ),
+    shown_option(
+        "--miss",
+        type=_risk,
+        default=0.05,
+        help="Risk of 'still valid' although some angle is off by more.",
+    ),
+    shown_option(
+        "--false-alarm",
+        type=_risk,
+        default=0.05,
+        help="Risk of 'changed' although the table only aged as stated.",
+    ),
+)
+
+
+def rule_options(function: Function) -> Function:
+    """Add ``--within``, ``--ageing``, ``--months``, ``--miss`` and ``--false-alarm``."""
+    for option in reversed(_RULE_OPTIONS):
+        function = option(function)
+    return function
+
+
+def rule_of(
+    unit: float, *, within: float, ageing: float, months: float, miss: float, false_alarm: float
+) -> CheckRule:
+    """Return the rule of these options; ``unit`` (m or rad) is that of limit and ageing.
+
+    The usual change grows in proportion to the time.
+    """
+    from rotcal_ros.planning.check_rule import CheckRule
+
+    if ageing > 0.0 and months == 0.0:
+        raise click.UsageError("--ageing is per month: give the number of months with --months")
+    return CheckRule(within * unit, miss, false_alarm, ageing * months * unit)
+
+
+FOLDER: Final = "config"
+"""Where configurations are usually kept."""
+SUFFIX: Final = ".yaml"
+
+
+def configurations(
+    _context: click.Context, _parameter: click.Parameter, typed: str
+) -> list[CompletionItem]:
+    """Offer the configurations that begin with ``typed``; without any, the shell's own files."""
+    folder = Path(typed) if typed.endswith("/") else Path(typed).parent
+    begin = "" if typed.endswith("/") else Path(typed).name
+    here = [path for path in _seen(folder) if path.name.startswith(begin)]
+    found = [str(path) for path in here if path.suffix == SUFFIX and path.is_file()]
+    if folder == Path() and FOLDER.startswith(typed):
+        found += [str(path) for path in _seen(Path(FOLDER)) if path.suffix == SUFFIX]
+    return [CompletionItem(path) for path in found] or [CompletionItem(typed, type="file")]
+
+
+def controller_names(
+    _context: click.Context, _parameter: click.Parameter, typed: str
+) -> list[CompletionItem]:
+    """Offer the controllers that files can be written for."""
+    return _beginning(plugins.names(plugins.CONTROLLERS), typed)
+
+
+def formats(
+    _context: click.Context, _parameter: click.Parameter, typed: str
+) -> list[CompletionItem]:
+    """Offer the controllers, and the form that no controller reads but every program can."""
+    return _beginning((*plugins.names(plugins.CONTROLLERS), "volumetric"), typed)
+
+
+def method_names(
+    _context: click.Context, _parameter: click.Parameter, typed: str
+) -> list[CompletionItem]:
+    """Offer the measuring methods."""
+    return _beginning(plugins.names(plugins.METHODS), typed)
+
+
+def _beginning(names: tuple[str, ...], typed: str) -> list[CompletionItem]:
+    return [CompletionItem(name) for name in names if name.startswith(typed)]
+
+
+def _seen(folder: Path) -> list[Path]:
+    """Return what is in a folder and not hidden; nothing where it may not be read."""
+    try:
+        return sorted(path for path in folder.iterdir() if not path.name.startswith("."))
+    except OSError:
+        return []

@@ -1,0 +1,438 @@
+"""The lengths of a laser tracer as an experiment: what any choice of steps would give.
+
+Everything is linear about the nominal place of the tracer (:class:`Information`); what was
+observed enters only the estimate of the noise and the tests, and what the result of the lengths so
+far would state (:class:`Stated`): the U that ends a measurement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import inf, sqrt
+from typing import Final, TypeAlias
+
+import numpy as np
+
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.errors import ObservabilityError
+from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.methods.tracer.design.information import Information
+from rotcal_ros.methods.tracer.design.ordering import noisy_problem
+from rotcal_ros.methods.tracer.design.scene import Lengths, Scene
+from rotcal_ros.methods.tracer.policy.noise import (
+    LengthContrasts,
+    LengthNoise,
+    estimated_noise,
+    judged_lengths,
+    suspect_length,
+)
+from rotcal_ros.methods.tracer.solver.grid import station_minimum
+from rotcal_ros.methods.tracer.solver.problem import TracerProblem
+from rotcal_ros.methods.tracer.solver.trials import predicted
+from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
+from rotcal_ros.planning.plan import Plan
+from rotcal_ros.planning.time_order import time_order
+
+PLACING_STEPS: Final = 8
+"""Gauss-Newton steps that place the stations from nominal places, a few centimetres off."""
+RIDGE: Final = 1e-12
+"""Share of the diagonal that keeps a station in place where its lengths leave a direction open."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stated:
+    """A result as the solver states it now.
+
+    ``uncertainty``: U of ECC less its mean, k = 2, rms over the angles, rad; infinite without a
+    result. ``error_motion`` (m): the most likely one of the table, where the solver estimates it.
+    ``doubt``: why the verdict is not ok, or why there is no result; empty: it is ok.
+    """
+
+    uncertainty: float
+    error_motion: float = 0.0
+    doubt: str = ""
+
+
+Solver: TypeAlias = Callable[[Sequence[Observation]], Stated]
+"""Solves all accepted observations as the calibration will."""
+
+
+@dataclass(frozen=True, slots=True)
+class Allowance:
+    """How what is stated follows from what lengths are planned to give.
+
+    stated^2 = floor^2 + (growth * planned)^2: ``floor`` (rad) is the part of an estimated error
+    motion, which no length lowers; ``growth`` is what the solver makes of the rest by estimating
+    noise and error motion, allowing for slips, leaving lengths out.
+    """
+
+    floor: float = 0.0
+    growth: float = 1.0
+
+    @classmethod
+    def of(cls, stated: float, planned: float, floor: float) -> Allowance:
+        """Return the allowance that makes ``stated`` of ``planned``, both in rad."""
+        if not 0.0 < planned < inf:
+            return cls(floor)
+        return cls(floor, sqrt(max(stated**2 - floor**2, 0.0)) / planned)
+
+    def stated(self, planned: float) -> float:
+        """Return what is stated where so much is ``planned``, rad."""
+        return sqrt(self.floor**2 + (self.growth * planned) ** 2)
+
+    def planned(self, stated: float) -> float:
+        """Return what has to be planned for so much to be ``stated``, rad; 0: nothing helps."""
+        return sqrt(max(stated**2 - self.floor**2, 0.0)) / self.growth
+
+
+class MeasuredLengths:
+    """Accepted observations of single steps, as the solver will take them.
+
+    With a zero per station the last observation of a step counts, with a zero ``per_segment`` the
+    last one of each run: a run begins a segment, and so does a beam that was broken.
+    """
+
+    def __init__(self, per_segment: bool, observations: Iterable[Observation] = ()) -> None:
+        self.per_segment = per_segment
+        self._kept: dict[tuple[int, int], Observation] = {}
+        self._latest: tuple[int, int] | None = None
+        for observation in observations:
+            self.add(observation)
+
+    def add(self, observation: Observation) -> None:
+        """Take an observation in place of what it repeats."""
+        self._kept[self._key(observation)] = observation
+        self._latest = self._beam(observation)
+        self._forget()
+
+    def drop(self, observation: Observation) -> None:
+        """Forget an observation."""
+        del self._kept[self._key(observation)]
+        self._forget()
+
+    def _forget(self) -> None:
+        """Have what follows from the observations worked out anew: they have changed."""
+        for name in ("observations", "beams"):
+            self.__dict__.pop(name, None)
+
+    @cached_property
+    def observations(self) -> tuple[Observation, ...]:
+        """All that count, in an order that does not depend on when they came."""
+        return tuple(self._kept[key] for key in sorted(self._kept))
+
+    def time_order(self) -> Ints:
+        """Return the rank (k,) in time of each of the ``observations``."""
+        return time_order(self.observations)
+
+    @property
+    def steps(self) -> set[int]:
+        """The steps that were measured."""
+        return {step for _, step in self._kept}
+
+    def __contains__(self, step: int) -> bool:
+        return step in self.steps
+
+    def last_of(self, step: int) -> Observation | None:
+        """Return the last observation of a step, None without any."""
+        own = [key for key in self._kept if key[1] == step]
+        return self._kept[max(own)] if own else None
+
+    def only(self, steps: Collection[int]) -> MeasuredLengths:
+        """Return what was measured of ``steps``."""
+        return MeasuredLengths(self.per_segment, (o for o in self.observations if o.step in steps))
+
+    @cached_property
+    def beams(self) -> tuple[tuple[int, int], ...]:
+        """Run and segment of every unbroken beam, the one that is read now among them."""
+        every = {self._beam(o) for o in self._kept.values()} | {self._latest or (0, 0)}
+        return tuple(sorted(every))
+
+    def segments(self) -> Ints:
+        """Return the place among ``beams`` of the one that each observation (k,) was read from."""
+        number = {beam: place for place, beam in enumerate(self.beams)}
+        return np.array([number[self._beam(o)] for o in self.observations], dtype=np.int64)
+
+    @property
+    def segment_now(self) -> int:
+        """The place among ``beams`` of the one that further lengths will be read from."""
+        return self.beams.index(self._latest or (0, 0))
+
+    def of_one_zero(self, a: Observation, b: Observation) -> bool:
+        """Tell whether both count from the same zero, being of one step."""
+        return not self.per_segment or self._beam(a) == self._beam(b)
+
+    def _key(self, observation: Observation) -> tuple[int, int]:
+        return (observation.run if self.per_segment else 0, observation.step)
+
+    @staticmethod
+    def _beam(observation: Observation) -> tuple[int, int]:
+        return observation.run, observation.segment
+
+
+@dataclass(frozen=True, slots=True)
+class Costs:
+    """Seconds that a step takes, and that a turn of the table takes."""
+
+    step_s: float
+    turn_s: float
+
+    @property
+    def dearest_s(self) -> float:
+        """A step for which the table has to turn."""
+        return self.step_s + self.turn_s
+
+
+class LengthExperiment:
+    """The steps of ``plan`` as lengths in ``scene``.
+
+    Each station has a zero of its own, or ``per_segment`` each unbroken beam: what is not measured
+    yet is taken to be read from the beam of now. ``solver`` says how the lengths will be judged,
+    ``solved`` what the result of observations states; None: what is planned is believed.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        scene: Scene,
+        costs: Costs,
+        *,
+        per_segment: bool = False,
+        solver: TracerSolverSettings | None = None,
+        solved: Solver | None = None,
+    ) -> None:
+        self.solved = solved
+        self.solver = solver or TracerSolverSettings()
+        self.plan, self.scene, self.costs, self.per_segment = plan, scene, costs, per_segment
+        self.minimum = 1 + station_minimum(not per_segment, on_circle=False)  # one checks them
+        self.position = np.array([step.table_position for step in plan.steps], dtype=np.int64)
+        self.target = np.array([step.target for step in plan.steps], dtype=np.int64)
+        self.sweeps: dict[float, tuple[int, ...]] = {}
+        """First sweeps that were planned, by the uncertainty (rad) that they reach."""
+        self._scenes: dict[float, Scene] = {}
+
+    @cached_property
+    def directions(self) -> Floats:
+        """Unit vectors (k, 3) of the beams, from target to station, machine's frame."""
+        return self.scene.beams(self.position, self.target)[0]
+
+    @property
+    def nothing(self) -> MeasuredLengths:
+        """What is measured before the first step."""
+        return MeasuredLengths(self.per_segment)
+
+    def information(
+        self, measured: MeasuredLengths, noise: float, further: Collection[int] | Ints = ()
+    ) -> Information:
+        """Return what the ``measured`` lengths tell, and those of ``further`` steps."""
+        zeros = len(measured.beams) if self.per_segment else self.stations
+        return Information(self._noisier(noise), self._known(measured, further), zeros)
+
+    def _known(self, measured: MeasuredLengths, further: Collection[int] | Ints = ()) -> Lengths:
+        rows = np.array([o.step for o in measured.observations], dtype=np.int64)
+        zero = measured.segments() if self.per_segment else self.position[rows]
+        lengths = Lengths.of(self.position[rows], self.target[rows], zero)
+        return lengths + self.lengths(further, measured)
+
+    def lengths(self, steps: Collection[int] | Ints, measured: MeasuredLengths) -> Lengths:
+        """Return the lengths of ``steps`` as they would be read now."""
+        rows = np.fromiter(steps, dtype=np.int64, count=len(steps))
+        zero = measured.segment_now if self.per_segment else self.position[rows]
+        return Lengths.of(self.position[rows], self.target[rows], zero)
+
+    def planned(
+        self,
+        measured: MeasuredLengths,
+        noise: float,
+        coverage_factor: float,
+        further: Collection[int] | Ints = (),
+    ) -> float:
+        """Return the expanded uncertainty (rad, rms over the angles) that these steps give.
+
+        To first order and without slips of a fringe. Infinite while the solver could not solve
+        them.
+        """
+        known = self.information(measured, noise, further)
+        if self.lacking(known.lengths).any():
+            return np.inf
+        return coverage_factor * rms(known)
+
+    def uncertainty(
+        self,
+        measured: MeasuredLengths,
+        noise: float,
+        coverage_factor: float,
+        further: Sequence[int] = (),
+    ) -> float:
+        """Return :meth:`planned` as the solver will state it, ``further`` steps in their order.
+
+        With a zero per segment it allows for slips that these lengths would not show.
+        """
+        if not self.per_segment or not self.solvable(measured, further):
+            return self.planned(measured, noise, coverage_factor, further)
+        problem = self.posed(measured, noise, further)
+        try:
+            covariance = predicted(problem, self.scene.stations).angles.covariance
+        except ObservabilityError:
+            return np.inf  # enough lengths, in directions too much alike
+        return coverage_factor * rms_about_mean(covariance)
+
+    def posed(
+        self, measured: MeasuredLengths, noise: float, further: Sequence[int] | Ints = ()
+    ) -> TracerProblem:
+        """Return the problem that the solver will have to solve, with made-up readings."""
+        lengths = self._known(measured, further)
+        order = np.concatenate(
+            [measured.time_order(), len(lengths) - len(further) + np.arange(len(further))]
+        )
+        problem = noisy_problem(
+            self._noisier(noise), lengths, one_zero=self.per_segment, seed=0,
+            slip=self.solver.slip_m, limits=self.solver,
+        )  # fmt: skip
+        return replace(problem, order=order)
+
+    def felt(self, error_motion: float) -> float:
+        """Return the expanded uncertainty (rad, rms) that an error motion (m, k = 1) makes."""
+        angles = replace(self.scene, error_motion_std=error_motion).error_motion_angles
+        return COVERAGE_FACTOR * float(np.sqrt(np.trace(angles) / len(angles)))
+
+    def share_of_noise(self, measured: MeasuredLengths, noise: float) -> float:
+        """Return d ln(variance) / d ln(noise^2): how much of the mean variance the noise makes."""
+        # a central difference over +-5 % of the noise
+        low, high = (
+            self.information(measured, noise * f).variances().mean() for f in (0.95, 1.05)
+        )
+        return float(np.log(high / low) / (2.0 * np.log(1.05 / 0.95)))
+
+    def solvable(self, measured: MeasuredLengths, further: Collection[int] = ()) -> bool:
+        """Whether every station has enough lengths, those of ``further`` steps included."""
+        return not self.lacking(self._known(measured, further)).any()
+
+    def lacking_in_words(self, measured: MeasuredLengths) -> str:
+        """Return which stations have too few lengths; empty when all have enough."""
+        found = self._telling(self._known(measured))
+        return ", ".join(
+            f"table position {position} has {found[position]} lengths of {self.minimum} needed"
+            for position in np.flatnonzero(found < self.minimum)
+        )
+
+    @property
+    def stations(self) -> int:
+        """How many there are, one for each table position."""
+        return len(self.plan.table_angles)
+
+    def _telling(self, lengths: Lengths) -> Ints:
+        """Return how many ``lengths`` of each station are not alone with their zero."""
+        shared = np.bincount(lengths.segment)[lengths.segment] > 1
+        position = lengths.position[shared | (not self.per_segment)]
+        return np.bincount(position, minlength=self.stations)
+
+    def lacking(self, lengths: Lengths) -> Bools:
+        """Return which stations (m,) have fewer ``lengths`` than it takes."""
+        return np.asarray(self._telling(lengths) < self.minimum)
+
+    def noise(
+        self, measured: MeasuredLengths, significance: float, factor: float | None = None
+    ) -> tuple[LengthNoise, tuple[Observation, float] | None]:
+        """Return the noise of the ``measured`` lengths, and the most suspect one.
+
+        That comes with its test value; None: no length is suspect. With a ``factor``
+        that is known already only the tests are new. Stations with too few lengths take no part.
+        """
+        lacking = self.lacking(self._known(measured))
+        every = measured.observations
+        kept = np.array([not lacking[o.table_position] for o in every], dtype=np.bool_)
+        observations = [o for o, takes_part in zip(every, kept, strict=True) if takes_part]
+        if not observations:
+            return LengthNoise(1.0, 0.0, np.zeros(0), 0.0), None
+        zero = measured.segments()[kept] if self.per_segment else None
+        residuals = contrasts(self.scene, observations, zero)
+        found = estimated_noise(residuals) if factor is None else judged_lengths(residuals, factor)
+        suspect = suspect_length(residuals, found, significance)
+        return found, None if suspect is None else (observations[suspect[0]], suspect[1])
+
+    def _noisier(self, factor: float) -> Scene:
+        """Return the scene with ``factor`` times the noise; the last few are kept."""
+        found = self._scenes.get(factor)
+        if found is None:
+            if len(self._scenes) > 8:
+                self._scenes.clear()
+            found = self._scenes[factor] = replace(
+                self.scene,
+                length_std=factor * self.scene.length_std,
+                length_std_relative=factor * self.scene.length_std_relative,
+            )
+            for name in ("motion", "bearing", "turning", "error_motion_angles"):
+                found.__dict__[name] = getattr(self.scene, name)  # the noise has no part in them
+        return found
+
+
+def rms_about_mean(covariance: Floats) -> float:
+    """Return the rms standard deviation of angles (m,) less their mean, from ``covariance``."""
+    about_mean = np.trace(covariance - covariance.mean(axis=0))
+    return float(np.sqrt(about_mean / len(covariance)))
+
+
+def rms(known: Information) -> float:
+    """Return the root mean square of the standard deviations of the angles, rad."""
+    return float(np.sqrt(known.variances().mean()))
+
+
+def contrasts(
+    scene: Scene, observations: Sequence[Observation], zero: Ints | None
+) -> LengthContrasts:
+    """Return what the lengths (k,) of ``scene`` tell about their noise.
+
+    ``zero`` (k,): the unknown zero of each length; None: every station has its own, and a later
+    run an offset to the first. Times in ns.
+    """
+    position = np.array([o.table_position for o in observations])
+    target = np.array([o.target for o in observations])
+    seen, own = np.unique(target, return_inverse=True)
+    places = np.array([o.probe_position for o in observations])
+    zeros = [_columns(position if zero is None else zero)]
+    if zero is None:
+        zeros.append(_columns(np.array([o.run for o in observations]))[:, 1:])
+    length = np.array([o.mean[0] for o in observations])
+    unit, design, y = _placed(scene.stations, position, places, length, np.hstack(zeros))
+    errors = np.zeros((len(target), len(seen), 3))
+    errors[np.arange(len(target)), own] = unit * scene.target_std[seen][own]
+    std = np.sqrt(scene.beams(position, target)[1])
+    time = np.array([o.window_end_ns for o in observations], dtype=np.float64)
+    errors = errors.reshape(len(target), -1) / std[:, None]
+    return LengthContrasts(design / std[:, None], errors, y / std, time - time[0])
+
+
+def _columns(group: Ints) -> Floats:
+    """Return a column of ones and zeros for each group, (k, groups)."""
+    return np.asarray(group[:, None] == np.unique(group), dtype=np.float64)
+
+
+def _placed(
+    nominal: Floats, position: Ints, targets: Floats, length: Floats, zeros: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return unit vectors (k, 3), design (k, p) and lengths less computed ones (k,).
+
+    Gauss-Newton on all stations and ``zeros`` (k, q) together, targets (k, 3) being known.
+    """
+    ids, own = np.unique(position, return_inverse=True)
+    stations, offsets = nominal[ids].copy(), np.zeros(zeros.shape[1])
+    each, moved = np.arange(len(own)), 3 * len(ids)
+    for turn in range(PLACING_STEPS + 1):
+        apart = stations[own] - targets
+        distance = np.linalg.norm(apart, axis=1)
+        unit = apart / distance[:, None]
+        y = length - distance + zeros @ offsets
+        by_station = np.zeros((len(own), len(ids), 3))
+        by_station[each, own] = unit
+        design = np.hstack([by_station.reshape(len(own), -1), -zeros])
+        if turn == PLACING_STEPS:
+            break
+        normal = design.T @ design
+        normal.flat[:: len(normal) + 1] *= 1.0 + RIDGE
+        step = np.linalg.solve(normal, design.T @ y)
+        stations += step[:moved].reshape(-1, 3)
+        offsets += step[moved:]
+    return unit, design, y

@@ -1,0 +1,234 @@
+"""From tracer stations to table angles: plane, circle, deviations; and what a stated circle tells.
+
+Laser tracer paper, sections 3.2 to 3.4. Two kinds of deviation are kept apart everywhere:
+*cumulative* (positioning) deviations are counted from the first station, *adjacent* (interval)
+ones from the station before; the paper's Table 3 lists adjacent ones. Deviation = actual -
+commanded, radians, counter-clockwise about the side of the plane normal that points along +z.
+
+It may be stated by how much stations leave one circle about the table's axis, radially and along
+the axis. Centre, radius and axis of the circle are unknown: of the m radial and the m axial
+distances m - 3 contrasts each are left. They are observations, like the machine's coordinates:
+zero, with the stated standard deviation, so that the lengths can contradict them. To first order
+the angles do not feel them: the statement says nothing of an error along the circle (see
+:mod:`.uncertainty`); what it saves is lengths, for the place of each station across its circle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rotcal_ros.adjust.low_rank import Slopes
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import GeometryError
+from rotcal_ros.geometry.plane import Plane, circle_centre_jacobian, fit_circle, fit_plane
+from rotcal_ros.geometry.rotations import wrap_angle
+
+ABSORBED: Final = 3
+"""Parameters of a circle that take up radial distances (centre, radius), and axial ones."""
+FELT: Final = 1e-6
+"""Share of a contrast that the lengths have to tell for it to be a test."""
+
+
+@dataclass(frozen=True, slots=True)
+class TableMotion:
+    """How the table has carried the tracer through its m stations.
+
+    ``centre`` (3,) is the circle's centre in space, ``in_plane`` (m, 2) are the stations,
+    projected on the plane, seen from that centre in the plane's basis.
+    ``cumulative`` (m,) and ``adjacent`` (m - 1,) are deviations in radians; ``cumulative[0]`` is
+    zero. ``tilt`` is the angle between the plane normal and +z in radians.
+    """
+
+    plane: Plane
+    centre: Floats
+    radius: float
+    in_plane: Floats
+    cumulative: Floats
+    adjacent: Floats
+    tilt: float
+
+    @property
+    def radial(self) -> Floats:
+        """Distances (m,) of the stations from the circle, positive outside."""
+        return np.asarray(np.linalg.norm(self.in_plane, axis=1) - self.radius, dtype=np.float64)
+
+
+def table_motion(stations: Floats, table_angles: Floats) -> TableMotion:
+    """Return the deviations of the table from its ``stations`` (m, 3) at ``table_angles`` (m,).
+
+    Plane and projection (Eq. 18-21), circle centre (Eq. 22-31), angles (Eq. 32-33).
+    Slips of the paper done right here:
+
+    * Eq. 22 fits the circle to X', Y', the shadow of the plane on the machine's xy-plane, which
+      is an ellipse for a tilted axis. The circle is fitted in the plane itself.
+    * Eq. 31: the plane's constant is e (Eq. 19); it is printed d, which is the name of a distance.
+    * Eq. 32 takes the angle by arccos, which knows no sense of rotation, ends at 180 degrees and
+      loses digits near 0; here it is the difference of two atan2.
+
+    Raises GeometryError when the stations do not determine plane or circle, or when the axis
+    is nearer to the xy-plane than to z.
+    """
+    plane = fit_plane(stations)
+    tilt = axis_tilt(plane.normal)
+    if tilt > np.pi / 4:
+        raise GeometryError(
+            f"the stations turn about an axis {np.degrees(tilt):.1f} deg away from +z; the table "
+            "axis has to be near +z: turn the coordinates of the targets accordingly"
+        )
+    basis = plane.basis()
+    flat = (stations - plane.centroid) @ basis.T
+    circle = fit_circle(flat)
+    in_plane = flat - circle.centre
+    excess = np.arctan2(in_plane[:, 1], in_plane[:, 0]) - table_angles
+    return TableMotion(
+        plane=plane,
+        centre=plane.centroid + circle.centre @ basis,
+        radius=circle.radius,
+        in_plane=in_plane,
+        cumulative=wrap_angle(excess - excess[0]),
+        adjacent=wrap_angle(np.diff(excess)),
+        tilt=tilt,
+    )
+
+
+def bearing_slopes(stations: Floats, motion: TableMotion) -> Slopes:
+    """Return d bearing / d stations, (m, 3 m), up to one common turn of all bearings.
+
+    Differences of rows are exact: those are all that deviations need. The chain runs through
+    the plane's normal (first-order perturbation of the singular vector), the projection and the
+    circle's centre. A bearing feels its own station, and all others by way of normal and centre.
+    """
+    m = len(stations)
+    basis, normal = motion.plane.basis(), motion.plane.normal
+    relative = stations - motion.plane.centroid
+    flat, height = relative @ basis.T, relative @ normal
+    # d normal, in the basis: (moments - lambda_3) dn = -sum(flat dz + height dflat)
+    moments = flat.T @ flat - motion.plane.singular_values[2] ** 2 * np.eye(2)
+    push = flat[:, :, None] * normal + height[:, None, None] * basis
+    d_normal = -np.linalg.solve(moments, push).transpose(1, 0, 2)
+    d_normal = d_normal.reshape(2, 3 * m)  # centring drops out: sums are zero
+    # d flat_i / d station_j = basis (delta_ij - 1/m) - height_i dn_j; the mean is taken care of
+    # by the circle's Jacobian, because bearings feel flat_i - centre only.
+    centre = circle_centre_jacobian(flat)
+    d_centre = (centre @ basis).reshape(2, 3 * m) - (centre.swapaxes(1, 2) @ height) @ d_normal
+    arm = motion.in_plane
+    tangent = np.stack([-arm[:, 1], arm[:, 0]], axis=1) / (arm**2).sum(axis=1)[:, None]
+    common = np.hstack([-height[:, None] * tangent, -tangent])
+    return Slopes(tangent @ basis, common, np.vstack([d_normal, d_centre]))
+
+
+def bearing_jacobian(stations: Floats, motion: TableMotion) -> Floats:
+    """Return :func:`bearing_slopes` as a whole matrix (m, 3 m)."""
+    return bearing_slopes(stations, motion).dense()
+
+
+def axis_tilt(normal: Floats) -> float:
+    """Return the angle alpha (rad) between a plane ``normal`` (3,) and the z axis (Eq. 35).
+
+    By atan2 instead of the printed arccos: near zero a cosine keeps only half of the digits.
+    """
+    a, b, c = normal
+    return float(np.arctan2(np.hypot(a, b), abs(c)))
+
+
+def algorithm_error(angle: ArrayLike, tilt: float) -> Floats:
+    """Return the error (rad) of reading ``angle`` on the xy-plane when the axis leans by ``tilt``.
+
+    Eq. 36: atan(tan(theta) cos(alpha)) - theta, here with atan2, so that it also holds beyond 90
+    degrees. Slip: the 0.4 arcsec printed in Eq. 38 does not follow from it; the paper's own normal
+    (alpha = 5.2 arcsec) gives 3e-5 arcsec at 30 degrees. Deviations of :func:`table_motion` are
+    free of this error, because they are taken in the fitted plane.
+    """
+    theta = np.asarray(angle, dtype=np.float64)
+    return wrap_angle(np.arctan2(np.sin(theta) * np.cos(tilt), np.cos(theta)) - theta)
+
+
+def scatter(adjacent: Floats) -> float:
+    """Return the paper's sigma of the ``adjacent`` deviations (q,), q > 1, in radians (Eq. 34).
+
+    Half the root of sum(dtheta^2) / (q (q - 1)). Slip: printed with m, the number of stations,
+    the equation gives 0.80 arcsec for the paper's data; its 0.9 needs q, the number of deviations.
+    """
+    q = len(adjacent)
+    return 0.5 * float(np.sqrt((adjacent**2).sum() / (q * (q - 1))))
+
+
+class CircleContrasts(NamedTuple):
+    """``value`` (c,): what no circle takes up of the stations' radial and axial distances, m.
+
+    ``slope`` (c, 3 m): its derivative by the stations. First half radial, second half axial;
+    c = 2 (m - 3).
+    """
+
+    value: Floats
+    slope: Floats
+
+
+def contrast_count(stations: int) -> int:
+    """Return the number of contrasts of so many ``stations``."""
+    return 2 * max(stations - ABSORBED, 0)
+
+
+def circle_contrasts(stations: Floats) -> CircleContrasts:
+    """Return the contrasts of ``stations`` (m, 3), m, about the circle that fits them best.
+
+    Raises GeometryError when they determine no circle.
+    """
+    m = len(stations)
+    if contrast_count(m) == 0:
+        return CircleContrasts(np.zeros(0), np.zeros((0, 3 * m)))
+    plane = fit_plane(stations)
+    basis = plane.basis()
+    flat = (stations - plane.centroid) @ basis.T
+    circle = fit_circle(flat)
+    in_plane = flat - circle.centre
+    reach = np.linalg.norm(in_plane, axis=1)
+    outward, ones = in_plane / reach[:, None], np.ones(m)
+    values, slopes = [], []
+    for absorbed, direction, off in (
+        (np.column_stack([outward, ones]), outward @ basis, reach - circle.radius),
+        (
+            np.column_stack([in_plane, ones]),
+            np.tile(plane.normal, (m, 1)),
+            plane.distances(stations),
+        ),
+    ):
+        # orthonormal combinations of distances that no change of the circle alters
+        free = np.linalg.qr(absorbed, mode="complete")[0][:, ABSORBED:]
+        values.append(free.T @ off)
+        slopes.append((free.T[:, :, None] * direction).reshape(m - ABSORBED, 3 * m))
+    return CircleContrasts(np.concatenate(values), np.vstack(slopes))
+
+
+@dataclass(frozen=True, eq=False)
+class Unprejudiced:
+    """What the lengths alone say of values that had a prior.
+
+    ``seen`` (k,) are independent of each other, with the variances ``noise`` (k,), m^2. ``basis``
+    (c, k) takes adjusted values (c,) to them; k <= c, for some the lengths may not tell at all.
+    ``redundancy``: share of the prior's observations that the lengths check, 0 to 1.
+    """
+
+    seen: Floats
+    noise: Floats
+    basis: Floats
+    redundancy: float
+
+
+def without_prior(value: Floats, covariance: Floats, std: float) -> Unprejudiced:
+    """Return what adjusted values (c,) say without their prior, zero with ``std`` (m) each.
+
+    ``covariance`` (c, c) of the adjusted values, m^2: with r = 1 - covariance / std^2 the share
+    of each that the lengths tell, the adjusted value is r times what they say.
+    """
+    left, axes = np.linalg.eigh(covariance / std**2)
+    share = 1.0 - left
+    felt = share > FELT
+    share, left, axes = share[felt], np.maximum(left[felt], 0.0), axes[:, felt]
+    basis = axes / share
+    redundancy = float(share.sum()) / max(len(value), 1)
+    return Unprejudiced(value @ basis, std**2 * left / share, basis, redundancy)

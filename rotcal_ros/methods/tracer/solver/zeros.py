@@ -1,0 +1,486 @@
+"""The zeros that lengths count from: shifts, jumps, slips that stay unseen, and zeros that wander.
+
+All lengths of a *segment*, one unbroken beam, count from one zero. What can happen to it:
+
+shift
+    From some moment on all lengths of the segment are longer by the same amount. To first order
+    about an adjustment: how strongly the lengths speak for it, how well they tell its size, and
+    by how much it moves the stations while nobody sees it.
+jump
+    A shift that nobody reported: a slipped fringe, or a beam that broke unseen. It is tested like
+    an outlier: the score of the shift over its standard deviation, with the unexplained scatter of
+    the other residuals (externally studentised). It has to stand out more than any single length,
+    which would be an outlier itself. The zero is then split there, which costs one unknown. The
+    size is left free. That a slip is a whole fringe helps little to find it: the best of all tests
+    for slips of one fringe at any moment (Neyman and Pearson: the mean of the likelihood ratios)
+    finds hardly more of them (``scripts/zero_coverage.py --best``).
+slip
+    A fringe that the counter lost without being found: the uncertainty allows for it. A
+    measurement with one slip is taken to be as likely as one with none (SLIPPED), and any moment
+    of it as any other. The probability with which the test for jumps misses a slip follows from
+    the geometry, and so does what the slip then does to the stations, or to the curves of a whole
+    table; the covariance is the expected square of that. Like any covariance it does not depend on
+    the readings, and can be told in advance.
+walk
+    Dead path and temperature move a zero a little all the time. Every length then gets a zero of
+    its own, and the steps from one to the next, in the order of measuring, are observations: zero,
+    with the standard deviation of the walk. That is exact; the steps make a band in the normal
+    matrix of the zeros. An unknown standard deviation is estimated by restricted maximum
+    likelihood from the same normal matrix.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from scipy.special import ndtr
+
+from rotcal_ros.adjust.distributions import chi2_sf
+from rotcal_ros.adjust.effects import limit_of_family
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.protection import POWER, TOLERABLE, Protection
+from rotcal_ros.methods.tracer.solver.adjustment import Adjustment
+from rotcal_ros.methods.tracer.solver.grid import Grid
+from rotcal_ros.methods.tracer.solver.network import NetworkGain, network_of, relax
+from rotcal_ros.methods.tracer.solver.start import with_zeros
+
+LEAST_SIDE: Final = 4
+"""Lengths on either side of a shift that is looked for: fewer are outliers."""
+CANDIDATES: Final = 256
+"""Moments that stand for all of them."""
+PLACES: Final = 2_000_000
+"""Places of the grid, of all moments of a chunk together."""
+MOST_FRINGES: Final = 3
+"""Fringes that a counter slips at once; what is more is a beam that was broken."""
+AGREES: Final = 2.58
+"""Standard deviations by which the size of a slip may miss a whole number of fringes; 99 %."""
+MOST_JUMPS: Final = 10
+"""Jumps after which no further ones are looked for: such a beam is not unbroken at all."""
+SLIPPED: Final = 0.5
+"""Probability that a measurement holds a slip."""
+MOST_LENGTHS: Final = 3000
+"""Zeros that wander are as many as lengths, and their normal matrix is dense: 72 MB."""
+LEAST_STD, LARGEST_STD = 1e-9, 1e-6
+"""Walks (m) among which an unknown one is looked for; the least is none."""
+NEAR: Final = 0.05
+"""Relative precision of an estimated walk: far below what the data tell."""
+
+
+@dataclass(frozen=True, eq=False)
+class TimedLengths:
+    """Lengths in use in the order of time: strip and target (k,), and segment number (k,).
+
+    ``side`` (k,): how many lengths of its segment each has before it, or from it on, if fewer.
+    ``own`` (p, n): segment number of each place of the grid, strips alike or (p, 1).
+    """
+
+    strip: Ints
+    target: Ints
+    segment: Ints
+    side: Ints
+    own: Ints
+
+    @classmethod
+    def of(cls, grid: Grid, order: Ints, own: Ints | None = None) -> TimedLengths:
+        """Return those of ``grid``; ``order`` (k,): when each row of the problem was taken.
+
+        ``own``: segment of each place of the grid; None: as the grid has it.
+        """
+        own = grid.segment_of_strip[:, None] if own is None else own
+        strip, target = np.nonzero(grid.used)
+        rank = np.argsort(order[grid.row[strip, target]], kind="stable")
+        strip, target = strip[rank], target[rank]
+        segment = np.broadcast_to(own, grid.used.shape)[strip, target]
+        before = np.zeros(len(segment), dtype=np.int64)
+        total = np.bincount(segment)
+        for number, count in enumerate(total.tolist()):
+            before[segment == number] = np.arange(count)
+        return cls(strip, target, segment, np.minimum(before, total[segment] - before), own)
+
+    def few(self) -> Ints:
+        """Return up to CANDIDATES moments, evenly among those that a shift can begin at."""
+        possible = np.flatnonzero(self.side > 0)
+        return np.asarray(possible[:: max(1, -(-len(possible) // CANDIDATES))])
+
+    def later(self, grid: Grid, moments: Ints) -> Bools:
+        """Return (t, p, n) the places of each moment's segment that come with or after it."""
+        time = np.full(grid.used.shape, -1)
+        time[self.strip, self.target] = np.arange(len(self.strip))
+        own = self.own == self.segment[moments][:, None, None]
+        return np.asarray((time >= moments[:, None, None]) & own, dtype=np.bool_)
+
+
+@dataclass(frozen=True, eq=False)
+class Shifts:
+    """Shifts that begin at the moments ``at`` (t,), of all ``moments`` there are.
+
+    ``score`` (t,): slope of half of chi-squared, 1/m; ``information`` (t,): of the size, 1/m^2.
+    ``alike`` (t,): correlation with the score before, 1 for the first. ``moved`` (t, q): what a
+    shift of a metre does to what is adjusted without it, the stations (3 m,) or curves (6 m,).
+    """
+
+    moments: TimedLengths
+    at: Ints
+    score: Floats
+    information: Floats
+    alike: Floats
+    moved: Floats
+
+    @property
+    def enough(self) -> Bools:
+        """Whether a shift (t,) has lengths enough on either side to be looked for."""
+        return np.asarray(self.moments.side[self.at] >= LEAST_SIDE)
+
+    @property
+    def squared(self) -> Floats:
+        """What chi-squared (t,) falls by when the size is free."""
+        return np.asarray(self.score**2 / self.information)
+
+    def about(self, k: int) -> Ints:
+        """Return all moments about the one that shift ``k`` begins at, with lengths enough."""
+        enough = np.flatnonzero(self.moments.side >= LEAST_SIDE)
+        reach = len(enough) // len(self.at) + 1
+        return np.asarray(enough[np.abs(enough - self.at[k]) <= reach])
+
+    def limit(self, significance: float) -> float:
+        """Return what the largest normalised score exceeds by chance; ``significance`` two-sided.
+
+        See :func:`rotcal_ros.adjust.effects.limit_of_family`.
+        """
+        return limit_of_family(significance, self.alike[self.enough][1:])
+
+
+def find_shifts(grid: Grid, fit: Adjustment, order: Ints) -> Shifts:
+    """Return shifts at up to CANDIDATES moments, evenly among those that one can begin at.
+
+    ``order`` (k,): when each row of the problem was taken.
+    """
+    moments = TimedLengths.of(grid, order)
+    return shifts_at(grid, fit, moments, moments.few())
+
+
+class ShiftResponse(NamedTuple):
+    """What shifts of one metre (t) do in a network.
+
+    ``total`` (t,): their chi-squared if nothing followed them, ``taken`` (t,): the part that the
+    unknowns take up, 1/m^2. ``both`` (t - 1,): what is left of each and the one before together.
+    ``moved`` (t, q): as in :class:`Shifts`.
+    """
+
+    total: Floats
+    taken: Floats
+    both: Floats
+    moved: Floats
+
+
+def shifts_at(grid: Grid, fit: Adjustment, moments: TimedLengths, at: Ints) -> Shifts:
+    """Return the shifts that begin ``at`` (t,) some of the ``moments`` of ``grid``."""
+    network = network_of(grid, fit)
+    gain, weights, rows = NetworkGain.of(network), grid.weights, network.rows
+
+    def respond(later: Bools) -> ShiftResponse:
+        pull = weights * later
+        by_strip = np.einsum("tpi,pia->tpa", pull, rows)
+        by_target = -np.einsum("tpi,pia->tia", pull, rows[:, :, :3])
+        x, y = gain.step(by_strip, by_target)
+        taken = (by_strip * x).sum(axis=(1, 2)) + (by_target * y).sum(axis=(1, 2))
+        both = (pull[1:] * later[:-1]).sum(axis=(1, 2)) - (by_strip[:-1] * x[1:]).sum(axis=(1, 2))
+        both -= (by_target[:-1] * y[1:]).sum(axis=(1, 2))
+        moved = x[:, grid.first_strip, :3].reshape(len(x), -1)
+        return ShiftResponse(pull.sum(axis=(1, 2)), taken, both, moved)
+
+    return shifts_felt(grid, fit, moments, at, respond, 3 * grid.n_stations)
+
+
+def shifts_felt(
+    grid: Grid,
+    fit: Adjustment,
+    moments: TimedLengths,
+    at: Ints,
+    respond: Callable[[Bools], ShiftResponse],
+    width: int,
+    overlap: int = 0,
+) -> Shifts:
+    """Return the shifts that begin ``at`` (t,), chunk by chunk.
+
+    ``respond`` says what their network makes of shifts, from the lengths (t, p, n) that each makes
+    longer; ``width``: q. ``overlap``: moments that a chunk has in common with the next, whose
+    correlation is then told too.
+    """
+    score, information, alike = np.zeros(len(at)), np.zeros(len(at)), np.ones(len(at))
+    moved = np.zeros((len(at), width))
+    size = max(1 + overlap, PLACES // grid.used.size)
+    for begin in range(0, len(at), size - overlap):
+        part = slice(begin, begin + size)
+        later = moments.later(grid, at[part])
+        felt = respond(later)
+        score[part] = (later * (grid.weights * fit.residual)).sum(axis=(1, 2))
+        # what the unknowns take up entirely leaves rounding, which is no information
+        left = np.maximum(felt.total - felt.taken, 1e-9 * felt.total)
+        information[part], root = left, np.sqrt(left)
+        alike[part][1:] = felt.both / (root[1:] * root[:-1])
+        moved[part] = felt.moved
+    return Shifts(moments, at, score, information, alike, moved)
+
+
+@dataclass(frozen=True, slots=True)
+class Jump:
+    """From the problem's row ``row`` on, the lengths of ``segment`` are ``size`` (m) longer.
+
+    ``std``: standard deviation of the size, m; ``value``: that many of them, studentised.
+    """
+
+    segment: int
+    row: int
+    size: float
+    std: float
+    value: float
+
+    def fringes(self, fringe: float) -> int:
+        """Return how many times ``fringe`` (m) it is; 0 if it is no whole number, or many."""
+        number = round(self.size / fringe) if fringe else 0
+        agrees = abs(self.size - number * fringe) <= AGREES * self.std
+        return number if agrees and abs(number) <= MOST_FRINGES else 0
+
+
+def find_jump(
+    grid: Grid,
+    fit: Adjustment,
+    shifts: Shifts,
+    significance: float,
+    margin: float = 1.0,
+    at: Callable[[Ints], Shifts] | None = None,
+) -> Jump | None:
+    """Return the jump that stands out most; None if none does.
+
+    ``shifts``: those of ``grid`` and ``fit`` at some moments. ``significance``: of the largest of
+    all moments, two-sided; the limit is ``margin`` times its quantile. ``at`` gives the shifts at
+    other moments; None: of the tracer's network. The jump's segment is a number of the moments'.
+    """
+    if not shifts.enough.any():
+        return None
+    limit = margin * shifts.limit(significance)
+    best = int(np.argmax(np.where(shifts.enough, shifts.squared, 0.0)))
+    about = shifts.about(best)
+    near = shifts_at(grid, fit, shifts.moments, about) if at is None else at(about)
+    k = int(np.argmax(near.squared))
+    squared = float(near.squared[k])
+    left = max(1.0, (fit.chi2 - squared) / max(fit.dof - 1, 1))
+    value = float(np.sqrt(squared / left))
+    if value < max(limit, float(np.abs(np.where(grid.used, fit.test_value, 0.0)).max())):
+        return None
+    begins, moments = near.at[k], near.moments
+    return Jump(
+        segment=int(moments.segment[begins]),
+        row=int(grid.row[moments.strip[begins], moments.target[begins]]),
+        size=float(near.score[k] / near.information[k]),
+        std=float(np.sqrt(left / near.information[k])),
+        value=value,
+    )
+
+
+def split(grid: Grid, jump: Jump, order: Ints) -> tuple[Grid, Ints]:
+    """Return ``grid`` with a new zero from ``jump`` on, and the old strip of each new one."""
+    filled = grid.row >= 0
+    # places without a length are moved by nothing: their time is before all others
+    time = np.where(filled, order[grid.row], -1)
+    begin = int(order[jump.row])
+    assert grid.zero is not None
+    assert grid.segment_ids is not None
+    broken = int(grid.zero[np.nonzero(grid.row == jump.row)[0][0]])
+    moved = filled & (grid.zero == broken)[:, None] & (time >= begin)
+    parts = [np.flatnonzero(part.any(axis=1)) for part in (filled & ~moved, moved)]
+    source, stay = np.concatenate(parts), len(parts[0])
+    part = np.where((np.arange(len(source)) < stay)[:, None], ~moved[source], moved[source])
+    zero = grid.zero[source]
+    zero[stay:] = grid.n_zeros
+    return replace(
+        grid.take(source, part),
+        zero=zero,
+        segment_ids=np.append(grid.segment_ids, grid.segment_ids[broken]),
+    ), source
+
+
+@dataclass(frozen=True, eq=False)
+class Slips:
+    """Slips of ``size`` (m), one fringe, that begin at the moments of ``shifts``.
+
+    ``missed`` (t,): probability that nothing is found of a slip at each of them.
+    """
+
+    size: float
+    shifts: Shifts
+    missed: Floats
+
+    @property
+    def found(self) -> float:
+        """How probably a slip at any moment is found."""
+        return 1.0 - float(self.missed.mean())
+
+    @property
+    def chance(self) -> Floats:
+        """How probably (t,) a slip begins at each moment and stays unseen."""
+        return SLIPPED / len(self.missed) * self.missed
+
+    def covariance(self) -> Floats:
+        """Return what unseen slips add to the covariance (q, q) of what the shifts move, SI."""
+        moved = self.size * self.shifts.moved
+        return np.asarray((moved.T * self.chance) @ moved, dtype=np.float64)
+
+    def protection(self, share: Floats, cure: str = "") -> Protection:
+        """Return the statement about slips.
+
+        ``share`` (t,): the worst that a slip at each moment does, in standard uncertainties. One
+        that may do more than TOLERABLE at a moment where it is not found with POWER is named,
+        although the uncertainty holds it on average; ``cure`` is added then.
+        """
+        hidden = share[self.missed > 1.0 - POWER]
+        worst = float(hidden.max()) if hidden.size else 0.0
+        what = f"a counter that slips a fringe of {self.size:.3g} m"
+        why = (
+            f"{what} is found in {100 * self.found:.0f} % of the cases, by these lengths in this "
+            "order; the uncertainty holds what the others do"
+        )
+        if worst > TOLERABLE:
+            return Protection("slip", "not protected", f"{why} on average{cure}", worst)
+        if self.found >= POWER:
+            why = f"{what} makes the lengths disagree, and is found"
+            return Protection("slip", "tested", why, worst)
+        return Protection("slip", "bounded", why, worst)
+
+    def draw(self, grid: Grid, rng: np.random.Generator, count: int) -> Floats:
+        """Return what unseen slips do to the lengths of ``count`` trials, (count, p, n) in m."""
+        chance, at = self.chance, self.shifts.at
+        which = np.searchsorted(np.cumsum(chance), rng.random(count), "right")
+        sign = np.where(rng.random(count) < 0.5, -self.size, self.size)
+        shift = np.zeros((count, *grid.used.shape))
+        hit = np.flatnonzero(which < len(at))
+        if len(hit):
+            later: Bools = self.shifts.moments.later(grid, at[which[hit]])
+            shift[hit] = sign[hit, None, None] * later
+        return shift
+
+
+def slips_among(
+    shifts: Shifts, size: float, significance: float, scale: float = 1.0
+) -> Slips | None:
+    """Return slips of ``size`` (m) that a test of ``significance`` may miss; None of size 0.
+
+    ``scale``: how much larger the noise of all lengths is than their network has it.
+    """
+    if not size or not len(shifts.at):
+        return None
+    apart = size * np.sqrt(shifts.information) / scale
+    found = ndtr(apart - shifts.limit(significance))
+    return Slips(size, shifts, np.where(shifts.enough, 1.0 - found, 1.0))
+
+
+def wandering(grid: Grid, order: Ints, std: float) -> tuple[Grid, Ints]:
+    """Return ``grid`` with zeros that wander by ``std`` (m) per length, and each strip's old one.
+
+    ``order`` (k,): when each row of the problem was taken.
+    """
+    strip, target = np.nonzero(grid.row >= 0)
+    if len(strip) > MOST_LENGTHS:
+        raise DataError(
+            f"{len(strip)} lengths are too many for a zero that wanders: up to {MOST_LENGTHS} are "
+            "solved; set zero_walk_std_m to 0"
+        )
+    assert grid.zero is not None
+    assert grid.segment_ids is not None
+    in_time = np.lexsort((order[grid.row[strip, target]], grid.zero[strip]))
+    strip, target = strip[in_time], target[in_time]
+    chain = grid.zero[strip]
+    part = np.zeros((len(strip), grid.used.shape[1]), dtype=np.bool_)
+    part[np.arange(len(strip)), target] = True
+    walk = np.where(np.append(np.diff(chain) == 0, False), std, np.inf)
+    every = np.arange(len(strip))
+    free = replace(
+        grid.take(strip, part), zero=every, segment_ids=grid.segment_ids[chain], walk=walk
+    )
+    return free, strip
+
+
+def likely_walk(grid: Grid, start: Floats, order: Ints) -> float:
+    """Return the standard deviation (m) per length that ``grid`` tells best, 0 if it tells none.
+
+    ``start`` (p, 4): state of the strips of ``grid``.
+    """
+    at = start
+
+    def deviance(log_std: float) -> float:
+        wide, source = wandering(grid, order, float(np.exp(log_std)))
+        network = relax(wide, with_zeros(wide, at[source, :3]), grid.targets)
+        reduced = network.reduced
+        steps = int(np.isfinite(wide.walk).sum()) if wide.walk is not None else 0
+        # -2 ln of the restricted likelihood: chi-squared, ln det of the covariance
+        # of the steps, and ln det of the normal matrix, whose kept side is scaled
+        size = np.linalg.slogdet(reduced.regular())[1] - 2.0 * np.log(reduced.scale).sum()
+        size -= np.linalg.slogdet(reduced.inverse)[1].sum()
+        return float(network.chi2 + 2.0 * steps * log_std + size)
+
+    from scipy.optimize import minimize_scalar  # slow to load, and rarely needed
+
+    bounds = (np.log(LEAST_STD), np.log(LARGEST_STD))
+    found = minimize_scalar(deviance, bounds=bounds, method="bounded", options={"xatol": NEAR})
+    nothing = deviance(bounds[0])
+    return float(np.exp(found.x)) if found.fun < nothing else 0.0
+
+
+def segment_report(grid: Grid, fit: Adjustment, order: Ints, scale: float) -> list[dict[str, Any]]:
+    """Return one entry per unbroken zero, in the order of time; none for a zero per station.
+
+    ``order`` (k,): when each row of the problem was taken; ``scale`` enlarges the uncertainty.
+
+    ``zero``, ``std``: range at reading zero where the segment begins, m. ``step``, ``step_std``:
+    the zero less that at the end of the segment before, as stations and targets that both have
+    measured tell it, m; ``probability``: how likely it would be if the zero had stayed.
+    """
+    if grid.zero is None or grid.segment_ids is None:
+        return []
+    network = network_of(grid, fit)
+    zeros = slice(len(network.layout.places), None)
+    covariance = scale**2 * network.reduced.covariance()[zeros, zeros]
+    value = fit.distances[grid.first_of_zero]
+    linked = np.zeros(grid.n_zeros) if grid.walk is None else np.isfinite(grid.walk)
+    last = np.flatnonzero(~linked.astype(bool))
+    first = np.append(0, last[:-1] + 1)
+    taken = np.where(grid.row >= 0, order[grid.row], order.max() + 1).min(axis=1)
+    when = np.array([taken[grid.zero == z].min() for z in first])
+    chain = np.searchsorted(last, grid.zero)
+    count = np.bincount(chain, weights=grid.used.sum(axis=1), minlength=len(last))
+    found: list[dict[str, Any]] = []
+    before = None
+    for k in np.argsort(when, kind="stable").tolist():
+        z = first[k]
+        entry = {
+            "segment": int(grid.segment_ids[z]),
+            "lengths": int(count[k]),
+            "zero": float(value[z]),
+            "std": float(np.sqrt(covariance[z, z])),
+        }
+        if before is not None:
+            entry |= step_between(value, covariance, before, z)
+        found.append(entry)
+        before = last[k]
+    return found
+
+
+def step_between(value: Floats, covariance: Floats, before: int, after: int) -> dict[str, float]:
+    """Return by how much one zero (m) is larger than the one ``before`` it, and how sure that is.
+
+    ``value`` (s,), ``covariance`` (s, s) of all zeros; ``probability``: of such a step by chance.
+    """
+    step = float(value[after] - value[before])
+    pair = [before, after]
+    (a, b), (_, c) = covariance[np.ix_(pair, pair)].tolist()
+    variance = c + a - 2 * b
+    return {
+        "step": step,
+        "step_std": float(np.sqrt(variance)),
+        "probability": chi2_sf(step**2 / variance, 1.0),
+    }

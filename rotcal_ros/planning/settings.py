@@ -1,0 +1,240 @@
+"""Groups of a configuration that no method owns: cell, health, safety, planner, table_adapter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from rotcal_ros.foundation.components import check_axis
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.in_force import UNKNOWN, check_in_force
+from rotcal_ros.foundation.settings import check_ros_name, setting
+from rotcal_ros.planning.choices import AS_LISTED, UNTIL_GOAL
+
+
+@dataclass(frozen=True)
+class CellSettings:
+    """What the cell's parts are called."""
+
+    namespace: str = setting("/cell", doc="ROS namespace of all topics of the cell")
+    joint: str = setting("", doc="name of the table's joint in its feedback; empty: the first")
+    axis: str = setting("C", doc="letter of the rotary axis, for compensation tables")
+    table_in_force: str = setting(
+        UNKNOWN,
+        doc="compensation table that the controller holds: SHA-256 of its files, none, or "
+        "unknown; a bridge announces it by itself",
+    )
+    machine_frame: str = setting(
+        "machine", doc="frame of targets and probe points, as headers and tf call it"
+    )
+    table_frame: str = setting(
+        "table_base", doc="fixed frame of the table in tf: its origin on the axis, z along it"
+    )
+    tracer_frame: str = setting(
+        "tracer", doc="frame of the tracer in tf, with the table at angle 0"
+    )
+    frame_tolerance_m: float = setting(
+        0.01, doc="m, by which tf and the solution may differ without a warning", minimum=1e-9
+    )
+    frame_tolerance_deg: float = setting(
+        1.0, doc="deg, by which the directions of the axis may differ", minimum=1e-9, maximum=180.0
+    )
+    volume_from_m: tuple[float, ...] = setting(
+        (), doc="m, lowest x, y, z that the probe reaches; a dry run holds the plan against it"
+    )
+    volume_to_m: tuple[float, ...] = setting(
+        (), doc="m, highest x, y, z that the probe reaches; both or none"
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse names that ROS or a controller file cannot bear, and half a volume or none."""
+        check_ros_name(self.namespace, "namespace")
+        check_axis(self.axis)
+        check_in_force(self.table_in_force)
+        _check_volume(self.volume_from_m, self.volume_to_m)
+
+
+def _check_volume(low: tuple[float, ...], high: tuple[float, ...]) -> None:
+    if {len(low), len(high)} not in ({0}, {3}):
+        raise ConfigurationError(
+            f"volume_from_m and volume_to_m: give x, y, z of both, found {len(low)} and "
+            f"{len(high)} numbers"
+        )
+    if not all(a < b for a, b in zip(low, high, strict=True)):
+        raise ConfigurationError("volume_to_m must be above volume_from_m in x, y and z")
+
+
+@dataclass(frozen=True)
+class HealthSettings:
+    """How late a sign of life may be; a process that is gone is lost at once."""
+
+    slow_after_s: float = setting(
+        1.5,
+        doc="s without a sign that a node answers, after which it is slow: the measurement waits "
+        "at the next safe place and goes on by itself",
+        minimum=0.6,
+        maximum=3600.0,
+    )
+    lost_after_s: float = setting(
+        300.0,
+        doc="s after which a node that is slow, or an instrument that is silent, is given up: the "
+        "session ends and can be resumed",
+        minimum=1.0,
+        maximum=86_400.0,
+    )
+
+
+@dataclass(frozen=True)
+class SafetySettings:
+    """Who stops the cell; every node that moves something listens. No safety function."""
+
+    emergency_stop: str = setting(
+        "emergency_stop",
+        doc="topic of a std_msgs/Bool that is true while nothing may be ordered, also outside the "
+        "namespace; empty: none",
+    )
+    stop_on_diagnostics: tuple[str, ...] = setting(
+        (),
+        doc="names on /diagnostics whose ERROR or STALE stops the cell: the whole name, or what "
+        "stands behind its last '/' or ': '",
+    )
+    silent_s: float = setting(
+        0.0,
+        doc="s, silence of the topic, or of one of the names, that stops the cell too; 0: none",
+        minimum=0.0,
+        maximum=3600.0,
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse a name that no topic can bear."""
+        if self.emergency_stop:
+            check_ros_name(self.emergency_stop, "emergency_stop")
+
+
+@dataclass(frozen=True)
+class PlannerSettings:
+    """What the planner measures next, and how patient it is; times are of the wall clock."""
+
+    policy: str = setting(
+        AS_LISTED,
+        doc="which step comes next: all of the plan in their order, or of the plan's steps those "
+        "that are needed for the goal",
+        choices=(AS_LISTED, UNTIL_GOAL),
+    )
+    goal_arcsec: float = setting(
+        0.0,
+        doc="arcsec, expanded uncertainty (k = 2) of ECC about its mean, root mean square over "
+        "the table angles, at which until_goal stops; 0: not given",
+        minimum=0.0,
+        maximum=3600.0,
+    )
+    expected_std_m: float = setting(
+        0.0,
+        doc="m, standard deviation of a length that until_goal plans its first sweep with; 0: "
+        "that of the solver",
+        minimum=0.0,
+        maximum=1e-2,
+    )
+    step_s: float = setting(
+        5.0, doc="s, how long until_goal takes a step to be", minimum=0.001, maximum=3600.0
+    )
+    turn_s: float = setting(
+        10.0, doc="s, how long until_goal takes a turn of the table to be", minimum=0.0,
+        maximum=3600.0,
+    )  # fmt: skip
+
+    max_attempts: int = setting(
+        3, doc="attempts at one step before it is skipped", minimum=1, maximum=100
+    )
+    max_failed_steps: int = setting(
+        3,
+        doc="steps that may fail running, all attempts used up, before the planner gives up; "
+        "ten times as many where something stood in the beam; 0: it never does",
+        minimum=0,
+        maximum=100_000,
+    )
+    preflight_timeout_s: float = setting(
+        15.0, doc="s, time for all nodes and topics to appear", minimum=0.1, maximum=3600.0
+    )
+    step_timeout_s: float = setting(
+        60.0, doc="s, from an order to its observation", minimum=0.1, maximum=86_400.0
+    )
+    receipt_timeout_s: float = setting(
+        10.0,
+        doc="s, from an observation to the recorder's receipt that it is on disk",
+        minimum=0.1,
+        maximum=3600.0,
+    )
+    stream_timeout_s: float = setting(
+        2.0,
+        doc="s, silence of an instrument after which it is waited for; it is lost where nobody "
+        "publishes it any more, and after health.lost_after_s",
+        minimum=0.1,
+        maximum=3600.0,
+    )
+    join_steps: int = setting(
+        8,
+        doc="done steps that a resumed plan measures again, to find the zero of the lengths",
+        minimum=1,
+        maximum=1000,
+    )
+    solve_timeout_s: float = setting(
+        120.0, doc="s, time for the final solution", minimum=1.0, maximum=86_400.0
+    )
+
+
+Interface = Literal["auto", "goals", "trajectory", "positions"]
+
+
+@dataclass(frozen=True)
+class TableAdapterSettings:
+    """Which controller moves the table's joint, how fast, and how it reaches its angles.
+
+    Raises ConfigurationError for limits that leave no travel.
+    """
+
+    controller: str = setting("/table_controller", doc="ROS name of the controller")
+    interface: Interface = setting(
+        "auto",
+        doc="what the controller takes: goals (its action follow_joint_trajectory; the package "
+        "control_msgs is needed), trajectory (trajectory_msgs/JointTrajectory on its topic "
+        "joint_trajectory) or positions (std_msgs/Float64MultiArray on its topic commands); "
+        "auto: goals where control_msgs is installed, else trajectory",
+    )
+    feedback: str = setting(
+        "/joint_states", doc="topic of sensor_msgs/JointState that tells where the joint is"
+    )
+    speed_deg_s: float = setting(
+        10.0, doc="deg/s, largest speed of the table", minimum=1e-3, maximum=36_000.0
+    )
+    acceleration_deg_s2: float = setting(
+        20.0, doc="deg/s^2, largest acceleration", minimum=1e-3, maximum=1e6
+    )
+    overshoot_deg: float = setting(
+        2.0,
+        doc="deg, shortest way on which an ordered side of approach is kept; a table that stands "
+        "nearer, or beyond, goes back so far first",
+        minimum=1e-3,
+        maximum=180.0,
+    )
+    lower_deg: float | None = setting(None, doc="deg, end of the travel; none: it turns endlessly")
+    upper_deg: float | None = setting(None, doc="deg, end of the travel; none: it turns endlessly")
+    many_turns: bool = setting(
+        False, doc="the joint may stand more than two turns from its zero when it begins"
+    )
+    tolerance_arcsec: float = setting(
+        5.0, doc="arcsec, the joint is where it was sent", minimum=1e-3, maximum=36_000.0
+    )
+    silence_s: float = setting(
+        2.0, doc="s without feedback, or without motion, that are complained of", minimum=0.1
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse names that ROS cannot bear, and half a travel or none."""
+        check_ros_name(self.controller, "controller")
+        check_ros_name(self.feedback, "feedback")
+        if (self.lower_deg is None) != (self.upper_deg is None):
+            raise ConfigurationError("lower_deg and upper_deg: give both ends of the travel")
+        lower, upper = self.lower_deg, self.upper_deg
+        if lower is not None and upper is not None and not lower < upper:
+            raise ConfigurationError(f"upper_deg {upper:g} must be above lower_deg {lower:g}")

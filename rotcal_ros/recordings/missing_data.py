@@ -1,0 +1,230 @@
+"""What a recording lacks: its dropouts and the steps they touch, and why observations are few."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from rotcal_ros.bags import names
+from rotcal_ros.bags.blocks import Block
+from rotcal_ros.bags.decode import Decoder
+from rotcal_ros.bags.definitions import ChannelDefinition
+from rotcal_ros.bags.dropouts import Dropout
+from rotcal_ros.bags.reader import read_blocks
+from rotcal_ros.bags.settings import DEFAULT_LIMITS, ReadingLimits
+from rotcal_ros.bags.storage_scan import FileVerdict
+from rotcal_ros.capture import messages as records
+from rotcal_ros.capture.rejections import Commonest
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.observations import Observation
+
+_SENTENCES: Final = 20
+"""Largest number of sentences; more of them would not say more."""
+_NAMED: Final = 5
+_TYPE: Final = "rotcal_msgs/msg/Observation"
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """The window of an accepted observation in log time (ns), as dropouts are.
+
+    Stamps are those of the publisher's clock, which may differ from the recorder's or run at
+    another rate: the window ends when the observation arrived.
+    """
+
+    step: int
+    from_ns: int
+    to_ns: int
+
+    def touches(self, dropout: Dropout) -> bool:
+        """Return whether the two have a moment in common."""
+        return dropout.from_ns <= self.to_ns and self.from_ns <= dropout.to_ns
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedDropout:
+    """A dropout and the steps whose accepted observations it touches, ascending."""
+
+    dropout: Dropout
+    steps: tuple[int, ...]
+
+    def sentence(self) -> str:
+        """Return it in words."""
+        if not self.steps:
+            return self.dropout.sentence()
+        few = len(self.steps) <= _NAMED
+        listed = ", ".join(map(str, self.steps))
+        named = listed if few else f"{self.steps[0]} to {self.steps[-1]}, {len(self.steps)} in all"
+        return f"{self.dropout.sentence()}; step{'s'[: len(self.steps) > 1]} {named}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the machine-readable form."""
+        return {**self.dropout.to_dict(), "steps": list(self.steps)}
+
+
+def placed(
+    verdicts: Iterable[FileVerdict], windows: Iterable[Window]
+) -> tuple[PlacedDropout, ...]:
+    """Return all dropouts in the order of time, with the steps that they touch."""
+    dropouts = [dropout for verdict in verdicts for dropout in verdict.dropouts]
+    known = list(windows)
+    return tuple(
+        PlacedDropout(dropout, tuple(sorted({w.step for w in known if w.touches(dropout)})))
+        for dropout in sorted(dropouts, key=lambda dropout: dropout.from_ns)
+    )
+
+
+def placed_in(
+    verdicts: Sequence[FileVerdict], limits: ReadingLimits = DEFAULT_LIMITS
+) -> tuple[PlacedDropout, ...]:
+    """Return :func:`placed` with the observations in the files; reads them only if it must."""
+    if not any(verdict.dropouts for verdict in verdicts):
+        return ()
+    return placed(verdicts, _windows(tuple(verdict.path for verdict in verdicts), limits))
+
+
+def sentences(dropouts: Sequence[PlacedDropout]) -> tuple[str, ...]:
+    """Return dropouts in words; where there are many, the first ones."""
+    shown = tuple(dropout.sentence() for dropout in dropouts[:_SENTENCES])
+    left = len(dropouts) - len(shown)
+    return (*shown, f"and {left} more dropouts") if left else shown
+
+
+def _windows(files: tuple[Path, ...], limits: ReadingLimits) -> Iterator[Window]:
+    """Yield the windows of the accepted observations that the live capture had published."""
+    decoders: dict[ChannelDefinition, Decoder] = {}
+    for scan, block in read_blocks(files, None, limits):
+        for number in () if block is None else block.counts():
+            channel = scan.channels[number]
+            noted = scan.metadata.get(names.TOPICS, {}).get(names.OBSERVATION)
+            if channel.type_name != _TYPE or (
+                channel.topic.rpartition("/")[2] != names.OBSERVATION and channel.topic != noted
+            ):
+                continue
+            assert block is not None
+            # A topic that is not defined as our observation names no steps; solving says why.
+            with suppress(BagError, AttributeError, IndexError, TypeError, ValueError):
+                decoder = decoders.get(channel) or Decoder(channel)
+                decoders[channel] = decoder
+                yield from _accepted(block.select(block.headers["channel"] == number), decoder)
+
+
+def _accepted(block: Block, decoder: Decoder) -> Iterator[Window]:
+    for row, log_time_ns in enumerate(block.headers["log_time"].tolist()):
+        message = decoder.message(block.payload(row))
+        if message is not None and (found := records.observation(message)).accepted:
+            lasted_ns = found.window_end_ns - found.window_start_ns
+            yield Window(found.step, log_time_ns - lasted_ns, log_time_ns)
+
+
+_TOPICS: Final = {
+    "tracer": names.TRACER_LENGTH,
+    "table": names.JOINT_STATES,
+    "probe": names.PROBE_POINT,
+    "temperature": names.TEMPERATURE,
+    "command": f"{names.TABLE_ANGLE} or {names.PROBE_TARGET}",
+}
+"""What delivers each stream of the capture."""
+_MAX_NAMED: Final = 8
+_FEW: Final = 0.1
+"""Share of steps without an accepted observation that is not worth a warning."""
+
+
+def why_nothing(
+    observations: Sequence[Observation],
+    counts: Mapping[str, Mapping[str, int]],
+    unreadable: Mapping[str, str],
+    broken: Mapping[str, int],
+    topics: Iterable[str],
+) -> str:
+    """Return why none of ``observations`` was accepted.
+
+    ``counts`` is what the capture counted per stream, empty when the recorded observations were
+    taken; ``unreadable`` names topics without a usable definition and ``broken`` those whose
+    messages could not be decoded; ``topics`` are all of the bag.
+    """
+    reasons = list(unreadable.values())
+    reasons += [f"{topic}: {count} messages cannot be decoded" for topic, count in broken.items()]
+    silent = [
+        _TOPICS[stream]
+        for stream, counted in counts.items()
+        if not counted.get("received") and stream in _TOPICS
+    ]
+    if observations:
+        reasons.insert(0, _rejections(observations))
+    elif not counts:
+        reasons.append(f"it holds none on a topic {names.OBSERVATION}; solve its streams instead")
+    elif silent:
+        reasons.append(f"nothing was read on {', '.join(silent)}; {_present(topics)}")
+    elif counts.get("command", {}).get("unanswered"):
+        reasons.append(unanswered(counts["command"]))
+    else:
+        reasons.append("its streams hold no complete step of the plan")
+    return "; ".join(reasons)
+
+
+def _rejections(observations: Sequence[Observation]) -> str:
+    """Return how many were rejected, and the commonest reason."""
+    found = Commonest.of(o.reason for o in observations)
+    assert found is not None
+    return f"all {found.total} were rejected, {found.in_words()}"
+
+
+def doubtful(
+    observations: Sequence[Observation], counts: Mapping[str, Mapping[str, int]]
+) -> tuple[str, ...]:
+    """Return what a reader should know of attempts that failed, though not all did.
+
+    And how many messages contradict others: it is not known which of them are true.
+    """
+    texts = []
+    rejected = [o.reason for o in observations if not o.accepted]
+    found = Commonest.of(rejected)
+    if found and 2 * found.total > len(observations):
+        texts.append(
+            f"{found.total} of {len(observations)} attempts were rejected, {found.in_words()}"
+        )
+    elif failed := _failed_steps(observations):
+        texts.append(failed)
+    texts += [
+        f"{n} messages on {_TOPICS[stream]} contradict others of the same time or order: two "
+        "publishers, or stamps that are too coarse; the first one counts"
+        for stream in ("tracer", "table", "probe")
+        if (n := counts.get(stream, {}).get("contradicting", 0))
+    ]
+    commands = counts.get("command", {})
+    if 2 * commands.get("unanswered", 0) > commands.get("received", 0):
+        texts.append(unanswered(commands))
+    return tuple(texts)
+
+
+def _failed_steps(observations: Sequence[Observation]) -> str | None:
+    """Return how many steps were tried in vain, and why; None for few, as by a blocked beam."""
+    done = {o.step for o in observations if o.accepted}
+    failed = [o for o in observations if o.step not in done]
+    found, steps = Commonest.of(o.reason for o in failed), len({o.step for o in failed})
+    if found is None or steps <= _FEW * (len(done) + steps):
+        return None
+    return f"{steps} of {len(done) + steps} steps were tried in vain, {found.in_words()}"
+
+
+def unanswered(commands: Mapping[str, int]) -> str:
+    """Say that the machine did not echo its orders."""
+    return (
+        f"{commands['unanswered']} of {commands['received']} orders have no answer: a point on "
+        f"{names.PROBE_POINT} must echo step and attempt of its order"
+    )
+
+
+def _present(topics: Iterable[str]) -> str:
+    found = sorted(topics)
+    if not found:
+        return "it has no topics at all"
+    more = f" and {len(found) - _MAX_NAMED} more" if len(found) > _MAX_NAMED else ""
+    return (
+        f"its topics are {', '.join(found[:_MAX_NAMED])}{more} (see --namespace, and the group "
+        "topics of the set-up for other names)"
+    )

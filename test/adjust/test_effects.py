@@ -1,0 +1,138 @@
+"""Effects of known form: tests and detectable sizes against closed forms and drawn noise."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from rotcal_ros.adjust.distributions import noncentrality
+from rotcal_ros.adjust.effects import (
+    Seen,
+    above_of_family,
+    correlations,
+    effect_test,
+    family_test,
+    limit_of_family,
+    unseen,
+    unseen_family,
+)
+
+
+def seen(design, columns, outputs, residual):
+    """Return what a solution makes of columns, by plain projections."""
+    projector = np.eye(len(design)) - design @ np.linalg.pinv(design)
+    moved = (outputs @ np.linalg.pinv(design) @ columns).T
+    left = projector @ columns
+    return Seen(moved, left.T @ left, left.T @ residual, (columns**2).sum(axis=0))
+
+
+def world(n=40, p=4, k=2, seed=1):
+    rng = np.random.default_rng(seed)
+    design, columns = rng.standard_normal((n, p)), rng.standard_normal((n, k))
+    return design, columns, np.eye(p), rng
+
+
+def test_an_effect_is_what_one_more_unknown_says():
+    design, columns, outputs, rng = world()
+    observed = columns @ [3.0, -2.0] + rng.standard_normal(40)
+    residual = observed - design @ np.linalg.lstsq(design, observed, rcond=None)[0]
+    found = effect_test(seen(design, columns, outputs, residual))
+    both = np.hstack([design, columns])
+    whole, (after,), *_ = np.linalg.lstsq(both, observed, rcond=None)
+    assert found.size == pytest.approx(whole[4:])
+    assert found.squares == pytest.approx(residual @ residual - after)
+    assert found.covariance == pytest.approx(np.linalg.inv(both.T @ both)[4:, 4:])
+    assert found.probability == pytest.approx(stats.chi2.sf(found.squares, 2))
+    studentised = effect_test(
+        seen(design, columns, outputs, residual), (float(residual @ residual), 36.0)
+    )
+    value = found.squares / 2 / ((residual @ residual - found.squares) / 34)
+    assert studentised.probability == pytest.approx(stats.f.sf(value, 2, 34))
+
+
+def test_what_the_unknowns_take_up_is_not_seen_and_not_judged():
+    design, columns, outputs, rng = world()
+    columns[:, 1] = design @ [1.0, 2.0, 0.0, 0.0]
+    residual = rng.standard_normal(40)
+    residual -= design @ np.linalg.lstsq(design, residual, rcond=None)[0]
+    here = seen(design, columns, outputs, residual)
+    assert effect_test(here).rank == 1
+    hides = unseen(here, np.ones(4), 5.0, significance=0.01, power=0.95)
+    assert not hides.found
+    assert hides.error >= 10.0  # five units of what moves the second output by two
+
+
+def test_the_detectable_size_of_one_column_is_baardas():
+    design, columns, outputs, _ = world(k=1)
+    here = seen(design, columns, outputs, np.zeros(40))
+    size = np.sqrt(noncentrality(0.01, 0.95) / here.information[0, 0])
+    std = np.array([0.5, 1.0, 2.0, 0.0])
+    wanted = (size * np.abs(here.moved[0, :3]) / std[:3]).max()
+    assert unseen(here, std, 1e9, significance=0.01, power=0.95) == (pytest.approx(wanted), True)
+    largest = 0.5 * size
+    bounded = unseen(here, std, largest, significance=0.01, power=0.95)
+    assert bounded == (pytest.approx(0.5 * wanted), False)
+
+
+def test_an_effect_of_the_detectable_size_is_found_as_often_as_stated():
+    """In the direction that is worst for the outputs."""
+    design, columns, outputs, rng = world(k=2, seed=3)
+    here = seen(design, columns, outputs, np.zeros(40))
+    std = np.sqrt(np.linalg.inv(design.T @ design).diagonal())
+    hides = unseen(here, std, 1e9, significance=0.01, power=0.95)
+    inverse = np.linalg.inv(here.information)
+    size_of = [inverse @ here.moved[:, o] for o in range(4)]
+    sizes = [
+        a * np.sqrt(noncentrality(0.01, 0.95, 2) / (a @ here.information @ a)) for a in size_of
+    ]
+    errors = [abs(s @ here.moved[:, o]) / std[o] for o, s in enumerate(sizes)]
+    assert hides.error == pytest.approx(max(errors))
+    worst = sizes[int(np.argmax(errors))]
+    hat = design @ np.linalg.pinv(design)
+    hits = 0
+    for _ in range(1000):
+        observed = columns @ worst + rng.standard_normal(40)
+        hits += effect_test(
+            seen(design, columns, outputs, observed - hat @ observed)
+        ).probability < 0.01  # fmt: skip
+    assert 925 < hits < 972  # binomial about 950, four standard deviations
+
+
+def steps(n=60):
+    """Shifts from each moment on, beside a mean and a slope."""
+    when = np.arange(n)
+    design = np.column_stack([np.ones(n), when / n])
+    return design, (when[:, None] >= np.arange(4, n - 4)).astype(float)
+
+
+def test_the_limit_of_a_family_is_exceeded_as_rarely_as_stated():
+    design, columns = steps()
+    here = seen(design, columns, np.eye(2), np.zeros(60))
+    limit = limit_of_family(0.05, correlations(here.information))
+    rng, root = np.random.default_rng(5), np.sqrt(here.information.diagonal())
+    noise = rng.standard_normal((4000, 60))
+    left = noise - noise @ (design @ np.linalg.pinv(design)).T
+    largest = np.abs(left @ columns / root).max(axis=1)
+    share = (largest > limit).mean()
+    assert 0.035 < share < 0.055  # never much more than stated, and not far below
+    assert above_of_family(limit, correlations(here.information)) == pytest.approx(0.05)
+    assert limit < stats.norm.isf(0.025 / 52)  # than of as many independent ones
+
+
+def test_the_member_of_a_family_is_named_and_its_hidden_size_found():
+    design, columns = steps()
+    here = seen(design, columns, np.eye(2), np.zeros(60))
+    std = np.sqrt(np.linalg.inv(design.T @ design).diagonal())
+    hides = unseen_family(here, std, 1e9, significance=0.01, power=0.95)
+    assert hides.found
+    rng = np.random.default_rng(6)
+    limit = limit_of_family(0.01, correlations(here.information))
+    size = (limit + stats.norm.isf(0.05)) / np.sqrt(here.information.diagonal())
+    worst = int(np.argmax(size * np.abs(here.moved / std).max(axis=1)))
+    hat, hits, near = design @ np.linalg.pinv(design), 0, 0
+    for _ in range(500):
+        observed = size[worst] * columns[:, worst] + rng.standard_normal(60)
+        found = family_test(seen(design, columns, np.eye(2), observed - hat @ observed))
+        hits += found.probability < 0.01
+        near += abs(found.member - worst) <= 3
+    assert hits / 500 > 0.92
+    assert near > 300
