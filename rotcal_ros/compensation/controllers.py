@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from rotcal_ros.compensation.controller import Controller
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.settings import load
 from rotcal_ros.foundation.untrusted import load_yaml
+
+if TYPE_CHECKING:
+    from rotcal_ros.compensation.controller import Controller
 
 
 def controller_names() -> tuple[str, ...]:
@@ -31,6 +33,8 @@ def make_controller(
     Raises ConfigurationError, with the place (``where``, else the name) and the nearest name,
     for what it does not know or what is out of range.
     """
+    from rotcal_ros.compensation.controller import Controller  # settings are listed without
+
     found = plugins.load(plugins.CONTROLLERS, name, "controller")
     if not (isinstance(found, type) and issubclass(found, Controller)):
         raise ConfigurationError(

@@ -71,5 +71,5 @@ def test_what_cannot_be_told_is_refused():
     with pytest.raises(DataError, match="at most 17"):
         harmonic_content(MeasuredCurve(ANGLES, ANGLES, np.eye(36), TAU), 18)
     bunched = np.linspace(0.0, 1e-4, 36)
-    with pytest.raises(DataError, match="cannot tell"):
+    with pytest.raises(DataError, match="cannot separate"):
         harmonic_content(MeasuredCurve(bunched, bunched, np.eye(36), TAU), 5)

@@ -39,12 +39,10 @@ def solved(radial: float):
     mount = np.array(configuration.simulation.tracer.mount_m)
     stations = np.einsum("nij,j->ni", rotation_about_z(angles), mount)
     stations[:, 0] += radial * np.cos(2.0 * angles)
-    places = disturbances.reflector_places(
-        configuration, calibration.plan, disturbances.steps_of(calibration.plan), {}, noise
+    streams = (noise, noise)  # nothing is drawn from the second
+    return calibration.solve(
+        disturbances.observed(configuration, calibration.plan, stations, {}, streams)
     )
-    read = disturbances.readings(configuration, stations, places, {}, noise).tolist()
-    steps = zip(calibration.plan.steps, read, strict=True)
-    return calibration.solve([step.observed((length,)) for step, length in steps])
 
 
 @pytest.fixture(scope="module")

@@ -73,8 +73,9 @@ def test_the_signs_are_those_of_the_conventions():
 @pytest.mark.parametrize(
     ("first_faces", "closure", "more", "bare"),
     [
-        ((0, 1, 5), True, {}, ("drift", "knock", "scale", "one place")),
-        ((0, 1, 5), False, {}, ("drift", "knock", "axis noise", "scale", "one place")),
+        ((0, 1, 5), True, {}, ("drift", "knock", "repeatability", "scale", "one place")),
+        ((0, 1, 5), False, {},
+         ("drift", "knock", "axis noise", "repeatability", "scale", "one place")),
         ((0,), True, {"unknown_faces": False},
          ("drift", "knock", "axis noise", "repeatability", "scale", "gauge")),
         ((0,), False, {"certificate": np.zeros(N), "certificate_std": SIGMA},

@@ -199,7 +199,7 @@ def test_a_table_that_a_control_uses_wrongly_is_named_and_not_added_to(real, gai
     assert list(real.rounds) == ["out", "after"]
     assert found.verdict == "failed"
     assert abs(found.effect.factor - factor) < 4.0 * found.effect.std + 0.01
-    assert words in found.wrong
+    assert words in found.fault
     data = json.loads((folder / "verification.json").read_text())
     assert words in data["effect"]["words"]
     assert words in verification_section(found)[1]
