@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rotcal_ros.curves.interpolation import without_harmonics
-from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.evaluation.quick_check import quick_check
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.curves.interpolation import without_harmonics
+from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods import changed, read_configuration
 from rotcal_ros.methods.tracer.check_plan import CheckPlan, plan_check

@@ -89,7 +89,9 @@ def warm():
 @pytest.fixture
 def without_figures(monkeypatch):
     """Draw nothing: for tests of the words of pages, whose figures take most of their time."""
-    monkeypatch.setattr("rotcal_ros.figures.style.svg", lambda _: '<svg viewBox="0 0 9 9"></svg>')
+    monkeypatch.setattr(
+        "rotcal_ros.methods.figures.style.svg", lambda _: '<svg viewBox="0 0 9 9"></svg>'
+    )
 
 
 @pytest.fixture(autouse=True)

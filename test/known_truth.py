@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rotcal_ros.simulation.table import true_deviations
+from rotcal_ros.methods.simulation.table import true_deviations
 
 
 def normalized_errors(calibration, result):

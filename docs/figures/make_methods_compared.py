@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.evaluation.compare import Comparison, compare_all
+from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.report.comparison import curves_and_errors
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "test" / "evaluation"))

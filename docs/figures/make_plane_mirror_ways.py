@@ -10,7 +10,7 @@ from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import read_configuration
 from rotcal_ros.methods.plane_mirror.figures import ways
-from rotcal_ros.simulation.table import true_deviations
+from rotcal_ros.methods.simulation.table import true_deviations
 
 HERE = Path(__file__).parent
 STEP_S = 0.1

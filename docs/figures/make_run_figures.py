@@ -9,8 +9,8 @@ import json
 import sys
 from pathlib import Path
 
-from rotcal_ros.figures import curves as figures
 from rotcal_ros.foundation.results import Result
+from rotcal_ros.methods.figures import curves as figures
 
 FIGURES = Path(__file__).parent
 NAMES = {"tracer_multistation": "demo_deviations"}

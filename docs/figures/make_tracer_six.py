@@ -7,7 +7,7 @@ the report.
 from pathlib import Path
 
 import rotcal_ros as rc
-from rotcal_ros.figures.curves import deviations
+from rotcal_ros.methods.figures.curves import deviations
 from rotcal_ros.methods.tracer_six.figures import places_and_targets
 
 HERE = Path(__file__).parent

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from rotcal_ros.api.reading import Name
-from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.evaluation.bidirectional import require_runs
 from rotcal_ros.evaluation.combination import CombinationInput
 from rotcal_ros.evaluation.combination import combine as combine_measured
@@ -20,6 +19,7 @@ from rotcal_ros.evaluation.iso230 import iso230 as evaluate_runs
 from rotcal_ros.evaluation.monte_carlo import Propagated, propagated
 from rotcal_ros.evaluation.quick_check import QuickCheck, quick_check
 from rotcal_ros.foundation.components import unit_of
+from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.ball_plate.design.ball_layout import WEIGHTS, BallLayout, best_layout
 from rotcal_ros.methods.calibration import prepare_whole

@@ -18,8 +18,8 @@ from rotcal_ros.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from rotcal_ros.curves.measured import MeasuredCurve
     from rotcal_ros.evaluation.compare import Comparison
+    from rotcal_ros.foundation.curves.measured import MeasuredCurve
 
 
 @click.command()

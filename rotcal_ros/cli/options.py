@@ -21,7 +21,7 @@ from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.units import ARCSEC
 
 if TYPE_CHECKING:
-    from rotcal_ros.curves.measured import MeasuredCurve
+    from rotcal_ros.foundation.curves.measured import MeasuredCurve
     from rotcal_ros.planning.check_rule import CheckRule
 
 Function = TypeVar("Function", bound=Callable[..., Any])

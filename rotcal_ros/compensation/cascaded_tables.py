@@ -19,9 +19,9 @@ from rotcal_ros.compensation.held_table import HeldTable
 from rotcal_ros.compensation.interpolation_uncertainty import between_std
 from rotcal_ros.compensation.resample import Correction, resample
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable, check_verdict
-from rotcal_ros.curves.directional import DirectionalCurve
-from rotcal_ros.curves.interpolation import SAME_ANGLE, interpolation_matrix
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.curves.directional import DirectionalCurve
+from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, interpolation_matrix
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.in_force import NONE, UNKNOWN, in_words, known_hash
 from rotcal_ros.foundation.units import ARCSEC

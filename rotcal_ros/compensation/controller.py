@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import ClassVar, Final, Protocol, runtime_checkable
 
 from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.curves.interpolation import TURN
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.curves.interpolation import TURN
 from rotcal_ros.foundation.observations import Approach
 
 EVERY_TURN: Final = (-TURN, 2.0 * TURN)

@@ -16,9 +16,9 @@ import numpy as np
 
 from rotcal_ros.compensation.held_table import HeldTable
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
-from rotcal_ros.curves.directional import directional_curve
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.curves.directional import directional_curve
 from rotcal_ros.foundation.gum_numbers import value_with_uncertainty
 from rotcal_ros.foundation.results import Result
 

@@ -11,8 +11,8 @@ from rotcal_ros.compensation.agreement import NO_MACHINE, MachineIdentity
 from rotcal_ros.compensation.controller import Controller, Rule
 from rotcal_ros.compensation.journal import contents_hash
 from rotcal_ros.compensation.writing import PROVENANCE, SCHEMA, of_the_controller
-from rotcal_ros.curves.interpolation import TURN
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.curves.interpolation import TURN
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.in_force import NONE
 from rotcal_ros.foundation.observations import Approach

@@ -8,10 +8,10 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.curves.content import content_of
-from rotcal_ros.curves.directional import DirectionalCurve
-from rotcal_ros.curves.measured import gaps_of
 from rotcal_ros.foundation.arrays import Bools, Floats
+from rotcal_ros.foundation.curves.content import content_of
+from rotcal_ros.foundation.curves.directional import DirectionalCurve
+from rotcal_ros.foundation.curves.measured import gaps_of
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 

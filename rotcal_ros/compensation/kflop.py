@@ -24,8 +24,8 @@ from rotcal_ros.compensation.table_rows import (
     fixed,
     mean_deg,
 )
-from rotcal_ros.curves.interpolation import TURN
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.curves.interpolation import TURN
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.settings import setting

@@ -40,8 +40,8 @@ from rotcal_ros.compensation.table_rows import (
     require_at_most,
     with_line,
 )
-from rotcal_ros.curves.interpolation import TURN
 from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.curves.interpolation import TURN
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.settings import setting

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.curves.interpolation import (
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.curves.interpolation import (
     curve_through,
     interpolation_matrix,
     row_angles,
     within,
     wrapped,
 )
-from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import ARCSEC

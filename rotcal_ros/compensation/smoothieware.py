@@ -27,8 +27,8 @@ from rotcal_ros.compensation.table_rows import (
     require_circle,
     require_zero_at_start,
 )
-from rotcal_ros.curves.interpolation import TURN
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.curves.interpolation import TURN
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.settings import setting

@@ -12,8 +12,10 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from rotcal_ros.compensation.interpolation_uncertainty import Weights, variances, without_gaps
-from rotcal_ros.curves.directional import DirectionalCurve, directional_curve
-from rotcal_ros.curves.interpolation import (
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.components import check_axis
+from rotcal_ros.foundation.curves.directional import DirectionalCurve, directional_curve
+from rotcal_ros.foundation.curves.interpolation import (
     SAME_ANGLE,
     TURN,
     harmonic_basis,
@@ -22,9 +24,7 @@ from rotcal_ros.curves.interpolation import (
     row_angles,
     wrapped,
 )
-from rotcal_ros.curves.measured import gaps_of
-from rotcal_ros.foundation.arrays import Floats
-from rotcal_ros.foundation.components import check_axis
+from rotcal_ros.foundation.curves.measured import gaps_of
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.in_force import UNKNOWN, agreed, check_in_force, contradiction
 from rotcal_ros.foundation.observations import Approach

@@ -8,8 +8,8 @@ import numpy as np
 
 from rotcal_ros.compensation.resample import averaged
 from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.curves.interpolation import SAME_ANGLE, TURN
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, TURN
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 

@@ -21,8 +21,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.curves.interpolation import interpolation_matrix
-from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.evaluation.common_angles import require_one_table
 from rotcal_ros.evaluation.compare import SURE, TOO_ALIKE, too_alike
 from rotcal_ros.evaluation.component_groups import (
@@ -37,6 +35,8 @@ from rotcal_ros.evaluation.component_groups import (
 from rotcal_ros.evaluation.joined_angles import Joined, union
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.circumstances import Circumstances
+from rotcal_ros.foundation.curves.interpolation import interpolation_matrix
+from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.in_force import UNKNOWN, agreed
 from rotcal_ros.foundation.protection import ALL_EFFECTS, PARTICULAR, Effect, Protection, Treatment

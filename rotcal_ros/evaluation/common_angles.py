@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.curves.interpolation import SAME_ANGLE, TURN, interpolation_matrix
-from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.evaluation.shared_data import shared_covariance
 from rotcal_ros.foundation.arrays import Bools, Floats
+from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, TURN, interpolation_matrix
+from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.units import DEGREE
 

@@ -18,18 +18,18 @@ from typing import Any, Final
 import numpy as np
 
 from rotcal_ros.adjust.distributions import binomial_quantile, chi2_sf, normal_sf
-from rotcal_ros.curves.interpolation import (
+from rotcal_ros.evaluation.common_angles import PairedCurves, pair
+from rotcal_ros.evaluation.shared_data import floor, of_observations_alone
+from rotcal_ros.foundation.arrays import Bools, Floats
+from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.curves.interpolation import (
     TURN,
     harmonic_basis,
     interpolation_matrix,
     regular_root,
     unknown_basis,
 )
-from rotcal_ros.curves.measured import MeasuredCurve
-from rotcal_ros.evaluation.common_angles import PairedCurves, pair
-from rotcal_ros.evaluation.shared_data import floor, of_observations_alone
-from rotcal_ros.foundation.arrays import Bools, Floats
-from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.results import plain_fields
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 

@@ -22,11 +22,11 @@ from scipy.linalg import block_diag
 from scipy.optimize import brentq
 
 from rotcal_ros.adjust.distributions import chi2_sf
-from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.evaluation.joined_angles import Joined, join_angles
 from rotcal_ros.evaluation.shared_data import floor, of_observations_alone, shared_covariance
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
+from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.units import DEGREE
 

@@ -11,9 +11,9 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.curves.interpolation import harmonic_basis, harmonic_estimator
-from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.curves.interpolation import harmonic_basis, harmonic_estimator
+from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.errors import DataError
 
 CHI2_95: Final = 5.991464547107979

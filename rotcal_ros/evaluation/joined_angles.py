@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.curves.interpolation import SAME_ANGLE, TURN, interpolation_matrix
-from rotcal_ros.curves.measured import MeasuredCurve, covers_circle
 from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, TURN, interpolation_matrix
+from rotcal_ros.foundation.curves.measured import MeasuredCurve, covers_circle
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.units import DEGREE
 

@@ -11,11 +11,11 @@ from typing import Any, Literal
 import numpy as np
 
 from rotcal_ros.adjust.distributions import normal_isf
-from rotcal_ros.curves.interpolation import without_harmonics
-from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.evaluation.common_angles import PairedCurves, pair
 from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.curves.interpolation import without_harmonics
+from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.results import plain_fields
 from rotcal_ros.foundation.units import ARCSEC, DEGREE

@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.curves.interpolation import SAME_ANGLE, TURN, wrapped
-from rotcal_ros.curves.measured import MeasuredCurve, period_of
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, TURN, wrapped
+from rotcal_ros.foundation.curves.measured import MeasuredCurve, period_of
 from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.tables import csv_rows
 from rotcal_ros.foundation.units import ARCSEC, DEGREE

@@ -14,9 +14,9 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.curves.interpolation import SAME_ANGLE
-from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE
+from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.raw_data import Influence
 

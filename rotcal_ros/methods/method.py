@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     import numpy as np
 
     from rotcal_ros.capture.attempt import CaptureRules
-    from rotcal_ros.figures import Figure
     from rotcal_ros.foundation.arrays import Floats
     from rotcal_ros.foundation.observations import Observation
     from rotcal_ros.foundation.results import Result
@@ -21,11 +20,12 @@ if TYPE_CHECKING:
     from rotcal_ros.methods.configuration import Configuration
     from rotcal_ros.methods.continuation import Continuation
     from rotcal_ros.methods.disturbance import Disturbances
+    from rotcal_ros.methods.figures import Figure
+    from rotcal_ros.methods.simulation.cell import SimulatedCell
+    from rotcal_ros.methods.simulation.instrument import MakeInstrument
+    from rotcal_ros.methods.simulation.settings import SimulationSettings
     from rotcal_ros.planning.choices import Policy
     from rotcal_ros.planning.plan import Compared, Plan, Point, Step
-    from rotcal_ros.simulation.cell import SimulatedCell
-    from rotcal_ros.simulation.instrument import MakeInstrument
-    from rotcal_ros.simulation.settings import SimulationSettings
 
 Trials: TypeAlias = "Callable[[np.random.Generator, int], Floats]"
 """``trials(rng, count)`` draws measurements, solves them and returns (count, outputs)."""
@@ -187,7 +187,7 @@ class Method:
 
     def simulated_cell(self, settings: SimulationSettings, start_ns: int = 0) -> SimulatedCell:
         """Return a simulated cell with its instrument, whose time begins at ``start_ns``."""
-        from rotcal_ros.simulation.cell import SimulatedCell
+        from rotcal_ros.methods.simulation.cell import SimulatedCell
 
         return SimulatedCell(settings, self.simulated_instrument, start_ns)
 

@@ -15,11 +15,11 @@ from std_srvs.srv import Trigger
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture import Capture, Record
+from rotcal_ros.capture.instruments.steps import Order, StepFinder
 from rotcal_ros.capture.rejections import Rejections, kind_of
 from rotcal_ros.capture.stamp_offsets import StampOffsets
 from rotcal_ros.foundation.node_state import LOADING, NO_PLAN, NodeState, State, Why
 from rotcal_ros.foundation.observations import Command, Observation
-from rotcal_ros.instruments.steps import Order, StepFinder
 from rotcal_ros.nodes.instruments.streams import InstrumentStreams
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode

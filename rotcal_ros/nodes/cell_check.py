@@ -32,13 +32,13 @@ from rotcal_msgs.msg import CalibrationPlan
 from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.bags.topic_roles import TOPIC
+from rotcal_ros.capture.instruments.conventions import Conventions
 from rotcal_ros.capture.stamp_offsets import OffsetLimits, StampOffsets
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.middleware import discovery_in_words
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.geometry.frames import FrameTree, Pose
-from rotcal_ros.instruments.conventions import Conventions
 from rotcal_ros.methods import Calibration, Configuration
 from rotcal_ros.methods.calibration import prepare_to_measure
 from rotcal_ros.methods.check_lines import CellReport, CheckLine

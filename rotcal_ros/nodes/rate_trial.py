@@ -22,10 +22,10 @@ from rotcal_msgs.msg import TracerLength
 from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.bags.writer import BagWriter
+from rotcal_ros.capture.instruments.forms import OWN
+from rotcal_ros.capture.instruments.interpreter import Interpreter
 from rotcal_ros.foundation import machine_load
 from rotcal_ros.foundation.machine_load import Patience
-from rotcal_ros.instruments.forms import OWN
-from rotcal_ros.instruments.interpreter import Interpreter
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.channels import own_channel
 from rotcal_ros.nodes.runtime.draining import Batch, DrainedSubscription, sent_ns

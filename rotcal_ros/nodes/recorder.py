@@ -12,10 +12,10 @@ from std_srvs.srv import Trigger
 from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import RecorderSettings
 from rotcal_ros.bags.topic_roles import CalledOtherwise
+from rotcal_ros.capture.instruments.interpreter import FAST
 from rotcal_ros.foundation.clock_jumps import noted
 from rotcal_ros.foundation.errors import BagError, RotcalError
 from rotcal_ros.foundation.node_state import LOADING, NodeState, State, Why
-from rotcal_ros.instruments.interpreter import FAST
 from rotcal_ros.nodes.runtime.cell_node import IDLE_S, CellNode, until
 from rotcal_ros.nodes.runtime.draining import GRAPH_PERIOD_S, Batch
 from rotcal_ros.nodes.runtime.running import done_aside, run

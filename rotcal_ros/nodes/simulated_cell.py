@@ -17,13 +17,13 @@ from rotcal_ros.foundation.node_state import NodeState, Reason, State, Why
 from rotcal_ros.foundation.observations import Command, HumiditySample, PressureSample
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.methods.method import DEFAULT, find_method
+from rotcal_ros.methods.simulation import CellOutput
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED, STREAM
 from rotcal_ros.nodes.runtime.running import run
 from rotcal_ros.planning.settings import CellSettings, SafetySettings
-from rotcal_ros.simulation import CellOutput
 
 PERIOD_S: Final = 0.01
 LONGEST_TURN_NS: Final = 20_000_000

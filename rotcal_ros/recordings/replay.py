@@ -35,6 +35,7 @@ from rotcal_ros.bags.time_order import TimeOrder, TimeOrders, sorted_blocks
 from rotcal_ros.bags.unread_data import note_unread
 from rotcal_ros.capture import messages as records
 from rotcal_ros.capture.attempt import nanoseconds
+from rotcal_ros.capture.instruments.steps import StepFinder
 from rotcal_ros.capture.stamp_offsets import OffsetLimits, is_of_clocks, rejected_for
 from rotcal_ros.foundation.clock_jumps import read_note
 from rotcal_ros.foundation.errors import BagError, DataError, RotcalError
@@ -42,7 +43,6 @@ from rotcal_ros.foundation.in_force import contradiction, of_axis
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.geometry.frames import StaticFrame
-from rotcal_ros.instruments.steps import StepFinder
 from rotcal_ros.methods.configuration import (
     Configuration,
     parse_configuration,

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 
-from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.evaluation.bidirectional import read_runs, require_runs
 from rotcal_ros.evaluation.combination import CombinationInput
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns
 from rotcal_ros.evaluation.reference import read_reference, without_polygon
 from rotcal_ros.evaluation.ways import EVALUATIONS, way_name
+from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.session_folder import SessionFolder

@@ -15,13 +15,18 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Columns
 from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.capture import messages as records
+from rotcal_ros.capture.instruments.forms import STAMP, Form, form_of
+from rotcal_ros.capture.instruments.interpreter import (
+    FEEDBACK,
+    READING,
+    Interpreter,
+    table_samples,
+)
+from rotcal_ros.capture.instruments.steps import Order, Position, StepFinder
 from rotcal_ros.capture.messages import Orders
 from rotcal_ros.capture.stamp_offsets import REFERENCE, OffsetLimits, StampOffsets
 from rotcal_ros.foundation.arrays import Ints
 from rotcal_ros.foundation.observations import Observation
-from rotcal_ros.instruments.forms import STAMP, Form, form_of
-from rotcal_ros.instruments.interpreter import FEEDBACK, READING, Interpreter, table_samples
-from rotcal_ros.instruments.steps import Order, Position, StepFinder
 from rotcal_ros.recordings.topics import RoleMessages
 
 _TRACER: Final = (*STAMP, "sequence", "length", "status")

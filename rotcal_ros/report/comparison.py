@@ -8,11 +8,11 @@ from itertools import cycle
 import numpy as np
 from matplotlib.axes import Axes
 
-from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.evaluation.compare import Comparison
-from rotcal_ros.figures import style
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
+from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.methods.figures import style
 from rotcal_ros.report.template import render
 
 Pairs = Mapping[tuple[str, str], Comparison]

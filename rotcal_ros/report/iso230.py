@@ -8,11 +8,11 @@ from matplotlib.axes import Axes
 
 from rotcal_ros.evaluation.bidirectional import runs_of
 from rotcal_ros.evaluation.iso230 import ONLY_SCATTER, BidirectionalRuns, Iso230, iso230
-from rotcal_ros.figures import style
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.methods.figures import style
 from rotcal_ros.report.template import render
 
 UP, DOWN = style.BLUE, style.ORANGE

@@ -19,13 +19,13 @@ from typing import Any, Final
 from rotcal_ros import __version__
 from rotcal_ros.bags import names
 from rotcal_ros.evaluation.marks import marks, withheld
-from rotcal_ros.figures import Figure, curves
-from rotcal_ros.figures.residuals import residual_figures
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.in_force import UNKNOWN
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods import find_method, method_names
+from rotcal_ros.methods.figures import Figure, curves
+from rotcal_ros.methods.figures.residuals import residual_figures
 from rotcal_ros.methods.goal import GoalStanding
 from rotcal_ros.methods.measurements import PlannedMeasurements
 from rotcal_ros.methods.method import Measurements

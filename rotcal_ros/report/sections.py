@@ -9,12 +9,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.curves.measured import measured_curve
 from rotcal_ros.evaluation.budget import WHOLE, contributions
 from rotcal_ros.evaluation.harmonics import HarmonicContent, harmonic_content
 from rotcal_ros.evaluation.reliability import Reliability, reliability
-from rotcal_ros.figures import style
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
+from rotcal_ros.foundation.curves.measured import measured_curve
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.gum_numbers import (
     place_of,
@@ -26,6 +25,7 @@ from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.protection import TOLERABLE
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
+from rotcal_ros.methods.figures import style
 from rotcal_ros.methods.goal import GoalStanding
 from rotcal_ros.planning.plan import PlanFigures
 from rotcal_ros.report.facts import NOT_STATED

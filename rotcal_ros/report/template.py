@@ -15,8 +15,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from rotcal_ros import __version__
-from rotcal_ros.figures import style
 from rotcal_ros.foundation.escapes import printable, printable_lines
+from rotcal_ros.methods.figures import style
 
 
 def render(template: str, **values: Any) -> str:

@@ -9,12 +9,12 @@ from matplotlib.axes import Axes
 
 from rotcal_ros.compensation.earlier_export import effect_in_force
 from rotcal_ros.evaluation.verification import ISO_FIGURES, Positioning, Verification
-from rotcal_ros.figures import style
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.escapes import printable_lines
 from rotcal_ros.foundation.in_force import in_words, known_hash
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.methods.figures import style
 from rotcal_ros.report.template import render
 
 TITLE = "Before and after compensation"

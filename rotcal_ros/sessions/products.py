@@ -19,12 +19,12 @@ from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.foundation.untrusted import load_json, read_text
 from rotcal_ros.methods.configuration import read_policy
+from rotcal_ros.methods.simulation.table import true_deviations
 from rotcal_ros.planning.choices import UNTIL_GOAL
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.recordings.result_sources import ResultSource, read_source
 from rotcal_ros.report.terminal.console import say
 from rotcal_ros.sessions.session import Session
-from rotcal_ros.simulation.table import true_deviations
 
 FORMATS: Final = ("csv", "linuxcnc")
 """Controller files that need no settings of the user's machine."""

@@ -35,6 +35,7 @@ from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.foundation.untrusted import load_json, read_text, why
 from rotcal_ros.methods import Calibration
 from rotcal_ros.methods.configuration import Configuration, read_configuration
+from rotcal_ros.methods.simulation.table import true_runs
 from rotcal_ros.recordings.result_sources import ResultSource, read_source
 from rotcal_ros.report.terminal.console import say
 from rotcal_ros.sessions.environment import require_ros
@@ -43,7 +44,6 @@ from rotcal_ros.sessions.products import export_files, write_exports, write_trut
 from rotcal_ros.sessions.resume import resume_session
 from rotcal_ros.sessions.session import Session, checked_calibration, prepare_session
 from rotcal_ros.sessions.viewers import Viewers
-from rotcal_ros.simulation.table import true_runs
 
 CONTROLLERS: Final = ("linuxcnc", "sinumerik", "csv")
 TABLES: Final = {"after": "compensation", "again": "compensation_added"}

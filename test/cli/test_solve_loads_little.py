@@ -16,7 +16,7 @@ NEVER = (
     "rotcal_ros.compensation.controller",
     "rotcal_ros.methods.tracer.policy.experiment",
     "rotcal_ros.methods.tracer.design.information",
-    "rotcal_ros.simulation.cell",
+    "rotcal_ros.methods.simulation.cell",
     "scipy.interpolate",
     "scipy.optimize",
     "scipy.stats",

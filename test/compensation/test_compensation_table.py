@@ -7,8 +7,8 @@ from scipy.interpolate import CubicSpline
 
 from rotcal_ros.compensation.resample import Correction, averaged, resample
 from rotcal_ros.compensation.table import CompensationTable, table_from_result
-from rotcal_ros.curves.interpolation import harmonic_estimator, interpolation_matrix
 from rotcal_ros.foundation.circumstances import Circumstances
+from rotcal_ros.foundation.curves.interpolation import harmonic_estimator, interpolation_matrix
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.observations import Approach

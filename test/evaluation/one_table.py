@@ -12,9 +12,9 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.curves.interpolation import TURN
-from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.curves.interpolation import TURN
+from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.ball_plate import solver as ball_plate

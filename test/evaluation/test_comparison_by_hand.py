@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import linalg, stats
 
-from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.evaluation.compare import TOO_ALIKE, Comparison, compare, compare_all
+from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 

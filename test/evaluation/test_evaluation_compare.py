@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from chances import LONG
 
-from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.evaluation.compare import compare, compare_all
 from rotcal_ros.evaluation.reference import read_reference, without_polygon
+from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.units import ARCSEC
 

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.evaluation.harmonics import harmonic_content
+from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.errors import DataError
 
 TAU = 2.0 * np.pi

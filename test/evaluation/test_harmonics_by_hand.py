@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.evaluation.harmonics import harmonic_content
+from rotcal_ros.foundation.curves.measured import MeasuredCurve
 
 TAU = 2.0 * np.pi
 

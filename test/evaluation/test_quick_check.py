@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.evaluation.quick_check import quick_check
+from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.planning.check_rule import CheckRule
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.evaluation.reference import read_reference, without_polygon
+from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.units import ARCSEC
 

@@ -20,9 +20,9 @@ from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.foundation.settings import load
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods.ball_plate import solver as ball_plate
+from rotcal_ros.methods.simulation.settings import TableSettings
+from rotcal_ros.methods.simulation.table import SimulatedTable, deviations
 from rotcal_ros.sessions.domains import free_domain
-from rotcal_ros.simulation.settings import TableSettings
-from rotcal_ros.simulation.table import SimulatedTable, deviations
 
 pytestmark = pytest.mark.slow
 

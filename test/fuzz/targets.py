@@ -162,7 +162,7 @@ def _read_runs(path: Path) -> None:
 
 def _read_result(path: Path) -> None:
     from rotcal_ros.compensation.table import table_from_result
-    from rotcal_ros.curves.measured import measured_curve
+    from rotcal_ros.foundation.curves.measured import measured_curve
     from rotcal_ros.recordings.result_sources import read_source
     from rotcal_ros.report.terminal.tables import print_result
 

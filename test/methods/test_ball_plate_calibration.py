@@ -18,7 +18,7 @@ from rotcal_ros.foundation.errors import (
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.methods import changed
 from rotcal_ros.methods.ball_plate.calibration import problem
-from rotcal_ros.simulation.table import true_deviations
+from rotcal_ros.methods.simulation.table import true_deviations
 
 
 @dataclass(frozen=True)

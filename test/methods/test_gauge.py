@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from rotcal_ros.curves.gauge import without_axis_and_artefact
 from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.curves.gauge import without_axis_and_artefact
 
 EVEN = 2 * np.pi * np.arange(36) / 36 + 0.3
 UNEVEN = np.radians([0.0, 11.0, 40.0, 62.0, 90.0, 131.0, 140.0, 200.0, 260.0, 290.0])

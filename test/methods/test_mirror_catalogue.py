@@ -16,7 +16,7 @@ from rotcal_ros.methods.continuation import ATTEMPTS_PER_RUN, continued
 from rotcal_ros.methods.measurements import read_measurements
 from rotcal_ros.methods.plane_mirror.solver import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.solver.problem import problem_from_observations
-from rotcal_ros.simulation.table import true_deviations
+from rotcal_ros.methods.simulation.table import true_deviations
 
 CONFIG = Path(__file__).parents[2] / "config"
 SHORT = ("plan.table_positions=9", "plan.table_step_deg=15.0", "plan.reflectors=2",

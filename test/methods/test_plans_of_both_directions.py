@@ -18,7 +18,7 @@ from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods import changed, prepare, read_configuration
 from rotcal_ros.methods.calibration import Calibration
-from rotcal_ros.simulation.table import true_deviations
+from rotcal_ros.methods.simulation.table import true_deviations
 
 SIX = Path(__file__).parents[2] / "config" / "tracer_six_demo.yaml"
 PLAY = 6.0 * ARCSEC

@@ -13,7 +13,7 @@ from rotcal_ros.methods.plane_mirror.simulation_settings import (
     SimulatedMirrorSettings,
     TrackerSettings,
 )
-from rotcal_ros.simulation.settings import AngularHarmonics, TableSettings
+from rotcal_ros.methods.simulation.settings import AngularHarmonics, TableSettings
 
 EXACT = TrackerSettings(
     station_placing_mm=0.0,

@@ -9,8 +9,8 @@ from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods import changed, prepare, read_configuration
+from rotcal_ros.methods.simulation.table import SimulatedTable, table_poses
 from rotcal_ros.methods.tracer_six.method import METHOD
-from rotcal_ros.simulation.table import SimulatedTable, table_poses
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_six_demo.yaml"
 SMALL = ("plan.table_positions=3", "plan.table_step_deg=120.0", "plan.box_points=[2, 2, 2]")

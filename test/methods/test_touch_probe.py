@@ -21,8 +21,8 @@ from rotcal_ros.methods.ball_plate.simulation_settings import (
     TouchProbeSettings,
 )
 from rotcal_ros.methods.ball_plate.touched_ball import fitted_centre
+from rotcal_ros.methods.simulation.settings import LinearHarmonics, TableSettings
 from rotcal_ros.planning.plan import Step
-from rotcal_ros.simulation.settings import LinearHarmonics, TableSettings
 
 EXACT = PlateSimulationSettings(
     instrument=TOUCH_PROBE,

@@ -7,8 +7,8 @@ pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros.bags.settings import TopicSettings
+from rotcal_ros.capture.instruments.conventions import Conventions
 from rotcal_ros.capture.stamp_offsets import OffsetLimits, StampOffsets
-from rotcal_ros.instruments.conventions import Conventions
 from rotcal_ros.nodes.cell_check import Listening
 
 SECOND = 1_000_000_000

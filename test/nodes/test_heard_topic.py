@@ -9,7 +9,7 @@ pytest.importorskip("rclpy")
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import TopicSettings
-from rotcal_ros.instruments.conventions import Conventions
+from rotcal_ros.capture.instruments.conventions import Conventions
 from rotcal_ros.nodes.writing import topic_listener
 from rotcal_ros.nodes.writing.heard_topic import HeardTopic
 from rotcal_ros.nodes.writing.recording import Channel

@@ -13,8 +13,8 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.storage_scan import FileVerdict
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.configuration import parse_configuration
+from rotcal_ros.methods.simulation.table import true_deviations
 from rotcal_ros.recordings.replay import read_recording
-from rotcal_ros.simulation.table import true_deviations
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")

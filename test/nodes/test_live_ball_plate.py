@@ -14,8 +14,8 @@ from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import changed, read_configuration
+from rotcal_ros.methods.simulation.table import true_deviations
 from rotcal_ros.recordings.replay import read_recording
-from rotcal_ros.simulation.table import true_deviations
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")

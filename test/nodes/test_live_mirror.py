@@ -11,8 +11,8 @@ from live_cell import SUITE, LiveCell
 
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.configuration import changed, parse_configuration, read_configuration
+from rotcal_ros.methods.simulation.table import true_deviations
 from rotcal_ros.recordings.replay import read_recording
-from rotcal_ros.simulation.table import true_deviations
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")

@@ -18,13 +18,13 @@ from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.compensation.writing import PROVENANCE
 from rotcal_ros.extensions.certificate.document import certificate
 from rotcal_ros.extensions.page import app
-from rotcal_ros.figures import style
 from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, RotcalError
 from rotcal_ros.foundation.escapes import printable, printable_lines, table_cell
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.settings import check_ros_name
+from rotcal_ros.methods.figures import style
 from rotcal_ros.recordings.result_sources import ResultSource
 from rotcal_ros.report.page import write_result
 from rotcal_ros.report.terminal.columns import Column, Titled, print_tables, print_words

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from certified_samples import report, result
 
-from rotcal_ros.figures import style
 from rotcal_ros.foundation.results import RepeatedRuns
 from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods.figures import style
 from rotcal_ros.report.page import render_report
 from rotcal_ros.report.template import PROPERTIES
 

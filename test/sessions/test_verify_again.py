@@ -16,11 +16,11 @@ from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods import changed, prepare, read_configuration
+from rotcal_ros.methods.simulation.table import true_runs
 from rotcal_ros.recordings.result_sources import ResultSource, read_source
 from rotcal_ros.report.verification import verification_section
 from rotcal_ros.sessions import verification
 from rotcal_ros.sessions.session import Session
-from rotcal_ros.simulation.table import true_runs
 
 DEMO = Path(__file__).parents[2] / "config" / "verify_demo.yaml"
 QUIET = (

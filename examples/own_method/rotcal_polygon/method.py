@@ -14,8 +14,6 @@ from rotcal_polygon.simulation import PolygonSimulationSettings, SimulatedAutoco
 from rotcal_ros.adjust.engine import adjust
 from rotcal_ros.capture import CaptureRules
 from rotcal_ros.capture.points import mean_point, points
-from rotcal_ros.figures import Figure, style
-from rotcal_ros.figures.residuals import residual_figures
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, PlanError
 from rotcal_ros.foundation.observations import Approach, Observation, PointKind
@@ -35,6 +33,8 @@ from rotcal_ros.methods.disturbance import (
     repeatability,
     spoiled,
 )
+from rotcal_ros.methods.figures import Figure, style
+from rotcal_ros.methods.figures.residuals import residual_figures
 from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder
 from rotcal_ros.methods.method import Method, TableReader, Trials
 from rotcal_ros.planning.plan import Move, Pause, Plan, Step

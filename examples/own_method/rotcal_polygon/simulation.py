@@ -10,10 +10,10 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.observations import Command, ProbeSample
 from rotcal_ros.foundation.settings import group, setting
 from rotcal_ros.foundation.units import ARCSEC, NANOSECOND
-from rotcal_ros.simulation.air import SimulatedTemperature
-from rotcal_ros.simulation.instrument import Series, SimulatedInstrument, Table
-from rotcal_ros.simulation.noise import IndexedNoise
-from rotcal_ros.simulation.settings import SimulationSettings
+from rotcal_ros.methods.simulation.air import SimulatedTemperature
+from rotcal_ros.methods.simulation.instrument import Series, SimulatedInstrument, Table
+from rotcal_ros.methods.simulation.noise import IndexedNoise
+from rotcal_ros.methods.simulation.settings import SimulationSettings
 
 FACES, MOUNTING, READING = 1001, 1002, 1003
 """Streams of random numbers; those below 1000 belong to rotcal_ros."""

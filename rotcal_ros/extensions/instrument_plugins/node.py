@@ -11,6 +11,7 @@ from typing import Any
 from rotcal_msgs.msg import ProbePoint, TracerLength
 
 from rotcal_ros.bags import names
+from rotcal_ros.capture.instruments.interpreter import Interpreter
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.extensions.instrument_plugins.driver import (
     InstrumentDriver,
@@ -22,7 +23,6 @@ from rotcal_ros.extensions.instrument_plugins.settings import InstrumentSettings
 from rotcal_ros.extensions.instrument_plugins.table_rest import TableRest
 from rotcal_ros.foundation.node_state import NodeState
 from rotcal_ros.foundation.observations import Command, ProbeSample, TracerSample
-from rotcal_ros.instruments.interpreter import Interpreter
 from rotcal_ros.nodes.instruments.topics import InstrumentTopics
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode

@@ -12,7 +12,7 @@ from rotcal_ros.foundation.settings import setting
 class InstrumentSettings:
     """Which plug-in drives the instrument, where it is, and how patient its driver is."""
 
-    plugin: str = setting("", doc="name of an installed plug-in of rotcal_ros.instruments")
+    plugin: str = setting("", doc="name of an installed plug-in of rotcal_ros.capture.instruments")
     address: str = setting(
         "", doc="where the instrument is, as its plug-in takes it, such as 192.168.0.1:700"
     )

@@ -19,10 +19,10 @@ from rotcal_ros.bags.session_identity import require_one_session
 from rotcal_ros.bags.storage_scan import Scan
 from rotcal_ros.bags.topic_roles import CalledOtherwise
 from rotcal_ros.capture import messages
+from rotcal_ros.capture.instruments.conventions import Conventions
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.units import NANOSECOND
-from rotcal_ros.instruments.conventions import Conventions
 from rotcal_ros.methods.configuration import read_topics
 
 OUTPUTS: Final = frozenset({

@@ -11,11 +11,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.figures import Figure, style
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import DEGREE, MICROMETRE, MILLIMETRE
+from rotcal_ros.methods.figures import Figure, style
 
 _DIRECTIONS: Final = ("radial", "tangential", "axial")
 _COLOURS: Final = (style.BLUE, style.ORANGE, style.GREEN)

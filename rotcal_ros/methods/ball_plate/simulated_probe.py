@@ -13,10 +13,10 @@ from rotcal_ros.methods.ball_plate.simulation_settings import (
     SimulatedPlateSettings,
     TouchProbeSettings,
 )
-from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
-from rotcal_ros.simulation.motion import Motion, MotionLimits
-from rotcal_ros.simulation.noise import IndexedNoise, NoiseSource
-from rotcal_ros.simulation.table import rotations
+from rotcal_ros.methods.simulation.instrument import SimulatedInstrument, Table
+from rotcal_ros.methods.simulation.motion import Motion, MotionLimits
+from rotcal_ros.methods.simulation.noise import IndexedNoise, NoiseSource
+from rotcal_ros.methods.simulation.table import rotations
 
 _PLAY_M = 1e-4
 """By which a way may come too near to a ball, whose true place the driver does not know."""

@@ -7,7 +7,7 @@ from typing import Final
 
 from rotcal_ros.foundation.settings import group, setting
 from rotcal_ros.methods.ball_plate.plate import grid_setting, points_setting
-from rotcal_ros.simulation.settings import SimulationSettings
+from rotcal_ros.methods.simulation.settings import SimulationSettings
 
 TOUCH_PROBE: Final = "touch_probe"
 

@@ -1,7 +1,7 @@
 """Figures of a result whose details tell of tracker stations, nests and mirror normals.
 
-Like :mod:`~rotcal_ros.figures.curves`: inline SVG, or an empty string where there is nothing to
-show. The details may come from a solution or from its JSON form.
+Like :mod:`~rotcal_ros.methods.figures.curves`: inline SVG, or an empty string where there is
+nothing to show. The details may come from a solution or from its JSON form.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from rotcal_ros.figures import Figure, style
-from rotcal_ros.figures.residuals import residual_figures
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
+from rotcal_ros.methods.figures import Figure, style
+from rotcal_ros.methods.figures.residuals import residual_figures
 
 _TURNS = ((2, style.BLUE, "azimuth"), (0, style.ORANGE, "tilt x"), (1, style.GREEN, "tilt y"))
 

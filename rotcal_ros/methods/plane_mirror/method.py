@@ -35,8 +35,8 @@ from rotcal_ros.planning.plan import Plan, Step
 from rotcal_ros.planning.table_angles import table_angles
 
 if TYPE_CHECKING:
-    from rotcal_ros.simulation.air import SimulatedTemperature
-    from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
+    from rotcal_ros.methods.simulation.air import SimulatedTemperature
+    from rotcal_ros.methods.simulation.instrument import SimulatedInstrument, Table
 
 
 def zero(result: Result) -> tuple[str, ...]:

@@ -22,8 +22,8 @@ from rotcal_ros.methods.plane_mirror.simulation_settings import (
     TrackerSettings,
 )
 from rotcal_ros.methods.plane_mirror.solver.problem import TrackerNoise
-from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
-from rotcal_ros.simulation.noise import IndexedNoise, NoiseSource
+from rotcal_ros.methods.simulation.instrument import SimulatedInstrument, Table
+from rotcal_ros.methods.simulation.noise import IndexedNoise, NoiseSource
 
 _HOUR_S: Final = 3600.0
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from rotcal_ros.foundation.settings import group, setting
-from rotcal_ros.simulation.settings import SimulationSettings
+from rotcal_ros.methods.simulation.settings import SimulationSettings
 
 TRACKER: Final = "tracker"
 

@@ -8,9 +8,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.curves.interpolation import without_harmonics
-from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.curves.interpolation import without_harmonics
+from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.errors import ConfigurationError, PlanError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.units import DEGREE

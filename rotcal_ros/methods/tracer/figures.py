@@ -7,11 +7,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.figures import Figure, style
-from rotcal_ros.figures.residuals import residual_figures
-from rotcal_ros.figures.style import name_places
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import MILLIMETRE
+from rotcal_ros.methods.figures import Figure, style
+from rotcal_ros.methods.figures.residuals import residual_figures
+from rotcal_ros.methods.figures.style import name_places
 
 MOST_NAMES: Final = 40
 """Targets whose numbers still fit into the plan view."""

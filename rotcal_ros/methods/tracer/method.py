@@ -22,8 +22,8 @@ from rotcal_ros.methods.tracer.table import PLAN_FILES
 from rotcal_ros.planning.plan import Compared, Plan
 
 if TYPE_CHECKING:
-    from rotcal_ros.simulation.air import SimulatedTemperature
-    from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
+    from rotcal_ros.methods.simulation.air import SimulatedTemperature
+    from rotcal_ros.methods.simulation.instrument import SimulatedInstrument, Table
 
 
 def nominal(configuration: Configuration, _plan: Plan) -> See:

@@ -8,9 +8,9 @@ from typing import Any, Final
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.settings import group, setting
+from rotcal_ros.methods.simulation.settings import SimulationSettings
 from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
 from rotcal_ros.planning.table_angles import TableAngleSettings
-from rotcal_ros.simulation.settings import SimulationSettings
 
 TRACER: Final = "tracer"
 STATIONS_PER_TARGET = "stations_per_target"

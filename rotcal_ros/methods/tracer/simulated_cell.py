@@ -20,16 +20,16 @@ from rotcal_ros.foundation.observations import (
     TracerSample,
 )
 from rotcal_ros.foundation.units import DEGREE, MICROMETRE, NANOSECOND
+from rotcal_ros.methods.simulation.air import SimulatedAir, SimulatedTemperature
+from rotcal_ros.methods.simulation.cell import Ticks
+from rotcal_ros.methods.simulation.instrument import SimulatedInstrument, Table
+from rotcal_ros.methods.simulation.motion import Motion, MotionLimits
+from rotcal_ros.methods.simulation.noise import IndexedNoise, NoiseSource
 from rotcal_ros.methods.tracer.settings import (
     FaultSettings,
     LengthsSimulationSettings,
     SimulatedReadingsSettings,
 )
-from rotcal_ros.simulation.air import SimulatedAir, SimulatedTemperature
-from rotcal_ros.simulation.cell import Ticks
-from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
-from rotcal_ros.simulation.motion import Motion, MotionLimits
-from rotcal_ros.simulation.noise import IndexedNoise, NoiseSource
 
 _FRINGE_UM: Final = 0.3164
 """Half a wavelength of a HeNe laser."""

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from rotcal_ros.figures import Figure, style
-from rotcal_ros.figures.residuals import residual_figures
-from rotcal_ros.figures.style import name_places
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import MILLIMETRE
+from rotcal_ros.methods.figures import Figure, style
+from rotcal_ros.methods.figures.residuals import residual_figures
+from rotcal_ros.methods.figures.style import name_places
 
 
 def figures(result: Result, _truth: Mapping[str, Any] | None = None) -> list[Figure]:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.length import decide_length
-from rotcal_ros.curves import gauge
+from rotcal_ros.foundation.curves import gauge
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Method, See, Stations, TableReader
@@ -21,8 +21,8 @@ from rotcal_ros.methods.tracer_six.solver import TracerSixSolverSettings
 from rotcal_ros.planning.plan import Plan
 
 if TYPE_CHECKING:
-    from rotcal_ros.simulation.air import SimulatedTemperature
-    from rotcal_ros.simulation.instrument import SimulatedInstrument, Table
+    from rotcal_ros.methods.simulation.air import SimulatedTemperature
+    from rotcal_ros.methods.simulation.instrument import SimulatedInstrument, Table
 
 
 def nominal(configuration: Configuration, _plan: Plan) -> See:

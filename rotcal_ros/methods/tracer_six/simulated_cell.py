@@ -10,12 +10,12 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.observations import Command
 from rotcal_ros.foundation.units import MICROMETRE, MILLIMETRE
+from rotcal_ros.methods.simulation.air import SimulatedTemperature
+from rotcal_ros.methods.simulation.instrument import Table
+from rotcal_ros.methods.simulation.noise import IndexedNoise, NoiseSource
 from rotcal_ros.methods.tracer.simulated_cell import TracerAndReflector
 from rotcal_ros.methods.tracer_six.settings import SixSimulationSettings
 from rotcal_ros.planning.points import triples
-from rotcal_ros.simulation.air import SimulatedTemperature
-from rotcal_ros.simulation.instrument import Table
-from rotcal_ros.simulation.noise import IndexedNoise, NoiseSource
 
 _MOST: Final = 1000
 """Places; the mountings at each have random numbers of their own."""

@@ -9,8 +9,8 @@ from typing import Final
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.topic_roles import TOPIC
+from rotcal_ros.capture.instruments.conventions import single_shots
 from rotcal_ros.foundation.node_names import FURTHER_NODES, further_nodes
-from rotcal_ros.instruments.conventions import single_shots
 from rotcal_ros.methods import Calibration, Configuration
 from rotcal_ros.nodes.check.drivers import TableEars, brought
 from rotcal_ros.nodes.check.header_watch import HeaderWatch

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from rotcal_ros.bags import names
+from rotcal_ros.capture.instruments.conventions import single_shots
+from rotcal_ros.capture.instruments.interpreter import FAST
 from rotcal_ros.capture.stamp_offsets import DOUBT_S
-from rotcal_ros.instruments.conventions import single_shots
-from rotcal_ros.instruments.interpreter import FAST
 from rotcal_ros.methods.check_lines import CheckLine, State
 from rotcal_ros.nodes.check.cell_snapshot import CellSnapshot
 from rotcal_ros.nodes.check.drivers import Finding, brought_line

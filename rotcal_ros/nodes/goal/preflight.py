@@ -10,14 +10,14 @@ from typing import Final
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture import CaptureSettings
-from rotcal_ros.foundation.escapes import printable
-from rotcal_ros.foundation.observations import PointKind
-from rotcal_ros.instruments.plausibility import (
+from rotcal_ros.capture.instruments.plausibility import (
     implausible_air,
     implausible_length,
     implausible_position,
     thousandth_of_plan,
 )
+from rotcal_ros.foundation.escapes import printable
+from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.methods import Calibration, Configuration
 from rotcal_ros.nodes.instruments.table_feedback import joint_doubts, joint_faults, number_in
 from rotcal_ros.nodes.runtime.diagnostic_warnings import OFFSET

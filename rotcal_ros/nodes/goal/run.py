@@ -18,13 +18,13 @@ from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
 from std_srvs.srv import Trigger
 
 from rotcal_ros.capture.heard import Believed
+from rotcal_ros.capture.instruments.conventions import single_shots
 from rotcal_ros.capture.rejections import Commonest
 from rotcal_ros.foundation.errors import DataError, RotcalError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.node_names import PREFLIGHT_NODES, VIEWERS
 from rotcal_ros.foundation.node_state import Why
 from rotcal_ros.foundation.session_folder import SessionFolder
-from rotcal_ros.instruments.conventions import single_shots
 from rotcal_ros.methods import Calibration, Configuration
 from rotcal_ros.methods.continuation import Continuation, Recorded
 from rotcal_ros.nodes.goal.cell_links import CellLinks

@@ -12,6 +12,11 @@ from sensor_msgs.msg import JointState
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture import CaptureSettings
+from rotcal_ros.capture.instruments.conventions import single_shots
+from rotcal_ros.capture.instruments.forms import OWN
+from rotcal_ros.capture.instruments.interpreter import FAST, Interpreter
+from rotcal_ros.capture.instruments.rates import Rates
+from rotcal_ros.capture.instruments.steps import Position
 from rotcal_ros.capture.stamp_offsets import OffsetLimits, StampOffsets
 from rotcal_ros.foundation.observations import (
     HumiditySample,
@@ -22,11 +27,6 @@ from rotcal_ros.foundation.observations import (
     TemperatureSample,
     TracerSample,
 )
-from rotcal_ros.instruments.conventions import single_shots
-from rotcal_ros.instruments.forms import OWN
-from rotcal_ros.instruments.interpreter import FAST, Interpreter
-from rotcal_ros.instruments.rates import Rates
-from rotcal_ros.instruments.steps import Position
 from rotcal_ros.methods import Configuration
 from rotcal_ros.nodes.instruments.topics import InstrumentTopics
 from rotcal_ros.nodes.runtime.cell_node import CellNode

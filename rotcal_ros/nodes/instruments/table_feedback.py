@@ -6,9 +6,9 @@ from collections.abc import Iterator, Mapping
 from math import isfinite
 
 from rotcal_ros.bags import names
+from rotcal_ros.capture.instruments.conventions import Conventions
+from rotcal_ros.capture.instruments.plausibility import implausible_angle
 from rotcal_ros.foundation.escapes import printable
-from rotcal_ros.instruments.conventions import Conventions
-from rotcal_ros.instruments.plausibility import implausible_angle
 from rotcal_ros.methods import Configuration
 from rotcal_ros.nodes.runtime.latest import JOINT, MOST_JOINTS, NOW
 from rotcal_ros.nodes.runtime.topic_names import name_in

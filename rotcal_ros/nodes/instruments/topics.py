@@ -8,10 +8,10 @@ from typing import Any
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import TopicSettings
+from rotcal_ros.capture.instruments.conventions import Conventions
+from rotcal_ros.capture.instruments.forms import check_type
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.settings import load
-from rotcal_ros.instruments.conventions import Conventions
-from rotcal_ros.instruments.forms import check_type
 from rotcal_ros.methods import Configuration
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.channels import message_type

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Final
 
 from rotcal_ros.capture import Record
+from rotcal_ros.capture.instruments.steps import Position
 from rotcal_ros.foundation.observations import (
     HumiditySample,
     LengthStatus,
@@ -17,7 +18,6 @@ from rotcal_ros.foundation.observations import (
     TracerSample,
 )
 from rotcal_ros.foundation.observations import TemperatureSample as Thermometer
-from rotcal_ros.instruments.steps import Position
 
 NOW: Final = "now."
 """Beginning of the capture's values with the latest reading of a topic."""

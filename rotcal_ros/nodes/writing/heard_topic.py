@@ -8,8 +8,8 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Final
 
-from rotcal_ros.instruments.conventions import Conventions
-from rotcal_ros.instruments.forms import form_of
+from rotcal_ros.capture.instruments.conventions import Conventions
+from rotcal_ros.capture.instruments.forms import form_of
 from rotcal_ros.nodes.writing.bookkeeping import TopicLosses
 from rotcal_ros.nodes.writing.recording import Channel, Messages
 

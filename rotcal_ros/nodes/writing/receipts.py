@@ -10,8 +10,8 @@ from rotcal_msgs.msg import ProbePoint, RecordedObservation
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.topic_roles import CalledOtherwise
+from rotcal_ros.capture.instruments.forms import OWN
 from rotcal_ros.capture.messages import stamp_ns
-from rotcal_ros.instruments.forms import OWN
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.draining import Batch
 from rotcal_ros.nodes.runtime.qos import EVENT

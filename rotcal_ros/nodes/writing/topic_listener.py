@@ -15,8 +15,8 @@ from rclpy.qos import QoSProfile
 from rotcal_ros.bags import names
 from rotcal_ros.bags.dropouts import GAP, REPORTED, UNHEARD, Dropout
 from rotcal_ros.bags.settings import TopicSettings
+from rotcal_ros.capture.instruments.conventions import Conventions, single_shots
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.instruments.conventions import Conventions, single_shots
 from rotcal_ros.methods.configuration import read_topics
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.channels import described_channel, message_type

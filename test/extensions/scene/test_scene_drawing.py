@@ -20,7 +20,7 @@ from rotcal_ros.extensions.scene.drawing import (
 )
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods import prepare, read_configuration
-from rotcal_ros.simulation.table import true_deviations
+from rotcal_ros.methods.simulation.table import true_deviations
 
 CONFIG = Path(__file__).parents[3] / "config"
 

@@ -11,10 +11,10 @@ import pytest
 from rotcal_ros.capture import Capture
 from rotcal_ros.methods import find_method, prepare
 from rotcal_ros.methods.configuration import read_configuration
+from rotcal_ros.methods.simulation.table import true_deviations
 from rotcal_ros.methods.tracer.method import METHOD
 from rotcal_ros.methods.tracer.plan import tracer_plan
 from rotcal_ros.methods.tracer.settings import TracerPlanSettings
-from rotcal_ros.simulation.table import true_deviations
 
 pytestmark = pytest.mark.slow
 

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import LENGTH_UNITS, TopicSettings
+from rotcal_ros.capture.instruments.forms import form_of
 from rotcal_ros.foundation.observations import (
     HumiditySample,
     PressureSample,
@@ -17,7 +18,6 @@ from rotcal_ros.foundation.observations import (
     TracerSample,
 )
 from rotcal_ros.foundation.units import NANOSECOND
-from rotcal_ros.instruments.forms import form_of
 
 _KELVIN: Final = 273.15
 _CELSIUS: Final[Mapping[str, Callable[[Any], Any]]] = {

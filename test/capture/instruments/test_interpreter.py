@@ -8,11 +8,11 @@ import pytest
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import TopicSettings
+from rotcal_ros.capture.instruments.forms import check_type
+from rotcal_ros.capture.instruments.interpreter import Interpreter
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.observations import LengthStatus
 from rotcal_ros.foundation.settings import load
-from rotcal_ros.instruments.forms import check_type
-from rotcal_ros.instruments.interpreter import Interpreter
 
 SECOND = 1_000_000_000
 FLOAT = "std_msgs/msg/Float64"

@@ -14,8 +14,8 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.curves.interpolation import regular_root
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.curves.interpolation import regular_root
 
 SHORTEST, LONGEST, LENGTHS = 0.3, 3.0, 20
 """Orders over which the variance falls by e: from the first, to the second times the values."""

@@ -6,8 +6,8 @@ from itertools import permutations
 import pytest
 
 from rotcal_ros.capture import CaptureSettings
+from rotcal_ros.capture.instruments.steps import Order, Position, StepFinder
 from rotcal_ros.foundation.observations import Approach, PointKind, ProbeSample, TableSample
-from rotcal_ros.instruments.steps import Order, Position, StepFinder
 from rotcal_ros.planning.plan import Plan, Step
 
 MS = 1_000_000

@@ -17,9 +17,9 @@ from rotcal_ros.foundation.arrays import Floats, Ints, Stamps
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.observations import Approach, TableSample
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
-from rotcal_ros.simulation.motion import Motion, MotionLimits
-from rotcal_ros.simulation.noise import IndexedNoise, NoiseSource
-from rotcal_ros.simulation.settings import (
+from rotcal_ros.methods.simulation.motion import Motion, MotionLimits
+from rotcal_ros.methods.simulation.noise import IndexedNoise, NoiseSource
+from rotcal_ros.methods.simulation.settings import (
     AngularHarmonics,
     LinearHarmonics,
     SimulationSettings,

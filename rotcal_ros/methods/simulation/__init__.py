@@ -8,10 +8,10 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from rotcal_ros.simulation.settings import SimulationSettings
+from rotcal_ros.methods.simulation.settings import SimulationSettings
 
 if TYPE_CHECKING:
-    from rotcal_ros.simulation.cell import CellOutput, SimulatedCell
+    from rotcal_ros.methods.simulation.cell import CellOutput, SimulatedCell
 
 __all__ = ["CellOutput", "SimulatedCell", "SimulationSettings"]
 
@@ -19,5 +19,5 @@ __all__ = ["CellOutput", "SimulatedCell", "SimulationSettings"]
 def __getattr__(name: str) -> Any:
     """Load the cell for its names."""
     if name in ("CellOutput", "SimulatedCell"):
-        return getattr(import_module("rotcal_ros.simulation.cell"), name)
+        return getattr(import_module("rotcal_ros.methods.simulation.cell"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

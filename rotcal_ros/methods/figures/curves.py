@@ -12,11 +12,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.figures import style
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
+from rotcal_ros.methods.figures import style
 
 MEASURED: Final = "measured, with U (k = 2)"
 LARGE: Final = 12.0

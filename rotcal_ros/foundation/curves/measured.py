@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.curves.interpolation import SAME_ANGLE, TURN, wrapped
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import unit_of
+from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, TURN, wrapped
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import Result

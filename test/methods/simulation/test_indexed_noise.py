@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from rotcal_ros.simulation.noise import IndexedNoise, NoiseSource
+from rotcal_ros.methods.simulation.noise import IndexedNoise, NoiseSource
 
 
 @given(first=st.integers(0, 5000), count=st.integers(0, 1500))

@@ -8,8 +8,8 @@ from rotcal_ros.foundation.arrays import Floats, Stamps
 from rotcal_ros.foundation.observations import HumiditySample, PressureSample, TemperatureSample
 from rotcal_ros.foundation.refraction import Air, ciddor
 from rotcal_ros.foundation.units import MICROMETRE, NANOSECOND
-from rotcal_ros.simulation.noise import IndexedNoise, NoiseSource
-from rotcal_ros.simulation.settings import SimulatedAirSettings, TemperatureSettings
+from rotcal_ros.methods.simulation.noise import IndexedNoise, NoiseSource
+from rotcal_ros.methods.simulation.settings import SimulatedAirSettings, TemperatureSettings
 
 
 class SimulatedAir:

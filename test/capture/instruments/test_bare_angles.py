@@ -5,8 +5,8 @@ import pytest
 
 from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.capture import CaptureSettings
+from rotcal_ros.capture.instruments.interpreter import BareAngles
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
-from rotcal_ros.instruments.interpreter import BareAngles
 
 LIMIT = CaptureSettings().velocity_tolerance_deg_s * DEGREE
 

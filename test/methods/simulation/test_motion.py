@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotcal_ros.simulation.motion import Motion, MotionLimits
+from rotcal_ros.methods.simulation.motion import Motion, MotionLimits
 
 SECOND = 1_000_000_000
 STIFF = MotionLimits(speed=2.0, acceleration=4.0, lag=0.0, settling_time=0.1)

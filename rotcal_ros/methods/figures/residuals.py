@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotcal_ros.figures import Figure, style
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import MICROMETRE
+from rotcal_ros.methods.figures import Figure, style
 
 
 def residual_figures(result: Result, unit: float = MICROMETRE, label: str = "µm") -> list[Figure]:

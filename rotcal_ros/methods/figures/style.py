@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, Final, ParamSpec
 
 import numpy as np
 
-from rotcal_ros.figures import style
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.escapes import printable_lines, shortened
+from rotcal_ros.methods.figures import style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes as Axes

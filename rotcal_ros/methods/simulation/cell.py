@@ -17,10 +17,10 @@ from rotcal_ros.foundation.observations import (
     TracerSample,
 )
 from rotcal_ros.foundation.units import NANOSECOND
-from rotcal_ros.simulation.air import SimulatedAir, SimulatedTemperature
-from rotcal_ros.simulation.instrument import MakeInstrument, Table
-from rotcal_ros.simulation.settings import SimulationSettings
-from rotcal_ros.simulation.table import ExternalTable, SimulatedTable
+from rotcal_ros.methods.simulation.air import SimulatedAir, SimulatedTemperature
+from rotcal_ros.methods.simulation.instrument import MakeInstrument, Table
+from rotcal_ros.methods.simulation.settings import SimulationSettings
+from rotcal_ros.methods.simulation.table import ExternalTable, SimulatedTable
 
 
 @dataclass(frozen=True, slots=True)

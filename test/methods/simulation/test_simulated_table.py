@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.observations import Approach
-from rotcal_ros.simulation.settings import AngularHarmonics, LinearHarmonics, TableSettings
-from rotcal_ros.simulation.table import (
+from rotcal_ros.methods.simulation.settings import AngularHarmonics, LinearHarmonics, TableSettings
+from rotcal_ros.methods.simulation.table import (
     SimulatedTable,
     deviations,
     harmonics,

@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.curves.interpolation import SAME_ANGLE
-from rotcal_ros.curves.measured import MeasuredCurve, measured_curve, merging, period_of
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE
+from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve, merging, period_of
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.results import Directions, Result
 

@@ -10,6 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rotcal_ros.foundation.observations import Approach, Command, LengthStatus, PointKind
+from rotcal_ros.methods.simulation.settings import (
+    AngularHarmonics,
+    TableSettings,
+    TemperatureSettings,
+)
+from rotcal_ros.methods.simulation.table import true_deviations
 from rotcal_ros.methods.tracer.method import METHOD
 from rotcal_ros.methods.tracer.settings import (
     FaultSettings,
@@ -17,8 +23,6 @@ from rotcal_ros.methods.tracer.settings import (
     SimulatedTracerSettings,
     TracerSimulationSettings,
 )
-from rotcal_ros.simulation.settings import AngularHarmonics, TableSettings, TemperatureSettings
-from rotcal_ros.simulation.table import true_deviations
 
 SECOND = 1_000_000_000
 QUIET_PROBE = SimulatedProbeSettings(

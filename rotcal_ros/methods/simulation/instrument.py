@@ -16,8 +16,8 @@ from rotcal_ros.foundation.observations import (
     ProbeSample,
     TracerSample,
 )
-from rotcal_ros.simulation.air import SimulatedTemperature
-from rotcal_ros.simulation.table import ExternalTable, SimulatedTable
+from rotcal_ros.methods.simulation.air import SimulatedTemperature
+from rotcal_ros.methods.simulation.table import ExternalTable, SimulatedTable
 
 Table = SimulatedTable | ExternalTable
 _NO_ORDER: Final = Command(0, 0, 0.0, Approach.UNKNOWN, PointKind.UNKNOWN, 0, (0.0, 0.0, 0.0))

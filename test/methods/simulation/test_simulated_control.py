@@ -7,10 +7,15 @@ from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.settings import load
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.methods.simulation.settings import TableSettings
+from rotcal_ros.methods.simulation.table import (
+    SimulatedTable,
+    correction,
+    true_deviations,
+    true_runs,
+)
 from rotcal_ros.methods.tracer.method import METHOD
 from rotcal_ros.methods.tracer.settings import TracerSimulationSettings
-from rotcal_ros.simulation.settings import TableSettings
-from rotcal_ros.simulation.table import SimulatedTable, correction, true_deviations, true_runs
 
 ECC = {"amplitudes_arcsec": [20.0], "phases_deg": [0.0]}
 
