@@ -13,7 +13,7 @@ from rotcal_ros.methods.ball_plate.simulation_settings import (
     SimulatedPlateSettings,
     TouchProbeSettings,
 )
-from rotcal_ros.methods.simulation.instrument import SimulatedInstrument, Table
+from rotcal_ros.methods.simulation.instrument import Series, SimulatedInstrument, Table
 from rotcal_ros.methods.simulation.motion import Motion, MotionLimits
 from rotcal_ros.methods.simulation.noise import IndexedNoise, NoiseSource
 from rotcal_ros.methods.simulation.table import rotations
@@ -91,17 +91,17 @@ class SimulatedTouchProbe(SimulatedInstrument):
         self._from = self._place = settings.initial_position_m
         self._lift = 0.0
         self._motion = Motion(start_ns, [0.0], self._limits)
-        self._touched = self._touches = 0
+        self._touches = 0
 
     def order(self, now_ns: int, command: Command) -> None:
         """Go to the ball at the position of ``command`` and touch it."""
+        super().order(now_ns, command)
         way, height = dist(self._place, command.position), self.settings.clearance_m
         self._lift = height
         lifted = [-height, 0.0, way, way + height] if way else [0.0]
         self._motion = Motion(now_ns, lifted, self._limits)
         self.rest_ns = max(now_ns, self._motion.end_ns)
         self._from, self._place = self._place, command.position
-        self.pending, self._touched = command, 0
 
     def go(self, now_ns: int, place: Floats) -> bool:
         """Move in a straight line to ``place`` (3,), m; False: a ball stands in the way."""
@@ -146,32 +146,20 @@ class SimulatedTouchProbe(SimulatedInstrument):
         positions[:, 2] += height - np.maximum(0.0, np.maximum(-way, way - length))
         return positions
 
-    def report(self, after_ns: int, now_ns: int, table_rest_ns: int) -> tuple[ProbeSample, ...]:
-        """Return the points of the pending order that fall in ``after_ns`` < t <= ``now_ns``."""
-        if self.pending is None:
-            return ()
-        surface = self.pending.kind == PointKind.SURFACE
-        count = self.settings.points_per_ball if surface else 1
-        ready_ns = max(self.rest_ns, table_rest_ns) + _nanoseconds(self.settings.settling_time_s)
-        samples = []
-        for number in range(self._touched, count):
-            stamp = ready_ns + (number + 1) * _nanoseconds(self.settings.touch_time_s)
-            stamp = max(stamp, after_ns + 1 + number - self._touched)
-            if stamp > now_ns:
-                break
-            samples.append(self._sample(stamp, self.pending, number, count))
-        self._touched += len(samples)
-        if self._touched == count:
-            self.pending = None
-        return tuple(samples)
+    def series(self, order: Command) -> Series:
+        """Return the touches of a ball, or the one point that the machine makes of it."""
+        count = self.settings.points_per_ball if order.kind == PointKind.SURFACE else 1
+        settling_s, touch_s = self.settings.settling_time_s, self.settings.touch_time_s
+        return Series(count, _nanoseconds(settling_s), _nanoseconds(touch_s))
 
-    def _sample(self, stamp_ns: int, order: Command, number: int, count: int) -> ProbeSample:
+    def reading(self, stamp_ns: int, order: Command, number: int) -> ProbeSample:
         """Return one touch point, or the centre that the machine computes."""
         self._touches += 1
         place = self._nearest_ball(stamp_ns, np.array(order.position))
         tip = 0.0
         if order.kind == PointKind.SURFACE:
-            place = place + (self._reach + self._dirt_now()) * upper_half(count)[number]
+            away = upper_half(self.settings.points_per_ball)[number]
+            place = place + (self._reach + self._dirt_now()) * away
             tip = self.settings.tip_radius_m
         place = self._believed(place)
         std = self.settings.noise_um * MICROMETRE

@@ -22,7 +22,7 @@ from rotcal_ros.methods.plane_mirror.simulation_settings import (
     TrackerSettings,
 )
 from rotcal_ros.methods.plane_mirror.solver.problem import TrackerNoise
-from rotcal_ros.methods.simulation.instrument import SimulatedInstrument, Table
+from rotcal_ros.methods.simulation.instrument import Series, SimulatedInstrument, Table
 from rotcal_ros.methods.simulation.noise import IndexedNoise, NoiseSource
 
 _HOUR_S: Final = 3600.0
@@ -69,23 +69,11 @@ class SimulatedTracker(SimulatedInstrument):
         if command.kind != PointKind.NEST and not _same_place(self._put_up, command):
             self._put_up = command
             self._arrivals += 1
-        self.pending, self.rest_ns = command, now_ns
+        super().order(now_ns, command)
 
-    def report(self, after_ns: int, now_ns: int, table_rest_ns: int) -> tuple[ProbeSample, ...]:
-        """Return the point of the pending order when it falls in ``after_ns`` < t <= ``now_ns``.
-
-        The point is measured ``measure_time_s`` after the table came to rest.
-        """
-        command = self.pending
-        if command is None:
-            return ()
-        duration = round(self.settings.measure_time_s / NANOSECOND)
-        stamp = max(max(self.rest_ns, table_rest_ns) + duration, after_ns + 1)
-        if stamp > now_ns:
-            return ()
-        sample = self._sample(stamp, command)
-        self.pending = None
-        return (sample,)
+    def series(self, _order: Command) -> Series:
+        """Return that one point answers an order, measured once the table has come to rest."""
+        return Series(1, 0, round(self.settings.measure_time_s / NANOSECOND))
 
     def station(self, number: int) -> TrackerStation:
         """Return where the person put the tracker for station ``number``, and turned how."""
@@ -97,7 +85,7 @@ class SimulatedTracker(SimulatedInstrument):
         x, y, z = (np.array(nominal) + off).tolist()
         return TrackerStation((x, y, z), heading=turned)
 
-    def _sample(self, stamp_ns: int, command: Command) -> ProbeSample:
+    def reading(self, stamp_ns: int, command: Command, _number: int) -> ProbeSample:
         """Measure: the true point in the tracker's frame, and its noise."""
         stand = self.station(command.station)
         place = self._place(command, stamp_ns)
