@@ -18,7 +18,7 @@ from rotcal_ros.methods.tracer.settings import TracerPlanSettings
 
 pytestmark = pytest.mark.slow
 
-CONFIG = Path(__file__).parents[2] / "config"
+CONFIG = Path(__file__).parents[3] / "config"
 ATTEMPTS = 3
 RULES = find_method("tracer_multistation").capture
 
