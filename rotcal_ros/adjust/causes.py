@@ -49,6 +49,8 @@ RARER: Final = 3.0
 """How much rarer an effect or a gathering is held to be than a single wrong observation."""
 SAME: Final = 0.01
 """Difference of the outputs, in their uncertainty, that makes it no matter which cause it was."""
+ALL_BUT_NOTHING: Final = 1.0 - 1e-12
+"""Share of chi-squared, at most, that is said to be explained."""
 SUSPECTS: Final = 4
 """Groups of which it is asked who is to blame, the most probable ones."""
 
@@ -314,9 +316,15 @@ class Look:
         return test > t_isf(0.5 * limits.of_each_observation(model), self.fit.dof - 1.0)
 
     def _support(self, squares: float, rank: int, choices: float) -> float:
-        """Return ln of how probable an explanation is, by BIC, among e^choices of its kind."""
-        count = max(int(self.fit.used.sum()), 2)
-        return 0.5 * squares - 0.5 * rank * float(np.log(count)) - choices
+        """Return ln of how probable an explanation is, by BIC, among e^choices of its kind.
+
+        Where the noise was estimated it holds what is explained: then the likelihood is that of
+        noise which is not known beforehand.
+        """
+        count, fall = max(int(self.fit.used.sum()), 2), squares
+        if self.rest is not None:
+            fall = -self.rest[1] * float(np.log1p(-min(squares / self.rest[0], ALL_BUT_NOTHING)))
+        return 0.5 * fall - 0.5 * rank * float(np.log(count)) - choices
 
     @cached_property
     def single(self) -> Explanation | None:

@@ -290,8 +290,11 @@ def test_a_prediction_is_what_data_then_give():
 
 
 @pytest.mark.slow
-def test_an_effect_of_the_size_that_is_promised_turns_the_verdict():
-    """The worst knock at its detectable size, in 95 % of the cases."""
+def test_an_effect_of_the_size_that_is_promised_is_found():
+    """The worst knock at its detectable size, in 95 % of the cases.
+
+    At the end of a run it is one wrong reading, and is left out as that.
+    """
     truth, model = comparison()
     told = predicted(model)
     std, knock = told.std, model.effects[1].columns
@@ -305,7 +308,7 @@ def test_an_effect_of_the_size_that_is_promised_turns_the_verdict():
     for seed in range(100):
         _, here = comparison(np.random.default_rng(2000 + seed))
         found = adjust(replace(here, observed=here.observed + size * knock[:, worst]))
-        lost += found.verdict == "ok"
+        lost += found.verdict == "ok" and not found.why
         hidden = max(hidden, np.abs((found.value - truth)[counts] / found.std[counts]).max())
     assert lost <= 12  # binomial about 5 at most: others are found from smaller sizes on
     assert hidden < 12.0
