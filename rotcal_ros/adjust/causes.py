@@ -19,7 +19,13 @@ import numpy as np
 from scipy.special import gammaln
 
 from rotcal_ros.adjust.distributions import normal_isf, t_isf
-from rotcal_ros.adjust.effects import EffectTest, Seen, effect_test, family_test
+from rotcal_ros.adjust.effects import (
+    EffectTest,
+    Seen,
+    effect_test,
+    family_test,
+    member_squares,
+)
 from rotcal_ros.adjust.gathering import Gathering, judged
 from rotcal_ros.adjust.groups import CHECKED, Group, SolutionView
 from rotcal_ros.adjust.judgement import ALIKE, Blame, blame
@@ -51,6 +57,10 @@ SAME: Final = 0.01
 """Difference of the outputs, in their uncertainty, that makes it no matter which cause it was."""
 ALL_BUT_NOTHING: Final = 1.0 - 1e-12
 """Share of chi-squared, at most, that is said to be explained."""
+TIED: Final = 1e-6
+"""Difference of two improbabilities that is rounding."""
+MOST_RIVALS: Final = 12
+"""Other causes that are compared with the best of a kind."""
 SUSPECTS: Final = 4
 """Groups of which it is asked who is to blame, the most probable ones."""
 
@@ -97,9 +107,10 @@ class Noise:
 class Explanation(NamedTuple):
     """What may be wrong, in words and how probably; ``reason``: why rows are left out for it.
 
-    ``columns`` (n, k) of errors in the unit of the observations; ``rows`` are left out for it, or
-    it is ``effect`` and becomes an unknown. ``support``: ln of its probability, by BIC and the
-    number of alternatives of its kind. ``change`` (o,): what it does to the outputs.
+    ``columns`` (n, r) of errors in the unit of the observations; ``rows`` are left out for it, or
+    it is ``effect`` and its columns become unknowns, which ``mixing`` (k, r) takes to sizes of the
+    effect. ``support``: ln of its probability, by BIC, at a ``price`` of unknowns and of
+    alternatives of its kind. ``change`` (o,): what it does to the outputs.
     """
 
     what: str
@@ -107,10 +118,19 @@ class Explanation(NamedTuple):
     columns: Floats
     rows: Ints
     support: float
+    price: float
     change: Floats
     effect: Disturbing | None = None
-    test: EffectTest | None = None
+    mixing: Floats | None = None
+    probability: float = 0.0
     blamed: Blame | None = None
+
+
+class Contest(NamedTuple):
+    """An explanation that was taken for true, and others that are nearly as probable."""
+
+    best: Explanation
+    rivals: tuple[Explanation, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +138,7 @@ class Diagnosis:
     """What is believed so far: observations in use, noise, what was found and what rivals it.
 
     ``why`` says by row why an observation was left out, ``taken`` which effects became unknowns.
-    ``contested``: weights and changes (o,) of the outputs by ``rivals``, which are told in words.
+    ``price`` is that of all that was found, see :class:`Explanation`.
     """
 
     model: Model
@@ -129,8 +149,8 @@ class Diagnosis:
     gathering: Gathering = field(default_factory=Gathering)
     why: dict[int, str] = field(default_factory=dict)
     taken: tuple[Explanation, ...] = ()
-    contested: tuple[tuple[float, Floats], ...] = ()
-    rivals: tuple[str, ...] = ()
+    contests: tuple[Contest, ...] = ()
+    price: float = 0.0
 
     def fitted(self, factors: Floats, start: Floats) -> Fit:
         """Return the solution with ``factors`` (c,) on the stated noise."""
@@ -138,10 +158,18 @@ class Diagnosis:
         std = self.model.std * factors[self.model.of_component]
         return fitted(self.model, self.used, std, start, extra)
 
-    @property
+    @cached_property
     def fit(self) -> Fit:
         """The solution with the noise that is believed."""
         return self.fitted(self.noise.factors, self.start)
+
+    def in_words(self) -> str:
+        """Return what is wrong with the observations."""
+        name = self.model.row_name
+        gone = ", ".join(name(row) for row in sorted(self.why)[:8])
+        more = f" and {len(self.why) - 8} others" if len(self.why) > 8 else ""
+        parts = [f"{gone}{more} are wrong"] if gone else []
+        return " and ".join([*parts, *(e.what for e in self.taken)]) or "nothing is wrong"
 
     def leaving_out(self, found: Explanation) -> Diagnosis:
         """Return the diagnosis without the rows of an explanation."""
@@ -153,22 +181,35 @@ class Diagnosis:
             gathering = replace(gathering, blamed=(*gathering.blamed, found.blamed))
         return replace(self, used=used, why=self.why | reasons, gathering=gathering)
 
-    def holding(self, found: Explanation, rivals: Sequence[Explanation]) -> Diagnosis:
+    def holding(self, found: Explanation, rivals: Sequence[Explanation] = ()) -> Diagnosis:
         """Return the diagnosis that ``found`` is true, and that its ``rivals`` are possible."""
-        weight = np.exp([e.support - found.support for e in rivals])
-        weight = weight / (1.0 + weight.sum())
-        contested = [(w, e.change - found.change) for w, e in zip(weight, rivals, strict=True)]
-        ambiguous = [
-            f"that {found.what} explains the residuals, and that {e.what} does so nearly as well "
-            f"(likelihood 1 : {np.exp(found.support - e.support):.2g}): U covers both"
-            for e in rivals
-        ]
-        here = replace(
-            self, contested=(*self.contested, *contested), rivals=(*self.rivals, *ambiguous)
-        )
+        contests = (*self.contests, Contest(found, tuple(rivals))) if rivals else self.contests
+        here = replace(self, contests=contests, price=self.price + found.price)
         if found.effect is not None:
             return replace(here, taken=(*here.taken, found))
         return here.leaving_out(found)
+
+    @property
+    def open_contests(self) -> tuple[Contest, ...]:
+        """The contests without rivals that were taken for true as well, later on."""
+        taken = [e.what for e in self.taken]
+        still = (
+            Contest(c.best, tuple(e for e in c.rivals if not self._holds(e, taken)))
+            for c in self.contests
+        )
+        return tuple(contest for contest in still if contest.rivals)
+
+    def _holds(self, rival: Explanation, taken: Sequence[str]) -> bool:
+        if rival.effect is not None:
+            return rival.what in taken
+        return bool(len(rival.rows)) and all(row in self.why for row in rival.rows.tolist())
+
+    def contested(self) -> Iterator[tuple[float, Floats]]:
+        """Yield the probability of each rival, and by how much (o,) it moves the outputs."""
+        for best, rivals in self.open_contests:
+            weight = np.exp([min(e.support - best.support, 0.0) for e in rivals])
+            for share, e in zip(weight / (1.0 + weight.sum()), rivals, strict=True):
+                yield float(share), e.change - best.change
 
 
 def found_causes(model: Model, limits: Limits) -> Diagnosis:
@@ -187,14 +228,28 @@ def found_causes(model: Model, limits: Limits) -> Diagnosis:
         together = _explained(whole)
     except RotcalError:
         return apart  # gross errors in all directions let nothing settle
-    return min(apart, together, key=_improbability)
+    if _improbability(apart) < _improbability(together) - TIED:
+        return _contested_by(apart, together)
+    return _contested_by(together, apart)  # it says what else may be wrong
+
+
+def _contested_by(best: Diagnosis, other: Diagnosis) -> Diagnosis:
+    """Return the ``best`` of two diagnoses, and that the ``other`` is possible where it is."""
+    apart, change = _improbability(other) - _improbability(best), other.fit.value - best.fit.value
+    std = np.linalg.norm(best.fit.response, axis=1)
+    if apart >= 2.0 * np.log(ALIKE) or not (np.abs(change) > SAME * std).any():
+        return best
+    none, nothing = np.zeros((len(best.used), 0)), np.zeros(0, dtype=np.int64)
+    chosen = Explanation(best.in_words(), "", none, nothing, 0.0, 0.0, 0.0 * change)
+    rival = chosen._replace(what=other.in_words(), support=-0.5 * apart, change=change)
+    return replace(best, contests=(*best.contests, Contest(chosen, (rival,))))
 
 
 def _outside(diagnosis: Diagnosis, gross: Ints) -> Diagnosis:
     used = np.isin(np.arange(len(diagnosis.used)), gross, invert=True)
-    name = diagnosis.model.row_name
+    name, each = diagnosis.model.row_name, 3.0 * float(np.log(len(used)))
     why = {row: f"{name(row)}: far off all others" for row in gross.tolist()}
-    return replace(diagnosis, used=used, why=why)
+    return replace(diagnosis, used=used, why=why, price=each * len(gross))
 
 
 def _come_back(diagnosis: Diagnosis, gross: Ints) -> Diagnosis:
@@ -205,21 +260,20 @@ def _come_back(diagnosis: Diagnosis, gross: Ints) -> Diagnosis:
         return diagnosis
     used = diagnosis.used | np.isin(np.arange(len(diagnosis.used)), back)
     why = {row: text for row, text in diagnosis.why.items() if row not in back}
-    return _explained(replace(diagnosis, used=used, why=why))
+    price = diagnosis.price - 3.0 * float(np.log(len(used))) * len(back)
+    return _explained(replace(diagnosis, used=used, why=why, price=price))
 
 
 def _improbability(diagnosis: Diagnosis) -> float:
     """Return BIC: twice -ln of the probability, by which whole beliefs are compared.
 
-    As in :meth:`Look._support`; an observation that is left out is explained by itself.
+    As in :meth:`Look._support`; an observation that waits outside is explained by itself.
     """
     fit, n = diagnosis.fit, len(diagnosis.used)
     factors = diagnosis.noise.factors[diagnosis.model.of_component[diagnosis.used]]
-    families = [e.effect for e in diagnosis.taken if e.effect is not None and e.effect.family]
-    alternatives = [effect.at(fit.computed).shape[1] for effect in families]
-    unknowns = fit.basis.shape[1] + 3 * len(diagnosis.why)
-    spread = 2.0 * float(np.log(factors).sum() + np.log(alternatives).sum())
-    return float(fit.chi2 + spread + unknowns * np.log(n))
+    unknowns = fit.basis.shape[1] - sum(e.columns.shape[1] for e in diagnosis.taken)
+    spread = 2.0 * float(np.log(factors).sum())
+    return float(fit.chi2 + spread + unknowns * np.log(n) + diagnosis.price)
 
 
 def _explained(diagnosis: Diagnosis) -> Diagnosis:
@@ -228,8 +282,9 @@ def _explained(diagnosis: Diagnosis) -> Diagnosis:
         noise, fit = _settled_noise(diagnosis, bent)
         look = Look(replace(diagnosis, noise=noise, start=fit.x), fit)
         diagnosis = look.diagnosis
-        best = max(look.significant(), key=lambda e: e.support, default=None)
-        if best is not None and _bearable(diagnosis, best):
+        found = sorted(look.significant(), key=lambda e: -e.support)
+        best = next((e for e in found if _bearable(diagnosis, e)), None)
+        if best is not None:
             diagnosis = diagnosis.holding(best, look.rivals(best))
         elif bent:
             bent = False
@@ -239,7 +294,7 @@ def _explained(diagnosis: Diagnosis) -> Diagnosis:
 
 def _bearable(diagnosis: Diagnosis, found: Explanation) -> bool:
     """Whether what is left with an explanation still determines the unknowns."""
-    after = diagnosis.holding(found, [])
+    after = diagnosis.holding(found)
     try:
         after.fitted(diagnosis.noise.factors, diagnosis.start)
     except ObservabilityError:
@@ -266,34 +321,36 @@ class Look:
         return (self.fit.chi2, float(self.fit.dof)) if self.before.noise.estimated else None
 
     def significant(self) -> Iterator[Explanation]:
-        """Yield all explanations that are beyond chance."""
+        """Yield the best explanation of each kind that is beyond chance."""
         model, limits = self.before.model, self.before.limits
-        if self.single is not None and self._stands_out(self.single):
-            yield self.single
-        for found in self.effects:
-            if found.test is not None and found.test.probability < limits.of_each_effect(model):
-                yield found
+        if self.singles and self._stands_out(self.singles[0]):
+            yield self.singles[0]
+        for members in self.effects:
+            if members[0].probability < limits.of_each_effect(model):
+                yield members[0]
         judgement = self.diagnosis.gathering.judgement
-        if judgement is None or not judgement.proved(limits.significance):
-            return
-        # that proof takes the noise for known; of few residuals its chance is drawn
-        if judgement.chance < limits.significance:
-            order = np.argsort(-judgement.by_group, kind="stable")[:SUSPECTS]
-            tried = [self._together(judgement.groups[k]) for k in order.tolist()]
-            yield from sorted(filter(None, tried), key=lambda e: -e.support)[:1]
+        # proof takes the noise for known; of few residuals its chance is drawn
+        if (
+            judgement is not None
+            and judgement.proved(limits.significance)
+            and judgement.chance < limits.significance
+        ):
+            yield from self.groups[:1]
 
     def rivals(self, best: Explanation) -> list[Explanation]:
-        """Return what explains the residuals nearly as well as ``best``, by another cause."""
+        """Return what explains the residuals nearly as well as ``best``, to another result."""
         std = np.linalg.norm(self.fit.response, axis=1)
-        return [
+        tried = [*self.singles, *(e for members in self.effects for e in members)]
+        if best.blamed is not None:
+            tried += self.groups
+        near = [
             e
-            for e in (*self.effects, self.single)
-            if e is not None
-            and e.what != best.what
+            for e in tried
+            if e.what != best.what
             and best.support - e.support < np.log(ALIKE)
-            and not np.isin(e.rows, best.rows).any()
             and (np.abs(e.change - best.change) > SAME * std).any()
         ]
+        return sorted(near, key=lambda e: -e.support)[:MOST_RIVALS]
 
     @cached_property
     def test_value(self) -> Floats:
@@ -305,47 +362,60 @@ class Look:
         others = np.maximum(self.rest[0] - test**2, 1e-300) / (fit.dof - 1)
         return np.asarray(test / np.sqrt(others))
 
-    def _stands_out(self, single: Explanation) -> bool:
-        """Whether an observation is beyond the limit; of estimated noise, Student's t."""
+    @property
+    def outlier(self) -> float:
+        """Limit of a test value; of estimated noise, that of Student's t."""
         model, limits = self.before.model, self.before.limits
-        test = abs(float(self.test_value[single.rows[0]]))
         if self.rest is None:
-            return test > limits.outlier(model)
+            return limits.outlier(model)
         if self.fit.dof < 3:
-            return False
-        return test > t_isf(0.5 * limits.of_each_observation(model), self.fit.dof - 1.0)
+            return np.inf  # one more or less, and nothing is left to compare it with
+        return t_isf(0.5 * limits.of_each_observation(model), self.fit.dof - 1.0)
 
-    def _support(self, squares: float, rank: int, choices: float) -> float:
-        """Return ln of how probable an explanation is, by BIC, among e^choices of its kind.
+    def _stands_out(self, single: Explanation) -> bool:
+        return abs(float(self.test_value[single.rows[0]])) > self.outlier
 
-        Where the noise was estimated it holds what is explained: then the likelihood is that of
-        noise which is not known beforehand.
+    def _support(self, squares: float, rank: int, alternatives: float) -> tuple[float, float]:
+        """Return ln of how probable an explanation is, by BIC, among so many of its kind.
+
+        And its price in BIC. Where the noise was estimated it holds what is explained: then the
+        likelihood is that of noise which is not known beforehand.
         """
         count, fall = max(int(self.fit.used.sum()), 2), squares
         if self.rest is not None:
             fall = -self.rest[1] * float(np.log1p(-min(squares / self.rest[0], ALL_BUT_NOTHING)))
-        return 0.5 * fall - 0.5 * rank * float(np.log(count)) - choices
+        price = rank * float(np.log(count)) + 2.0 * float(np.log(alternatives))
+        return 0.5 * (fall - price), price
 
     @cached_property
-    def single(self) -> Explanation | None:
-        """That the observation which stands out most is wrong."""
+    def singles(self) -> list[Explanation]:
+        """That one observation is wrong, those first that stand out most."""
+        test = np.abs(self.test_value)
+        order = np.argsort(-test, kind="stable")[: MOST_RIVALS + 1]
+        return [self._single(row) for row in order.tolist() if test[row] > 0.0]
+
+    def _single(self, row: int) -> Explanation:
         fit, model = self.fit, self.before.model
-        row = int(np.argmax(np.abs(self.test_value)))
-        if not abs(self.test_value[row]) > 0.0:
-            return None
-        column = np.eye(len(fit.white), 1, -row)
         size = float(fit.residual[row] / fit.redundancy[row])
         reason = (
-            f"its test value {self.test_value[row]:+.1f} is beyond "
-            f"{self.before.limits.outlier(model):.2f} (residual "
+            f"its test value {self.test_value[row]:+.1f} is beyond {self.outlier:.2f} (residual "
             f"{model.unit.shown(fit.residual[row])})"
         )
-        squares = float(fit.test_value[row] ** 2)
+        support, price = self._support(float(fit.test_value[row] ** 2), 1, model.may_go.sum())
         return Explanation(
-            f"{model.row_name(row)} is off by {model.unit.shown(size)}", reason, column,
-            np.array([row]), self._support(squares, 1, float(np.log(model.may_go.sum()))),
+            f"{model.row_name(row)} is off by {model.unit.shown(size)}", reason,
+            np.eye(len(fit.white), 1, -row), np.array([row]), support, price,
             -fit.response[:, row] * size / fit.std[row],
         )  # fmt: skip
+
+    @cached_property
+    def groups(self) -> list[Explanation]:
+        """That some of a group are off together, for the groups that look most like it."""
+        judgement = self.diagnosis.gathering.judgement
+        assert judgement is not None
+        order = np.argsort(-judgement.by_group, kind="stable")[:SUSPECTS]
+        tried = [self._together(judgement.groups[k]) for k in order.tolist()]
+        return sorted((e for e in tried if e is not None), key=lambda e: -e.support)
 
     def _together(self, group: Group) -> Explanation | None:
         """Return that some members of a ``group`` are off together, those which probably are."""
@@ -357,34 +427,57 @@ class Look:
         test = effect_test(seen_by(self.fit, column))
         e, k, listed = case.group.size, len(rows), max(len(case.group.gathered), 1)
         any_of_them = gammaln(e + 1) - gammaln(k + 1) - gammaln(e - k + 1) + np.log(e)
+        subsets = float(np.exp(min(np.log(listed), any_of_them)))
         groups = len(self.diagnosis.gathering.counts)
-        choices = np.log(RARER * groups) + min(np.log(listed), any_of_them)
+        support, price = self._support(test.squares, test.rank, RARER * groups * subsets)
         size = model.unit.shown(float(np.linalg.norm(case.size)))
         return Explanation(
             f"{k} {model.words.elements} of {case.group.name} are off by {size}",
             f"one of {k} of {case.group.name} that are off together by {size}", column, rows,
-            self._support(test.squares, test.rank, float(choices)), case.change, blamed=case,
+            support, price + k - 1.0, case.change, blamed=case,
         )  # fmt: skip
 
     @cached_property
-    def effects(self) -> list[Explanation]:
-        """That a declared effect is there which was not taken up before."""
-        taken = [e.effect for e in self.before.taken]
-        tried = [self._effect(e) for e in self.before.model.effects if e not in taken]
-        return [e for e in tried if e is not None]
+    def effects(self) -> list[list[Explanation]]:
+        """That a declared effect is there: each a list, of a family the best members first.
 
-    def _effect(self, effect: Disturbing) -> Explanation | None:
+        Of a family another member may be there, too; the one before leaves no residual any more.
+        """
+        taken = [e.effect for e in self.before.taken]
+        asked = (e for e in self.before.model.effects if e.family or e not in taken)
+        tried = [self._effect(effect) for effect in asked]
+        return [members for members in tried if members]
+
+    def _effect(self, effect: Disturbing) -> list[Explanation]:
         columns = effect.at(self.fit.computed)
         seen = seen_by(self.fit, columns)
-        test = (family_test if effect.family else effect_test)(seen, self.rest)
-        if not test.rank:
-            return None
-        which = slice(test.member, test.member + 1) if effect.family else slice(None)
-        choices = float(np.log(RARER * (columns.shape[1] if effect.family else 1)))
+        if not effect.family:
+            test = effect_test(seen, self.rest)
+            return [self._explanation(effect, columns, seen, test)] if test.rank else []
+        squares = member_squares(seen)
+        if not squares.any():
+            return []
+        chance, found = family_test(seen, self.rest).probability, []
+        for k in np.argsort(-squares, kind="stable")[: MOST_RIVALS + 1].tolist():
+            one = slice(k, k + 1)
+            test = effect_test(seen.part(one), self.rest)._replace(probability=chance)
+            if test.rank:
+                found.append(self._explanation(effect, columns[:, one], seen.part(one), test))
+        return found
+
+    def _explanation(
+        self, effect: Disturbing, columns: Floats, seen: Seen, test: EffectTest
+    ) -> Explanation:
+        """Return what the ``columns`` (n, k) of an effect explain, as far as residuals tell."""
+        members = effect.at(self.fit.computed).shape[1] if effect.family else 1
+        support, price = self._support(test.squares, test.rank, RARER * members)
+        where = ""
+        if effect.family:
+            first = int(np.flatnonzero(columns[:, 0])[0])
+            where = f" from {self.before.model.row_name(first)} on"
         return Explanation(
-            effect.what, "", columns[:, which], np.zeros(0, dtype=np.int64),
-            self._support(test.squares, test.rank, choices), -(test.size @ seen.moved[which]),
-            effect, test,
+            f"{effect.what}{where}", "", columns @ test.axes, np.zeros(0, dtype=np.int64),
+            support, price, -(test.size @ seen.moved), effect, test.axes, test.probability,
         )  # fmt: skip
 
     def _groups(self) -> list[Group]:
@@ -475,25 +568,38 @@ def _better(model: Model, fit: Fit) -> Bools:
 def _settled_noise(diagnosis: Diagnosis, bent: bool) -> tuple[Noise, Fit]:
     """Return the noise as stated, or estimated where that is contradicted, and the fit with it.
 
-    ``bent``: large residuals count no more than some, while outliers are about.
+    ``bent``: large residuals count no more than some, while outliers are about. A component that
+    scatters less than any instrument is exact, made-up data: its statement stays.
     """
     ones = np.ones(len(diagnosis.model.components))
     stated = diagnosis.fitted(ones, diagnosis.start)
     chance = _evidence(stated, bent).probabilities()
     if chance.min() >= diagnosis.limits.significance / len(chance):
         return Noise(ones), stated
+    held = np.zeros(len(ones), dtype=np.bool_)
+    while True:
+        found, fit = _estimated_noise(diagnosis, stated, bent, held)
+        exact = ~held & (found.factors < LEAST_FACTOR * (1.0 + 1e-9))
+        if not exact.any():
+            return Noise(found.factors, found), fit
+        held |= exact
+        if held.all():
+            return Noise(ones), stated
+
+
+def _estimated_noise(
+    diagnosis: Diagnosis, stated: Fit, bent: bool, held: Bools
+) -> tuple[EstimatedFactors, Fit]:
+    """Return the factors of the components but those that are ``held`` (c,) at one."""
 
     def at(factors: Floats, before: Fit) -> tuple[NoiseEvidence, Fit]:
         fit = diagnosis.fitted(factors, before.x)
-        return _evidence(fit, bent), fit
+        evidence = _evidence(fit, bent)
+        return replace(evidence, present=evidence.present & ~held), fit
 
-    found, fit = estimate_factors(
-        at, stated, diagnosis.noise.factors, np.eye(len(ones)) / PRIOR**2,
-        NEARLY_SETTLED if bent else SETTLED,
-    )  # fmt: skip
-    if found.factors.min() < LEAST_FACTOR * (1.0 + 1e-9):
-        return Noise(ones), stated  # no instrument scatters so little: exact, made-up data
-    return Noise(found.factors, found), fit
+    start = np.where(held, 1.0, diagnosis.noise.factors)
+    prior = np.eye(len(held)) / PRIOR**2
+    return estimate_factors(at, stated, start, prior, NEARLY_SETTLED if bent else SETTLED)
 
 
 def _evidence(fit: Fit, bent: bool) -> NoiseEvidence:
@@ -502,12 +608,9 @@ def _evidence(fit: Fit, bent: bool) -> NoiseEvidence:
     squares, redundancy = fit.white**2, fit.redundancy
     if bent:
         squares = bent_squares(squares, redundancy, CHECKED)
-    of = model.of_component
-    part = np.zeros((len(of), count))
-    part[np.arange(len(of)), of] = fit.used
-    # R is a projection: the squared sums of its blocks, by way of the basis of its complement
-    between = part.T @ (fit.basis @ fit.basis.T) ** 2 @ part
-    information = between + np.diag(part.T @ (2.0 * redundancy - 1.0))
-    return NoiseEvidence(
-        np.asarray(part.any(axis=0)), part.T @ squares, part.T @ redundancy, information
-    )
+    part = (model.of_component == np.arange(count)[:, None]) & fit.used
+    # R is a projection: the squared sums of its blocks follow from the basis of its complement
+    basis = np.array([fit.basis[rows].T @ fit.basis[rows] for rows in part])
+    between = np.einsum("kab,lab->kl", basis, basis)
+    information = between + np.diag(part @ (2.0 * redundancy - 1.0))
+    return NoiseEvidence(part.any(axis=1), part @ squares, part @ redundancy, information)

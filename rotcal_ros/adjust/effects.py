@@ -57,7 +57,7 @@ class EffectTest(NamedTuple):
 
     ``size`` (k,) with ``covariance`` (k, k): of the columns, zero where nothing is seen.
     Chi-squared falls by ``squares`` for ``rank`` more unknowns; chance makes more of it with
-    ``probability``.
+    ``probability``. ``axes`` (k, rank): combinations of the columns that residuals can tell.
     ``member``: which of a family it is, else 0.
     """
 
@@ -66,6 +66,7 @@ class EffectTest(NamedTuple):
     squares: float
     rank: int
     probability: float
+    axes: Floats
     member: int = 0
 
 
@@ -78,20 +79,25 @@ def effect_test(seen: Seen, rest: tuple[float, float] | None = None) -> EffectTe
     inverse, rank = _inverse(seen)
     size = inverse @ seen.score
     squares = float(seen.score @ size)
-    return EffectTest(size, inverse, squares, rank, _chance(squares, rank, rest))
+    scale, values, vectors = _axes(seen)
+    axes = vectors[:, values > UNSEEN] / scale[:, None]
+    return EffectTest(size, inverse, squares, rank, _chance(squares, rank, rest), axes)
 
 
 def family_test(seen: Seen, rest: tuple[float, float] | None = None) -> EffectTest:
     """Test single columns of which at most one is there, and return the best; neighbours alike."""
-    information = seen.information.diagonal()
-    checked = information > UNSEEN * seen.whole
-    safe = np.where(checked, information, 1.0)
-    squares = np.where(checked, seen.score**2 / safe, 0.0)
-    k = int(np.argmax(squares))
+    k = int(np.argmax(member_squares(seen)))
     alone = effect_test(seen.part(slice(k, k + 1)), rest)
     u = normal_isf(max(0.5 * alone.probability, NOTHING))
     chance = above_of_family(u, correlations(seen.information)) if alone.rank else 1.0
     return alone._replace(probability=min(chance, 1.0), member=k)
+
+
+def member_squares(seen: Seen) -> Floats:
+    """Return what chi-squared falls by for each column (k,) alone; 0 where nothing is seen."""
+    information = seen.information.diagonal()
+    checked = information > UNSEEN * seen.whole
+    return np.where(checked, seen.score**2 / np.where(checked, information, 1.0), 0.0)
 
 
 def _inverse(seen: Seen) -> tuple[Floats, int]:
@@ -143,10 +149,12 @@ class Unseen(NamedTuple):
     """The largest error that may stay unseen, in standard uncertainties of the outputs.
 
     ``found``: a larger effect is found with the stated power; else none larger was considered.
+    ``hidden``: some of it leaves no residual at all.
     """
 
     error: float
     found: bool
+    hidden: bool = False
 
 
 def unseen(
@@ -168,7 +176,7 @@ def unseen(
         return Unseen(0.0, found=True)
     worst = int(np.argmax(error))
     found = hidden[worst] <= UNSEEN and shown[worst] <= bound[worst]
-    return Unseen(float(error[worst]), bool(found))
+    return Unseen(float(error[worst]), bool(found), bool(hidden[worst] > UNSEEN))
 
 
 def unseen_family(
@@ -176,6 +184,8 @@ def unseen_family(
 ) -> Unseen:
     """Return the worst that one column of a family does before the test of all finds it."""
     share = _share(seen.moved, std).max(axis=1, initial=0.0)
+    if not len(share):
+        return Unseen(0.0, found=True)
     information = seen.information.diagonal()
     checked = information > UNSEEN * seen.whole
     limit = limit_of_family(significance, correlations(seen.information))
@@ -183,7 +193,7 @@ def unseen_family(
     size = np.where(checked, needed / np.sqrt(np.where(checked, information, 1.0)), np.inf)
     error = np.minimum(size, largest) * share
     worst = int(np.argmax(error))
-    return Unseen(float(error[worst]), bool(size[worst] <= largest))
+    return Unseen(float(error[worst]), bool(size[worst] <= largest), not checked[worst])
 
 
 def limit_of_family(significance: float, alike: Floats) -> float:

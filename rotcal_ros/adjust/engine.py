@@ -19,15 +19,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from rotcal_ros.adjust import gathering
 from rotcal_ros.adjust.causes import Diagnosis, Limits, found_causes, seen_by
-from rotcal_ros.adjust.distributions import chi2_isf, chi2_sf
+from rotcal_ros.adjust.distributions import chi2_isf, chi2_sf, normal_sf, t_isf
 from rotcal_ros.adjust.effects import Seen, Unseen, unseen, unseen_family
 from rotcal_ros.adjust.gathering import SUSPECTED, GatheringLimits
+from rotcal_ros.adjust.groups import CHECKED
 from rotcal_ros.adjust.model import Disturbing, Fit, Model, fitted, require_determined
 from rotcal_ros.adjust.reliability import hidden
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
@@ -43,7 +44,29 @@ FAILED_SHARE: Final = 0.2
 """Share of rejected observations from which the rest proves nothing."""
 FAILED_FACTOR: Final = 10.0
 """Times the stated noise from which the model does not describe the observations."""
+COVERED: Final = 1.959964
+"""Standard uncertainties on either side that hold 95 % of a normal distribution."""
 LIMITS: Final = Limits()
+
+
+class FoundEffect(NamedTuple):
+    """An effect that was found: ``sizes`` (k,) of its columns, or of one of a family, and ``std``.
+
+    ``probability``: how probably chance explains so much, when it was found.
+    """
+
+    effect: Disturbing
+    what: str
+    sizes: Floats
+    std: Floats
+    probability: float
+
+    def in_words(self) -> str:
+        """Return what happened, by how much."""
+        unit = self.effect.unit
+        sizes, expanded = self.sizes / unit.si, 2.0 * self.std / unit.si
+        each = ", ".join(f"{size:.3g} ± {u:.2g}" for size, u in zip(sizes, expanded, strict=True))
+        return f"{self.what}, by {each} {unit.name} (k = 2, p = {self.probability:.2g})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,12 +93,50 @@ class Adjusted:
 
     @cached_property
     def covariance(self) -> Floats:
-        """Covariance (o, o) of the outputs, with all that is probable but not proved."""
-        total = self.scale**2 * (self.fit.response @ self.fit.response.T)
-        for weight, change in self.diagnosis.contested:
+        """Covariance (o, o) of the outputs, with all that is probable but not proved.
+
+        Where the noise was estimated from few residuals, 1.96 of its standard uncertainties hold
+        95 % as those of Student's t do.
+        """
+        few = self.scale * self._student
+        total = few[:, None] * (self.fit.response @ self.fit.response.T) * few
+        for weight, change in self.diagnosis.contested():
             total = total + weight * np.outer(change, change)
         gathers = self.diagnosis.gathering.covariance()
         return np.asarray(total if gathers is None else total + gathers)
+
+    @cached_property
+    def _student(self) -> Floats:
+        """Quantile of Student's t over that of the normal distribution, by output (o,).
+
+        Degrees of freedom after Satterthwaite, from how well the factors of the noise are known.
+        """
+        estimated, model = self.diagnosis.noise.estimated, self.model
+        if estimated is None:
+            return np.ones(len(self.value))
+        part = model.of_component == np.arange(len(model.components))[:, None]
+        variance = (self.fit.response**2) @ part.T.astype(np.float64)  # (o, c)
+        known = np.nan_to_num(estimated.log_std)
+        spread = 2.0 * (variance**2 * known**2).sum(axis=1)
+        safe = np.maximum(spread, np.finfo(np.float64).tiny)
+        dof = np.where(spread > 0.0, np.maximum(variance.sum(axis=1) ** 2 / safe, 1.0), np.inf)
+        tail = normal_sf(COVERED)
+        return np.array([t_isf(tail, d) / COVERED if np.isfinite(d) else 1.0 for d in dof])
+
+    @cached_property
+    def found_effects(self) -> tuple[FoundEffect, ...]:
+        """The effects that became unknowns, with their sizes in the solution."""
+        first, found = self.model.size[1], []
+        for e in self.diagnosis.taken:
+            assert e.effect is not None
+            assert e.mixing is not None
+            own = slice(first, first + e.columns.shape[1])
+            gain = e.mixing @ self.fit.gain[own]
+            std = self.scale * np.linalg.norm(gain, axis=1)
+            sizes = e.mixing @ self.fit.x[own]
+            found.append(FoundEffect(e.effect, e.what, sizes, std, e.probability))
+            first = own.stop
+        return tuple(found)
 
     @property
     def std(self) -> Floats:
@@ -197,9 +258,8 @@ class Adjusted:
                 zip(self.model.components, self.diagnosis.noise.factors.tolist(), strict=True)
             ),
             "effects_found": [
-                {"effect": e.effect.effect, "size": e.test.size}
-                for e in self.diagnosis.taken
-                if e.effect is not None and e.test is not None
+                {"effect": e.effect.effect, "what": e.what, "size": e.sizes, "std": e.std}
+                for e in self.found_effects
             ],
             "gathering": gathering.details(self.diagnosis.gathering, "observations"),
         }
@@ -217,8 +277,10 @@ class PlanPrediction:
 def predicted(model: Model, limits: Limits = LIMITS) -> PlanPrediction:
     """Return what ``model`` would give; its observations do not matter.
 
-    Raises ObservabilityError where they leave a direction open.
+    An effect that depends on what is read (a scale) is left out where the start values read
+    nothing. Raises ObservabilityError where they leave a direction open.
     """
+    require_determined(model)
     computed, _ = model.equations(model.first)
     exact = replace(model, observed=computed)
     fit = fitted(exact, np.ones(len(computed), dtype=np.bool_), model.std, model.first)
@@ -226,6 +288,7 @@ def predicted(model: Model, limits: Limits = LIMITS) -> PlanPrediction:
     every = {
         e.effect: _unseen(e, seen_by(fit, e.at(computed)), std, limits.of_each_effect(model))
         for e in model.effects
+        if e.at(computed).any()
     }
     return PlanPrediction(std, fit.redundancy, every)
 
@@ -253,18 +316,23 @@ def _doubts(found: Adjusted) -> Iterator[str]:
             f"the residuals are {found.scale:.2g} times what their standard deviations allow "
             "(chi-squared test): the uncertainty is enlarged by that factor"
         )
-    for effect, test in ((e.effect, e.test) for e in found.diagnosis.taken):
-        if effect is not None and test is not None:
-            sizes = ", ".join(effect.unit.shown(s) for s in test.size.tolist())
-            yield (
-                f"it looks as if {effect.what}, by {sizes} (p = {test.probability:.2g}): that was "
-                "taken off, and the uncertainty holds it; find out why, and measure again"
-            )
-    yield from found.diagnosis.rivals
+    for e in found.found_effects:
+        yield (
+            f"it looks as if {e.in_words()}: that was taken off, and the uncertainty holds it; "
+            "find out why, and measure again"
+        )
+    for best, rivals in found.diagnosis.open_contests:
+        others = "; ".join(
+            f"that {e.what} (1 : {np.exp(max(best.support - e.support, 0.0)):.2g})" for e in rivals
+        )
+        yield (
+            f"that {best.what} explains what was read, but others do so nearly as well (in "
+            f"brackets their likelihood): {others}; the uncertainty covers them all"
+        )
     yield from gathering.doubts(
         found.diagnosis.gathering,
         GatheringLimits(limits.rejected_share, limits.significance),
-        model.words,
+        model.words._replace(unit=model.unit.name, unit_si=model.unit.si),
     )
     share = len(found.why) / max(int(model.may_go.sum()), 1)
     if share > limits.rejected_share:
@@ -293,13 +361,17 @@ def _protections(found: Adjusted) -> Iterator[Protection]:
             worst[effect.effect] = hides, effect
     for name, (hides, effect) in worst.items():
         if name in taken:
-            yield Protection(name, "estimated", f"it was found that {effect.what}")
+            yield Protection(name, "estimated", f"it was found that {effect.what}, and taken off")
         elif hides.error <= HARMLESS:
             why = f"that {effect.what} moves the result by less than a tenth of its uncertainty"
             yield Protection(name, "harmless", why)
         elif not hides.found:
             why = f"that {effect.what} leaves no residual"
-            yield Protection(name, "not protected", why)
+            if not hides.hidden:
+                why = (
+                    f"that {effect.what} is found only beyond {effect.unit.shown(effect.largest)}"
+                )
+            yield Protection(name, "not protected", why, hides.error)
         else:
             why = f"that {effect.what} contradicts other {found.model.words.elements}"
             yield Protection(name, "tested", why, hides.error)
@@ -322,7 +394,15 @@ def _against_noise(found: Adjusted) -> Protection:
 
 
 def _against_gathering(found: Adjusted) -> Iterator[Protection]:
-    judgement = found.diagnosis.gathering.judgement
+    judgement, fit = found.diagnosis.gathering.judgement, found.fit
+    open_ = fit.used & found.model.may_go & (fit.redundancy <= CHECKED)
+    if open_.any():
+        why = (
+            f"{open_.sum()} of {fit.used.sum()} {found.model.words.elements} are checked by no "
+            "other: an error in them stays unseen"
+        )
+        yield Protection("one place", "not protected", why)
+        return
     if judgement is None:
         return
     words, unit = found.model.words, found.model.unit

@@ -29,13 +29,19 @@ class Words(NamedTuple):
     """How people call the elements of groups (``lengths``), and what spoils them together.
 
     ``cause``: what to look for, ``where``: what it is about, as "in the beams", ``its``: of one
-    group, as "in its beams".
+    group, as "in its beams". Sizes are shown in ``unit``, ``unit_si`` in SI.
     """
 
     elements: str
     cause: str
     where: str
     its: str
+    unit: str = "um"
+    unit_si: float = MICROMETRE
+
+    def size(self, size: Floats) -> str:
+        """Return a ``size`` (c,), SI, for people."""
+        return " ".join(f"{x / self.unit_si:+.2g}" for x in size.tolist()) + f" {self.unit}"
 
 
 class GatheringLimits(NamedTuple):
@@ -138,11 +144,6 @@ def doubts(gathering: Gathering, limits: GatheringLimits, words: Words) -> list[
     return found + _counted(gathering.counts, named, limits, words)
 
 
-def micrometres(size: Floats) -> str:
-    """Return a ``size`` (c,) in m for people."""
-    return " ".join(f"{x / MICROMETRE:+.2g}" for x in size.tolist()) + " um"
-
-
 def _many(case: Blame, limits: GatheringLimits) -> bool:
     """Whether so many are off together that it is no matter of single outliers."""
     whole = case.group.size + case.group.lost
@@ -154,7 +155,7 @@ def _blamed(case: Blame, words: Words) -> str:
     count = int(case.subset.sum())
     text = (
         f"{count} of the {case.group.size + case.group.lost} {words.elements} of "
-        f"{case.group.name} are off together, by about {micrometres(case.size)}, and were left "
+        f"{case.group.name} are off together, by about {words.size(case.size)}, and were left "
         f"out: look for {words.cause} {words.where}"
     )
     if case.ambiguous:

@@ -24,6 +24,8 @@ from rotcal_ros.foundation.units import ARCSEC
 
 OPEN: Final = 1e-9
 """Singular values below this share of the largest are directions that nothing tells."""
+FREE: Final = 1e-7
+"""Share of its length that an observation or an output may feel of a free direction."""
 NAMED: Final = 0.3
 """Share of the largest part of an open direction from which an unknown is named."""
 MAX_ITERATIONS: Final = 50
@@ -67,8 +69,9 @@ class Grouping(NamedTuple):
 class Disturbing:
     """An effect that could spoil the observations: ``columns`` (n, k) of errors per unit of size.
 
-    Or what makes such columns from the computed observations (n,), as a wrong scale does: the
-    observed ones hold the very noise that they would explain. ``what`` happens, for people.
+    Of all observations, zero for those that it does not touch, as a certificate's values. Or what
+    makes such columns from the computed observations (n,), as a wrong scale does: the observed
+    ones hold the very noise that they would explain. ``what`` happens, for people.
     ``largest``: a size that nobody would overlook, in SI; people are shown sizes in ``unit``. A
     ``family`` has columns of which at most one is there, in the order of time; other columns are
     there together.
@@ -107,9 +110,9 @@ def drifts(run: Ints, when: Floats) -> Floats:
     found = []
     for number in np.unique(run[run >= 0]):
         mine = run == number
-        span = max(float(np.ptp(when[mine])), np.finfo(np.float64).tiny)
-        found.append(np.where(mine, (when - when[mine].mean()) / span, 0.0))
-    return np.column_stack(found)
+        if span := float(np.ptp(when[mine])):
+            found.append(np.where(mine, (when - when[mine].mean()) / span, 0.0))
+    return np.column_stack([np.zeros((len(run), 0)), *found])
 
 
 def knocks(run: Ints, when: Floats) -> Floats:
@@ -155,21 +158,36 @@ class Model:
         n, p = len(self.observed), sum(self.blocks.values())
         if not n:
             raise DataError("nothing was observed: there is nothing to solve")
-        for name, found, wanted in (
-            ("std", np.shape(self.std), (n,)),
-            ("outputs", np.shape(self.outputs)[1:], (p,)),
-            ("component", np.shape(self.of_component), (n,)),
-            ("judged", np.shape(self.may_go), (n,)),
+        if not p:
+            raise DataError("the model has no unknowns")
+        free = (p, 0) if self.free is None else (p, np.shape(self.free)[-1])
+        for name, values, wanted in (
+            ("observed", self.observed, (n,)),
+            ("std", self.std, (n,)),
+            ("start", self.first, (p,)),
+            ("outputs", self.outputs, (len(self.outputs), p)),
+            ("free", np.zeros((p, 0)) if self.free is None else self.free, free),
+            ("component", self.of_component, (n,)),
+            ("judged", self.may_go, (n,)),
+            *((f"numbers of {g.kind}", g.number, (n,)) for g in self.groupings),
             *(
-                (f"columns of {e.effect}", np.shape(e.at(self.observed))[:1], (n,))
-                for e in self.effects
+                (f"places of {g.kind}", g.along, (n,))
+                for g in self.groupings
+                if g.along is not None
             ),
-            *((f"numbers of {g.kind}", np.shape(g.number), (n,)) for g in self.groupings),
+            *((f"columns of {e.effect}", e.at(self.observed), None) for e in self.effects),
         ):
-            if found != wanted:
-                raise DataError(f"{name} of the model: shape {found}, expected {wanted}")
-        if not (np.isfinite(self.observed).all() and (self.std > 0.0).all()):
-            raise DataError("observations have to be finite, their standard deviations positive")
+            found = np.shape(values)
+            if found != wanted and not (wanted is None and len(found) == 2 and found[0] == n):
+                raise DataError(
+                    f"{name} of the model: shape {found}, expected {wanted or (n, 'k')}"
+                )
+            if not np.isfinite(values).all():
+                raise DataError(f"{name} of the model: expected finite numbers")
+        if not (self.std > 0.0).all():
+            raise DataError("std of the model: expected positive numbers")
+        if not np.isin(self.of_component, np.arange(len(self.components))).all():
+            raise DataError(f"component of the model: expected 0 to {len(self.components) - 1}")
 
     @property
     def size(self) -> tuple[int, int]:
@@ -287,8 +305,30 @@ class Fit:
 
 
 def require_determined(model: Model) -> None:
-    """Raise ObservabilityError, with the unknowns, where more than the free directions is open."""
-    _solved(model, model.equations(model.first)[1] / model.std[:, None])
+    """Refuse a model that leaves more open than it says, or whose outputs feel what is open.
+
+    Raises ObservabilityError with the unknowns; DataError for a free direction that observations
+    determine, or that an output feels.
+    """
+    computed, jacobian = model.equations(model.first)
+    if not (np.isfinite(computed).all() and np.isfinite(jacobian).all()):
+        raise DataError("the equations give no finite numbers at the start values")
+    white = jacobian / model.std[:, None]
+    _solved(model, white)
+    if model.free is None:
+        return
+    length = np.maximum(np.linalg.norm(white, axis=0), np.finfo(np.float64).tiny)
+    if np.linalg.matrix_rank(model.free * length[:, None]) < model.free.shape[1]:
+        raise DataError("the free directions of the model depend on each other, or are zero")
+    for k, direction in enumerate(model.free.T):
+        felt = np.abs(white @ direction).max() / np.linalg.norm(length * direction)
+        if felt > FREE:
+            raise DataError(f"free direction {k} of the model is determined by the observations")
+        moved = np.abs(model.outputs @ direction)
+        if (moved > FREE * np.abs(model.outputs) @ np.abs(direction)).any():
+            raise DataError(
+                f"an output of the model feels free direction {k}, which nothing tells"
+            )
 
 
 def fitted(
@@ -318,9 +358,12 @@ def fitted(
         for _halved in range(HALVINGS):
             computed, jacobian = _computed(model, x + step, extra)
             after = (model.observed - computed) * weight
-            if left < NEARLY or float(after @ after) <= square:
+            finite = np.isfinite(after).all() and np.isfinite(jacobian).all()
+            if finite and (left < NEARLY or float(after @ after) <= square):
                 break
             step = 0.5 * step
+        else:
+            break  # no step makes it better
         x = x + step
     raise DataError(
         f"the adjustment did not settle in {MAX_ITERATIONS} steps: start values are too far off, "
@@ -331,7 +374,8 @@ def fitted(
 def _computed(model: Model, x: Floats, extra: Floats) -> tuple[Floats, Floats]:
     """Return computed observations (n,) and the design (n, p + q), effects included."""
     p = model.size[1]
-    computed, jacobian = model.equations(x[:p])
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        computed, jacobian = model.equations(x[:p])  # outside its domain a step is shortened
     return computed + extra @ x[p:], np.concatenate([jacobian, extra], axis=1)
 
 
@@ -356,7 +400,7 @@ def _what_is_open(model: Model, scaled: Floats, scale: Floats, rank: int) -> str
     """Return in words which unknowns the observations leave open, beside the free directions."""
     p = model.size[1]
     unseen = np.flatnonzero(np.linalg.norm(scaled[:, :p], axis=0) == 0.0)
-    null = np.linalg.svd(scaled, full_matrices=True)[2][rank:, :p].T
+    null = np.linalg.svd(np.linalg.qr(scaled, mode="r"))[2][rank:, :p].T
     if model.free is not None:
         known = np.linalg.qr(model.free * scale[:p, None])[0]
         null = null - known @ (known.T @ null)

@@ -185,7 +185,7 @@ def test_a_drift_is_found_told_in_words_and_taken_off():
     drifting = model.effects[0].columns[:, 0] * 40e-6
     found = adjust(replace(model, observed=model.observed + drifting))
     assert [e.effect.effect for e in found.diagnosis.taken] == ["drift"]
-    assert found.diagnosis.taken[0].test.size == pytest.approx([40e-6], rel=0.2)
+    assert found.found_effects[0].sizes == pytest.approx([40e-6], rel=0.2)
     assert found.doubts[0].startswith("it looks as if the instrument drifts, by ")
     assert found.verdict == "suspect"
     assert (np.abs(found.value - truth) <= 4.0 * found.std).all()

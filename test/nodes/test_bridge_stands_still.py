@@ -29,16 +29,16 @@ def called(bench, kind, name, request):
 
 
 def test_calls_and_tables_of_a_standstill_are_answered_by_what_is_true_behind_it(bench):
-    from diagnostic_msgs.msg import DiagnosticStatus
+    from rotcal_msgs.msg import NodeState
     from rotcal_msgs.srv import ApplyTable, GetCorrection
 
-    beats = bench.node.create_publisher(DiagnosticStatus, "heartbeat", 10)
-    beat = DiagnosticStatus(name="planner", message="ready")
+    beats = bench.node.create_publisher(NodeState, "heartbeat", 10)
+    beat = NodeState(node="planner", state=NodeState.STATE_READY)
     bench.node.create_timer(0.1, lambda: beats.publish(beat))
     bench.publish(table())
     bench.start()
     bench.wait_for_state("written, not applied")
-    bench.wait(lambda: bench.status.get("apply") == "offered", "the services")
+    bench.wait(lambda: "apply_offered" in bench.status, "the services")
     request = ApplyTable.Request(confirmation=bench.status["confirmation"], secret=SECRET)
     newer = table(0.5)
 
@@ -46,7 +46,7 @@ def test_calls_and_tables_of_a_standstill_are_answered_by_what_is_true_behind_it
     apply = called(bench, ApplyTable, "apply", request)
     correction = called(bench, GetCorrection, "get_correction", GetCorrection.Request(approach=1))
     bench.publish(newer)
-    beat.message = "calibrating: step 1 of 9, moving"
+    beat.state = NodeState.STATE_CALIBRATING
     until = time.monotonic() + STANDSTILL_S  # the standstill is the test's subject
     bench.wait(lambda: time.monotonic() > until, "the standstill")
     assert not apply.done()
@@ -59,5 +59,5 @@ def test_calls_and_tables_of_a_standstill_are_answered_by_what_is_true_behind_it
     bench.wait(correction.done, "the correction")
     assert correction.result().success, correction.result().message
     bench.wait(lambda: bench.status["table_hash"] == newer.table_hash, "the newer table")
-    beat.message = "ready"
+    beat.state = NodeState.STATE_READY
     bench.wait(lambda: bench.apply().success, "the newer table is applied")

@@ -95,12 +95,12 @@ def model_of(readings: PolygonReadings) -> Model:
         effects=(
             Disturbing("drift", "the autocollimator drifts", drifts(run, when), LARGEST),
             Disturbing(
-                "knock", "polygon or autocollimator moved within a mounting", knocks(run, when),
+                "knock", "polygon or autocollimator moved", knocks(run, when),
                 LARGEST, family=True,
             ),
             Disturbing(
-                "scale", "the autocollimator's scale is wrong", lambda read: read[:, None], 0.1,
-                Unit("%", 0.01),
+                "scale", "the autocollimator's scale is wrong",
+                lambda read: np.where(when < count, read, 0.0)[:, None], 0.1, Unit("%", 0.01),
             ),
         ),
         row_name=lambda row: (

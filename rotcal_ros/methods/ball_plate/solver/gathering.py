@@ -223,7 +223,7 @@ def left_out(
     rows = case.group.members[case.subset]
     why = (
         f"one of {len(rows)} centres of {case.group.name} that are off together, by "
-        f"{engine.micrometres(case.size)} (x, y, z)"
+        f"{WORDS.size(case.size)} (x, y, z)"
     )
     found_why = {int(r): f"{problem.row_name(r)}: {why}" for r in rows}
     return replace(gathering, blamed=(*gathering.blamed, case)), found_why

@@ -177,7 +177,7 @@ def _left_out(
         return None
     why = (
         f"one of {len(members)} readings of {case.group.name} that are off together, by "
-        f"{engine.micrometres(case.size)} (along the beam, level across it, upwards)"
+        f"{WORDS.size(case.size)} (along the beam, level across it, upwards)"
     )
     rows = np.concatenate([pairs.direct[members], pairs.mirrored[members]])
     return replace(gathering, blamed=(*gathering.blamed, case)), dict.fromkeys(rows.tolist(), why)

@@ -63,7 +63,7 @@ def left_out(
     why = {
         int(grid.row[j, i]): f"station {grid.position_ids[grid.station[j]]}, target "
         f"{grid.target_ids[i]}: one of {int(case.subset.sum())} lengths of {case.group.name} that "
-        f"are off together, by {engine.micrometres(case.size)}"
+        f"are off together, by {WORDS.size(case.size)}"
         for j, i in np.argwhere(rejected)
     }
     return replace(gathering, blamed=(*gathering.blamed, case)), rejected, why
