@@ -332,3 +332,118 @@ def test_limits_are_kept():
             lost[k] += bool(adjust(model, Limits(rejection=chance)).why)
     assert lost[0] <= 2
     assert 10 <= lost[1] <= 32
+
+
+def twins(rng, size):
+    """Return truth (o,) and a model: two readings of each of eight places, one is off by size."""
+    place, truth = np.repeat(np.arange(8), 2), np.linspace(0.0, 7e-3, 8)
+    observed = truth[place] + SIGMA * rng.standard_normal(16)
+    observed[5] += size
+    return truth, Model(
+        {"place": 8}, observed, np.full(16, SIGMA), linear(indicators((place, 8))), np.eye(8),
+        WORDS, MICRON,
+    )  # fmt: skip
+
+
+def test_of_two_readings_nobody_knows_which_is_wrong():
+    for seed in range(20):
+        truth, model = twins(np.random.default_rng(seed), 15e-6)
+        found = adjust(model)
+        assert found.verdict == "suspect"
+        assert any(
+            "observation 4 is off" in d and "observation 5 is off" in d for d in found.doubts
+        )
+        assert (np.abs(found.value - truth) <= 4.0 * found.std).all()
+
+
+def test_a_knock_at_one_of_two_moments_that_do_the_same_is_covered_whichever_it_was():
+    """Of two runs, there and back, a knock of the first looks like one of the second."""
+    truth, model = comparison(np.random.default_rng(31))
+    two = np.flatnonzero(model.groupings[0].number < 2)
+    run, when = model.groupings[0].number[two], np.arange(len(two), dtype=float)
+    pair = _rows(model, two)
+    design = model.equations(model.first)[1][two][:, : PLACES + 2]
+    knock = Disturbing("knock", "something moved", knocks(run, when), 1e-3, MICRON, family=True)
+    pair = replace(
+        pair, blocks={"place": PLACES, "zero of run": 2}, equations=linear(design),
+        outputs=model.outputs[:, : PLACES + 2], free=model.free[: PLACES + 2], effects=(knock,),
+        observed=pair.observed + 50e-6 * ((run == 0) & (when >= 6)),
+    )  # fmt: skip
+    found = adjust(pair)
+    assert found.verdict == "suspect"
+    assert (np.abs(found.value - truth) <= 3.0 * found.std).all()
+
+
+def test_of_a_drift_in_each_run_only_what_residuals_tell_becomes_an_unknown():
+    """A drift alike in all runs is a slope of the places where all are read in one order."""
+    _, model = comparison(np.random.default_rng(32))
+    run, when = model.groupings[0].number, np.arange(RUNS * PLACES, dtype=float)
+    each = Disturbing("drift", "it drifts", drifts(run, when), 1e-3, MICRON)
+    observed = model.observed + each.columns @ [30e-6, 0.0, 0.0, 0.0]
+    observed[33] += 50e-6
+    found = adjust(replace(model, observed=observed, effects=(each,)))
+    assert list(found.why) == [33]
+    (drift,) = found.found_effects
+    assert drift.effect is each
+    assert drift.sizes[0] - drift.sizes[2] == pytest.approx(30e-6, abs=5.0 * drift.std.max())
+
+
+def test_the_size_that_is_told_is_that_which_was_taken_off():
+    _, model = comparison(np.random.default_rng(33))
+    knock = model.effects[1].columns[:, 20]
+    observed = model.observed + 200e-6 * model.effects[0].columns[:, 0] + 80e-6 * knock
+    found = adjust(replace(model, observed=observed))
+    sizes = {e.effect.effect: e for e in found.found_effects}
+    assert sizes["drift"].sizes[0] == pytest.approx(200e-6, abs=4.0 * sizes["drift"].std[0])
+    assert sizes["knock"].sizes[0] == pytest.approx(80e-6, abs=4.0 * sizes["knock"].std[0])
+    assert sizes["knock"].what.endswith("on")
+
+
+def test_exact_numbers_of_one_kind_do_not_keep_the_noise_of_another_from_being_estimated():
+    _, model = comparison()
+    exact = np.arange(RUNS * PLACES) < 2 * PLACES
+    rng = np.random.default_rng(34)
+    observed = model.observed + np.where(exact, 0.0, 6.0) * SIGMA * rng.standard_normal(60)
+    parts = replace(
+        model, observed=observed, components=("exact", "noisy"), component=np.where(exact, 0, 1)
+    )
+    factors = adjust(parts).diagnosis.noise.factors
+    assert factors[0] == 1.0
+    assert factors[1] == pytest.approx(6.0, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"free": np.eye(PLACES + RUNS)[:, :1]}, "determined by the observations"),
+        ({"outputs": np.eye(PLACES, PLACES + RUNS)}, "feels free direction 0"),
+        ({"free": np.zeros((PLACES + RUNS, 1))}, "depend on each other, or are zero"),
+        ({"std": np.full(60, np.inf)}, "std of the model: expected finite numbers"),
+        ({"start": np.zeros(3)}, "start of the model: shape"),
+        ({"component": np.full(60, 2)}, "component of the model: expected 0 to 0"),
+    ],
+)
+def test_a_model_that_contradicts_itself_is_refused(change, words):
+    _, model = comparison()
+    with pytest.raises((DataError, ObservabilityError), match=words):
+        adjust(replace(model, **change))
+
+
+def test_sizes_of_groups_are_told_in_the_unit_of_the_model():
+    _, model = comparison(np.random.default_rng(35))
+    observed = model.observed.copy()
+    observed[18:23] += 40e-6
+    found = adjust(replace(model, observed=observed, effects=(), unit=Unit("mm", 1e-3)))
+    assert sorted(found.why) == [18, 19, 20, 21, 22]
+    assert any("by about +0.04 mm" in words for words in found.doubts)
+
+
+def test_few_residuals_widen_the_uncertainty_as_students_t_does():
+    inside = []
+    for seed in range(150):
+        truth, model = twins(np.random.default_rng(seed), 0.0)
+        noisy = replace(model, observed=truth.repeat(2) + 3.0 * (model.observed - truth.repeat(2)))
+        found = adjust(noisy)
+        if found.diagnosis.noise.estimated is not None:
+            inside.append(np.abs(found.value - truth) <= 1.96 * found.std)
+    assert 0.92 < np.mean(inside) < 0.98

@@ -77,7 +77,7 @@ def test_the_signs_are_those_of_the_conventions():
         ((0, 1, 5), False, {},
          ("drift", "knock", "axis noise", "repeatability", "scale", "one place")),
         ((0,), True, {"unknown_faces": False},
-         ("drift", "knock", "axis noise", "repeatability", "scale", "gauge")),
+         ("axis noise", "repeatability", "scale", "gauge", "one place")),
         ((0,), False, {"certificate": np.zeros(N), "certificate_std": SIGMA},
          ("drift", "knock", "axis noise", "repeatability", "scale", "one place")),
     ],
