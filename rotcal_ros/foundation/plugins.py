@@ -66,9 +66,13 @@ class Verb(NamedTuple):
     after: str = ""
 
 
+_all = cache(entry_points)
+"""All entry points of all packages: reading them takes longer than choosing a group."""
+
+
 @cache
 def _found(group: str) -> dict[str, EntryPoint]:
-    return {point.name: point for point in sorted(entry_points(group=group))}
+    return {point.name: point for point in sorted(_all().select(group=group))}
 
 
 def names(group: str) -> tuple[str, ...]:
