@@ -189,8 +189,8 @@ def parse_configuration(
         )
     for group in values:
         if group not in GROUPS:
-            hint = plugins.NOT_INSTALLED if group in _ORDER else ""
-            hint = hint or _without_its_group(method, str(group))
+            missing = group in _ORDER
+            hint = plugins.NOT_INSTALLED if missing else _without_its_group(method, str(group))
             hint = hint or plugins.nearest(str(group), ("method", *GROUPS))
             raise ConfigurationError(f"{source}: unknown group {group!r:.80}{hint}")
     given = frozenset(values) & frozenset(groups)
