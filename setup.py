@@ -23,24 +23,18 @@ METHODS = {
     "plane_mirror": "plane_mirror",
     "tracer_six": "tracer_six",
 }
-CONTROLLERS = {
-    "csv": "plain_csv",
-    **{
-        name: name
-        for name in (
-            "fagor",
-            "fanuc",
-            "heidenhain",
-            "kflop",
-            "linuxcnc",
-            "pmac",
-            "sinumerik",
-            "smoothieware",
-            "twincat",
-            "twincat_nc",
-        )
-    },
-}
+CONTROLLERS = {"csv": "plain_csv", "linuxcnc": "linuxcnc"}
+CONTROLLERS_OF_EXTENSIONS = (
+    "fagor",
+    "fanuc",
+    "heidenhain",
+    "kflop",
+    "pmac",
+    "sinumerik",
+    "smoothieware",
+    "twincat",
+    "twincat_nc",
+)
 SHARED = ["config", "config/foxglove", "config/plates", "launch"]
 
 version = re.search(r'__version__ = "(.+)"', Path(NAME, "__init__.py").read_text()).group(1)
@@ -158,8 +152,22 @@ setup(
             for method, folder in METHODS.items()
         ],
         "rotcal_ros.controllers": [
-            f"{controller} = {NAME}.compensation.{module}:CONTROLLER"
-            for controller, module in CONTROLLERS.items()
+            *(
+                f"{controller} = {NAME}.compensation.{module}:CONTROLLER"
+                for controller, module in CONTROLLERS.items()
+            ),
+            *(
+                f"{controller} = {NAME}.extensions.controllers.{controller}:CONTROLLER"
+                for controller in CONTROLLERS_OF_EXTENSIONS
+            ),
+        ],
+        "rotcal_ros.stores": [
+            f"ads = {NAME}.extensions.network_stores.ads_link:ads_store",
+            f"opcua = {NAME}.extensions.network_stores.opcua_link:opcua_store",
+        ],
+        "rotcal_ros.store_settings": [
+            f"ads = {NAME}.extensions.network_stores.settings:AdsSettings",
+            f"opcua = {NAME}.extensions.network_stores.settings:OpcUaSettings",
         ],
         "rotcal_ros.settings": [
             f"dme = {NAME}.extensions.ipp_dme.settings:DmeSettings",

@@ -19,7 +19,7 @@ HERE = Path(__file__).parent
 HOW = "make test-aids"
 PROGRAMS = (
     HERE / "bags" / "node" / "read_bag.mjs",
-    HERE / "compensation" / "node" / "file_server.mjs",
+    HERE / "extensions" / "network_stores" / "node" / "file_server.mjs",
 )
 NIST = "https://github.com/aschet/nistippdmetestsuite"
 """NIST's suite, made ready for the compilers of today."""

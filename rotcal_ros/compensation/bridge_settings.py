@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 from rotcal_ros.compensation.agreement import LARGEST_AGE_DAYS, Accepted
 from rotcal_ros.compensation.controllers import parse_options
-from rotcal_ros.compensation.network_settings import AdsSettings, OpcUaSettings
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.settings import group, setting
+from rotcal_ros.foundation.settings import setting, with_groups
 
 DEFAULT: Final = "csv"
+FOLDER: Final = "folder"
+"""The transport that needs no settings of its own."""
+_OURS: Final = plugins.OF_EXTENSIONS[plugins.STORES]
+_INSTALLED: Final = plugins.names(plugins.STORE_SETTINGS)
+STORES: Final = {
+    name: plugins.load(plugins.STORE_SETTINGS, name, "transport")
+    for name in (*(n for n in _OURS if n in _INSTALLED), *sorted({*_INSTALLED}.difference(_OURS)))
+}
+"""The settings of the other transports, by name; each has a ``check()`` of what it needs."""
 
 
+@with_groups(STORES)
 @dataclass(frozen=True)
 class BridgeSettings:
     """Which controller gets tables, in which form, and how far they may change it.
 
+    Behind these settings each transport has a group of its own, under its name.
     Raises ConfigurationError for options that the controller does not take.
     """
 
@@ -39,8 +49,8 @@ class BridgeSettings:
     output_folder: str = setting(
         "", doc="folder that takes the files of every table; empty: no files are written"
     )
-    transport: Literal["folder", "opcua", "ads"] = setting(
-        "folder", doc="how the controller's table is reached"
+    transport: str = setting(
+        FOLDER, doc="how the controller's table is reached", choices=(FOLDER, *STORES)
     )
     controller_folder: str = setting(
         "",
@@ -89,12 +99,9 @@ class BridgeSettings:
         5.0, doc="s, after which the controller counts as silent", minimum=0.01, maximum=600.0
     )
 
-    opcua: OpcUaSettings = group(OpcUaSettings)
-    ads: AdsSettings = group(AdsSettings)
-
     def __post_init__(self) -> None:
         self.accepted  # noqa: B018  raises for a misspelt word
-        if self.transport != "folder":
+        if self.transport != FOLDER:
             getattr(self, self.transport).check()
             if not self.controller_folder:
                 raise ConfigurationError(

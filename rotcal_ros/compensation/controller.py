@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Final, Protocol, runtime_checkable
+from typing import ClassVar, Final, Protocol
 
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats
@@ -51,21 +51,6 @@ class Rule(Protocol):
 
     def correction(self, angle: Floats, approach: Approach) -> Floats:
         """Return the radians that the control adds to the command at ``angle`` (rad)."""
-
-
-@runtime_checkable
-class ArrayForm(Protocol):
-    """A controller whose table is nothing but rows of numbers: an array can carry it."""
-
-    @property
-    def columns(self) -> int:
-        """Numbers in a row."""
-
-    def rows_of(self, name: str, text: str) -> Floats:
-        """Return the numbers (n, columns) of the file ``name``; BagError when it is damaged."""
-
-    def text_of(self, rows: Floats) -> str:
-        """Return the text of the file that holds ``rows``, the same to the last character."""
 
 
 @dataclass(frozen=True)

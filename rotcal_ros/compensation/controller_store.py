@@ -17,15 +17,15 @@ from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeout
 from contextlib import suppress
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Final, Protocol, TypeVar
 
 from rotcal_ros.compensation import journal
-from rotcal_ros.compensation.bridge_settings import BridgeSettings
+from rotcal_ros.compensation.bridge_settings import FOLDER, BridgeSettings
 from rotcal_ros.compensation.controller import Controller
-from rotcal_ros.compensation.writing import PROVENANCE, check_file_name
-from rotcal_ros.foundation.errors import ConfigurationError, ControllerError
+from rotcal_ros.compensation.writing import check_file_name
+from rotcal_ros.foundation import plugins
+from rotcal_ros.foundation.errors import ControllerError
 from rotcal_ros.foundation.files import make_folder, sync_folder, write_atomically
 from rotcal_ros.foundation.untrusted import read_bytes, read_text
 
@@ -55,6 +55,11 @@ class ControllerStore(Protocol):
 
     def address(self, name: str) -> str:
         """Return the path or address of a file, for people."""
+
+
+StoreMaker = Callable[[Any, Path, float, Controller], ControllerStore]
+"""Makes a store from the settings of its transport, the folder of the records, the time (s) that
+an access may take, and the controller."""
 
 
 def answered(action: Callable[[], T], timeout_s: float, place: str, what: str) -> T:
@@ -234,60 +239,6 @@ def _is_file(path: Path) -> bool:
     return True
 
 
-GRACE_S: Final = 2.0
-"""s, for a link to clean up after its own time limit."""
-
-
-class TableLink(Protocol):
-    """A way to a controller; it stops what takes longer than the time that it was given."""
-
-    address: str
-
-    def read(self, names: list[str]) -> dict[str, str]:
-        """Return those of the tables that exist; ControllerError when that is not known."""
-
-    def write(self, tables: Mapping[str, str | None]) -> None:
-        """Replace the tables, None takes one away; ControllerError when not all is done."""
-
-
-class NetworkStore:
-    """The store of a controller behind ``link``; lock and provenance are in a local folder."""
-
-    def __init__(self, records: ControllerFolder, link: TableLink, timeout_s: float) -> None:
-        self._records, self._link = records, link
-        self._timeout_s = timeout_s + GRACE_S
-
-    def lock(self) -> None:
-        """Take the sole right on this machine to feed this controller."""
-        self._records.lock()
-
-    def close(self) -> None:
-        """Let others feed the controller."""
-        self._records.close()
-
-    def busy(self) -> None:
-        """Return None: the link does not know what the machine is doing."""
-
-    def address(self, name: str) -> str:
-        """Return the path or address of a file, for people."""
-        return self._records.address(name) if _is_side(name) else f"{self._link.address}/{name}"
-
-    def read(self, names: Iterable[str]) -> dict[str, str]:
-        """Return those of the files that exist."""
-        wanted = list(names)
-        tables = [name for name in wanted if not _is_side(name)]
-        found = answered(
-            lambda: self._link.read(tables), self._timeout_s, self._link.address, "read"
-        )
-        return found | self._records.read(filter(_is_side, wanted))
-
-    def write(self, files: Mapping[str, str | None]) -> None:
-        """Replace the files, tables first: the provenance never describes what is not there."""
-        tables = {name: text for name, text in files.items() if not _is_side(name)}
-        answered(lambda: self._link.write(tables), self._timeout_s, self._link.address, "write")
-        self._records.write({name: text for name, text in files.items() if _is_side(name)})
-
-
 def make_store(settings: BridgeSettings, controller: Controller) -> ControllerStore:
     """Return the store that ``settings.transport`` names.
 
@@ -295,26 +246,8 @@ def make_store(settings: BridgeSettings, controller: Controller) -> ControllerSt
     controller whose tables it cannot carry.
     """
     folder, timeout_s = Path(settings.controller_folder), settings.answer_timeout_s
-    if settings.transport == "folder":
+    name = settings.transport
+    if name == FOLDER:
         return ControllerFolder(folder, timeout_s)
-    if settings.transport == "opcua":
-        link = _client("opcua").OpcUaLink(settings.opcua, timeout_s)
-    else:
-        link = _client("ads").AdsLink(settings.ads, timeout_s, controller)
-    return NetworkStore(ControllerFolder(folder, timeout_s, link.address), link, timeout_s)
-
-
-def _client(transport: str) -> Any:
-    """Return the module of a link; what it needs is installed as an extra."""
-    try:
-        return import_module(f"rotcal_ros.compensation.{transport}_link")
-    except ModuleNotFoundError as error:
-        package = str(error.name).partition(".")[0]
-        raise ConfigurationError(
-            f"bridge.transport {transport} needs the package {package}: "
-            f"pip install 'rotcal_ros[{transport}]'"
-        ) from error
-
-
-def _is_side(name: str) -> bool:
-    return name.endswith(PROVENANCE)
+    make: StoreMaker = plugins.extension(plugins.STORES, name, f"bridge.transport {name}")
+    return make(getattr(settings, name), folder, timeout_s, controller)

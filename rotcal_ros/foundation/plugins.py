@@ -20,6 +20,10 @@ METHODS: Final = "rotcal_ros.methods"
 METHOD_SETTINGS: Final = "rotcal_ros.method_settings"
 """The settings of a method, where they can be read without loading the method."""
 CONTROLLERS: Final = "rotcal_ros.controllers"
+STORES: Final = "rotcal_ros.stores"
+"""Transport of the group ``bridge`` -> what makes the store of a controller behind it."""
+STORE_SETTINGS: Final = "rotcal_ros.store_settings"
+"""Transport -> the class that declares its settings, a group inside of ``bridge``."""
 INSTRUMENTS: Final = "rotcal_ros.capture.instruments"
 SETTINGS: Final = "rotcal_ros.settings"
 """Group of a configuration -> the class that declares its settings."""
@@ -32,10 +36,21 @@ CERTIFICATES: Final = "rotcal_ros.certificates"
 KINDS: Final = {
     METHODS: "method",
     CONTROLLERS: "controller",
+    STORES: "transport",
     INSTRUMENTS: "instrument",
     VERBS: "verb",
 }
+OF_EXTENSIONS: Final = {
+    CONTROLLERS: (
+        "fagor", "fanuc", "heidenhain", "kflop", "pmac", "sinumerik", "smoothieware", "twincat",
+        "twincat_nc",
+    ),
+    STORES: ("opcua", "ads"),
+}  # fmt: skip
+"""Names that extensions of this package bring; without them it is said what to install."""
 _OWN: Final = "rotcal_ros"
+NOT_INSTALLED: Final = f"; its extension is not installed: pip install {_OWN}"
+"""Hint at a name that an extension of this package brings."""
 _LONGEST: Final = 80
 """Characters of an unknown name that are compared with the existing ones."""
 
@@ -51,9 +66,13 @@ class Verb(NamedTuple):
     after: str = ""
 
 
+_all = cache(entry_points)
+"""All entry points of all packages: reading them takes longer than choosing a group."""
+
+
 @cache
 def _found(group: str) -> dict[str, EntryPoint]:
-    return {point.name: point for point in sorted(entry_points(group=group))}
+    return {point.name: point for point in sorted(_all().select(group=group))}
 
 
 def names(group: str) -> tuple[str, ...]:
@@ -87,14 +106,13 @@ def extension(group: str, name: str, what: str) -> Any:
     Raises ConfigurationError, with the extra to install, where it, or a package that it needs, is
     missing: pip installs both with the extra ``name`` of this package.
     """
+    missing, cause = f"the extension {name!r}", None
     try:
-        if name not in _found(group):
-            raise ModuleNotFoundError(name=f"the extension {name!r}")
-        return _found(group)[name].load()
+        if name in _found(group):
+            return _found(group)[name].load()
     except ImportError as error:
-        raise ConfigurationError(
-            f"{what} needs {error.name}: pip install '{_OWN}[{name}]'"
-        ) from error
+        missing, cause = f"the package {str(error.name).partition('.')[0]}", error
+    raise ConfigurationError(f"{what} needs {missing}: pip install '{_OWN}[{name}]'") from cause
 
 
 def node_module(name: str) -> str:
@@ -165,7 +183,9 @@ def _package(point: EntryPoint) -> str:
 
 
 def nearest(name: str, known: Any) -> str:
-    """Return a hint at the name that was probably meant, or the list of all."""
+    """Return a hint at a missing extension, at the name that was meant, or the list of all."""
+    if any(name in own and name not in _found(group) for group, own in OF_EXTENSIONS.items()):
+        return NOT_INSTALLED
     near = difflib.get_close_matches(name[:_LONGEST], list(known), n=1)
     if near:
         return f"; did you mean {near[0]!r}?"

@@ -11,7 +11,7 @@ import math
 import re
 import types
 import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass
 from typing import Any, TypeVar
 
@@ -78,6 +78,18 @@ def setting(
 def group(cls: type[Any]) -> Any:
     """Declare a nested group of settings, all at their defaults unless given."""
     return dataclasses.field(default_factory=cls, kw_only=True)
+
+
+def with_groups(classes: Mapping[str, type[Any]]) -> Callable[[type[T]], type[T]]:
+    """Give a settings dataclass nested groups that are known only when it is loaded, by name."""
+
+    def extended(cls: type[T]) -> type[T]:
+        fields = [(name, nested, group(nested)) for name, nested in classes.items()]
+        found = dataclasses.make_dataclass(cls.__name__, fields, bases=(cls,), frozen=True)
+        found.__module__, found.__doc__ = cls.__module__, cls.__doc__
+        return found
+
+    return extended
 
 
 def load(cls: type[T], values: Mapping[str, Any] | None, where: str) -> T:

@@ -67,7 +67,6 @@ _ORDER: Final = (
     "recorder", "bridge", "dme", "instrument", "table_adapter", "topics", "page", "simulation",
 )  # fmt: skip
 """How a configuration is written, with the groups of extensions that may be installed."""
-_NOT_INSTALLED: Final = "; its extension is not installed: pip install rotcal_ros"
 _KNOWN: Final = {*SHARED_GROUPS, "plan", "solver", "simulation"}
 GROUPS: Final = (*(name for name in _ORDER if name in _KNOWN), *sorted(_KNOWN.difference(_ORDER)))
 """All groups, in the order in which a configuration is written; those of others come last."""
@@ -190,7 +189,8 @@ def parse_configuration(
         )
     for group in values:
         if group not in GROUPS:
-            hint = _NOT_INSTALLED if group in _ORDER else _without_its_group(method, str(group))
+            missing = group in _ORDER
+            hint = plugins.NOT_INSTALLED if missing else _without_its_group(method, str(group))
             hint = hint or plugins.nearest(str(group), ("method", *GROUPS))
             raise ConfigurationError(f"{source}: unknown group {group!r:.80}{hint}")
     given = frozenset(values) & frozenset(groups)

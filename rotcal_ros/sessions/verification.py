@@ -18,6 +18,7 @@ import numpy as np
 
 from rotcal_ros.compensation import plain_csv
 from rotcal_ros.compensation.cascaded_tables import combined
+from rotcal_ros.compensation.controllers import controller_names
 from rotcal_ros.compensation.effect import Effect, effect_of_result
 from rotcal_ros.compensation.export import CONTENTS, ExportFiles
 from rotcal_ros.compensation.held_table import held_table, in_force_of
@@ -46,6 +47,7 @@ from rotcal_ros.sessions.session import Session, checked_calibration, prepare_se
 from rotcal_ros.sessions.viewers import Viewers
 
 CONTROLLERS: Final = ("linuxcnc", "sinumerik", "csv")
+"""Those that files are written for in a simulated cell, as far as they are installed."""
 TABLES: Final = {"after": "compensation", "again": "compensation_added"}
 """Folders of the tables that the further measurements have in force."""
 LOADED: Final = "loaded"
@@ -84,7 +86,8 @@ class Request:
         """Return the files of all controllers for ``source``, by controller."""
         table = combined(table_from_result(source.result, axis=cell.cell.axis), lambda: None)
         # A control that repeats its table every turn cannot take an arc.
-        usual = [n for n in CONTROLLERS if table.closed or n != "sinumerik"]
+        fits = [n for n in CONTROLLERS if table.closed or n != "sinumerik"]
+        usual = [n for n in fits if n in controller_names()]
         names = (*(usual if cell.simulated else [self.applied(cell)]), *self.controllers)
         return self._export(source, table, cell, *dict.fromkeys(names))
 

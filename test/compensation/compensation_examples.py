@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.compensation.table import CompensationTable, table_from_result
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC
@@ -70,3 +70,20 @@ def two_ways(n=24, **changes):
         verdict="ok", warnings=("known",),
     )  # fmt: skip
     return replace(table, **changes)
+
+
+def turn(degrees, angles=None):
+    """A table whose correction is minus these degrees in both directions."""
+    values = -np.deg2rad(np.asarray(degrees, float))
+    angles = even(len(values)) if angles is None else angles
+    return CompensationTable(
+        axis="C", method="m", angles=angles, correction_forward=values,
+        correction_reverse=values, std=np.zeros(len(values)), period=TAU, reference_angle=0.0,
+        verdict="ok",
+    )  # fmt: skip
+
+
+def arc(n):
+    """A table of ``n`` rows, half a degree apart."""
+    angles = np.deg2rad(np.arange(n) * 0.5)
+    return table_from_result(result_of(angles, wavy(angles)))

@@ -77,12 +77,3 @@ def test_the_limits_of_the_controller_come_first():
     assert told[0].endswith("the controller takes no rows that leave less")  # none were stated
     with pytest.raises(ConfigurationError, match="256"):
         exported(0.05, turns=200)
-
-
-def test_a_control_that_starts_at_zero_gets_even_rows_by_itself():
-    angles = np.deg2rad(np.sort(np.append(np.arange(3.0, 360.0, 9.0), [10.0, 200.0])))
-    result = result_of(angles, curve(angles) - curve(angles[0]), 0.5 * ARCSEC)
-    table = table_from_result(result)
-    done = prepare_export(table, "sinumerik", now=NOW)
-    assert np.ptp(np.diff(done.table.angles)) < 1e-9
-    assert done.residual.interpolation <= 2.0 * table.largest_std / 3.0

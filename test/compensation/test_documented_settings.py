@@ -19,7 +19,9 @@ WORDS = {"empty": "", "true": True, "false": False}
 
 def test_the_bridge_is_as_documented():
     assert BridgeSettings().controller_settings == {}
-    assert assert_documented(BridgeSettings, "bridge") == 31
+    own = [one for one in declarations(BridgeSettings) if "." not in one.name]
+    assert len(own) == 16
+    assert assert_documented(BridgeSettings, "bridge") >= len(own)
 
 
 def documented(name):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from test_feed import COMP, Cell, applied, made_before, table_of, trims, undone
 
-from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.feed import Feed
 from rotcal_ros.compensation.held_table import in_force_of
 from rotcal_ros.foundation.errors import DataError
@@ -37,16 +36,6 @@ def test_a_table_by_hand_and_a_changed_one_are_tables_too(cell):
     assert by_hand == held_now(cell)
     (cell.folder / COMP).write_text("0 1 1\n")
     assert cell.feed().in_force() not in (by_hand, "unknown", "none")
-
-
-def test_files_copied_by_hand_are_seen_whatever_the_settings(tmp_path):
-    """Rows every 7 degrees are nothing for this control; the file that lies there is."""
-    (tmp_path / "c_sinumerik.ini").write_text("M17\n")
-    settings = BridgeSettings(
-        controller="sinumerik", spacing_deg=7.0, controller_folder=str(tmp_path)
-    )
-    held = Feed(settings, "C", lambda: 1).in_force()
-    assert held == in_force_of({"c_sinumerik.ini": "M17\n"})
 
 
 def test_an_unfinished_change_makes_it_unknown(cell):

@@ -14,7 +14,7 @@ from rotcal_ros.compensation.controller_store import STATE_FOLDER, ControllerFol
 from rotcal_ros.compensation.feed import Feed
 from rotcal_ros.compensation.journal import Entry, Journal
 from rotcal_ros.compensation.table import table_from_result
-from rotcal_ros.foundation.errors import ConfigurationError, ControllerError, DataError
+from rotcal_ros.foundation.errors import ControllerError, DataError
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 
@@ -169,13 +169,6 @@ def test_a_table_has_its_own_reference_unless_told_otherwise(cell):
     feed = cell.feed()
     feed.take(table, 1)
     assert feed.offer.export.table.reference_angle == 2.0
-
-
-@pytest.mark.parametrize("name", ["heidenhain", "fagor"])
-def test_what_is_not_verified_has_to_be_accepted(cell, name):
-    with pytest.raises(ConfigurationError, match="--accept-unverified"):
-        cell.feed(controller=name).take(table_of(), 1)
-    assert cell.feed(controller=name, accept_unverified=True).take(table_of(), 1)
 
 
 def test_without_an_output_folder_nothing_is_written_for_people(cell):

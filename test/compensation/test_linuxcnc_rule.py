@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from compensation_examples import TAU, even, result_of, wavy
+from compensation_examples import TAU, d4_table, even, result_of, wavy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -132,3 +132,36 @@ def test_both_types_move_the_motor_alike():
         controller = LinuxCnc(file_type=file_type)
         both.append(controller.read(controller.write(table, "t")).correction(command, DOWN))
     np.testing.assert_allclose(both[0], both[1], atol=1e-5 * ARCSEC)
+
+
+def test_type_1_by_hand():
+    controller = LinuxCnc()
+    files = controller.write(d4_table(), "x")
+    rows = [[float(x) for x in line.split()] for line in files["x.comp"].splitlines()]
+    expected = [
+        [0, 0, 0.002],
+        [90, -0.005, -0.003],
+        [180, 0.003, 0.005],
+        [270, -0.001, 0.001],
+        [360, 0, 0.002],
+    ]
+    np.testing.assert_allclose(rows, expected, atol=1e-12)
+    assert files["x.ini"] == "[JOINT_0]\nCOMP_FILE = x.comp\nCOMP_FILE_TYPE = 1\n"
+    rule, at = controller.read(files), np.array([45.0, 360.0, 400.0, -5.0]) * DEGREE
+    got = rule.correction(at, UP) / DEGREE
+    np.testing.assert_allclose(got, [-0.0025, 0.0, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(rule.correction(at[:1], DOWN) / DEGREE, -0.0005, atol=1e-9)
+
+
+def test_type_0_holds_actual_angles_by_hand():
+    files = LinuxCnc(file_type=0).write(d4_table(), "x")
+    rows = [[float(x) for x in line.split()] for line in files["x.comp"].splitlines()]
+    expected = [
+        [0, 0, -0.002],
+        [90, 90.005, 90.003],
+        [180, 179.997, 179.995],
+        [270, 270.001, 269.999],
+        [360, 360, 359.998],
+    ]
+    np.testing.assert_allclose(rows, expected, atol=1e-12)
+    assert "COMP_FILE_TYPE = 0" in files["x.ini"]

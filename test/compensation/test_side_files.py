@@ -83,7 +83,7 @@ def test_the_side_file_holds_what_the_page_promises(name):
     unverified = [f"not verified: {text}" for text in make_controller(name).unverified]
     assert tuple(side["warnings"]) == done.warnings
     wide = [text for text in done.warnings if text.startswith("between rows 5 deg apart")]
-    assert bool(wide) == (name == "fanuc")  # a staircase
+    assert bool(wide) == make_controller(name).staircase
     assert side.pop("warnings") == [
         "a remark",
         *unverified,

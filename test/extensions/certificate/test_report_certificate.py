@@ -68,7 +68,9 @@ def test_missing_packages_are_named_with_what_brings_them(result_file, monkeypat
     monkeypatch.setitem(sys.modules, "lxml", None)
     refused = run(result_file, "--dcc")
     assert refused.exit_code == 2
-    assert refused.output == ("rotcal: a certificate needs lxml: pip install 'rotcal_ros[dcc]'\n")
+    assert refused.output == (
+        "rotcal: a certificate needs the package lxml: pip install 'rotcal_ros[dcc]'\n"
+    )
 
 
 def test_without_the_extension_it_is_said_what_to_install(result_file, monkeypatch):

@@ -4,14 +4,15 @@ import sys
 from pathlib import Path
 
 import pytest
+from settings_page import assert_documented
 
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.feed import Feed
-from rotcal_ros.compensation.network_settings import AdsSettings, OpcUaSettings, secret
+from rotcal_ros.extensions.network_stores.settings import AdsSettings, OpcUaSettings, secret
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.methods.configuration import changed, read_configuration
 
-CONFIGURATION = Path(__file__).parents[2] / "config" / "tracer_demo.yaml"
+CONFIGURATION = Path(__file__).parents[3] / "config" / "tracer_demo.yaml"
 OPCUA = {
     "endpoint": "opc.tcp://10.0.0.5:4840",
     "directory": "2:Machine/FileSystem",
@@ -75,6 +76,11 @@ def test_a_password_in_the_configuration_is_refused_and_not_repeated(changes):
     assert "pass-word" not in str(caught.value)
 
 
+def test_the_settings_are_as_documented():
+    assert assert_documented(OpcUaSettings, "bridge.opcua") == 9
+    assert assert_documented(AdsSettings, "bridge.ads") == 6
+
+
 def test_a_net_id_has_six_numbers():
     with pytest.raises(ConfigurationError, match="expected six numbers"):
         AdsSettings(**ADS | {"net_id": "10.0.0.6"}).check()
@@ -99,7 +105,11 @@ def test_where_a_secret_is(tmp_path, monkeypatch):
 @pytest.mark.parametrize(("transport", "package"), [("opcua", "asyncua"), ("ads", "pyads")])
 def test_a_client_that_is_not_installed_is_named_with_its_extra(transport, package, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)
-    for name in [n for n in sys.modules if n.startswith(f"rotcal_ros.compensation.{transport}_")]:
+    for name in [
+        n
+        for n in sys.modules
+        if n.startswith(f"rotcal_ros.extensions.network_stores.{transport}_")
+    ]:
         monkeypatch.delitem(sys.modules, name)
     settings = BridgeSettings(
         transport=transport,

@@ -15,12 +15,12 @@ from test_feed import Clock, applied, table_of, undone
 
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.feed import Feed
-from rotcal_ros.compensation.network_settings import AdsSettings
 from rotcal_ros.compensation.plain_csv import PlainCsv
+from rotcal_ros.extensions.network_stores.settings import AdsSettings
 from rotcal_ros.foundation.errors import ConfigurationError, ControllerError
 
 pytest.importorskip("pyads")
-from rotcal_ros.compensation.ads_link import AdsLink
+from rotcal_ros.extensions.network_stores.ads_link import AdsLink
 
 CAPACITY = 100
 PORT = 48898

@@ -8,8 +8,8 @@ from test_feed import Clock, applied, table_of, undone
 
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.feed import Feed
-from rotcal_ros.compensation.network_settings import OpcUaSettings
-from rotcal_ros.compensation.opcua_link import OpcUaLink
+from rotcal_ros.extensions.network_stores.opcua_link import OpcUaLink
+from rotcal_ros.extensions.network_stores.settings import OpcUaSettings
 from rotcal_ros.foundation.errors import ConfigurationError, ControllerError, DataError
 
 pytest.importorskip("asyncua")

@@ -30,8 +30,10 @@ from asyncua.crypto.uacrypto import load_certificate
 from asyncua.ua.uaerrors import BadBrowseNameDuplicated
 from cryptography.x509 import SubjectAlternativeName, UniformResourceIdentifier
 
+from rotcal_ros.compensation.controller import Controller
 from rotcal_ros.compensation.controller_store import ENCODING
-from rotcal_ros.compensation.network_settings import OpcUaSettings, secret
+from rotcal_ros.extensions.network_stores.settings import OpcUaSettings, secret
+from rotcal_ros.extensions.network_stores.store import NetworkStore
 from rotcal_ros.foundation.errors import ConfigurationError, ControllerError, RotcalError
 
 T = TypeVar("T")
@@ -247,3 +249,10 @@ class ServerFolder:
         if len(found) > 1:
             raise ControllerError(f"the server shows {len(found)} files of the name {name}")
         return cast(ua.NodeId, found[0]) if found else None
+
+
+def opcua_store(
+    settings: OpcUaSettings, folder: Path, timeout_s: float, _controller: Controller
+) -> NetworkStore:
+    """Return the store of a controller behind an OPC UA server; its records are in ``folder``."""
+    return NetworkStore(OpcUaLink(settings, timeout_s), folder, timeout_s)

@@ -11,18 +11,35 @@ import math
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, Final
+from pathlib import Path
+from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 import pyads
 
-from rotcal_ros.compensation.controller import ArrayForm, Controller
-from rotcal_ros.compensation.network_settings import AdsSettings
+from rotcal_ros.compensation.controller import Controller
+from rotcal_ros.extensions.network_stores.settings import AdsSettings
+from rotcal_ros.extensions.network_stores.store import NetworkStore
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ConfigurationError, ControllerError
 
 REQUESTS_BY_NAME: Final = 3
 """A handle, the value, and the handle given back."""
+
+
+@runtime_checkable
+class ArrayForm(Protocol):
+    """A controller whose table is nothing but rows of numbers: an array can carry it."""
+
+    @property
+    def columns(self) -> int:
+        """Numbers in a row."""
+
+    def rows_of(self, name: str, text: str) -> Floats:
+        """Return the numbers (n, columns) of the file ``name``; BagError when it is damaged."""
+
+    def text_of(self, rows: Floats) -> str:
+        """Return the text of the file that holds ``rows``, the same to the last character."""
 
 
 class AdsLink:
@@ -133,3 +150,10 @@ class Runtime:
         if left_s <= 0.0:
             raise TimeoutError("not done in time")
         self._plc.set_timeout(math.ceil(1000 * left_s / REQUESTS_BY_NAME))
+
+
+def ads_store(
+    settings: AdsSettings, folder: Path, timeout_s: float, controller: Controller
+) -> NetworkStore:
+    """Return the store of a TwinCAT runtime; its records are in ``folder``."""
+    return NetworkStore(AdsLink(settings, timeout_s, controller), folder, timeout_s)

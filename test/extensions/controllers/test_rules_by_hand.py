@@ -1,4 +1,4 @@
-"""Documented examples of every controller, worked out by hand: files, readers and rules."""
+"""Documented examples of the controllers, worked out by hand: files, readers and rules."""
 
 import re
 from dataclasses import replace
@@ -24,37 +24,6 @@ def example(name, table=None, **values):
 def applied(files, controller, degrees, approach):
     """What the control adds, in degrees."""
     return controller.read(files).correction(np.asarray(degrees) * DEGREE, approach) / DEGREE
-
-
-def test_linuxcnc_type_1_by_hand():
-    files, controller = example("linuxcnc")
-    rows = [[float(x) for x in line.split()] for line in files["x.comp"].splitlines()]
-    expected = [
-        [0, 0, 0.002],
-        [90, -0.005, -0.003],
-        [180, 0.003, 0.005],
-        [270, -0.001, 0.001],
-        [360, 0, 0.002],
-    ]
-    np.testing.assert_allclose(rows, expected, atol=1e-12)
-    assert files["x.ini"] == "[JOINT_0]\nCOMP_FILE = x.comp\nCOMP_FILE_TYPE = 1\n"
-    got = applied(files, controller, [45.0, 360.0, 400.0, -5.0], UP)
-    np.testing.assert_allclose(got, [-0.0025, 0.0, 0.0, 0.0], atol=1e-9)
-    np.testing.assert_allclose(applied(files, controller, 45.0, DOWN), -0.0005, atol=1e-9)
-
-
-def test_linuxcnc_type_0_holds_actual_angles_by_hand():
-    files, _ = example("linuxcnc", file_type=0)
-    rows = [[float(x) for x in line.split()] for line in files["x.comp"].splitlines()]
-    expected = [
-        [0, 0, -0.002],
-        [90, 90.005, 90.003],
-        [180, 179.997, 179.995],
-        [270, 270.001, 269.999],
-        [360, 360, 359.998],
-    ]
-    np.testing.assert_allclose(rows, expected, atol=1e-12)
-    assert "COMP_FILE_TYPE = 0" in files["x.ini"]
 
 
 def test_sinumerik_enc_comp_by_hand():

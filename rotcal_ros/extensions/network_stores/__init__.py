@@ -1,0 +1,1 @@
+"""Controllers behind a network: the store of their tables over OPC UA and ADS."""

@@ -1,0 +1,82 @@
+"""Without an extension all else works, and a name that it brings is told with what to install."""
+
+import os
+import subprocess
+import sys
+from importlib.metadata import distribution
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.slow
+
+ROOT = Path(__file__).parents[2]
+EXTENSIONS = sorted(
+    place.parent.name for place in (ROOT / "rotcal_ros/extensions").glob("*/__init__.py")
+)
+RESULT = ROOT / "examples" / "data" / "result_tracer.json"
+INSTALL = "its extension is not installed: pip install rotcal_ros"
+ROTCAL = ("-m", "rotcal_ros.cli.main")
+CHANGED = """
+import sys
+from pathlib import Path
+from rotcal_ros.methods.configuration import changed, read_configuration
+changed(read_configuration(Path(sys.argv[1])), sys.argv[2:])
+"""
+
+
+@pytest.fixture
+def without(tmp_path):
+    """Return what runs Python as if some extensions had not been installed."""
+    place = tmp_path / "metadata" / "rotcal_ros.egg-info"
+    place.mkdir(parents=True)
+    ours = distribution("rotcal_ros")
+    (place / "PKG-INFO").write_text(f"Name: rotcal_ros\nVersion: {ours.version}\n")
+    lines = ours.read_text("entry_points.txt").splitlines(keepends=True)
+
+    def run(names, *arguments):
+        brought = tuple(f"rotcal_ros.extensions.{name}" for name in names)
+        kept = [line for line in lines if not any(module in line for module in brought)]
+        (place / "entry_points.txt").write_text("".join(kept))
+        path = os.pathsep.join([str(place.parent), *filter(None, sys.path)])
+        return subprocess.run(
+            [sys.executable, *map(str, arguments)],
+            cwd=place, env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True,
+        )  # fmt: skip
+
+    return run
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["settings"]])
+def test_the_core_alone_works(without, arguments):
+    ran = without(EXTENSIONS, *ROTCAL, *arguments)
+    assert (ran.returncode, ran.stderr) == (0, "")
+    assert "dme" not in ran.stdout
+
+
+def test_without_its_extension_a_controller_is_told_with_what_to_install(without, tmp_path):
+    def export(name):
+        asked = ("--to", name, "--replace", "-o", tmp_path)
+        return without(["controllers"], *ROTCAL, "export", RESULT, *asked)
+
+    refused = export("fanuc")
+    assert refused.returncode == 2
+    assert refused.stderr == f"rotcal: unknown controller 'fanuc'; {INSTALL}\n"
+    assert export("csv").returncode == 0
+    assert "did you mean 'linuxcnc'" in export("linuxcmc").stderr
+
+
+@pytest.mark.parametrize(
+    ("extension", "change", "words"),
+    [
+        ("controllers", "bridge.controller=fanuc", "'fanuc' is none of csv, linuxcnc"),
+        ("network_stores", "bridge.transport=opcua", "'opcua' is none of folder"),
+        ("network_stores", "bridge.ads.port=851", "bridge: unknown setting 'ads'"),
+    ],
+)
+def test_without_its_extension_a_setting_is_told_with_what_to_install(
+    without, extension, change, words
+):
+    refused = without([extension], "-c", CHANGED, ROOT / "config" / "tracer_demo.yaml", change)
+    last = refused.stderr.splitlines()[-1]
+    assert last.endswith(f"{words}; {INSTALL}")
