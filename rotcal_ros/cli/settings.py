@@ -6,6 +6,7 @@ import shutil
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import MISSING
+from itertools import chain
 from typing import TYPE_CHECKING, Any, Final
 
 import click
@@ -43,12 +44,12 @@ def command(names: tuple[str, ...], everything: bool, as_json: bool) -> int:
     width = min(shutil.get_terminal_size().columns, WIDEST)
     if as_json:
         print_json({"groups": [_data(section) for section in _sections(method, groups)]})
-    elif everything or groups:
-        found = _sections(method, groups)
-        click.echo("\n".join(line for section in found for line in _lines(section, width)))
+        return 0
+    if everything or groups:
+        parts = [_lines(section, width) for section in _sections(method, groups)]
     else:
-        found = (method,) if method else methods
-        click.echo("\n".join(line for name in found for line in _first_lines(name, width)))
+        parts = [_first_lines(name, width) for name in ([method] if method else methods)]
+    click.echo("\n".join(chain.from_iterable(parts)))
     return 0
 
 
