@@ -29,14 +29,15 @@ _TIE: Final = "\N{NO-BREAK SPACE}"
 
 @click.command()
 @click.argument("names", nargs=-1, metavar="[METHOD] [GROUP]...", shell_complete=method_names)
-@click.option("--all", "everything", is_flag=True, help="Every setting, with kind and range.")
+@click.option("--all", "everything", is_flag=True, help="Every setting, its kind and range.")
 @json_option
 def command(names: tuple[str, ...], everything: bool, as_json: bool) -> int:
     """Print what to state first to measure with METHOD; with --all, every setting.
 
-    With a GROUP (plan, solver, topics, ...), every setting of that group. Without METHOD, of all
-    methods. --json always has every setting, and marks the first ones. docs/settings.md says the
-    same: both are written from the declarations that configurations are checked against.
+    With a GROUP (plan, solver, topics, ...), every setting of that group; the unit stands before
+    the comma of the meaning. Without METHOD, of all methods. --json always has every setting, and
+    marks the first ones. docs/settings.md says the same: both are written from the declarations
+    that configurations are checked against.
     """
     methods = plugins.names(plugins.METHODS)
     method = names[0] if names and names[0] in methods else ""
