@@ -10,28 +10,41 @@ from collections.abc import Iterator
 from dataclasses import MISSING
 from pathlib import Path
 
+from rotcal_ros.foundation.settings import Declaration
 from rotcal_ros.methods import find_method, method_names
 from rotcal_ros.methods.settings_reference import (
     Section,
     default_in_words,
+    first_settings,
     goal_section,
     kind_in_words,
+    method_sections,
     own_sections,
     range_in_words,
     reading_section,
     shared_sections,
+    unit_and_meaning,
 )
 
+BAR = "\\|"
 PAGE = Path(__file__).parents[1] / "docs" / "settings.md"
 HEAD = """# Settings
 
 A configuration is a ROS 2 parameter file: `/**: ros__parameters:` with the name of a `method` and
 groups of settings. It is checked whole before anything moves. A setting that is not given keeps
 its default; one in **bold** has to be given. The unit stands in the name and before the comma.
-Lists hold values of the kind that is named.
+Lists hold values of the kind that is named. A default *none* is a setting that is not given, in
+YAML `null`.
 
-On the command line: `--set GROUP.NAME=VALUE`; `rotcal settings METHOD` prints the settings of one
-method. This page is written by `python scripts/settings_page.py` from the declarations.
+On the command line: `--set GROUP.NAME=VALUE`; `rotcal settings METHOD` prints what to state first,
+`--all` every setting of the method, and the name of a group those of that group. This page is
+written by `python scripts/settings_page.py` from the declarations.
+"""
+FIRST = """## What to state first
+
+To measure a real table, state these, or see that their defaults are right, and begin with the
+configuration of your method in `config/`. Everything else has a default. Streams with other names,
+units or clocks: group [topics](#topics).
 """
 GOAL = """## The goal of a tracer's plan
 
@@ -46,8 +59,9 @@ Of `rotcal bag info`, `check` and `repair`, and of whatever else is given a bag 
 
 
 def page() -> str:
-    """Return the text of the page: the groups that all methods share, then those of each."""
-    parts = [HEAD, *(_section(f"## {shared.group}", shared) for shared in shared_sections())]
+    """Return the text of the page: what comes first, what all methods share, each method."""
+    parts = [HEAD, FIRST, *(_first(name) for name in method_names())]
+    parts += [_section(f"## {shared.group}", shared) for shared in shared_sections()]
     for name in method_names():
         method = find_method(name)
         parts.append(f"## {method.title}: `method: {name}`\n\nSee [{method.page}]"
@@ -58,6 +72,15 @@ def page() -> str:
     return "\n".join(parts)
 
 
+def _first(method: str) -> str:
+    """Return the short table of a method: one row for every setting to state first."""
+    rows = ["| setting | unit | default | meaning |", "| --- | --- | --- | --- |"]
+    for name, declared in first_settings(method_sections(method)):
+        unit, meaning = unit_and_meaning(declared)
+        rows.append(_row(_name(name, declared), unit, default_in_words(declared, _code), meaning))
+    return "\n".join([f"### First of {method}", "", *rows, ""])
+
+
 def _section(heading: str, section: Section) -> str:
     """Return heading, first line of the docstring, and one row for every setting."""
     table = ["| setting | kind | default | range | meaning |", "| --- | --- | --- | --- | --- |"]
@@ -66,14 +89,22 @@ def _section(heading: str, section: Section) -> str:
 
 def _rows(section: Section) -> Iterator[str]:
     for name, declared in section.settings():
-        cells = (
-            f"**{_code(name)}**" if declared.default is MISSING else _code(name),
+        yield _row(
+            _name(name, declared),
             kind_in_words(declared),
             default_in_words(declared, _code),
             range_in_words(declared, _code),
-            declared.info.description.replace("|", "\\|"),
+            declared.info.description,
         )
-        yield f"| {' | '.join(cells)} |"
+
+
+def _row(*cells: str) -> str:
+    *others, text = cells
+    return f"| {' | '.join((*others, text.replace('|', BAR)))} |"
+
+
+def _name(name: str, declared: Declaration) -> str:
+    return f"**{_code(name)}**" if declared.default is MISSING else _code(name)
 
 
 def _code(text: str) -> str:

@@ -13,6 +13,7 @@ from typing import Any
 from rotcal_ros.foundation.settings import Declaration, declarations
 
 PAGE = Path(__file__).parents[1] / "docs" / "settings.md"
+FIRST = "## What to state first"
 KINDS = {"whole": int, "number": float, "text": str, "true or false": bool}
 
 
@@ -27,12 +28,15 @@ class Row:
 
 
 def rows(method: str = "") -> dict[str, Row]:
-    """Return the rows of the groups that all methods share, or those of one method, by name."""
+    """Return the rows of the groups that all methods share, or those of one method, by name.
+
+    The short tables at the beginning repeat some of them, in other columns, and are left out.
+    """
     found: dict[str, Row] = {}
     section = ""
     for line in PAGE.read_text().splitlines():
         if line.startswith("## "):
-            section = line.partition("`method: ")[2].rstrip("`")
+            section = "first" if line == FIRST else line.partition("`method: ")[2].rstrip("`")
         if section == method and line.lstrip("| *").startswith("`") and line.startswith("| "):
             name, kind, default, limits = [cell.strip() for cell in line.split(" | ")[:4]]
             bold = name.removeprefix("| ").startswith("**")

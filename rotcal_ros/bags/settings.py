@@ -32,7 +32,7 @@ class WriterSettings:
         0.0, doc="s, recording time after which a new file is begun; 0: never", minimum=0.0
     )
     min_free_bytes: int = setting(
-        67108864, doc="bytes of free disk below which recording stops in good order", minimum=0
+        67108864, doc="bytes, free disk space below which recording stops in good order", minimum=0
     )
 
 
@@ -48,20 +48,21 @@ class RecorderSettings:
     )
     run: int = setting(
         0,
-        doc="run of an interrupted session that this one is; 0 begins a session, later runs "
+        doc="number of this run of an interrupted session; 0 begins a session, later runs "
         "continue its bag in a new file",
         minimum=0,
         maximum=1_000_000,
     )
     queue_bytes: int = setting(
         67_108_864,
-        doc="bytes waiting for the disk at most; beyond that messages are lost and counted",
+        doc="bytes, largest amount that waits for the disk; beyond that messages are lost and "
+        "counted",
         minimum=65_536,
     )
     silence_s: float = setting(
         30.0,
-        doc="s without a message after which tracer_length, joint_states or what is known "
-        "of the air counts as silent",
+        doc="s, time without a message after which tracer_length, joint_states or a topic of the "
+        "air counts as silent",
         minimum=0.1,
         maximum=3600.0,
     )
@@ -77,10 +78,10 @@ Clock = Literal["stamp", "sent"]
 
 _MAX_OFFSET_S: Final = 4e9
 """A clock that counts from its start is behind by the time since 1970."""
-_OFFSET_DOC: Final = "the clock of {} is ahead by so much (behind: negative): it is taken off"
+_OFFSET_DOC: Final = "by which the clock of {} is ahead (behind: negative); it is subtracted"
 _CLOCK_DOC: Final = (
-    "when {} was taken: what its header says, or when its message was sent (a device whose clock "
-    "drifts or counts from its start); a message without a header always when it was sent"
+    "which time counts as that of {}: the stamp in its header, or when its message was sent (for "
+    "a device whose clock drifts or counts from its start); without a header always the latter"
 )
 
 
@@ -88,12 +89,22 @@ _CLOCK_DOC: Final = (
 class TopicSettings:
     """Topics that bear other names, and the units and clocks of those who publish them."""
 
-    tracer_length: str = setting("", doc="topic of the lengths; empty: by its last name")
-    probe_point: str = setting("", doc="topic of the probe; empty: by its last name")
-    joint_states: str = setting("", doc="topic of the table's feedback; empty: by its last name")
-    temperature: str = setting("", doc="topic of the temperature; empty: by its last name")
-    air_pressure: str = setting("", doc="topic of the air pressure; empty: by its last name")
-    relative_humidity: str = setting("", doc="topic of the humidity; empty: by its last name")
+    tracer_length: str = setting(
+        "", doc="topic of the lengths; empty: the one called tracer_length"
+    )
+    probe_point: str = setting("", doc="topic of the probe; empty: the one called probe_point")
+    joint_states: str = setting(
+        "", doc="topic of the table's feedback; empty: the one called joint_states"
+    )
+    temperature: str = setting(
+        "", doc="topic of the temperature; empty: the one called temperature"
+    )
+    air_pressure: str = setting(
+        "", doc="topic of the air pressure; empty: the one called air_pressure"
+    )
+    relative_humidity: str = setting(
+        "", doc="topic of the humidity; empty: the one called relative_humidity"
+    )
     length_unit: Length = setting("m", doc="unit of the lengths")
     length_unit_m: float = setting(
         1.0,
@@ -101,7 +112,7 @@ class TopicSettings:
         "distance",
     )
     angle_unit: Literal["rad", "deg", "arcsec", "urad"] = setting(
-        "rad", doc="unit of the table's angles; of its velocities, in a second"
+        "rad", doc="unit of the table's angles; its velocities are in this unit per second"
     )
     angle_unit_rad: float = setting(
         1.0,
@@ -110,8 +121,8 @@ class TopicSettings:
     )
     angle_span_s: float = setting(
         0.1,
-        doc="s, the speed of angles without velocity is taken over so long: longer, and rest "
-        "begins as much later; shorter, and noise is a motion",
+        doc="s, time over which the speed is taken from angles that come without a velocity; "
+        "longer: rest is seen that much later; shorter: noise looks like motion",
         minimum=1e-3,
         maximum=10.0,
     )
@@ -125,19 +136,20 @@ class TopicSettings:
     )
     length_single_shot: bool = setting(
         False,
-        doc="lengths come one by one or in bursts, when the instrument is asked: its silence is "
-        "no loss",
+        doc="lengths come one by one or in bursts, only when the instrument is asked: its "
+        "silence is no loss",
     )
     probe_single_shot: bool = setting(
-        False, doc="the probe tells a point only when it has arrived: the preflight does without"
+        False,
+        doc="the probe publishes a point only on arrival: the preflight does not wait for one",
     )
     length_trigger: str = setting(
         "",
-        doc="service (std_srvs/Trigger) that takes one length, called at rest as often as the "
-        "window needs; empty: nobody has to ask",
+        doc="service (std_srvs/Trigger) that takes one length, called at rest until the window "
+        "is full; empty: the instrument measures by itself",
     )
     tip_radius_m: float = setting(
-        0.0, doc="m, radius of the tip that touches, where the points do not tell", minimum=0.0
+        0.0, doc="m, radius of the probe tip, where the touch points do not state it", minimum=0.0
     )
     length_clock: Clock = setting("stamp", doc=_CLOCK_DOC.format("a length"))
     table_clock: Clock = setting("stamp", doc=_CLOCK_DOC.format("an angle"))
@@ -162,9 +174,9 @@ class TopicSettings:
     )
     clock_bound_s: float = setting(
         0.0,
-        doc="s, by which the clocks of table, probe and instrument may differ all the same: times "
-        "the creep of a table at rest (capture.velocity_tolerance_deg_s) it is in the uncertainty "
-        "of ECC",
+        doc="s, by which the clocks of table, probe and instrument may differ all the same; "
+        "multiplied by the creep of a table at rest (capture.velocity_tolerance_deg_s) it is "
+        "part of the uncertainty of ECC",
         minimum=0.0,
         maximum=10.0,
     )
@@ -230,22 +242,23 @@ class ReadingLimits:
     )
     unpacked_bytes: int = setting(
         268_435_456,
-        doc="bytes that a file of any size may unpack to in all",
+        doc="bytes, largest total that a file of any size may unpack to",
         minimum=65_536,
     )
     unpacked_ratio: int = setting(
         1000,
-        doc="times the size of a file that it may unpack to where this is more",
+        doc="largest ratio of unpacked to stored bytes of a file, where this allows more than "
+        "unpacked_bytes",
         minimum=1,
     )
     other_records: int = setting(
         200_000,
-        doc="records in a chunk that are no messages",
+        doc="largest number of records in a chunk that are no messages",
         minimum=1000,
     )
     kept_bytes: int = setting(
         33_554_432,
-        doc="bytes of memory for all definitions, attachments and metadata of a file together",
+        doc="bytes, memory for all definitions, attachments and metadata of a file together",
         minimum=65_536,
     )
 

@@ -19,25 +19,31 @@ class CaptureSettings:
 
     position_tolerance_arcsec: float = setting(
         20.0,
-        doc="arcsec, largest distance of the table feedback from the commanded angle",
+        doc="arcsec, largest difference of the table feedback from the commanded angle",
         minimum=0.01,
         maximum=36_000.0,
     )
     velocity_tolerance_deg_s: float = setting(
-        0.02, doc="deg/s, largest speed of a table at rest", minimum=1e-6, maximum=10.0
+        0.02,
+        doc="deg/s, largest speed at which the table counts as at rest",
+        minimum=1e-6,
+        maximum=10.0,
     )
     table_silence_s: float = setting(
-        1.0, doc="s, longest pause of the table feedback at rest", minimum=1e-3, maximum=3600.0
+        1.0,
+        doc="s, longest gap in the table feedback while the table is at rest",
+        minimum=1e-3,
+        maximum=3600.0,
     )
     settle_time_s: float = setting(
         0.5,
-        doc="s, from table in position and probe at its target to the window; the stamps of "
-        "lengths may be ahead of the table's by so much",
+        doc="s, wait from table in position and probe at its target to the start of the window; "
+        "the stamps of lengths may be ahead of the table's by at most as much",
         minimum=0.0,
     )
     window_samples: int = setting(
         200,
-        doc="number of tracer readings in a window; 1: a reading alone, which tells no scatter",
+        doc="number of tracer readings in a window; 1: single readings, which show no scatter",
         minimum=1,
         maximum=MAX_WINDOW_SAMPLES,
     )
@@ -45,7 +51,7 @@ class CaptureSettings:
         2e-6, doc="m, largest standard deviation of the readings of a window", minimum=0.0
     )
     max_drift_m: float = setting(
-        2e-6, doc="m, largest change of the fitted line over a window", minimum=0.0
+        2e-6, doc="m, largest change over a window of the line fitted to its readings", minimum=0.0
     )
     min_used_share: float = setting(
         0.8, doc="smallest share of usable readings in a window", minimum=0.01, maximum=1.0
@@ -60,18 +66,18 @@ class CaptureSettings:
         0.1e-6, doc="m, a reading this close to the median is never a spike", minimum=0.0
     )
     max_length_m: float = setting(
-        20.0, doc="m, largest plausible magnitude of a reading", minimum=1e-3, maximum=1000.0
+        20.0, doc="m, largest plausible reading, of either sign", minimum=1e-3, maximum=1000.0
     )
     max_length_speed_m_s: float = setting(
         10.0,
-        doc="m/s, a length that changes faster from one reading to the next has lost its zero: "
-        "a new segment begins",
+        doc="m/s, largest plausible change of the length with time; a faster one means that the "
+        "tracer has lost its zero: a new segment begins",
         minimum=1e-3,
         maximum=1e6,
     )
     max_silence_s: float = setting(
         1.0,
-        doc="s, when tracer readings are missing for longer, a new segment begins",
+        doc="s, longest gap in the tracer readings; after a longer one a new segment begins",
         minimum=1e-3,
         maximum=3600.0,
     )
@@ -83,32 +89,34 @@ class CaptureSettings:
     )
     max_form_m: float = setting(
         10e-6,
-        doc="m, largest form deviation of a ball's touch points, and error of its radius",
+        doc="m, largest form deviation of a ball's touch points, and largest error of its radius",
         minimum=1e-9,
         maximum=1e-2,
     )
     step_timeout_s: float = setting(
         30.0,
-        doc="s, from the probe at its target to the end of the window; a planner that gives up "
-        "on a step must wait longer than this",
+        doc="s, longest time from the probe at its target to the end of the window; "
+        "planner.step_timeout_s must be longer",
         minimum=0.01,
         maximum=86_400.0,
     )
     clock_tolerance_s: float = setting(
         10.0,
-        doc="s, largest distance between the stamps of two streams, delays on arrival included",
+        doc="s, largest difference between the stamps of two streams, delays on arrival included",
         minimum=0.01,
         maximum=86_400.0,
     )
     stamp_offset_s: float = setting(
         2.0,
-        doc="s, how much later a stream may arrive behind its stamps than the table's feedback, "
-        "always alike: more are two clocks, and nothing measured meanwhile is accepted",
+        doc="s, largest constant delay of a stream, from its stamps to its arrival, beyond that "
+        "of the table's feedback; more means two clocks, and nothing measured meanwhile is "
+        "accepted",
         minimum=0.01,
         maximum=1e9,
     )
     temperature_expected: bool = setting(
-        True, doc="an observation carries a temperature and waits for it"
+        True,
+        doc="an observation carries a temperature and waits for it; false: without a thermometer",
     )
     pressure_expected: bool = setting(
         False, doc="an observation carries the pressure of the air and waits for it"
@@ -118,9 +126,8 @@ class CaptureSettings:
     )
     temperature_lag_s: float = setting(
         3.0,
-        doc="s, temperature, pressure and humidity were read at least this long before the probe "
-        "reached its target, "
-        "so that no observation but the first waits for a slow sensor",
+        doc="s, by which temperature, pressure and humidity must have been read before the probe "
+        "reached its target; so only the first observation waits for a slow sensor",
         minimum=0.0,
         maximum=3600.0,
     )

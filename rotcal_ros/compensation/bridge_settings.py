@@ -44,7 +44,7 @@ class BridgeSettings:
         maximum=180.0,
     )
     reference_deg: float | None = setting(
-        None, doc="deg, angle with correction zero; none: the table's own"
+        None, doc="deg, angle at which the correction is zero; none: that of the table"
     )
     output_folder: str = setting(
         "", doc="folder that takes the files of every table; empty: no files are written"
@@ -58,12 +58,12 @@ class BridgeSettings:
         "machine for lock, journal and old tables); empty: nothing can be applied",
     )
     secret_file: str = setting(
-        "", doc="file that holds what a request has to carry; empty: nothing can be applied"
+        "", doc="file with the secret that a request must carry; empty: nothing can be applied"
     )
     busy_command: tuple[str, ...] = setting(
         (),
         doc="command that tells whether the table may be changed: exit code 0: yes, 1: no, with "
-        "the reason as output; empty: as the controller's own settings say",
+        "the reason as output; empty: the controller's own settings decide",
     )
     max_change_arcsec: float = setting(
         60.0,
@@ -72,7 +72,7 @@ class BridgeSettings:
         maximum=36_000.0,
     )
     accept_unverified: bool = setting(
-        False, doc="write files although something about the controller is not verified"
+        False, doc="write files even where something about the controller is not verified"
     )
     accept_simulated: bool = setting(
         False,
@@ -87,7 +87,7 @@ class BridgeSettings:
     )
     accept: tuple[str, ...] = setting(
         (),
-        doc="contradictions between a table and this cell that a person accepts: axis, serial "
+        doc="contradictions between a table and this cell that are accepted: axis, serial "
         "(number of the item), age (of the measurement)",
     )
     max_age_days: float = setting(
@@ -96,7 +96,10 @@ class BridgeSettings:
         minimum=1e-3,
     )
     answer_timeout_s: float = setting(
-        5.0, doc="s, after which the controller counts as silent", minimum=0.01, maximum=600.0
+        5.0,
+        doc="s, time without an answer after which the controller counts as silent",
+        minimum=0.01,
+        maximum=600.0,
     )
 
     def __post_init__(self) -> None:

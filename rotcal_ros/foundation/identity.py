@@ -65,7 +65,7 @@ class Identity:
     way, that a rotation (ECC, EAC, EBC) may have, ``tolerance_um`` that of a displacement.
     """
 
-    item: str = setting("", doc="what was calibrated, e.g. rotary table")
+    item: str = setting("", doc="what is calibrated, e.g. rotary table", first=True)
     maker: str = setting("", doc="its manufacturer")
     model: str = setting("", doc="its type or model")
     serial: str = setting("", doc="its serial number, in quotes")
@@ -73,7 +73,7 @@ class Identity:
     operator: str = setting("", doc="who measured")
     laboratory: str = setting("", doc="who is responsible for the calibration")
     laboratory_address: str = setting("", doc="address of the laboratory")
-    laboratory_email: str = setting("", doc="where the laboratory is reached")
+    laboratory_email: str = setting("", doc="email address of the laboratory")
     laboratory_country: str = setting("", doc="country of the laboratory, two letters of ISO 3166")
     customer: str = setting("", doc="for whom it was calibrated")
     customer_address: str = setting("", doc="address of the customer")

@@ -30,12 +30,16 @@ _ROS_NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 
 @dataclass(frozen=True, slots=True)
 class SettingInfo:
-    """What a setting means: ``description`` with the unit, and its inclusive range."""
+    """What a setting means: ``description`` with the unit, and its inclusive range.
+
+    ``first``: somebody has to state it, or at least look at it, to measure a real table.
+    """
 
     description: str
     minimum: float | None = None
     maximum: float | None = None
     choices: tuple[str, ...] = ()
+    first: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,13 +67,16 @@ def setting(
     minimum: float | None = None,
     maximum: float | None = None,
     choices: Sequence[str] = (),
+    first: bool = False,
 ) -> Any:
     """Declare a field of a settings dataclass.
 
-    ``doc`` names the unit. Without a default the setting is required. A list setting is a
-    tuple; its range holds for every element. The choices of a Literal are those of its type.
+    ``doc`` is one sentence; the unit stands before its first comma. Without a default the setting
+    is required. A list setting is a tuple; its range holds for every element. The choices of a
+    Literal are those of its type. ``first`` is for the few settings of a method that have to be
+    stated to measure a real table: they are shown before all others.
     """
-    metadata = {"setting": SettingInfo(doc, minimum, maximum, tuple(choices))}
+    metadata = {"setting": SettingInfo(doc, minimum, maximum, tuple(choices), first)}
     if default is MISSING:
         return dataclasses.field(metadata=metadata, kw_only=True)
     return dataclasses.field(default=default, metadata=metadata, kw_only=True)

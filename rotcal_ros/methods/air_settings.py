@@ -17,8 +17,8 @@ class AirSettings:
 
     refraction: Literal["instrument", "ciddor", "edlen"] = setting(
         "instrument",
-        doc="who corrects lengths: the instrument has done so itself, or they are vacuum "
-        "wavelengths counted and are corrected here, by the equation of this name",
+        doc="who corrects lengths for the air: the instrument itself, or this program, which "
+        "then expects counts of vacuum wavelengths and uses the equation of this name",
     )
     vacuum_wavelength_nm: float = setting(
         632.991, doc="nm, wavelength of the light in vacuum", minimum=300.0, maximum=1700.0
@@ -28,20 +28,28 @@ class AirSettings:
     )
     dead_path_m: float = setting(
         0.0,
-        doc="m, optical path at which a length reads zero: the air in it is corrected as well",
+        doc="m, optical path at which a length reads zero; the air in it is corrected, too",
         minimum=0.0,
         maximum=100.0,
     )
     temperature_c: float | None = setting(
-        None, doc="degC, of the air where no temperature is captured", minimum=-40.0, maximum=100.0
+        None,
+        doc="degC, temperature of the air where none is captured",
+        minimum=-40.0,
+        maximum=100.0,
     )
     pressure_pa: float | None = setting(
-        None, doc="Pa, of the air where no air_pressure is captured", minimum=10e3, maximum=140e3
+        None,
+        doc="Pa, pressure of the air where no air_pressure is captured",
+        minimum=10e3,
+        maximum=140e3,
     )
     humidity: float | None = setting(
-        None, doc="0 to 1, of the air where no relative_humidity is captured", minimum=0.0,
+        None,
+        doc="relative humidity of the air, 0 to 1, where no relative_humidity is captured",
+        minimum=0.0,
         maximum=1.0,
-    )  # fmt: skip
+    )
     temperature_std_k: float = setting(
         0.1, doc="K, standard uncertainty of the temperature along the beam", minimum=0.0
     )
@@ -49,5 +57,5 @@ class AirSettings:
         20.0, doc="Pa, standard uncertainty of the pressure", minimum=0.0
     )
     humidity_std: float = setting(
-        0.03, doc="standard uncertainty of the humidity, of 0 to 1", minimum=0.0
+        0.03, doc="standard uncertainty of the relative humidity, of 0 to 1", minimum=0.0
     )

@@ -5,7 +5,8 @@ Both are written from the declarations, so that neither can say anything else th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass
 from typing import Any, Final
 
@@ -25,6 +26,8 @@ KINDS: Final[Mapping[type, str]] = {
 }
 Mark = Callable[[str], str]
 """How a text value is set off from the words around it, ```text``` on a page."""
+_UNIT: Final = re.compile(r"(\S+), ")
+"""What a description begins with where its setting has a unit."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,19 @@ def all_sections() -> tuple[Section, ...]:
     """Return every group: the shared ones, those of each method, what stands elsewhere."""
     own = (section for name in method_names() for section in own_sections(name))
     return (*shared_sections(), *own, goal_section(), reading_section())
+
+
+def first_settings(sections: Iterable[Section]) -> tuple[tuple[str, Declaration], ...]:
+    """Return (``group.name``, declaration) of what has to be stated to measure a real table."""
+    declared = (pair for section in sections for pair in section.settings())
+    return tuple((name, setting) for name, setting in declared if setting.info.first)
+
+
+def unit_and_meaning(declared: Declaration) -> tuple[str, str]:
+    """Return the unit, empty where there is none, and the sentence without it."""
+    text = declared.info.description
+    unit = _UNIT.match(text)
+    return (unit[1], text[unit.end() :]) if unit else ("", text)
 
 
 def kind_in_words(declared: Declaration) -> str:

@@ -16,13 +16,15 @@ from rotcal_ros.planning.choices import AS_LISTED, UNTIL_GOAL
 class CellSettings:
     """What the cell's parts are called."""
 
-    namespace: str = setting("/cell", doc="ROS namespace of all topics of the cell")
-    joint: str = setting("", doc="name of the table's joint in its feedback; empty: the first")
-    axis: str = setting("C", doc="letter of the rotary axis, for compensation tables")
+    namespace: str = setting("/cell", doc="ROS namespace of all topics of the cell", first=True)
+    joint: str = setting(
+        "", doc="name of the table's joint in joint_states; empty: the first one there", first=True
+    )
+    axis: str = setting("C", doc="letter of the rotary axis, as compensation tables name it")
     table_in_force: str = setting(
         UNKNOWN,
-        doc="compensation table that the controller holds: SHA-256 of its files, none, or "
-        "unknown; a bridge announces it by itself",
+        doc="compensation table that the controller applies during the measurement: SHA-256 of "
+        "its files, none, or unknown; a bridge announces it by itself",
     )
     machine_frame: str = setting(
         "machine", doc="frame of targets and probe points, as headers and tf call it"
@@ -34,13 +36,18 @@ class CellSettings:
         "tracer", doc="frame of the tracer in tf, with the table at angle 0"
     )
     frame_tolerance_m: float = setting(
-        0.01, doc="m, by which tf and the solution may differ without a warning", minimum=1e-9
+        0.01,
+        doc="m, largest difference between places in tf and in the solution that gives no warning",
+        minimum=1e-9,
     )
     frame_tolerance_deg: float = setting(
-        1.0, doc="deg, by which the directions of the axis may differ", minimum=1e-9, maximum=180.0
+        1.0,
+        doc="deg, largest angle between the axis in tf and in the solution that gives no warning",
+        minimum=1e-9,
+        maximum=180.0,
     )
     volume_from_m: tuple[float, ...] = setting(
-        (), doc="m, lowest x, y, z that the probe reaches; a dry run holds the plan against it"
+        (), doc="m, lowest x, y, z that the probe reaches; a dry run compares the plan with it"
     )
     volume_to_m: tuple[float, ...] = setting(
         (), doc="m, highest x, y, z that the probe reaches; both or none"
@@ -70,15 +77,15 @@ class HealthSettings:
 
     slow_after_s: float = setting(
         1.5,
-        doc="s without a sign that a node answers, after which it is slow: the measurement waits "
-        "at the next safe place and goes on by itself",
+        doc="s, time without a sign of life after which a node counts as slow: the measurement "
+        "waits at the next safe place and continues by itself",
         minimum=0.6,
         maximum=3600.0,
     )
     lost_after_s: float = setting(
         300.0,
-        doc="s after which a node that is slow, or an instrument that is silent, is given up: the "
-        "session ends and can be resumed",
+        doc="s, time after which a node that is slow, or an instrument that is silent, is given "
+        "up: the session ends and can be resumed",
         minimum=1.0,
         maximum=86_400.0,
     )
@@ -90,17 +97,18 @@ class SafetySettings:
 
     emergency_stop: str = setting(
         "emergency_stop",
-        doc="topic of a std_msgs/Bool that is true while nothing may be ordered, also outside the "
-        "namespace; empty: none",
+        doc="topic of type std_msgs/Bool; nothing is ordered while it is true; it may lie "
+        "outside the namespace; empty: none",
     )
     stop_on_diagnostics: tuple[str, ...] = setting(
         (),
         doc="names on /diagnostics whose ERROR or STALE stops the cell: the whole name, or what "
-        "stands behind its last '/' or ': '",
+        "follows its last '/' or ': '",
     )
     silent_s: float = setting(
         0.0,
-        doc="s, silence of the topic, or of one of the names, that stops the cell too; 0: none",
+        doc="s, silence of the topic, or of one of the names, after which the cell stops, too; "
+        "0: silence stops nothing",
         minimum=0.0,
         maximum=3600.0,
     )
@@ -117,8 +125,8 @@ class PlannerSettings:
 
     policy: str = setting(
         AS_LISTED,
-        doc="which step comes next: all of the plan in their order, or of the plan's steps those "
-        "that are needed for the goal",
+        doc="which step comes next: as_listed takes all steps of the plan in their order, "
+        "until_goal only those that are needed for goal_arcsec",
         choices=(AS_LISTED, UNTIL_GOAL),
     )
     goal_arcsec: float = setting(
@@ -130,56 +138,66 @@ class PlannerSettings:
     )
     expected_std_m: float = setting(
         0.0,
-        doc="m, standard deviation of a length that until_goal plans its first sweep with; 0: "
+        doc="m, standard deviation of a length that until_goal assumes for its first sweep; 0: "
         "that of the solver",
         minimum=0.0,
         maximum=1e-2,
     )
     step_s: float = setting(
-        5.0, doc="s, how long until_goal takes a step to be", minimum=0.001, maximum=3600.0
+        5.0,
+        doc="s, expected duration of a step, for predicted times and for the choices of "
+        "until_goal",
+        minimum=0.001,
+        maximum=3600.0,
     )
     turn_s: float = setting(
-        10.0, doc="s, how long until_goal takes a turn of the table to be", minimum=0.0,
+        10.0,
+        doc="s, expected duration of a turn of the table from one angle to the next",
+        minimum=0.0,
         maximum=3600.0,
-    )  # fmt: skip
+    )
 
     max_attempts: int = setting(
         3, doc="attempts at one step before it is skipped", minimum=1, maximum=100
     )
     max_failed_steps: int = setting(
         3,
-        doc="steps that may fail running, all attempts used up, before the planner gives up; "
-        "ten times as many where something stood in the beam; 0: it never does",
+        doc="consecutive steps that may fail, with all their attempts, before the planner gives "
+        "up; ten times as many where something stood in the beam; 0: it never gives up",
         minimum=0,
         maximum=100_000,
     )
     preflight_timeout_s: float = setting(
-        15.0, doc="s, time for all nodes and topics to appear", minimum=0.1, maximum=3600.0
+        15.0,
+        doc="s, time within which all nodes and topics must appear",
+        minimum=0.1,
+        maximum=3600.0,
     )
     step_timeout_s: float = setting(
-        60.0, doc="s, from an order to its observation", minimum=0.1, maximum=86_400.0
+        60.0, doc="s, longest time from an order to its observation", minimum=0.1, maximum=86_400.0
     )
     receipt_timeout_s: float = setting(
         10.0,
-        doc="s, from an observation to the recorder's receipt that it is on disk",
+        doc="s, longest time from an observation to the recorder's receipt that it is on disk",
         minimum=0.1,
         maximum=3600.0,
     )
     stream_timeout_s: float = setting(
         2.0,
-        doc="s, silence of an instrument after which it is waited for; it is lost where nobody "
-        "publishes it any more, and after health.lost_after_s",
+        doc="s, silence of an instrument after which the planner waits for it; it is lost when "
+        "nobody publishes its topic any more, or after health.lost_after_s",
         minimum=0.1,
         maximum=3600.0,
     )
     join_steps: int = setting(
         8,
-        doc="done steps that a resumed plan measures again, to find the zero of the lengths",
+        doc="finished steps that a resumed plan measures again, to find the new zero of the "
+        "lengths",
         minimum=1,
         maximum=1000,
     )
     solve_timeout_s: float = setting(
-        120.0, doc="s, time for the final solution", minimum=1.0, maximum=86_400.0
+        120.0, doc="s, longest time for the final solution", minimum=1.0, maximum=86_400.0
     )
 
 
@@ -212,21 +230,26 @@ class TableAdapterSettings:
     )
     overshoot_deg: float = setting(
         2.0,
-        doc="deg, shortest way on which an ordered side of approach is kept; a table that stands "
-        "nearer, or beyond, goes back so far first",
+        doc="deg, shortest final motion to an angle, so that it is reached from the ordered "
+        "side; a table that is nearer, or beyond the angle, first moves back by this much",
         minimum=1e-3,
         maximum=180.0,
     )
     lower_deg: float | None = setting(None, doc="deg, end of the travel; none: it turns endlessly")
     upper_deg: float | None = setting(None, doc="deg, end of the travel; none: it turns endlessly")
     many_turns: bool = setting(
-        False, doc="the joint may stand more than two turns from its zero when it begins"
+        False, doc="the joint may be more than two turns away from its zero at the start"
     )
     tolerance_arcsec: float = setting(
-        5.0, doc="arcsec, the joint is where it was sent", minimum=1e-3, maximum=36_000.0
+        5.0,
+        doc="arcsec, distance from the ordered angle within which the joint has arrived",
+        minimum=1e-3,
+        maximum=36_000.0,
     )
     silence_s: float = setting(
-        2.0, doc="s without feedback, or without motion, that are complained of", minimum=0.1
+        2.0,
+        doc="s, time without feedback, or without motion, after which an error is reported",
+        minimum=0.1,
     )
 
     def __post_init__(self) -> None:

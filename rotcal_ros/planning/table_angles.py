@@ -15,9 +15,11 @@ from rotcal_ros.foundation.units import DEGREE
 class TableAngleSettings:
     """The commanded table angles."""
 
-    table_start_deg: float = setting(0.0, doc="deg, first table angle")
-    table_step_deg: float = setting(30.0, doc="deg, step between table angles")
-    table_positions: int = setting(12, doc="number of table angles", minimum=2, maximum=3600)
+    table_start_deg: float = setting(0.0, doc="deg, first table angle", first=True)
+    table_step_deg: float = setting(30.0, doc="deg, step between table angles", first=True)
+    table_positions: int = setting(
+        12, doc="number of table angles", minimum=2, maximum=3600, first=True
+    )
     table_angles_deg: tuple[float, ...] = setting(
         (), doc="deg, explicit ascending table angles; replaces start, step and positions"
     )

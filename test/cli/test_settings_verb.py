@@ -1,6 +1,7 @@
 """``rotcal settings`` prints what configurations are checked against."""
 
 import json
+import re
 
 import pytest
 from click.testing import CliRunner
@@ -27,33 +28,75 @@ def test_a_method_has_its_settings_and_the_shared_ones_as_the_page_has_them(meth
 
 
 def test_a_range_a_default_and_a_unit_by_hand():
-    found = json.loads(run("tracer_multistation", "--group", "capture", "--json").stdout)
+    found = json.loads(run("tracer_multistation", "capture", "--json").stdout)
     (group,) = found["groups"]
     wait = next(s for s in group["settings"] if s["name"] == "capture.step_timeout_s")
     assert (wait["minimum"], wait["maximum"], wait["default"]) == (0.01, 86400, 30)
+    assert wait["unit"] == "s"
     assert wait["meaning"].startswith("s, ")
 
 
-def test_without_a_method_all_of_them_and_the_goal_are_printed():
-    lines = run().stdout.splitlines()
+@pytest.mark.parametrize("method", METHODS)
+def test_a_method_begins_with_what_has_to_be_stated_and_counts_the_others(method):
+    groups = json.loads(run(method, "--json").stdout)["groups"]
+    first = [s["name"] for group in groups for s in group["settings"] if s["first"]]
+    text = run(method).stdout
+    table, _, end = text.partition("\nand ")
+    assert re.findall(r"^  (\w+\.\S+)", table, re.MULTILINE) == first
+    assert 0 < len(first) <= 12
+    others = {g["group"]: sum(not s["first"] for s in g["settings"]) for g in groups}
+    assert end.startswith(f"{sum(others.values())} more: rotcal settings {method} --all\n")
+    counts = dict(re.findall(r"(\w+) (\d+)(?:,|$)", end.split("GROUP\n")[1], re.MULTILINE))
+    assert counts == {group: str(count) for group, count in others.items() if count}
+
+
+def test_a_row_has_the_unit_the_default_and_what_must_be_given():
+    lines = run("ball_plate", COLUMNS="99").stdout.splitlines()
+    (radius,) = (line for line in lines if "plan.plate.circle_radius_m" in line)
+    assert re.split(r" {2,}", radius.strip())[1:3] == ["m", "must be given"]
+    (start,) = (line for line in lines if "plan.table_start_deg" in line)
+    assert re.split(r" {2,}", start.strip())[1:3] == ["deg", "0"]
+
+
+def test_without_a_method_each_of_them_begins_with_its_own():
+    assert run().stdout == "".join(run(method).stdout for method in METHODS)
+
+
+def test_with_all_every_setting_and_the_goal_are_printed():
+    lines = run("--all").stdout.splitlines()
     assert {f"plan of {method}" for method in METHODS} | {"goal of a plan", "capture"} <= {*lines}
+    of_one = run("ball_plate", "--all").stdout.splitlines()
+    assert {"plan of ball_plate", "simulation of ball_plate", "capture"} <= {*of_one}
+    assert "goal of a plan" not in of_one
 
 
+def test_groups_narrow_what_is_printed():
+    groups = json.loads(run("ball_plate", "plan", "solver", "--json").stdout)["groups"]
+    assert [(g["method"], g["group"]) for g in groups] == [
+        ("ball_plate", "plan"), ("ball_plate", "solver"),
+    ]  # fmt: skip
+    assert run("capture").stdout.startswith("capture\n")
+    assert run("ball_plate", "capture").stdout == run("capture").stdout
+
+
+@pytest.mark.parametrize("arguments", [(), ("--all",)])
 @pytest.mark.parametrize("columns", [60, 99])
-def test_no_line_is_wider_than_the_terminal_and_nothing_is_cut(columns):
-    narrow, wide = (run(COLUMNS=str(width)).stdout for width in (columns, 1000))
+def test_no_line_is_wider_than_the_terminal_and_nothing_is_cut(columns, arguments):
+    narrow, wide = (run(*arguments, COLUMNS=str(width)).stdout for width in (columns, 1000))
     assert max(map(len, narrow.splitlines())) <= columns
     assert narrow.split() == wide.split()
 
 
 def test_a_setting_that_must_be_given_says_so():
-    assert "must be given" in run("ball_plate", "--group", "plan").stdout
+    assert "must be given" in run("ball_plate", "plan").stdout
 
 
 def test_a_misspelt_name_gets_the_nearest_one():
     for arguments, hint in (
-        (["ball_plat"], "did you mean 'ball_plate'?"),
-        (["ball_plate", "--group", "captur"], "did you mean 'capture'?"),
+        (["ball_plat"], "no method or group 'ball_plat'; did you mean 'ball_plate'?"),
+        (["ball_plat", "--json"], "no method or group 'ball_plat'; did you mean 'ball_plate'?"),
+        (["captur"], "no method or group 'captur'; did you mean 'capture'?"),
+        (["ball_plate", "captur"], "no group 'captur'; did you mean 'capture'?"),
     ):
         ran = run(*arguments)
         assert ran.exit_code == 2

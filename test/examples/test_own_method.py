@@ -284,6 +284,17 @@ def setup(path, plan="", solver=""):
 FACES = 2.0 * ARCSEC * np.random.default_rng(1).standard_normal(N)
 
 
+def test_what_it_marked_is_told_first(rotcal):
+    groups = json.loads(rotcal("settings", "polygon", "--json").stdout)["groups"]
+    first = [s["name"] for group in groups for s in group["settings"] if s["first"]]
+    assert [name for name in first if name.startswith(("plan.", "solver."))] == [
+        "plan.faces", "plan.first_faces", "plan.table_start_deg",
+        "solver.sigma_arcsec", "solver.face_errors_arcsec", "solver.face_std_arcsec",
+    ]  # fmt: skip
+    told = rotcal("settings", "polygon").stdout
+    assert all(f"  {name} " in told for name in first)
+
+
 def test_a_plain_table_of_exact_readings_gives_the_truth(rotcal, tmp_path):
     table = write(tmp_path / "readings.csv", rows_of((0, 1, 5), FACES))
     done = rotcal("solve", table, "--setup", setup(tmp_path / "setup.yaml"), "--json")

@@ -27,6 +27,15 @@ class Outer:
     inner: Inner = group(Inner)
 
 
+def test_a_setting_that_comes_first_is_marked_where_it_is_declared() -> None:
+    @dataclass(frozen=True)
+    class Marked:
+        joint: str = setting("", doc="joint", first=True)
+        axis: str = setting("C", doc="axis")
+
+    assert [one.info.first for one in declarations(Marked)] == [True, False]
+
+
 def test_defaults_and_whole_numbers_for_floats() -> None:
     loaded = load(Outer, {"name": "x", "centre_m": [1, 2, 3], "inner": {"rate_hz": 5}}, "here")
     assert loaded == Outer(name="x", centre_m=(1.0, 2.0, 3.0), inner=Inner(rate_hz=5.0))

@@ -50,11 +50,16 @@ FARTHEST_RAD: Final = 0.02
 class PolygonPlanSettings:
     """The polygon, its mountings, and where the table stops: once for every face."""
 
-    faces: int = setting(12, doc="number of faces of the polygon", minimum=3, maximum=144)
-    first_faces: tuple[int, ...] = setting(
-        (0, 1, 5), doc="face before the autocollimator at table position 0, by mounting", minimum=0
+    faces: int = setting(
+        12, doc="number of faces of the polygon", minimum=3, maximum=144, first=True
     )
-    table_start_deg: float = setting(0.0, doc="deg, table angle of position 0")
+    first_faces: tuple[int, ...] = setting(
+        (0, 1, 5),
+        doc="face before the autocollimator at table position 0, by mounting",
+        minimum=0,
+        first=True,
+    )
+    table_start_deg: float = setting(0.0, doc="deg, table angle of position 0", first=True)
     closure: bool = setting(True, doc="measure position 0 again after a full turn")
     readings: int = setting(3, doc="readings at each position", minimum=1, maximum=1000)
     alignment_arcsec: float = setting(
@@ -68,13 +73,18 @@ class PolygonSolverSettings:
 
     sigma_arcsec: float = setting(
         0.05, doc="arcsec, standard deviation of a reading, the table's repeatability included",
-        minimum=1e-6,
+        minimum=1e-6, first=True,
     )  # fmt: skip
     face_errors_arcsec: tuple[float, ...] = setting(
-        (), doc="arcsec, certificate: how far each face is turned counter-clockwise; none: unknown"
+        (),
+        doc="arcsec, certificate: how far each face is turned counter-clockwise; none: unknown",
+        first=True,
     )
     face_std_arcsec: float = setting(
-        0.05, doc="arcsec, standard uncertainty (k = 1) of these", minimum=1e-6
+        0.05,
+        doc="arcsec, standard uncertainty (k = 1) of the face errors of the certificate",
+        minimum=1e-6,
+        first=True,
     )
 
 

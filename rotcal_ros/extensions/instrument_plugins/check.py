@@ -30,7 +30,7 @@ def look(settings: InstrumentSettings, here: bool, _simulated: bool) -> CheckLin
     try:
         instrument = instrument_of(settings)
     except RotcalError as error:
-        todo = "group instrument of the configuration; rotcal settings --group instrument"
+        todo = "group instrument of the configuration; rotcal settings instrument"
         return CheckLine("instrument", "plug-in", "missing", str(error), todo)
     does = {Tracer: "tells lengths", Tracker: "finds reflectors"}
     found = " and ".join(words for kind, words in does.items() if isinstance(instrument, kind))

@@ -14,18 +14,20 @@ class InstrumentSettings:
 
     plugin: str = setting("", doc="name of an installed plug-in of rotcal_ros.capture.instruments")
     address: str = setting(
-        "", doc="where the instrument is, as its plug-in takes it, such as 192.168.0.1:700"
+        "", doc="address of the instrument, in the form of its plug-in, such as 192.168.0.1:700"
     )
     options: tuple[str, ...] = setting((), doc="options of the plug-in, each name=value")
     silence_s: float = setting(
-        2.0, doc="s without a length after which the connection counts as lost", minimum=0.05,
+        2.0,
+        doc="s, time without a length after which the connection counts as lost",
+        minimum=0.05,
         maximum=3600.0,
-    )  # fmt: skip
+    )
     measure_timeout_s: float = setting(
         30.0, doc="s, longest measurement of one place", minimum=0.1, maximum=3600.0
     )
     reconnect_s: float = setting(
-        2.0, doc="s from a lost connection to the next attempt", minimum=0.05, maximum=3600.0
+        2.0, doc="s, wait from a lost connection to the next attempt", minimum=0.05, maximum=3600.0
     )
 
     def by_name(self) -> dict[str, str]:

@@ -19,10 +19,12 @@ class DmeSettings:
     """A coordinate measuring machine with a rotary table that speaks I++ DME (VDMA 8722)."""
 
     host: str = setting("127.0.0.1", doc="host name or IP address of the DME server")
-    port: int = setting(PORT, doc="its TCP port", minimum=1, maximum=65_535)
+    port: int = setting(PORT, doc="TCP port of the DME server", minimum=1, maximum=65_535)
     tool: str = setting("", doc="tool to change to at the start; empty: the one that is active")
     home: bool = setting(
-        False, doc="home the machine at the start when it is not homed; it moves, so a person asks"
+        False,
+        doc="home the machine at the start if it is not homed; it then moves, so somebody must "
+        "stand beside it",
     )
     coordinate_system: str = setting(
         "MachineCsy",
@@ -35,7 +37,9 @@ class DmeSettings:
         "server demands (AlignPart before 2.0)",
         choices=(AUTO, GOTO_R, ALIGN_PART),
     )
-    table_zero_deg: float = setting(0.0, doc="deg, R where the table's angle is 0")
+    table_zero_deg: float = setting(
+        0.0, doc="deg, the machine's angle R at which the table's angle is 0"
+    )
     table_reversed: bool = setting(False, doc="R increases clockwise, seen from above the table")
     overshoot_deg: float = setting(
         2.0, doc="deg, by which the table passes an angle to approach it from the other side",
@@ -43,8 +47,8 @@ class DmeSettings:
     )  # fmt: skip
     settle_s: float = setting(
         1.0,
-        doc="s, from the end of a motion to the first point; the speed of the table is taken over "
-        "this time",
+        doc="s, wait from the end of a motion to the first point; the speed of the table is "
+        "averaged over it",
         minimum=1e-3,
         maximum=600.0,
     )
@@ -56,9 +60,11 @@ class DmeSettings:
         maximum=0.1,
     )  # fmt: skip
     search_m: float = setting(
-        0.003, doc="m, how far behind the nominal surface it is looked for", minimum=1e-5,
+        0.003,
+        doc="m, how far behind the nominal surface of a ball the probe searches for it",
+        minimum=1e-5,
         maximum=0.1,
-    )  # fmt: skip
+    )
     tip_radius_m: float = setting(
         0.0, doc="m, radius of the probe tip; 0: ask the server for it", minimum=0.0, maximum=0.1
     )
@@ -67,18 +73,26 @@ class DmeSettings:
     )
     report_period_s: float = setting(
         0.2,
-        doc="s, between reports while the machine moves, at least 0.1; 0: none are asked for",
+        doc="s, time between reports while the machine moves, at least 0.1; 0: none are asked for",
         minimum=0.0,
         maximum=60.0,
     )
     idle_period_s: float = setting(
-        0.5, doc="s, between questions where the machine stands while it has no order",
-        minimum=0.01, maximum=60.0,
-    )  # fmt: skip
+        0.5,
+        doc="s, time between questions for the machine's position while it has no order",
+        minimum=0.01,
+        maximum=60.0,
+    )
     reply_timeout_s: float = setting(
-        5.0, doc="s, time to acknowledge a command, and to do one that moves nothing",
-        minimum=0.05, maximum=600.0,
-    )  # fmt: skip
+        5.0,
+        doc="s, longest time until a command is acknowledged, and until one that moves nothing "
+        "is done",
+        minimum=0.05,
+        maximum=600.0,
+    )
     motion_timeout_s: float = setting(
-        120.0, doc="s, time to do a command that moves", minimum=0.05, maximum=86_400.0
+        120.0,
+        doc="s, longest time until a command that moves is done",
+        minimum=0.05,
+        maximum=86_400.0,
     )

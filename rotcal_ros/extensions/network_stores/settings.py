@@ -27,11 +27,11 @@ class OpcUaSettings:
     user: str = setting("", doc="name of the user; empty: by user_certificate, or anonymous")
     password_from: str = setting("", doc="where the password is: file:PATH or env:NAME")
     certificate: str = setting("", doc="file (PEM or DER) with the certificate of the bridge")
-    private_key: str = setting("", doc="file (PEM or DER) with its private key")
+    private_key: str = setting("", doc="file (PEM or DER) with the private key of the bridge")
     user_certificate: str = setting(
         "", doc="file (PEM or DER) with the certificate of the user, instead of a password"
     )
-    user_key: str = setting("", doc="file (PEM or DER) with its private key")
+    user_key: str = setting("", doc="file (PEM or DER) with the private key of the user")
     server_certificate: str = setting(
         "", doc="file (PEM or DER) with the certificate that the server must have"
     )
@@ -59,10 +59,14 @@ class AdsSettings:
     """A TwinCAT runtime that takes the table as an array over ADS; nothing is encrypted."""
 
     net_id: str = setting("", doc="AMS net id of the runtime, such as 5.12.34.56.1.1")
-    host: str = setting("", doc="its host name or IP address")
+    host: str = setting("", doc="host name or IP address of the runtime")
     port: int = setting(851, doc="AMS port of the PLC runtime", minimum=1, maximum=65_535)
-    table: str = setting("GVL.rotcal_table", doc="variable, ARRAY [0..capacity-1, 0..4] OF LREAL")
-    count: str = setting("GVL.rotcal_count", doc="variable, UDINT: rows in force, or 0")
+    table: str = setting(
+        "GVL.rotcal_table", doc="variable of the table: ARRAY [0..capacity-1, 0..4] OF LREAL"
+    )
+    count: str = setting(
+        "GVL.rotcal_count", doc="variable of its length: UDINT, rows in force or 0"
+    )
     capacity: int = setting(400, doc="rows that the array can hold", minimum=2, maximum=100_000)
 
     def check(self) -> None:

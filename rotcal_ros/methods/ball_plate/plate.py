@@ -13,9 +13,9 @@ from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.settings import load, setting
 
 
-def grid_setting(default: Any = MISSING, *, doc: str) -> Any:
+def grid_setting(default: Any = MISSING, *, doc: str, first: bool = False) -> Any:
     """Declare the number of grid steps of a plate, planned or simulated."""
-    return setting(default, doc=doc, minimum=3, maximum=36_000)
+    return setting(default, doc=doc, minimum=3, maximum=36_000, first=first)
 
 
 def points_setting() -> Any:
@@ -32,14 +32,20 @@ class Plate:
     positions without a connection). :func:`checked` refuses a plate that cannot be.
     """
 
-    grid: int = grid_setting(doc="number of table positions in a turn")
-    ball_steps: tuple[int, ...] = setting(doc="grid steps on which balls stand, from 0", minimum=0)
-    circle_radius_m: float = setting(doc="m, radius of the circle of ball centres", minimum=1e-3)
-    ball_diameter_m: float = setting(doc="m, diameter of the balls", minimum=1e-4)
+    grid: int = grid_setting(
+        doc="number of table positions in a turn: the grid that ball_steps counts in", first=True
+    )
+    ball_steps: tuple[int, ...] = setting(
+        doc="grid steps on which balls stand, from 0", minimum=0, first=True
+    )
+    circle_radius_m: float = setting(
+        doc="m, radius of the circle of ball centres", minimum=1e-3, first=True
+    )
+    ball_diameter_m: float = setting(doc="m, diameter of the balls", minimum=1e-4, first=True)
     name: str = setting("ball plate", doc="name of the plate")
     material: str = setting("", doc="material of the plate")
     separate_groups: bool = setting(
-        False, doc="accept groups of table positions that nothing connects"
+        False, doc="accept a plate whose table positions fall into groups that no ball connects"
     )
 
     @property

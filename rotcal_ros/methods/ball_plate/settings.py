@@ -22,18 +22,23 @@ class BallPlatePlanSettings:
 
     plate: Plate = setting(doc="the ball plate")
     centre_m: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.0), doc="m, machine frame: point of the axis at the height of the balls"
+        (0.0, 0.0, 0.0),
+        doc="m, point of the table axis at the height of the balls, in the machine frame",
+        first=True,
     )
     table_start_deg: float = setting(
-        0.0, doc="deg, table angle at which ball step 0 lies on the +x side; table position 0"
+        0.0,
+        doc="deg, table angle of table position 0, at which ball step 0 lies on the +x side",
+        first=True,
     )
     cmm_positions: tuple[int, ...] = setting(
         (), doc="grid steps at which balls are measured; empty: all", minimum=0
     )
     order: str = setting(
         DEFAULT_ORDER,
-        doc="a share of the balls at every stop in several turns, or all balls in one turn of "
-        "the table, or the probe rests (paper)",
+        doc="interleaved: at every stop a share of the balls, in several turns of the table; "
+        "table_once: all balls in one turn; probe_rests: the table brings the balls to the probe "
+        "(paper)",
         choices=get_args(Order),
     )
     rounds: int = setting(
@@ -47,10 +52,14 @@ class BallPlatePlanSettings:
     backlash: bool = setting(True, doc="approach all angles in the positive direction")
     bidirectional: bool = setting(
         False,
-        doc="measure every turn of the table upward and, all angles from the other side, downward",
+        doc="measure every turn of the table upward, and again downward, with all angles "
+        "approached from the other side",
     )
     measure: str = setting(
-        SURFACE, doc="touch points, or centres from the machine", choices=(SURFACE, CENTRE)
+        SURFACE,
+        doc="what the machine publishes of a ball: surface (touch points) or centre",
+        choices=(SURFACE, CENTRE),
+        first=True,
     )
     points_per_ball: int = points_setting()
 

@@ -24,7 +24,7 @@ class BallPlateSolverSettings:
     )
     drift: str = setting(
         "none",
-        doc="drift of the CMM's origin over the run to estimate along, for each axis",
+        doc="drift of the CMM's origin over the run that is estimated, for each axis",
         choices=DRIFTS,
     )
     drift_allowance_m: float = setting(
@@ -36,8 +36,8 @@ class BallPlateSolverSettings:
     )
     group_allowance_m: float = setting(
         0.0,
-        doc="m on the circle of the balls, by which the zeros of groups of table positions "
-        "(separate_groups) differ at most; 0: none stated, the offset between them is open",
+        doc="m, on the circle of the balls: largest difference between the zeros of groups of "
+        "table positions (plan.plate.separate_groups); 0: none stated, the difference is unknown",
         minimum=0.0,
         maximum=1e-3,
     )
@@ -48,7 +48,7 @@ class BallPlateSolverSettings:
         maximum=1e-2,
     )
     own_std: bool = setting(
-        False, doc="weigh every centre by the standard deviation that the machine states for it"
+        False, doc="weight every centre by the standard deviation that the machine states for it"
     )
     balls: tuple[int, ...] = setting(
         (), doc="ball steps to evaluate, on the grid of the plate; empty: all", minimum=0

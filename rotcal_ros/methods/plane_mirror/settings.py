@@ -34,16 +34,23 @@ class MirrorPlanSettings(TableAngleSettings):
         4, doc="table positions measured from one tracker station", minimum=1, maximum=3600
     )
     shared_positions: int = setting(
-        1, doc="table positions that a station repeats of the one before", minimum=0, maximum=3599
+        1,
+        doc="table positions that a station measures again of the station before",
+        minimum=0,
+        maximum=3599,
     )
     station_radius_m: float = setting(
-        2.0, doc="m, distance of the tracker from the table axis", minimum=0.1, maximum=30.0
+        2.0,
+        doc="m, distance of the tracker from the table axis",
+        minimum=0.1,
+        maximum=30.0,
+        first=True,
     )
     station_height_m: float = setting(
         0.35, doc="m, height of the tracker's head above the table", minimum=-10.0, maximum=10.0
     )
     station_azimuths_deg: tuple[float, ...] = setting(
-        (), doc="deg, direction of each station from the axis; empty: facing its positions"
+        (), doc="deg, direction of each station from the axis; empty: each faces its positions"
     )
     incidence_limit_deg: float = setting(
         INCIDENCE_LIMIT_DEG,
@@ -52,12 +59,17 @@ class MirrorPlanSettings(TableAngleSettings):
         maximum=85.0,
     )
     nests_m: tuple[float, ...] = setting(
-        (), doc="m, x y z of fixed nest 1, then of nest 2 and so on", minimum=-30.0, maximum=30.0
+        (),
+        doc="m, x y z of the reflector nests, fixed around the machine, that join the stations: "
+        "of nest 1, then of nest 2 and so on",
+        minimum=-30.0,
+        maximum=30.0,
+        first=True,
     )
     closing_nests: bool = setting(
         True,
-        doc="measure the nests again before the tracker leaves a station; without that its drift "
-        "is in the deviations and nothing tells",
+        doc="measure the nests again before the tracker leaves a station; without that, its "
+        "drift is in the deviations unnoticed",
     )
     nests_every: int = setting(
         0,
@@ -78,10 +90,13 @@ class MirrorPlanSettings(TableAngleSettings):
         "side, on the way down",
     )
     reflectors: int = setting(
-        1, doc="reflectors put up at each position and seen twice", minimum=1, maximum=20
+        1,
+        doc="reflectors put up at each position, each measured directly and in the mirror",
+        minimum=1,
+        maximum=20,
     )
     reflector_reach_m: float = setting(
-        1.5, doc="m, distance of these reflectors from the glass", minimum=0.05, maximum=30.0
+        1.5, doc="m, distance of these reflectors from the mirror", minimum=0.05, maximum=30.0
     )
     table_reflectors_m: tuple[float, ...] = setting(
         (),
@@ -91,16 +106,21 @@ class MirrorPlanSettings(TableAngleSettings):
         maximum=30.0,
     )
     mirror_centre_m: tuple[float, float, float] = setting(
-        (0.05, 0.0, 0.15), doc="m, middle of the glass with the table at angle 0"
+        (0.05, 0.0, 0.15),
+        doc="m, x, y, z of the middle of the mirror's surface with the table at angle 0",
+        first=True,
     )
     mirror_azimuth_deg: float = setting(
         0.0, doc="deg, direction of the mirror's normal with the table at angle 0"
     )
     mirror_lean_deg: float = setting(
-        0.0, doc="deg, the normal above the horizontal", minimum=-45.0, maximum=45.0
+        0.0,
+        doc="deg, angle of the mirror's normal above the horizontal",
+        minimum=-45.0,
+        maximum=45.0,
     )
     mirror_size_m: tuple[float, float] = setting(
-        (0.1, 0.1), doc="m, width and height of the glass", minimum=0.001, maximum=10.0
+        (0.1, 0.1), doc="m, width and height of the mirror", minimum=0.001, maximum=10.0
     )
 
 

@@ -51,11 +51,15 @@ class TrackerSettings:
         False, doc="the reflectors ride on the table instead of standing before a mirror"
     )
     range_std_um: float = setting(2.5, doc="um, noise along the beam at distance 0", minimum=0.0)
-    range_std_um_per_m: float = setting(0.25, doc="um/m, growth of that noise", minimum=0.0)
+    range_std_um_per_m: float = setting(
+        0.25, doc="um/m, growth of the noise along the beam with the distance", minimum=0.0
+    )
     transverse_std_um: float = setting(
         3.75, doc="um, noise across the beam at distance 0", minimum=0.0
     )
-    transverse_std_um_per_m: float = setting(1.5, doc="um/m, growth of that noise", minimum=0.0)
+    transverse_std_um_per_m: float = setting(
+        1.5, doc="um/m, growth of the noise across the beam with the distance", minimum=0.0
+    )
     measure_time_s: float = setting(
         1.0, doc="s, from the table at rest to the point", minimum=1e-3
     )

@@ -26,30 +26,48 @@ class MirrorSolverSettings:
         doc="reflectors on the table (direct), or how the stations with a mirror are joined",
     )
     range_std_m: float = setting(
-        2.5e-6, doc="m, noise along the beam at distance 0", minimum=0.0, maximum=1e-2
+        2.5e-6,
+        doc="m, standard deviation of a tracker point along the beam, at distance 0",
+        minimum=0.0,
+        maximum=1e-2,
+        first=True,
     )
     range_std_relative: float = setting(
-        0.25e-6, doc="m/m, growth of the noise along the beam", minimum=0.0, maximum=1e-2
+        0.25e-6,
+        doc="m/m, growth of the standard deviation along the beam with the distance",
+        minimum=0.0,
+        maximum=1e-2,
     )
     transverse_std_m: float = setting(
-        3.75e-6, doc="m, noise across the beam at distance 0", minimum=0.0, maximum=1e-2
+        3.75e-6,
+        doc="m, standard deviation of a tracker point across the beam, at distance 0",
+        minimum=0.0,
+        maximum=1e-2,
+        first=True,
     )
     transverse_std_relative: float = setting(
-        1.5e-6, doc="m/m, growth of the noise across the beam", minimum=0.0, maximum=1e-2
+        1.5e-6,
+        doc="m/m, growth of the standard deviation across the beam with the distance",
+        minimum=0.0,
+        maximum=1e-2,
     )
     mirror_slope_std_arcsec: float = setting(
         0.0,
-        doc="arcsec, flatness of the mirror as slope from spot to spot",
+        doc="arcsec, flatness of the mirror, as standard deviation of its slope from spot to spot",
         minimum=0.0,
         maximum=3600.0,
+        first=True,
     )
     tilt_std_arcsec: float = setting(
-        1.0, doc="arcsec, how far the table may tilt (EAC, EBC)", minimum=1e-6, maximum=3600.0
+        1.0,
+        doc="arcsec, standard deviation of the table's tilts (EAC, EBC) that is assumed",
+        minimum=1e-6,
+        maximum=3600.0,
     )
     uneven_drift_std_arcsec: float = setting(
         0.5,
-        doc="arcsec, how far the tracker's azimuth may leave the straight line between two rounds "
-        "of nests that are a station apart (k = 1); the uncertainty holds it",
+        doc="arcsec, standard deviation (k = 1) of the tracker's azimuth about the straight line "
+        "between two rounds of nests that are a station apart; it is part of the uncertainty",
         minimum=0.0,
         maximum=3600.0,
     )

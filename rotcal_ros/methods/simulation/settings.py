@@ -74,10 +74,14 @@ class TableSettings:
         minimum=0.0,
     )
     repeatability_um: float = setting(
-        0.0, doc="um, the same of the shifts along x, y and z", minimum=0.0
+        0.0,
+        doc="um, standard deviation of the shifts along x, y and z from one arrival to the next",
+        minimum=0.0,
     )
     repeatability_tilt_arcsec: float = setting(
-        0.0, doc="arcsec, the same of the tilts about x and y", minimum=0.0
+        0.0,
+        doc="arcsec, standard deviation of the tilts about x and y from one arrival to the next",
+        minimum=0.0,
     )
     axis_offset_m: tuple[float, float, float] = setting(
         (0.0, 0.0, 0.0), doc="m, origin of the table axis in the machine frame"
@@ -115,7 +119,7 @@ class TemperatureSettings:
     noise_k: float = setting(0.002, doc="K, noise of one reading", minimum=0.0)
     rate_hz: float = setting(1.0, doc="Hz, rate of readings", minimum=0.01, maximum=1000.0)
     length_um_per_m_k: float = setting(
-        0.0, doc="um/(m K), growth of a reading with distance and temperature from the start"
+        0.0, doc="um/(m*K), growth of a reading with distance and temperature from the start"
     )
     dead_distance_um_per_k: float = setting(
         0.0, doc="um/K, growth of every reading with the temperature from the start"
@@ -153,7 +157,8 @@ class SimulationSettings:
     seed: int = setting(1, doc="seed of all random numbers", minimum=0, maximum=2**31 - 1)
     time_scale: float = setting(
         1.0,
-        doc="machine seconds in a second while something moves or settles; 1: life speed",
+        doc="machine seconds in a second of the clock while something moves or settles; 1: real "
+        "time",
         minimum=0.01,
         maximum=1000.0,
     )

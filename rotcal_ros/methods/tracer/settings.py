@@ -76,12 +76,14 @@ class SimulatedProbeSettings:
 class FaultSettings:
     """What goes wrong now and then."""
 
-    blocked_from_deg: float = setting(0.0, doc="deg, start of the sector without a beam")
+    blocked_from_deg: float = setting(
+        0.0, doc="deg, start of the sector in which the beam is blocked"
+    )
     blocked_to_deg: float = setting(
-        0.0, doc="deg, end of the sector without a beam; equal to the start: none"
+        0.0, doc="deg, end of the sector in which the beam is blocked; equal to the start: none"
     )
     blocked_targets: tuple[int, ...] = setting(
-        (-1,), doc="targets without a beam while the table is in the sector; -1 alone: all"
+        (-1,), doc="targets whose beam is blocked while the table is in the sector; -1 alone: all"
     )
     break_probability: float = setting(
         0.0, doc="probability that the beam is broken at a reading", minimum=0.0, maximum=1.0
@@ -135,13 +137,22 @@ class TracerPlanSettings(TableAngleSettings):
     """Where the table turns and where the reflector goes."""
 
     box_centre_m: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.6), doc="m, centre of the block of targets"
+        (0.0, 0.0, 0.6),
+        doc="m, centre of the block of targets",
+        first=True,
     )
     box_size_m: tuple[float, float, float] = setting(
-        (0.45, 0.6, 0.45), doc="m, size of the block of targets", minimum=0.0
+        (0.45, 0.6, 0.45),
+        doc="m, size of the block of targets",
+        minimum=0.0,
+        first=True,
     )
     box_points: tuple[int, int, int] = setting(
-        (4, 4, 4), doc="number of targets along x, y and z", minimum=1, maximum=1000
+        (4, 4, 4),
+        doc="number of targets along x, y and z in the block",
+        minimum=1,
+        maximum=1000,
+        first=True,
     )
     order: str = setting(
         STATIONS_PER_TARGET,
@@ -158,7 +169,7 @@ class TracerPlanSettings(TableAngleSettings):
         False, doc="measure every run on the way up and, from the other side, on the way down"
     )
     targets_m: tuple[float, ...] = setting(
-        (), doc="m, explicit targets: x, y, z of target 0, of target 1, ...; replaces the box"
+        (), doc="m, explicit targets: x, y, z of target 0, of target 1, ...; replaces the block"
     )
     targets_file: str = setting(
         "",
@@ -179,19 +190,20 @@ class TracerPlanSettings(TableAngleSettings):
 
     tracer_m: tuple[float, ...] = setting(
         (),
-        doc="m, where the tracer stands on the table at angle 0, to a few centimetres: x, y, z; "
-        "the solver starts there, until_goal and the two below need it; absent: not known, and "
-        "until_goal takes that of a simulation",
+        doc="m, x, y, z of the tracer on the table at angle 0, to a few centimetres, where the "
+        "solver starts; empty: not known; until_goal (except in a simulation), min_elevation_deg "
+        "and min_distance_m need it",
+        first=True,
     )
     min_elevation_deg: float | None = setting(
         None,
-        doc="deg, lowest beam over the tracer's horizon; pairs below are left out of the plan; "
-        "absent: none is",
+        doc="deg, lowest beam above the tracer's horizon; pairs with a lower one are left out of "
+        "the plan; none: no pair is",
         minimum=-90.0,
         maximum=90.0,
     )
     min_distance_m: float = setting(
-        0.0, doc="m, pairs with a shorter beam are left out of the plan", minimum=0.0
+        0.0, doc="m, shortest beam; pairs with a shorter one are left out of the plan", minimum=0.0
     )
 
     def __post_init__(self) -> None:

@@ -29,7 +29,7 @@ class TracerLimits:
     )
     noise_significance: float = setting(
         0.01,
-        doc="probability of estimating the noise from the residuals when it is as stated",
+        doc="probability of estimating the noise from the residuals although it is as stated",
         minimum=1e-9,
         maximum=0.5,
     )
@@ -47,8 +47,8 @@ class TracerLimits:
     )
     max_station_std: float = setting(
         0.01,
-        doc="largest standard deviation of a station, as a share of the radius of their circle; "
-        "beyond it the geometry is refused",
+        doc="largest standard deviation of a station's position, as a share of the radius of the "
+        "stations' circle; beyond it the geometry is refused",
         minimum=1e-6,
         maximum=0.999,
     )
@@ -72,15 +72,20 @@ class LengthNoiseSettings(TracerLimits):
         doc="m, standard deviation of one captured length, repeatability included",
         minimum=1e-9,
         maximum=1e-2,
+        first=True,
     )
     length_std_relative: float = setting(
         0.0,
-        doc="m/m, part of the length deviation that grows with the distance",
+        doc="m/m, part of the standard deviation of a length that grows with the distance",
         minimum=0.0,
         maximum=1e-2,
     )
     target_std_m: float = setting(
-        1e-6, doc="m, standard deviation of each coordinate of a target", minimum=1e-9, maximum=1.0
+        1e-6,
+        doc="m, standard deviation of each coordinate of a target, from the errors of the machine",
+        minimum=1e-9,
+        maximum=1.0,
+        first=True,
     )
 
 
@@ -105,37 +110,37 @@ class TracerSolverSettings(LengthNoiseSettings):
     zero_walk_std_m: float | None = setting(
         0.0,
         doc="m, with a zero per_segment: standard deviation of its change from one length to the "
-        "next, as by temperature; 0: it stands; absent: estimated from the lengths",
+        "next, as by temperature; 0: it does not change; none (null): estimated from the lengths",
         minimum=0.0,
         maximum=1e-4,
     )
     position_std_m: float = setting(
         1e-7,
-        doc="m, standard deviation of a coordinate of the reflector from one arrival to the next, "
-        "beside the error target_std_m that stays: what a resumed plan measures again may differ "
-        "by it",
+        doc="m, standard deviation of each coordinate of the reflector from one arrival to the "
+        "next, besides target_std_m, which stays the same: what a resumed plan measures again "
+        "may differ by it",
         minimum=0.0,
         maximum=1e-3,
     )
     circle_std_m: float | None = setting(
         None,
-        doc="m, standard deviation by which stations leave one circle about the table's axis, "
-        "radially and along it; absent: nothing is said, and every station is found by itself",
+        doc="m, standard deviation of the stations from one circle about the table's axis, "
+        "radially and along it; none: no circle is assumed, and every station is found by itself",
         minimum=1e-9,
         maximum=1e-2,
     )
     slip_m: float = setting(
         0.3164e-6,
         doc="m, with a zero per_segment: a fringe by which the counter may slip unnoticed; what "
-        "would not be found of it is in the uncertainty; 0: the counter does not slip",
+        "the residuals would not show of it is part of the uncertainty; 0: the counter does not "
+        "slip",
         minimum=0.0,
         maximum=1e-5,
     )
     error_motion_std_m: float | None = setting(
         None,
-        doc="m, standard deviation of the table's radial error motion at the tracer's height; "
-        "0: known to be none; absent: as circle_std_m, else estimated from the circle of the "
-        "stations",
+        doc="m, standard deviation of the table's radial error motion at the tracer's height; 0: "
+        "no such motion; none: as circle_std_m, else estimated from the circle of the stations",
         minimum=0.0,
         maximum=1e-2,
     )

@@ -56,16 +56,28 @@ class SixPlanSettings(TableAngleSettings):
     """
 
     places: int = setting(
-        3, doc="places of the tracer, evenly around the axis", minimum=1, maximum=24
+        3,
+        doc="number of places of the tracer on the table, evenly around its axis",
+        minimum=1,
+        maximum=24,
+        first=True,
     )
     place_radius_m: float = setting(
-        0.15, doc="m, distance of the places from the table axis", minimum=0.001, maximum=10.0
+        0.15,
+        doc="m, distance of the places from the table axis",
+        minimum=0.001,
+        maximum=10.0,
+        first=True,
     )
     place_azimuth_deg: float = setting(
         0.0, doc="deg, direction of the first place with the table at angle 0"
     )
     place_height_m: float = setting(
-        0.12, doc="m, height of the tracer's centre at the first place", minimum=-5.0, maximum=10.0
+        0.12,
+        doc="m, height of the tracer's centre at the first place",
+        minimum=-5.0,
+        maximum=10.0,
+        first=True,
     )
     place_height_step_m: float = setting(
         0.0,
@@ -77,7 +89,7 @@ class SixPlanSettings(TableAngleSettings):
     places_m: tuple[float, ...] = setting(
         (),
         doc="m, x y z of place 0, then of place 1 and so on, with the table at angle 0; replaces "
-        "all settings above",
+        "places, place_radius_m, place_azimuth_deg, place_height_m and place_height_step_m",
         minimum=-10.0,
         maximum=10.0,
     )
@@ -94,13 +106,15 @@ class SixPlanSettings(TableAngleSettings):
         (1.0, 1.0, 0.82), doc="m, size of the block of targets", minimum=0.0
     )
     box_points: tuple[int, int, int] = setting(
-        (4, 3, 2), doc="number of targets along x, y and z", minimum=1, maximum=1000
+        (4, 3, 2), doc="number of targets along x, y and z in the block", minimum=1, maximum=1000
     )
     targets_m: tuple[float, ...] = setting(
         (),
-        doc="m, x y z of target 0, then of target 1 and so on; replaces the block",
+        doc="m, x y z of target 0, then of target 1 and so on; empty: the block of box_centre_m, "
+        "box_size_m and box_points",
         minimum=-50.0,
         maximum=50.0,
+        first=True,
     )
     order: str = setting(
         TARGETS_PER_STATION,
@@ -110,11 +124,12 @@ class SixPlanSettings(TableAngleSettings):
     )
     bidirectional: bool = setting(
         False,
-        doc="from every place go up through the angles and, from the other side, down again",
+        doc="at every place go up through the angles and, approaching from the other side, down "
+        "again",
     )
     arrivals: int = setting(
         1,
-        doc="how often the table comes to each angle from each place; 2 tell its scatter better",
+        doc="how often the table comes to each angle from each place; 2 show its scatter better",
         minimum=1,
         maximum=20,
     )

@@ -30,28 +30,29 @@ class TracerSixSolverSettings(LengthNoiseSettings):
     slip_m: float = setting(
         0.3164e-6,
         doc="m, a fringe by which the counter may slip unnoticed where lengths share zeros; what "
-        "would not be found of it is in the uncertainty; 0: the counter does not slip",
+        "the residuals would not show of it is part of the uncertainty; 0: the counter does not "
+        "slip",
         minimum=0.0,
         maximum=1e-5,
     )
     scatter_translation_std_m: float | None = setting(
         None,
-        doc="m, how the table's place scatters from arrival to arrival, along each axis; 0: known "
-        "to repeat; absent: estimated from the distances between the places",
+        doc="m, standard deviation of the table's place from one arrival to the next, along each "
+        "axis; 0: known to repeat; none: estimated from the distances between the places",
         minimum=0.0,
         maximum=1e-2,
     )
     scatter_rotation_std_rad: float | None = setting(
         None,
-        doc="rad, how the table's attitude scatters from arrival to arrival, about each axis; 0: "
-        "known to repeat; absent: estimated from the distances between the places",
+        doc="rad, standard deviation of the table's attitude from one arrival to the next, about "
+        "each axis; 0: known to repeat; none: estimated from the distances between the places",
         minimum=0.0,
         maximum=1e-2,
     )
     tilt_std_rad: float | None = setting(
         None,
         doc="rad, known standard deviation of the table's tilts EAC and EBC; two places need it; "
-        "absent: nothing is known",
+        "none: nothing is known",
         minimum=1e-9,
         maximum=1e-2,
     )

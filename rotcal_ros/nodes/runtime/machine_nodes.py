@@ -31,7 +31,7 @@ def machine_nodes(groups: Collection[str], table: str, probe: str) -> list[str]:
         if (group := able.get(node)) and group not in groups:
             raise ConfigurationError(
                 f"{role}:={node} needs a group '{group}' in the configuration, which has "
-                f"{', '.join(sorted(groups)) or 'no group'}; see rotcal settings --group {group}"
+                f"{', '.join(sorted(groups)) or 'no group'}; see rotcal settings {group}"
             )
     further = further_nodes(groups)
     wanted = [node for node in further if node not in {*TABLES, *PROBES}]

@@ -28,11 +28,14 @@ class TracerDesignSettings(TableAngleSettings):
     """
 
     need_arcsec: float = setting(
-        1.2, doc="arcsec, wanted U(ECC), k = 2, rms over the angles, less their mean", minimum=1e-6
+        1.2,
+        doc="arcsec, wanted expanded uncertainty U(ECC) (k = 2), root mean square over the "
+        "angles, without their mean",
+        minimum=1e-6,
     )
     need_largest_arcsec: float | None = setting(
         None,
-        doc="arcsec, wanted U(ECC) at the worst angle; absent: 1.1 times the rms",
+        doc="arcsec, wanted U(ECC) at the worst angle; none: 1.1 times need_arcsec",
         minimum=1e-6,
     )
     mount_m: Triple = setting(
@@ -55,11 +58,14 @@ class TracerDesignSettings(TableAngleSettings):
     min_distance_m: float = setting(0.25, doc="m, least distance from the tracer", minimum=0.0)
     max_distance_m: float = setting(15.0, doc="m, reach of the tracer", minimum=0.0)
     min_elevation_deg: float = setting(
-        10.0, doc="deg, lowest beam over the horizon of the tracer", minimum=-90.0, maximum=90.0
+        10.0, doc="deg, lowest beam above the tracer's horizon", minimum=-90.0, maximum=90.0
     )
-    max_elevation_deg: float = setting(90.0, doc="deg, steepest beam", minimum=-90.0, maximum=90.0)
+    max_elevation_deg: float = setting(
+        90.0, doc="deg, highest beam above the tracer's horizon", minimum=-90.0, maximum=90.0
+    )
     blocked_azimuth_deg: tuple[float, ...] = setting(
-        (), doc="deg, sectors of the machine's frame, seen from the tracer, without a beam"
+        (),
+        doc="deg, sectors without a beam, as directions in the machine frame seen from the tracer",
     )
     blocked_on_table_deg: tuple[float, ...] = setting(
         (), doc="deg, sectors without a beam that turn with the table"
@@ -69,7 +75,10 @@ class TracerDesignSettings(TableAngleSettings):
         doc="where the reflector looks: wherever the tracer is, in one direction, or to the axis",
         choices=(ANY, DIRECTION, AXIS),
     )
-    reflector_direction: Triple = setting((0.0, 0.0, -1.0), doc="where it looks, if in one")
+    reflector_direction: Triple = setting(
+        (0.0, 0.0, -1.0),
+        doc="direction in which the reflector looks, where reflector_faces is direction",
+    )
     reflector_acceptance_deg: float = setting(
         50.0, doc="deg, largest angle between beam and that direction", minimum=0.0, maximum=180.0
     )
@@ -77,16 +86,19 @@ class TracerDesignSettings(TableAngleSettings):
         0.2e-6, doc="m, standard deviation of one length", minimum=1e-9, maximum=1e-2
     )
     length_std_relative: float = setting(
-        0.0, doc="m/m, part of it that grows with the distance", minimum=0.0, maximum=1e-2
+        0.0,
+        doc="m/m, part of the standard deviation of a length that grows with the distance",
+        minimum=0.0,
+        maximum=1e-2,
     )
     target_std_m: Triple = setting(
         (1e-6, 1e-6, 1e-6), doc="m, standard deviation of a target along x, y, z", minimum=0.0
     )
     error_motion_std_m: float | None = setting(
         None,
-        doc="m, the table's radial error motion: part of U, and written down for the solver; 0: "
-        "known to be none; absent: as circle_std_m, else the solver estimates it from the circle, "
-        "which takes more lengths",
+        doc="m, standard deviation of the table's radial error motion: part of U, and written "
+        "down for the solver; 0: no such motion; none: as circle_std_m, else the solver "
+        "estimates it from the circle, which takes more lengths",
         minimum=0.0,
         maximum=1e-2,
     )
@@ -96,11 +108,14 @@ class TracerDesignSettings(TableAngleSettings):
         choices=(PER_STATION, SHARED),
     )
     circle_std_m: float | None = setting(
-        None, doc="m, by which stations may leave one circle; absent: not assumed", minimum=1e-9
+        None,
+        doc="m, standard deviation of the stations from one circle; none: no circle is assumed",
+        minimum=1e-9,
     )
     slip_m: float = setting(
         TracerSolverSettings().slip_m,
-        doc="m, as in solver, with one zero: a fringe that may slip unseen is in U; 0: none does",
+        doc="m, with zero one: a fringe that may slip unseen is part of U, as solver.slip_m; 0: "
+        "none slips",
         minimum=0.0,
         maximum=1e-5,
     )
@@ -110,7 +125,12 @@ class TracerDesignSettings(TableAngleSettings):
         minimum=0.5,
         maximum=0.99,
     )
-    repeats: int = setting(1, doc="how often a pair may be measured", minimum=1, maximum=1000)
+    repeats: int = setting(
+        1,
+        doc="how often a pair of table angle and target may be measured",
+        minimum=1,
+        maximum=1000,
+    )
     min_redundancy: float = setting(
         0.25, doc="least redundancy of every length", minimum=0.0, maximum=0.9
     )
@@ -118,28 +138,44 @@ class TracerDesignSettings(TableAngleSettings):
         1.0, doc="largest effect of an undetected error of one length, in U of ECC", minimum=0.01
     )
     rejection_significance: float = setting(
-        0.01, doc="as in solver: of the test of single lengths", minimum=1e-9, maximum=0.5
+        0.01,
+        doc="probability of rejecting any length at all when all are good, as "
+        "solver.rejection_significance",
+        minimum=1e-9,
+        maximum=0.5,
     )
     power: float = setting(
         0.8, doc="probability that an error is detected", minimum=0.5, maximum=0.9999
     )
     checked: bool = setting(
-        True, doc="every length is checked by others; false: the plain minimum"
+        True, doc="every length is checked by others; false: the fewest lengths, unchecked"
     )
-    exchanges: int = setting(600, doc="how long each search for fewer lengths lasts", minimum=1)
-    starts: int = setting(3, doc="searches, of which the best counts", minimum=1, maximum=100)
-    seed: int = setting(0, doc="of the search", minimum=0)
+    exchanges: int = setting(
+        600, doc="exchanges of lengths in each search for fewer of them", minimum=1
+    )
+    starts: int = setting(
+        3, doc="number of searches, of which the best counts", minimum=1, maximum=100
+    )
+    seed: int = setting(0, doc="seed of the random numbers of the search", minimum=0)
     max_unseen: float = setting(
         TOLERABLE,
         doc="largest error of an unseen drift or knock in the order, in standard uncertainties",
         minimum=0.01,
     )
-    length_s: float = setting(5.0, doc="s, at every length, turns apart", minimum=0.0)
-    rotation_s: float = setting(10.0, doc="s, for one turn of the table", minimum=0.0)
-    machine_speed_m_s: float | None = setting(
-        None, doc="m/s, of the reflector; absent: its ways are in length_s", minimum=1e-6
+    length_s: float = setting(
+        5.0, doc="s, time for a length, without turns of the table", minimum=0.0
     )
-    machine_acceleration_m_s2: float = setting(0.5, doc="m/s^2, of the reflector", minimum=1e-6)
+    rotation_s: float = setting(
+        10.0, doc="s, time for a turn of the table from one angle to the next", minimum=0.0
+    )
+    machine_speed_m_s: float | None = setting(
+        None,
+        doc="m/s, largest speed of the reflector; none: its motion is part of length_s",
+        minimum=1e-6,
+    )
+    machine_acceleration_m_s2: float = setting(
+        0.5, doc="m/s^2, acceleration of the reflector", minimum=1e-6
+    )
 
     def __post_init__(self) -> None:
         """Refuse settings that do not go together."""
