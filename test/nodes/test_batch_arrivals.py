@@ -9,7 +9,7 @@ from sensor_msgs.msg import JointState
 
 from rotcal_ros.capture.messages import stamp_ns
 from rotcal_ros.capture.stamp_offsets import OffsetLimits, StampOffsets
-from rotcal_ros.nodes.runtime.draining import received_ns, sent_ns
+from rotcal_ros.nodes.runtime.timers_and_subscriptions import received_ns, sent_ns
 
 SECOND = 1_000_000_000
 START_NS = 1_700_000_000 * SECOND

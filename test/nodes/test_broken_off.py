@@ -12,11 +12,11 @@ pytest.importorskip("rotcal_msgs")
 from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
 from rotcal_ros.methods.continuation import Continuation, Recorded
-from rotcal_ros.nodes.goal import run as goal_run
-from rotcal_ros.nodes.goal.crew import Codes, GoalError
-from rotcal_ros.nodes.goal.measuring import GoalMeasurement
-from rotcal_ros.nodes.goal.progress import GoalProgress
-from rotcal_ros.nodes.goal.run import GoalBag, GoalRun
+from rotcal_ros.nodes.planner import goal_run
+from rotcal_ros.nodes.planner.goal_run import GoalBag, GoalRun
+from rotcal_ros.nodes.planner.goal_watch import Codes, GoalError
+from rotcal_ros.nodes.planner.measuring import GoalMeasurement
+from rotcal_ros.nodes.planner.progress import GoalProgress
 from rotcal_ros.planning.plan import Pause
 from rotcal_ros.planning.settings import PlannerSettings
 
@@ -128,7 +128,7 @@ def goal(bag, start_index=0):
     links = SimpleNamespace(node=node, services=None)
     watch = SimpleNamespace(
         links=links, progress=GoalProgress(len(PLAIN.plan.steps)), settings=PlannerSettings(),
-        end_run=lambda _: None, crew=SimpleNamespace(restart_wait_s=1.0),
+        end_run=lambda _: None, required=SimpleNamespace(restart_wait_s=1.0),
     )  # fmt: skip
     made = GoalRun(PLAIN, PLAIN.from_the_start(start_index), watch)
     made.bag = bag
@@ -207,7 +207,7 @@ def test_a_later_preflight_has_somebody_resume_before_it_misses_what_is_silent(m
     class Requests:
         async def have_done(self):
             asked.append(stop.latched)
-            stop.latched = ""
+            stop.latched = None
 
     def missing(*_):
         return ["silent"] if stop.latched else []

@@ -9,10 +9,9 @@ pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros.methods import changed, prepare, read_configuration
-from rotcal_ros.nodes.goal import run as goal_run
-from rotcal_ros.nodes.goal.cell_links import CellLinks
-from rotcal_ros.nodes.goal.crew import GoalError
-from rotcal_ros.nodes.goal.goal_watch import GoalWatch
+from rotcal_ros.nodes.planner import goal_run
+from rotcal_ros.nodes.planner.cell_links import CellLinks
+from rotcal_ros.nodes.planner.goal_watch import GoalError, GoalWatch
 
 STOP = "/safety/estop"
 
@@ -74,14 +73,14 @@ def offer(name, gid):
     return SimpleNamespace(node_name=name, node_namespace="/cell", endpoint_gid=gid)
 
 
-def watched(*offers, machines=(), crew=()):
+def watched(*offers, machines=(), required=()):
     """Return a watch over a run that hears the tracer, and who publishes its lengths now."""
     there = [offer("tracer", OURS)]
     cell = CellLinks.__new__(CellLinks)
     cell.instrument = lambda role: f"/cell/{role}"
     cell.graph = SimpleNamespace(offers=lambda _: there, machines=lambda _: machines)
     watch = GoalWatch.__new__(GoalWatch)
-    watch.links, watch.crew = cell, SimpleNamespace(nodes={*crew})
+    watch.links, watch.required = cell, SimpleNamespace(nodes={*required})
     watch.instruments = ["tracer_length"]
     watch.heard = cell.offered(watch.instruments)
     there[:] = offers
@@ -106,4 +105,4 @@ def test_who_is_there_still_or_belongs_to_the_crew_is_not_started_anew():
     watched(offer("tracer", OURS))._check_publishers("")
     watched(offer("tracer", OURS), offer("tracer", NEW))._check_publishers("")
     watched(offer("stranger", NEW))._check_publishers("")
-    watched(offer("tracer", NEW), crew=["tracer"])._check_publishers("")
+    watched(offer("tracer", NEW), required=["tracer"])._check_publishers("")

@@ -9,7 +9,7 @@ pytest.importorskip("rotcal_msgs")
 from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.capture.instruments.conventions import Conventions
 from rotcal_ros.capture.stamp_offsets import OffsetLimits, StampOffsets
-from rotcal_ros.nodes.cell_check import Listening
+from rotcal_ros.nodes.check.cell_check import ListeningNodes
 
 SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND
@@ -24,7 +24,7 @@ START = 1_700_000_000 * SECOND
     ],
 )
 def test_a_stated_clock_is_no_fault(settings, told):
-    listening = Listening.__new__(Listening)
+    listening = ListeningNodes.__new__(ListeningNodes)
     listening._conventions = Conventions(settings)
     listening._offsets = StampOffsets(OffsetLimits(2.0, 0.5))
     for now in (START + np.arange(0, 4 * SECOND, SECOND // 50)).tolist():

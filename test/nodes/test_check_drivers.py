@@ -12,7 +12,7 @@ pytest.importorskip("rotcal_msgs")
 from rotcal_ros.extensions.instrument_plugins import check as plugin_check
 from rotcal_ros.extensions.instrument_plugins.instrument import Tracer, Tracker
 from rotcal_ros.methods.configuration import changed, read_configuration
-from rotcal_ros.nodes.check.drivers import brought, brought_line, driver_lines
+from rotcal_ros.nodes.check.snapshot import brought, brought_line, driver_lines
 
 CONFIG = Path(__file__).parents[2] / "config"
 DME = read_configuration(CONFIG / "ball_plate_dme.yaml")

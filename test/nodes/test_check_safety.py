@@ -9,7 +9,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros.methods.configuration import changed, read_configuration
-from rotcal_ros.nodes.cell_check import safety_lines
+from rotcal_ros.nodes.check.cell_check import safety_lines
 
 PLAIN = read_configuration(Path(__file__).parents[2] / "config" / "tracer.yaml")
 STATED = changed(PLAIN, ["safety.emergency_stop=/safety/estop"])

@@ -12,9 +12,8 @@ from rotcal_ros.bags.dropouts import GAP, QUEUE, REPORTED, SILENCE, Dropout, cou
 from rotcal_ros.bags.reader import bag_files, check_files
 from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.nodes.writing.bookkeeping import Silence
-from rotcal_ros.nodes.writing.dropout_notes import DropoutNotes
-from rotcal_ros.nodes.writing.recording import BagRecording, Channel, Messages
+from rotcal_ros.nodes.recorder.bookkeeping import Silence
+from rotcal_ros.nodes.recorder.recording import BagRecording, Channel, DropoutNotes, Messages
 
 TOPIC = "/cell/recorder/dropouts"
 SECOND = 10**9

@@ -14,10 +14,10 @@ from rotcal_msgs.msg import TracerLength
 
 from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.foundation.node_state import NodeState, State
+from rotcal_ros.nodes.recorder.topic_listener import FAST_PERIOD_S, TopicListener
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.qos import STREAM
-from rotcal_ros.nodes.writing.topic_listener import TOGETHER_S, TopicListener
-from rotcal_ros.sessions.environment import node_environment
+from rotcal_ros.sessions.processes import node_environment
 
 RATE_HZ, SECONDS = 200, 2.0
 
@@ -68,7 +68,7 @@ def test_a_fast_topic_comes_whole_in_few_turns_and_at_once_when_asked_for(monkey
             executor.spin_once(timeout_sec=0.05)
             assert time.monotonic() < end, node.batches
         assert sum(node.batches["quick"]) == sum(node.batches["plain"]) == sent
-        assert len(node.batches["quick"]) < 1.5 * (time.monotonic() - begin) / TOGETHER_S
+        assert len(node.batches["quick"]) < 1.5 * (time.monotonic() - begin) / FAST_PERIOD_S
 
         publishers[0].publish(TracerLength())
         while sum(node.batches["quick"]) == sent:  # without a turn of the executor

@@ -11,12 +11,11 @@ pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros.foundation import machine_load
 from rotcal_ros.foundation.node_state import Reason, State, Why
-from rotcal_ros.nodes.goal import goal_watch
-from rotcal_ros.nodes.goal.crew import Codes, Crew, GoalError
-from rotcal_ros.nodes.goal.goal_watch import GoalWatch
-from rotcal_ros.nodes.goal.progress import GoalProgress
+from rotcal_ros.nodes.planner import goal_watch
+from rotcal_ros.nodes.planner.goal_watch import Codes, GoalError, GoalWatch, RequiredNodes
+from rotcal_ros.nodes.planner.progress import GoalProgress
 from rotcal_ros.nodes.runtime import cell_node
-from rotcal_ros.nodes.runtime.latest import HOPELESS, SILENT
+from rotcal_ros.nodes.runtime.beat_values import HOPELESS, SILENT
 from rotcal_ros.planning.settings import HealthSettings, PlannerSettings
 
 TURN_S = 0.2
@@ -43,12 +42,12 @@ class Cell:
             idle_nodes=lambda but=(): [], offered=lambda _: {},
             publish_anew=lambda: self.published_anew.append(self.now_s - 100.0),
         )  # fmt: skip
-        crew = Crew(health, 0.0)
-        crew.nodes = {"capture", "recorder"}
+        required = RequiredNodes(health, 0.0)
+        required.nodes = {"capture", "recorder"}
         self.watch = GoalWatch(
             PlannerSettings(), links, SimpleNamespace(heed=lambda: "", latched=""),
             SimpleNamespace(waiting=False), GoalProgress(60, doing=STEP),
-            lambda progress: self.shown.append(progress.doing.in_words()), lambda: False, crew,
+            lambda progress: self.shown.append(progress.doing.in_words()), lambda: False, required,
             15.0, preflight=False, recording=True,
         )  # fmt: skip
 

@@ -10,10 +10,9 @@ pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import TopicSettings
-from rotcal_ros.nodes.instruments import topics as instrument_topics
-from rotcal_ros.nodes.instruments.topics import InstrumentTopics
-from rotcal_ros.nodes.runtime.latest import REFUSED
-from rotcal_ros.nodes.runtime.topic_names import TOPICS, at_odds
+from rotcal_ros.nodes.capture import instrument_streams
+from rotcal_ros.nodes.capture.instrument_streams import InstrumentTopics
+from rotcal_ros.nodes.runtime.beat_values import REFUSED, TOPICS, at_odds
 
 
 def heard(own, goal):
@@ -68,7 +67,7 @@ def test_the_time_of_sending_is_refused_under_a_simulated_clock(
     def subscription(_node, choose, _name, _take):
         chosen.append(choose)
 
-    monkeypatch.setattr(instrument_topics, "InstrumentSubscription", subscription)
+    monkeypatch.setattr(instrument_streams, "InstrumentSubscription", subscription)
     node = SimpleNamespace(
         given={},
         settings=lambda _, kind: kind(length_clock=clock),

@@ -10,9 +10,9 @@ pytest.importorskip("rclpy")
 from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.capture.instruments.conventions import Conventions
-from rotcal_ros.nodes.writing import topic_listener
-from rotcal_ros.nodes.writing.heard_topic import HeardTopic
-from rotcal_ros.nodes.writing.recording import Channel
+from rotcal_ros.nodes.recorder import topic_listener
+from rotcal_ros.nodes.recorder.recording import Channel
+from rotcal_ros.nodes.recorder.topic_listener import HeardTopic
 
 SECOND = 1_000_000_000
 

@@ -9,7 +9,7 @@ pytest.importorskip("rclpy")
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
 from rotcal_ros.capture.heard import Believed
-from rotcal_ros.nodes.runtime.diagnostic_warnings import INTRUDER
+from rotcal_ros.nodes.runtime.beat_values import INTRUDER
 from rotcal_ros.nodes.runtime.hearing import APART, BELIEVED, HEARS, Hearing, digest, origin_of
 
 POINTS, SENT = "/cell/probe_point", "/cell/observation"

@@ -11,10 +11,9 @@ from rotcal_msgs.msg import NodeState
 
 from rotcal_ros.foundation.node_state import NO_PLAN
 from rotcal_ros.nodes.runtime.conversions import node_state
-from rotcal_ros.nodes.runtime.peer import Peer
-from rotcal_ros.nodes.runtime.processes_here import HostProcess
-from rotcal_ros.nodes.runtime.running import default_context
-from rotcal_ros.nodes.solver import SolverNode
+from rotcal_ros.nodes.runtime.liveness import HostProcess
+from rotcal_ros.nodes.runtime.running import Peer, default_context
+from rotcal_ros.nodes.solver.node import SolverNode
 
 pytestmark = pytest.mark.ros
 

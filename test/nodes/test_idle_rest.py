@@ -42,9 +42,9 @@ def test_who_lets_messages_gather_is_awake_for_a_part_of_it(
 
 
 def test_capture_and_solver_take_their_time_until_the_planner_measures():
-    from rotcal_ros.nodes.capture import CaptureNode
+    from rotcal_ros.nodes.capture.node import CaptureNode
     from rotcal_ros.nodes.runtime.cell_node import CellNode
-    from rotcal_ros.nodes.solver import SolverNode
+    from rotcal_ros.nodes.solver.node import SolverNode
 
     for kind, at_work_s in ((CaptureNode, 0.01), (SolverNode, 0.04)):
         for measures, gather_s in ((False, 0.1), (True, at_work_s)):
@@ -62,8 +62,8 @@ def test_events_are_handled_once_and_no_turn_waits_for_them(monkeypatch):
     from std_msgs.msg import Bool
 
     from rotcal_ros.nodes.runtime.managed_node import ManagedNode
-    from rotcal_ros.nodes.runtime.timers_and_events import handle_events
-    from rotcal_ros.sessions.environment import node_environment
+    from rotcal_ros.nodes.runtime.timers_and_subscriptions import handle_events
+    from rotcal_ros.sessions.processes import node_environment
 
     for name, value in node_environment().items():
         monkeypatch.setenv(name, value)

@@ -6,8 +6,8 @@ pytest.importorskip("rclpy")
 
 from sensor_msgs.msg import JointState
 
-from rotcal_ros.nodes.instruments.streams import JointReadings
-from rotcal_ros.nodes.runtime.latest import MOST_JOINTS
+from rotcal_ros.nodes.capture.instrument_streams import JointReadings
+from rotcal_ros.nodes.runtime.beat_values import MOST_JOINTS
 
 
 def feedback(count, angle, velocity=0.5):

@@ -7,8 +7,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from rotcal_ros.nodes import capture
-from rotcal_ros.nodes.capture import ANSWER_S, LengthTrigger
+from rotcal_ros.nodes.capture import node as capture
+from rotcal_ros.nodes.capture.node import ANSWER_S, LengthTrigger
 
 
 class Client:
@@ -39,7 +39,7 @@ def test_an_instrument_that_never_answers_is_named_and_asked_again(monkeypatch):
     trigger.look(0, wanted=True)
     now[0] += ANSWER_S
     trigger.look(0, wanted=True)
-    assert (trigger.complaint, len(client.calls)) == ("", 1)
+    assert (trigger.complaint, len(client.calls)) == (None, 1)
     now[0] += 0.1
     trigger.look(0, wanted=True)
     assert trigger.complaint == (
@@ -48,4 +48,4 @@ def test_an_instrument_that_never_answers_is_named_and_asked_again(monkeypatch):
     assert len(client.calls) == 2
     client.calls[1].set_result(SimpleNamespace(success=True))
     trigger.look(1, wanted=False)
-    assert trigger.complaint == ""
+    assert trigger.complaint is None

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from rotcal_ros.nodes.linuxcnc_agent import LinuxCncMachine, obey
+from rotcal_ros.nodes.adapters.linuxcnc_agent import LinuxCncMachine, obey
 
 
 class Program:

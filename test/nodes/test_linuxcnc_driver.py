@@ -6,8 +6,8 @@ import pytest
 
 pytest.importorskip("rotcal_msgs")
 
-from rotcal_ros.nodes import linuxcnc_driver
-from rotcal_ros.nodes.linuxcnc_driver import LinuxCncDriver
+from rotcal_ros.nodes.adapters import linuxcnc_driver
+from rotcal_ros.nodes.adapters.linuxcnc_driver import LinuxCncDriver
 
 
 def reading(stamp_ns, motor_deg, obeying):

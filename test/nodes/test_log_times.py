@@ -2,7 +2,7 @@
 
 from types import SimpleNamespace
 
-from rotcal_ros.nodes.writing.bookkeeping import JUMP_ON_ITS_WAY_S, LogTimes
+from rotcal_ros.nodes.recorder.bookkeeping import JUMP_ON_ITS_WAY_S, LogTimes
 
 S = 1_000_000_000
 

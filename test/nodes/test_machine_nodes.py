@@ -3,7 +3,7 @@
 import pytest
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.nodes.runtime.machine_nodes import AS_CONFIGURED, OWN, machine_nodes
+from rotcal_ros.nodes.adapters.machine_nodes import AS_CONFIGURED, OWN, machine_nodes
 
 REAL = ("method", "cell", "plan")
 

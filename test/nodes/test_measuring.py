@@ -12,10 +12,10 @@ pytest.importorskip("rotcal_msgs")
 from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
 from rotcal_ros.methods.continuation import Continuation
-from rotcal_ros.nodes.goal.cell_links import CellLinks
-from rotcal_ros.nodes.goal.goal_watch import Codes, GoalError
-from rotcal_ros.nodes.goal.measuring import GoalMeasurement
-from rotcal_ros.nodes.goal.progress import GoalProgress
+from rotcal_ros.nodes.planner.cell_links import CellLinks
+from rotcal_ros.nodes.planner.goal_watch import Codes, GoalError
+from rotcal_ros.nodes.planner.measuring import GoalMeasurement
+from rotcal_ros.nodes.planner.progress import GoalProgress
 from rotcal_ros.planning.settings import PlannerSettings
 
 PLAN = {"table_step_deg": 60.0, "table_positions": 4, "box_points": [2, 2, 2]}

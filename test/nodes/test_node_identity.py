@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from rotcal_ros.nodes.runtime.identity import (
+from rotcal_ros.nodes.runtime.liveness import (
     NameHolders,
     OtherSessionError,
     ProcessIdentity,

@@ -13,7 +13,7 @@ from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.node_state import NodeState, State
 from rotcal_ros.foundation.settings import group, setting
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.parameters import read_settings
+from rotcal_ros.nodes.runtime.managed_node import read_settings
 from rotcal_ros.nodes.runtime.running import default_context
 
 

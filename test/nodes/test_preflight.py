@@ -7,7 +7,7 @@ import pytest
 
 from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import changed, read_configuration
-from rotcal_ros.nodes.goal.preflight import doubts, expected_air, faults, without_air
+from rotcal_ros.nodes.planner.preflight import doubts, expected_air, faults, without_air
 
 CONFIG = Path(__file__).parents[2] / "config"
 TRACER = read_configuration(CONFIG / "tracer_paper.yaml")

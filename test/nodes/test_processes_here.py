@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from rotcal_ros.nodes.runtime.processes_here import HostProcess, machine
+from rotcal_ros.nodes.runtime.liveness import HostProcess, machine
 
 
 @pytest.fixture

@@ -1,6 +1,6 @@
 """Receipts wait for the readings of their window, whatever becomes of the clock of these."""
 
-from rotcal_ros.nodes.writing.bookkeeping import PendingReceipts
+from rotcal_ros.nodes.recorder.bookkeeping import PendingReceipts
 
 SECOND = 1_000_000_000
 T = 1_700_000_000 * SECOND

@@ -7,7 +7,8 @@ import pytest
 from rotcal_ros.bags.reader import scan_file
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.foundation.machine_load import patient
-from rotcal_ros.nodes.writing.recording import BagRecording, Channel, Messages, Receipt
+from rotcal_ros.nodes.recorder.bookkeeping import Receipt
+from rotcal_ros.nodes.recorder.recording import BagRecording, Channel, Messages
 
 CHANNEL = Channel("/cell/a", "std_msgs/msg/Float64", "float64 data", "", "")
 TIMEOUT_S = 30.0

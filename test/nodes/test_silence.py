@@ -1,6 +1,6 @@
 """Silences are counted once each, per stream, from the beginning of a bag."""
 
-from rotcal_ros.nodes.writing.bookkeeping import Silence, Silences
+from rotcal_ros.nodes.recorder.bookkeeping import Silence, Silences
 
 TRACER, PROBE = "/cell/tracer_length", "/cell/probe_point"
 

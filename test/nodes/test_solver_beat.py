@@ -16,7 +16,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.node_state import SOLVING
 from rotcal_ros.nodes.runtime.running import default_context
-from rotcal_ros.nodes.solver import SolverNode
+from rotcal_ros.nodes.solver.node import SolverNode
 
 pytestmark = pytest.mark.ros
 

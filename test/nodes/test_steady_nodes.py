@@ -14,7 +14,7 @@ WAITING = re.compile(r"\.create_timer\(|create_rate|time\.time\(\) *[<>-]|sleep_
 
 def test_timers_are_those_of_the_steady_clock():
     found = {path.name for path in NODES if WAITING.search(path.read_text())}
-    assert found == {"timers_and_events.py"}
+    assert found == {"timers_and_subscriptions.py"}
 
 
 @pytest.mark.parametrize(
@@ -27,7 +27,7 @@ def test_timers_are_those_of_the_steady_clock():
 )
 def test_a_process_without_memory_ends_with_the_reason(error, code):
     program = (
-        f"from rotcal_ros.nodes.runtime.memory import *; end_without_memory({error}, 'capture')"
+        f"from rotcal_ros.foundation.machine_load import *; end_without_memory({error}, 'capture')"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.returncode == code

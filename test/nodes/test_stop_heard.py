@@ -82,7 +82,7 @@ def test_what_waits_is_heard_before_a_stall_of_ones_own_counts_as_silence(heard)
     node.waiting[TOPIC].append(Bool())
     node.waiting[DIAGNOSTICS].append(good)
     look(node)
-    assert (stop.why, stop.latched, stop.count) == ("", "", 0)
+    assert (stop.why, stop.latched, stop.count) == (None, None, 0)
     set_time(104.5)
     look(node)
     silent = "has said nothing for 1 s (safety.silent_s)"
@@ -96,7 +96,7 @@ def test_an_error_that_is_over_in_the_same_message_is_kept(heard):
     status = [DiagnosticStatus(name="plc: drive", level=level, message="I2t") for level in levels]
     node.waiting[DIAGNOSTICS].append(DiagnosticArray(status=status))
     assert stop.heed() == "plc: drive is in ERROR on /diagnostics (I2t)"
-    assert (stop.why, stop.count) == ("", 1)
+    assert (stop.why, stop.count) == (None, 1)
 
 
 def test_a_latched_stop_is_heard_in_every_state_and_with_the_release_that_follows_at_once(heard):

@@ -9,8 +9,8 @@ pytest.importorskip("rotcal_msgs")
 
 from std_srvs.srv import Trigger
 
-from rotcal_ros.nodes.goal.operator_requests import require_free
-from rotcal_ros.nodes.goal.pauses import Pauses
+from rotcal_ros.nodes.planner.cell_links import Pauses
+from rotcal_ros.nodes.planner.measuring import require_free
 
 BETWEEN = "not resumed: an emergency stop came in between: look, then resume again"
 
@@ -57,7 +57,7 @@ def test_every_stop_that_comes_in_a_pause_has_to_be_known_of(waiting):
     begin()
     stop.count, stop.why = 3, "/safety/estop is true"
     assert resume() == "not resumed: the emergency stop is on: /safety/estop is true"
-    stop.why = ""
+    stop.why = None
     assert resume() == BETWEEN
     stop.count = 4
     assert resume() == BETWEEN

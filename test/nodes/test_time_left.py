@@ -2,8 +2,8 @@
 
 import pytest
 
-from rotcal_ros.nodes.goal import progress as module
-from rotcal_ros.nodes.goal.progress import GoalProgress
+from rotcal_ros.nodes.planner import progress as module
+from rotcal_ros.nodes.planner.progress import GoalProgress
 
 
 def test_a_pause_neither_lengthens_nor_shortens_it(monkeypatch):

@@ -1,6 +1,6 @@
 """Losses are counted once, whoever tells of them."""
 
-from rotcal_ros.nodes.writing.bookkeeping import TopicLosses
+from rotcal_ros.nodes.recorder.bookkeeping import TopicLosses
 
 ONE, OTHER = b"1", b"2"
 

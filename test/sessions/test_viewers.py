@@ -14,9 +14,8 @@ from rotcal_ros.foundation.files import FolderLock
 from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.foundation.node_state import Why
 from rotcal_ros.foundation.session_folder import SessionFolder
-from rotcal_ros.sessions import viewers as module
-from rotcal_ros.sessions.attaching import Attachment, running_sessions, watch
-from rotcal_ros.sessions.viewers import History, Viewers
+from rotcal_ros.sessions import attaching as module
+from rotcal_ros.sessions.attaching import Attachment, History, Viewers, running_sessions, watch
 
 DEADLINE_S = 30.0
 PAUSED = {"event": "paused", "instruction": "put the tracker there", "doing": Why.WORK}

@@ -1,4 +1,9 @@
-"""Which publishers a node hears: what the planner says of a run, applied to every message."""
+"""Which publishers a node accepts while a calibration runs: those that the planner names.
+
+When a run begins, the planner fixes the publishers of every topic and tells them in its beat
+(BELIEVED). Each node ignores all others from then on, and answers in its own beat (HEARS) with a
+hash of what it accepts, once it is connected to all of them. Only then does the planner go on.
+"""
 
 from __future__ import annotations
 
@@ -11,26 +16,26 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture.heard import Believed, Intruder, Origin, WhoIsHeard, publisher_of
-from rotcal_ros.nodes.runtime.diagnostic_warnings import INTRUDER, show
-from rotcal_ros.nodes.runtime.draining import Batch
+from rotcal_ros.nodes.runtime.beat_values import INTRUDER, show
+from rotcal_ros.nodes.runtime.timers_and_subscriptions import Batch
 
 BELIEVED: Final = "believed"
 """Value in the planner's beat: which publishers count on each topic while a goal runs."""
 LISTENERS: Final = {names.OBSERVATION: 3, names.STEP_CHOICE: 1}
-"""How many nodes of the suite listen to a topic; USUAL to any other of a run."""
+"""How many of our nodes subscribe to a topic; to any other topic of a run, USUAL."""
 USUAL: Final = 2
 UNNAMED: Final = "_NODE_NAME_UNKNOWN_"
-"""What rclpy calls a node that discovery has not named yet."""
+"""rclpy's name for a node whose name discovery has not delivered yet."""
 HEARS: Final = "hears"
-"""Value in the beat of every other node: the hash of what it has heard of that."""
+"""Value in the beat of every other node: the hash of the publishers that it accepts."""
 APART: Final = "apart"
-"""Instead, while not all of these publishers are discovered yet: their topics."""
+"""Value instead of HEARS while connections are missing: the topics of these."""
 
 
 class Hearing:
-    """Which messages of a run a node accepts; it names the publishers that it leaves alone.
+    """Which messages of a run a node accepts; it reports the publishers that it ignores.
 
-    ``quiet``: another node says that already.
+    ``quiet``: it does not, because other nodes report them already.
     """
 
     def __init__(self, node: Any, *, quiet: bool = False) -> None:
@@ -41,7 +46,7 @@ class Hearing:
         self._words: dict[str, str] = {}
 
     def decide(self, believed: Believed) -> None:
-        """Accept these publishers, as the planner that decides it; none given: all."""
+        """Accept these publishers, in the planner itself; where none are given, accept all."""
         self._believe(believed)
 
     def hears(self, topic: str, info: Any) -> bool:
@@ -53,7 +58,7 @@ class Hearing:
         return False
 
     def split(self, topic: str, batch: Batch) -> tuple[Batch, Batch]:
-        """Return the messages that count, and those that are left alone."""
+        """Return the messages of accepted publishers, and the others."""
         self._follow()
         if topic not in self._judge.believed.publishers:
             return batch, ()
@@ -63,7 +68,7 @@ class Hearing:
         return ours, others
 
     def values(self) -> dict[str, str]:
-        """Return the values for the beat: which publishers count here, and that they are heard."""
+        """Return the values for the beat: HEARS, or APART; none while no run is on."""
         self._follow()
         if not self._judge.believed.publishers:
             return {}
@@ -71,11 +76,11 @@ class Hearing:
         return {HEARS: digest(self._judge.believed)} if self._joined else {APART: apart}
 
     def _apart(self) -> list[str]:
-        """Return the topics of the run on which this node cannot hear or be heard yet.
+        """Return the topics of the run on which this node is not connected to all others yet.
 
-        Each end discovers the other by itself, one perhaps seconds after the other, and what is
-        sent once, such as an order or an observation, is lost to an end that is not discovered
-        yet.
+        Publisher and subscriber discover each other separately, one perhaps seconds after the
+        other. What is sent once, such as an order or an observation, never reaches a subscriber
+        that its publisher has not discovered yet.
         """
         if self._joined:
             return []
@@ -109,7 +114,7 @@ class Hearing:
             self._show(None)
 
     def _tell(self) -> None:
-        """Name the publishers that are left alone, each once on the console."""
+        """Report the publishers that are ignored, each once on the console."""
         texts = []
         for intruder in self._judge.met():
             known = self._words.get(intruder.publisher)
