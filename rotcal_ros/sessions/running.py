@@ -39,6 +39,8 @@ _LOST: Final = 603
 _USAGE_ERRORS: Final = (601, 602, 608)
 """Error codes of the action that the user can correct before the next start: bad configuration,
 topic missing, emergency stop."""
+CLIENT: Final = "client"
+_LINES: Final = 200
 
 
 def calibrate(session: Session, viewers: Viewers, *, at_once: bool = False) -> dict[str, Any]:
@@ -229,9 +231,6 @@ def _fail(session: Session, outcome: Event) -> NoReturn:
     raise (ConfigurationError if outcome["error_code"] in _USAGE_ERRORS else DataError)(text)
 
 
-_LINES: Final = 200
-
-
 class RunningSession:
     """Nodes and client of a session; ``events`` holds what the client reports, then ``end``."""
 
@@ -307,9 +306,6 @@ def running(session: Session) -> Iterator[RunningSession]:
             yield RunningSession(processes)
     finally:
         lock.release()
-
-
-CLIENT: Final = "client"
 
 
 def node_names(session: Session) -> list[str]:

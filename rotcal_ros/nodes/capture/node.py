@@ -41,6 +41,12 @@ from rotcal_ros.nodes.runtime.running import run
 
 READINGS_S: Final = 0.01
 """During a calibration readings are collected for this time and handled together."""
+PERIOD_S: Final = 0.02
+"""How often it is checked whether a length is wanted."""
+PATIENCE_S: Final = 2.0
+"""After an answer the reading may take this long to come before it is asked for again."""
+ANSWER_S: Final = 30.0
+"""An instrument may take this long to answer."""
 
 
 class CaptureWarnings:
@@ -178,14 +184,6 @@ class CaptureNode(CellNode):
             for remark in self._capture.remarks():
                 self.get_logger().warning(remark, throttle_duration_sec=1.0)
         return self._state, values
-
-
-PERIOD_S: Final = 0.02
-"""How often it is checked whether a length is wanted."""
-PATIENCE_S: Final = 2.0
-"""After an answer the reading may take this long to come before it is asked for again."""
-ANSWER_S: Final = 30.0
-"""An instrument may take this long to answer."""
 
 
 class LengthTrigger:

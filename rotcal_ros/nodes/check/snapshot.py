@@ -31,6 +31,81 @@ from rotcal_ros.nodes.runtime.timers_and_subscriptions import Batch, DrainedSubs
 from rotcal_ros.sessions.domains import DEFAULT_DOMAIN, domains_in_use
 
 SIMULATION: Final = FURTHER_NODES["simulation"]
+_MOST_FRAMES = 8
+_KEPT = 5000
+_OURS: Final = ("cell_check", "_cell_check_ears")
+
+
+class Finding(NamedTuple):
+    """What is wrong or looks so, and what to do about it."""
+
+    found: str
+    todo: str
+
+
+class TableBehindDriver(Protocol):
+    """The table behind a driver that does not run yet, judged as the driver will judge it."""
+
+    topic: str
+
+    def wrong(self) -> Finding | None:
+        """Return why the driver could not use this feedback; None: it can."""
+
+    def outside(self) -> str | None:
+        """Return in words that the joint stands outside of its stated travel; None: no."""
+
+    def controller_lines(self) -> Iterator[CheckLine]:
+        """Yield whether a controller is there that accepts the driver's orders."""
+
+
+@dataclass
+class HeaderWatch:
+    """The headers of the messages since the beginning; times of arrival are of this machine.
+
+    ``heard_s`` is the monotonic time of the latest one: setting a clock does not look like
+    silence.
+    """
+
+    count: int = 0
+    first_s: float = 0.0
+    latest_s: float = 0.0
+    heard_s: float = 0.0
+    unstamped: int = 0
+    set_back: int = 0
+    frames: list[str] = field(default_factory=list)
+    has_header: bool = True
+    _ahead_ns: list[int] = field(default_factory=list)
+    _stamp_ns: int = 0
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Messages a second; None while fewer than two came."""
+        span = self.latest_s - self.first_s
+        return (self.count - 1) / span if self.count > 1 and span > 0.0 else None
+
+    @property
+    def ahead_s(self) -> float | None:
+        """Median of stamp less time of arrival; None where nothing is stamped."""
+        return median(self._ahead_ns) * NANOSECOND if self._ahead_ns else None
+
+    def note(self, data: bytes, received_ns: int) -> int:
+        """Take a serialised message; return its stamp (ns), 0 where it has none."""
+        now_s = received_ns * NANOSECOND
+        self.first_s = self.first_s or now_s
+        self.latest_s, self.count = now_s, self.count + 1
+        self.heard_s = time.monotonic()
+        if not self.has_header:
+            return 0
+        stamp_ns, frame = read_header(data)
+        self.set_back += 0 < stamp_ns < self._stamp_ns
+        self._stamp_ns = stamp_ns
+        if not stamp_ns:
+            self.unstamped += 1
+        elif len(self._ahead_ns) < _KEPT:
+            self._ahead_ns.append(stamp_ns - received_ns)
+        if frame not in self.frames and len(self.frames) < _MOST_FRAMES:
+            self.frames.append(frame)
+        return stamp_ns
 
 
 @dataclass(frozen=True)
@@ -95,28 +170,6 @@ class CellSnapshot:
         return simulated and not self.publishers(names.JOINT_STATES)
 
 
-class Finding(NamedTuple):
-    """What is wrong or looks so, and what to do about it."""
-
-    found: str
-    todo: str
-
-
-class TableBehindDriver(Protocol):
-    """The table behind a driver that does not run yet, judged as the driver will judge it."""
-
-    topic: str
-
-    def wrong(self) -> Finding | None:
-        """Return why the driver could not use this feedback; None: it can."""
-
-    def outside(self) -> str | None:
-        """Return in words that the joint stands outside of its stated travel; None: no."""
-
-    def controller_lines(self) -> Iterator[CheckLine]:
-        """Yield whether a controller is there that accepts the driver's orders."""
-
-
 def table_behind_driver(node: Node, configuration: Configuration) -> TableBehindDriver | None:
     """Return the table behind a driver of the configuration; None: no driver has one."""
     for _, check in _checks(configuration):
@@ -162,9 +215,6 @@ def _checks(configuration: Configuration) -> Iterator[tuple[str, DriverCheck]]:
     for group in FURTHER_NODES:
         if group in configuration.given and group in known:
             yield group, plugins.load(plugins.DRIVER_CHECKS, group, "driver")
-
-
-_OURS: Final = ("cell_check", "_cell_check_ears")
 
 
 def cell_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
@@ -219,60 +269,6 @@ def namesakes(graph: CellGraph, topic: str, own: str, kind: str) -> str | None:
         f"such topics are in {place}: set cell.namespace (rotcal cell check --namespace {place} "
         f"looks there), or start their nodes with --ros-args -r __ns:={own.rpartition('/')[0]}"
     )
-
-
-_MOST_FRAMES = 8
-_KEPT = 5000
-
-
-@dataclass
-class HeaderWatch:
-    """The headers of the messages since the beginning; times of arrival are of this machine.
-
-    ``heard_s`` is the monotonic time of the latest one: setting a clock does not look like
-    silence.
-    """
-
-    count: int = 0
-    first_s: float = 0.0
-    latest_s: float = 0.0
-    heard_s: float = 0.0
-    unstamped: int = 0
-    set_back: int = 0
-    frames: list[str] = field(default_factory=list)
-    has_header: bool = True
-    _ahead_ns: list[int] = field(default_factory=list)
-    _stamp_ns: int = 0
-
-    @property
-    def rate_hz(self) -> float | None:
-        """Messages a second; None while fewer than two came."""
-        span = self.latest_s - self.first_s
-        return (self.count - 1) / span if self.count > 1 and span > 0.0 else None
-
-    @property
-    def ahead_s(self) -> float | None:
-        """Median of stamp less time of arrival; None where nothing is stamped."""
-        return median(self._ahead_ns) * NANOSECOND if self._ahead_ns else None
-
-    def note(self, data: bytes, received_ns: int) -> int:
-        """Take a serialised message; return its stamp (ns), 0 where it has none."""
-        now_s = received_ns * NANOSECOND
-        self.first_s = self.first_s or now_s
-        self.latest_s, self.count = now_s, self.count + 1
-        self.heard_s = time.monotonic()
-        if not self.has_header:
-            return 0
-        stamp_ns, frame = read_header(data)
-        self.set_back += 0 < stamp_ns < self._stamp_ns
-        self._stamp_ns = stamp_ns
-        if not stamp_ns:
-            self.unstamped += 1
-        elif len(self._ahead_ns) < _KEPT:
-            self._ahead_ns.append(stamp_ns - received_ns)
-        if frame not in self.frames and len(self.frames) < _MOST_FRAMES:
-            self.frames.append(frame)
-        return stamp_ns
 
 
 def read_header(data: bytes) -> tuple[int, str]:

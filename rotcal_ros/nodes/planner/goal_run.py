@@ -47,6 +47,11 @@ from rotcal_ros.nodes.runtime.hearing import BELIEVED
 
 MOST_IN_VAIN: Final = 2
 """Largest number of successive runs without a newly accepted step, when nodes are lost."""
+BAG_TIMEOUT_S: Final = 10.0
+OPEN_TIMEOUT_S: Final = 120.0
+"""To continue, the recorder first reads what the earlier runs have recorded."""
+LAST_TIMEOUT_S: Final = 2.0
+"""The bag stays open this long for observations that the recorder has not received yet."""
 
 
 class GoalRun:
@@ -221,13 +226,6 @@ class GoalRun:
             more = f"; rejected: {why.in_words()}" if why else ""
             raise GoalError(code, f"no result: {answer.message}{more}")
         return answer
-
-
-BAG_TIMEOUT_S: Final = 10.0
-OPEN_TIMEOUT_S: Final = 120.0
-"""To continue, the recorder first reads what the earlier runs have recorded."""
-LAST_TIMEOUT_S: Final = 2.0
-"""The bag stays open this long for observations that the recorder has not received yet."""
 
 
 class GoalBag:

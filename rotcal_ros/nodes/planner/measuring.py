@@ -20,6 +20,8 @@ from rotcal_ros.planning.plan import Move, Pause
 
 SETTLING_S: Final = 1.2
 """After a clock was set the capture accepts nothing for 1 s; a little more to be sure."""
+REPEAT_PERIOD_S: Final = 2.0
+"""An instruction is repeated after this time, for clients that join late."""
 
 
 class GoalMeasurement:
@@ -201,10 +203,6 @@ class GoalMeasurement:
                 f"{place}: no receipt from the recorder within {limit_s:g} s ({reason})",
             )
         return receipts[key]
-
-
-REPEAT_PERIOD_S: Final = 2.0
-"""An instruction is repeated after this time, for clients that join late."""
 
 
 class NotFreeError(RotcalError):

@@ -43,8 +43,6 @@ FEEDBACK_PERIOD_S: Final = 0.1
 NO_ORDERS: Final = "the planner orders nothing; a recording goes on"
 RESTART_WAIT_S: Final = 20.0
 """A goal waits this long for a lost node to be restarted."""
-
-
 SAFETY, HEALTH = "safety", "health"
 FROM_THE_START: Final = (SAFETY, HEALTH)
 """The groups that hold for all nodes from their start: no goal changes them."""

@@ -137,8 +137,6 @@ class LogTimes:
 
 _SETTLED_NS: Final = 1_000_000_000
 """This long after a clock was set back no earlier observation is on its way any more."""
-
-
 PATIENCE_S: Final = 2.0
 """How long an observation waits for the point that answers its order, after all else came."""
 

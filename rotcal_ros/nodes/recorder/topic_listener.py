@@ -39,6 +39,38 @@ ALWAYS: Final = ("/diagnostics", "/rosout", names.TF_STATIC)
 """Topics outside the namespace of the cell that are recorded too."""
 FAST_PERIOD_S: Final = 0.02
 """Interval at which fast topics are taken: a turn costs as much for one message as for many."""
+MOST_LATCHED: Final = 100
+"""So many batches of static transforms are kept for the next bag."""
+_STAMP: Final = struct.Struct("<4xiI")
+"""CDR encapsulation, then the stamp that begins every message with a header."""
+
+
+@dataclass
+class HeardTopic:
+    """A topic that is listened to: its channel and how far it has come.
+
+    ``heard_s`` is the monotonic time of the latest batch, or of the subscription, ``heard_ns`` the
+    log time of the latest message; ``latched`` is what was published once for late subscribers.
+    """
+
+    channel: Channel
+    heard_s: float = field(default_factory=time.monotonic)
+    heard_ns: int = field(default_factory=time.time_ns)
+    sent_ns: int = 0
+    latest: bytes = b""
+    latched: deque[Messages] = field(default_factory=lambda: deque(maxlen=MOST_LATCHED))
+    losses: TopicLosses = field(default_factory=TopicLosses)
+
+    def taken_ns(self, role: str, conventions: Conventions) -> int:
+        """Return when the newest message was taken, by the common clock; 0: none came."""
+        if not self.latest:
+            return 0
+        form = form_of(role, self.channel.type_name)
+        if form is not None and not form.stamped:
+            return int(conventions.taken_ns(role, self.sent_ns, self.sent_ns))
+        seconds, nanoseconds = _STAMP.unpack_from(self.latest)
+        stamp_ns = int(seconds) * 1_000_000_000 + int(nanoseconds)
+        return int(conventions.taken_ns(role, stamp_ns, self.sent_ns))
 
 
 class TopicListener:
@@ -235,37 +267,3 @@ def _wanted_topics(node: Node, further: Collection[str]) -> dict[str, str]:
         for name, types in node.get_topic_names_and_types()
         if name in further or ((name in ALWAYS or name.startswith(prefix)) and "/_" not in name)
     }
-
-
-MOST_LATCHED: Final = 100
-"""So many batches of static transforms are kept for the next bag."""
-_STAMP: Final = struct.Struct("<4xiI")
-"""CDR encapsulation, then the stamp that begins every message with a header."""
-
-
-@dataclass
-class HeardTopic:
-    """A topic that is listened to: its channel and how far it has come.
-
-    ``heard_s`` is the monotonic time of the latest batch, or of the subscription, ``heard_ns`` the
-    log time of the latest message; ``latched`` is what was published once for late subscribers.
-    """
-
-    channel: Channel
-    heard_s: float = field(default_factory=time.monotonic)
-    heard_ns: int = field(default_factory=time.time_ns)
-    sent_ns: int = 0
-    latest: bytes = b""
-    latched: deque[Messages] = field(default_factory=lambda: deque(maxlen=MOST_LATCHED))
-    losses: TopicLosses = field(default_factory=TopicLosses)
-
-    def taken_ns(self, role: str, conventions: Conventions) -> int:
-        """Return when the newest message was taken, by the common clock; 0: none came."""
-        if not self.latest:
-            return 0
-        form = form_of(role, self.channel.type_name)
-        if form is not None and not form.stamped:
-            return int(conventions.taken_ns(role, self.sent_ns, self.sent_ns))
-        seconds, nanoseconds = _STAMP.unpack_from(self.latest)
-        stamp_ns = int(seconds) * 1_000_000_000 + int(nanoseconds)
-        return int(conventions.taken_ns(role, stamp_ns, self.sent_ns))

@@ -53,6 +53,65 @@ AWARE_S: Final = 0.7
 PLANNER: Final = "planner"
 
 Values = Mapping[str, object]
+BEAT_PERIOD_S: Final = 0.2
+LEAVE_TIMEOUT_S: Final = 0.5
+_TOLD_S: Final = 0.5
+"""A turn that is younger counts as now: beats say only from then on that a node is busy."""
+
+
+class Heartbeat:
+    """Sends the node's latest state, from the second beat on also while its executor is busy."""
+
+    def __init__(self, node: Node, identity: ProcessIdentity) -> None:
+        self._context, self._clock, self._identity = node.context, node.get_clock(), identity
+        self._process = HostProcess.own()
+        self._publisher = node.create_publisher(
+            NodeStateMsg, names.HEARTBEAT, QoSProfile(depth=20)
+        )
+        self._lock, self._ended = Lock(), Event()
+        self._thread: Thread | None = None
+        self._latest = NodeStateMsg()
+        self._turn_s = self._sent_s = 0.0
+
+    def tell(self, state: NodeStateMsg) -> None:
+        """Send the present state of the node, from a turn of its executor."""
+        with self._lock:
+            self._latest, self._turn_s = state, time.monotonic()
+            self._send()
+
+    def go_on(self) -> None:
+        """Start the thread of the beats, in the first turn of the executor: all is loaded then."""
+        if self._thread is None:
+            self._thread = Thread(target=self._beat, name="heartbeat", daemon=True)
+            self._thread.start()
+
+    def leave(self, state: NodeStateMsg) -> None:
+        """Send the last beat, and let it reach the others."""
+        self._ended.set()
+        self.tell(state)
+        self._publisher.wait_for_all_acked(Duration(seconds=LEAVE_TIMEOUT_S))
+
+    def _beat(self) -> None:
+        """Repeat the latest state whenever a beat is due, until the node has left."""
+        with suppress(rclpy_implementation.InvalidHandle, rclpy_implementation.RCLError):
+            while not self._ended.wait(BEAT_PERIOD_S / 2) and self._context.ok():
+                with self._lock:
+                    if (
+                        time.monotonic() - self._sent_s > BEAT_PERIOD_S
+                        and not self._ended.is_set()
+                    ):
+                        self._send()
+
+    def _send(self) -> None:
+        now_s, beat, process = time.monotonic(), self._latest, self._process
+        busy_s = now_s - self._turn_s
+        beat.header.stamp = self._clock.now().to_msg()
+        beat.session, beat.process = self._identity.session, self._identity.process
+        beat.age = self._identity.age_ns(now_s)
+        beat.host, beat.pid, beat.start = process.host, process.pid, process.start
+        beat.busy = busy_s if busy_s > _TOLD_S else 0.0
+        self._publisher.publish(beat)
+        self._sent_s = now_s
 
 
 class Health:
@@ -276,64 +335,3 @@ class Health:
 
 def _process(beat: NodeStateMsg) -> HostProcess:
     return HostProcess(beat.host, beat.pid, beat.start)
-
-
-BEAT_PERIOD_S: Final = 0.2
-LEAVE_TIMEOUT_S: Final = 0.5
-_TOLD_S: Final = 0.5
-"""A turn that is younger counts as now: beats say only from then on that a node is busy."""
-
-
-class Heartbeat:
-    """Sends the node's latest state, from the second beat on also while its executor is busy."""
-
-    def __init__(self, node: Node, identity: ProcessIdentity) -> None:
-        self._context, self._clock, self._identity = node.context, node.get_clock(), identity
-        self._process = HostProcess.own()
-        self._publisher = node.create_publisher(
-            NodeStateMsg, names.HEARTBEAT, QoSProfile(depth=20)
-        )
-        self._lock, self._ended = Lock(), Event()
-        self._thread: Thread | None = None
-        self._latest = NodeStateMsg()
-        self._turn_s = self._sent_s = 0.0
-
-    def tell(self, state: NodeStateMsg) -> None:
-        """Send the present state of the node, from a turn of its executor."""
-        with self._lock:
-            self._latest, self._turn_s = state, time.monotonic()
-            self._send()
-
-    def go_on(self) -> None:
-        """Start the thread of the beats, in the first turn of the executor: all is loaded then."""
-        if self._thread is None:
-            self._thread = Thread(target=self._beat, name="heartbeat", daemon=True)
-            self._thread.start()
-
-    def leave(self, state: NodeStateMsg) -> None:
-        """Send the last beat, and let it reach the others."""
-        self._ended.set()
-        self.tell(state)
-        self._publisher.wait_for_all_acked(Duration(seconds=LEAVE_TIMEOUT_S))
-
-    def _beat(self) -> None:
-        """Repeat the latest state whenever a beat is due, until the node has left."""
-        with suppress(rclpy_implementation.InvalidHandle, rclpy_implementation.RCLError):
-            while not self._ended.wait(BEAT_PERIOD_S / 2) and self._context.ok():
-                with self._lock:
-                    if (
-                        time.monotonic() - self._sent_s > BEAT_PERIOD_S
-                        and not self._ended.is_set()
-                    ):
-                        self._send()
-
-    def _send(self) -> None:
-        now_s, beat, process = time.monotonic(), self._latest, self._process
-        busy_s = now_s - self._turn_s
-        beat.header.stamp = self._clock.now().to_msg()
-        beat.session, beat.process = self._identity.session, self._identity.process
-        beat.age = self._identity.age_ns(now_s)
-        beat.host, beat.pid, beat.start = process.host, process.pid, process.start
-        beat.busy = busy_s if busy_s > _TOLD_S else 0.0
-        self._publisher.publish(beat)
-        self._sent_s = now_s

@@ -36,6 +36,8 @@ SUPERVISOR_VARIABLE: Final = "ROTCAL_SUPERVISOR"
 STOP_TIMEOUT_S: Final = 20.0
 _TURN_S: Final = 0.2
 _AWAKE_S: Final = 0.01
+_PEER_TURN_S: Final = 0.1
+T = TypeVar("T")
 
 
 def run(make: Callable[[], CellNode], default_range: str = ROS_DEFAULT_RANGE) -> NoReturn:
@@ -163,9 +165,6 @@ def _finish(node: CellNode, executor: SingleThreadedExecutor) -> None:
         executor.spin_once(timeout_sec=_TURN_S)
 
 
-T = TypeVar("T")
-
-
 async def in_thread(work: Callable[..., T], *arguments: object) -> T:
     """Return what ``work`` returns, or raise what it raises; it has a thread of its own."""
     with ThreadPoolExecutor(max_workers=1) as aside:
@@ -179,9 +178,6 @@ def say(event: str, **values: Any) -> None:
     with suppress(BrokenPipeError):
         sys.stdout.write(json.dumps({"event": event, **values}) + "\n")
         sys.stdout.flush()
-
-
-_PEER_TURN_S: Final = 0.1
 
 
 class Peer:

@@ -9,7 +9,7 @@ from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import changed, read_configuration
 from rotcal_ros.nodes.planner.preflight import doubts, expected_air, faults, without_air
 
-CONFIG = Path(__file__).parents[2] / "config"
+CONFIG = Path(__file__).parents[3] / "config"
 TRACER = read_configuration(CONFIG / "tracer_paper.yaml")
 GOOD = {
     "joint.table": "0.500000000 0.000000000",

@@ -11,7 +11,7 @@ pytest.importorskip("rotcal_msgs")
 from rotcal_ros.methods.configuration import changed, read_configuration
 from rotcal_ros.nodes.check.cell_check import safety_lines
 
-PLAIN = read_configuration(Path(__file__).parents[2] / "config" / "tracer.yaml")
+PLAIN = read_configuration(Path(__file__).parents[3] / "config" / "tracer.yaml")
 STATED = changed(PLAIN, ["safety.emergency_stop=/safety/estop"])
 NONE = changed(PLAIN, ["safety.emergency_stop=''"])
 SILENT = changed(PLAIN, ["safety.silent_s=1.0"])

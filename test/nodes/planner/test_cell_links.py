@@ -54,7 +54,7 @@ def test_why_a_recorder_never_listens_is_told():
 
 
 def test_the_preflight_asks_for_the_stop_of_its_goal(monkeypatch):
-    file = Path(__file__).parents[2] / "config" / "tracer.yaml"
+    file = Path(__file__).parents[3] / "config" / "tracer.yaml"
     calibration = prepare(changed(read_configuration(file), [f"safety.emergency_stop={STOP}"]))
     monkeypatch.setattr(goal_run, "names_at_odds", lambda *_: [])
     asked = SimpleNamespace(

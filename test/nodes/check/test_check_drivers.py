@@ -14,7 +14,7 @@ from rotcal_ros.extensions.instrument_plugins.instrument import Tracer, Tracker
 from rotcal_ros.methods.configuration import changed, read_configuration
 from rotcal_ros.nodes.check.snapshot import brought, brought_line, driver_lines
 
-CONFIG = Path(__file__).parents[2] / "config"
+CONFIG = Path(__file__).parents[3] / "config"
 DME = read_configuration(CONFIG / "ball_plate_dme.yaml")
 TRACER = read_configuration(CONFIG / "tracer.yaml")
 PLUGIN = ("instrument.plugin=acme", "instrument.address=10.0.0.5:700")

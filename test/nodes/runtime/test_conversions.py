@@ -34,7 +34,7 @@ from rotcal_ros.foundation.results import Directions, Result, Zeros  # noqa: E40
 from rotcal_ros.methods.ball_plate.solver import solve  # noqa: E402
 from rotcal_ros.nodes.runtime import conversions  # noqa: E402
 
-GOLDEN = Path(__file__).parents[1] / "golden"
+GOLDEN = Path(__file__).parents[2] / "golden"
 
 stamps = st.integers(0, 2**31 * 10**9 - 1)
 counts = st.integers(0, 2**32 - 1)
