@@ -33,8 +33,8 @@ class Display:
         self._task = bar.add_task("starting the nodes", total=None)
         self._decile = deciles
 
-    def line(self, text: str) -> None:
-        """Print a line, if there is any, above the bar."""
+    def line(self, text: str | None) -> None:
+        """Print a line above the bar; None: there is none."""
         if text:
             self._bar.console.print(text, markup=False, highlight=False, soft_wrap=True)
 
@@ -92,8 +92,8 @@ class Person:
         self._code = int(Why.UNKNOWN)
         self.instruction = ""
 
-    def hear(self, event: Mapping[str, Any]) -> str:
-        """Take an event of the client and return what the person has to read, often nothing."""
+    def hear(self, event: Mapping[str, Any]) -> str | None:
+        """Handle an event of the client; return what the person has to read, None: nothing."""
         if event["event"] == "paused":
             self._asked, self._confirmed = True, False
             self._paused = True
@@ -106,7 +106,7 @@ class Person:
         if event["event"] == "feedback":  # anybody may have called the service
             self._paused = event["doing"] in PAUSES
             self._asked = self._asked and self._paused
-        return ""
+        return None
 
     def confirm(self, instruction: str) -> None:
         """Accept from another terminal that this work is done, if it is still asked for."""

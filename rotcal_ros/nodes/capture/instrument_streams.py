@@ -63,14 +63,14 @@ class JointReadings:
         self._joints: dict[str, tuple[float, float]] = {}
 
     def note(self, message: JointState, chosen: str) -> None:
-        """Note what a message says of its joints; the ``chosen`` one is told in any case."""
+        """Note the joints of a message; the ``chosen`` one is kept in any case."""
         velocities = (*message.velocity, *(math.nan for _ in message.position))
         for name, angle, velocity in zip(message.name, message.position, velocities, strict=False):
             if name in self._joints or name == chosen or len(self._joints) < MOST_JOINTS:
                 self._joints[name] = angle, velocity
 
     def values(self) -> dict[str, str]:
-        """Return what is told of the joints, in the order in which they were first heard."""
+        """Return the values for the beat, in the order in which the joints were first heard."""
         return {f"{JOINT}{n}": f"{a:.9f} {v:.9f}" for n, (a, v) in self._joints.items()}
 
 
@@ -107,11 +107,11 @@ class InstrumentStreams:
         self._interpreter = Interpreter(self.topics.settings, self._joint)
 
     def not_silent(self) -> None:
-        """Count silences from now on: what came while the node was busy waits to be read."""
+        """Count silences from now on: while the node was busy, messages were waiting unread."""
         self._heard_s = dict.fromkeys(self._heard_s, self._awake.now_s())
 
     def values(self, needed: Collection[str]) -> dict[str, Any]:
-        """Return what the beat tells: of ``needed`` streams that never pause, their silence."""
+        """Return the values for the beat; of ``needed`` steady streams also their silence."""
         values: dict[str, Any] = self.topics.values()
         values |= {f"valid.{role}": self._valid[role] for role in self._heard_s}
         values |= {f"{NOW}{role}": reading(record) for role, record in self._latest.items()}
@@ -125,7 +125,7 @@ class InstrumentStreams:
         return values
 
     def _heard(self, role: str, type_name: str, batch: Batch) -> None:
-        batch, _ = self._node.hearing.split(self.topics.name(role), batch)
+        batch, _ = self._node.accepted.split(self.topics.name(role), batch)
         if not batch:
             return
         self._heard_s[role] = self._awake.now_s()
@@ -161,7 +161,7 @@ class InstrumentStreams:
 
 
 def _is_valid(record: Any) -> bool:
-    """Return whether an instrument measures: a preflight waits for it."""
+    """Return whether a record is a valid reading; a preflight waits for one."""
     match record:
         case (
             TracerSample(status=LengthStatus.OK, length=number)
@@ -225,17 +225,17 @@ class InstrumentTopics:
         return name
 
     def use(self, configuration: Configuration) -> None:
-        """Listen where the configuration of a plan says."""
+        """Use the topics that the configuration of a plan names."""
         self._take(given_topics(configuration))
 
     def values(self) -> dict[str, str]:
-        """Return what the beat tells of names."""
+        """Return the values for the beat: names of topics, and types that cannot be used."""
         refused = {REFUSED + r: text for r, text in (self._by_sending() | self.refused).items()}
         named = other_names(self._node.get_namespace(), self.name)
         return {**named, **refused, TOPICS: self._goals}
 
     def _by_sending(self) -> dict[str, str]:
-        """Say by role what has the computer's time while the cell follows ``/clock``."""
+        """Return role -> why a stream without stamps cannot be used with ``/clock``."""
         if not self._node.health.sim.used:
             return {}
         conventions = Conventions(self.settings)
@@ -248,7 +248,7 @@ class InstrumentTopics:
         }
 
     def _follow(self) -> None:
-        """Listen where the goal of the planner says."""
+        """Use the topics that the planner's goal names."""
         goals = self._node.health.values("planner").get(TOPICS, "")
         if goals and goals != self._goals:
             self._take(json.loads(goals))

@@ -50,7 +50,7 @@ ANSWER_S: Final = 30.0
 
 
 class CaptureWarnings:
-    """Reports rejections, and what keeps an order from being measured, once for each kind."""
+    """Reports rejections, and what prevents a measurement, once for each kind."""
 
     def __init__(self, health: Any, logger: Any) -> None:
         self._health, self._logger = health, logger
@@ -63,18 +63,18 @@ class CaptureWarnings:
             show(self._health, key, None)
 
     def observed(self, observation: Observation) -> None:
-        """Take an observation: three rejected in a row are an error, fewer a warning."""
+        """Note an observation: three rejected in a row are an error, fewer a warning."""
         if line := self._rejections.note(observation, time.monotonic()):
             self._logger.warning(line)
         alarm, text = self._rejections.alarming, self._rejections.in_words()
         show(self._health, REJECTED, text, alarm=alarm)
 
     def complain(self, text: str | None) -> None:
-        """Take what is wrong with the present order, if anything is."""
+        """Report what is wrong with the present order; None: nothing is."""
         self._tell(COMPLAINT, text)
 
     def offset(self, offsets: StampOffsets) -> None:
-        """Take which clocks differ, by more than is tolerated or by less."""
+        """Report streams whose clocks differ, by more than is tolerated or by less."""
         self._tell(OFFSET, offsets.reason_to_reject())
         self._tell(CLOCK_DOUBT, offsets.doubt())
 
@@ -93,7 +93,7 @@ class CaptureNode(CellNode):
         super().__init__("capture")
 
     def configure(self) -> None:
-        """Hear the instruments."""
+        """Subscribe to instruments, plans and orders."""
         load_method(self)
         self._capture: Capture | None = None
         self._finder: StepFinder | None = None
@@ -101,7 +101,7 @@ class CaptureNode(CellNode):
         self._needed: tuple[str, ...] = ()
         self._verdicts: Counter[str] = Counter()
         self._trigger = LengthTrigger(self)
-        self._news = CaptureWarnings(self.health, self.get_logger())
+        self._warnings = CaptureWarnings(self.health, self.get_logger())
         self._observations = self.create_publisher(ObservationMsg, names.OBSERVATION, EVENT)
         PlanSubscription(self, self._take_plan)
         self._instruments = InstrumentStreams(self, self._hear)
@@ -109,7 +109,7 @@ class CaptureNode(CellNode):
         self.every(PERIOD_S, self._ask)
 
     def gather_s(self) -> float:
-        """Take readings together: an observation waits for them anyway."""
+        """Handle readings together: an observation waits for a window of them anyway."""
         return self.idle_s() or READINGS_S
 
     def deactivated(self) -> None:
@@ -137,13 +137,13 @@ class CaptureNode(CellNode):
             return
         for observation in map(self._instruments.offsets.judged, self._capture.feed(record)):
             self._verdicts["accepted" if observation.accepted else "rejected"] += 1
-            self._news.observed(observation)
+            self._warnings.observed(observation)
             self._observations.publish(conversions.observation_message(observation))
 
     def _take_plan(self, message: CalibrationPlan) -> None:
         self._capture, self._finder, self._run = None, None, ""
         self._orders.clear()
-        self._news.begin()
+        self._warnings.begin()
         self._state = LOADING
         self.health.beat()
         try:
@@ -171,7 +171,7 @@ class CaptureNode(CellNode):
     def _report(self) -> tuple[NodeState, dict[str, Any]]:
         values: dict[str, Any] = {RUN: self._run, **self._verdicts}
         values |= self._instruments.values(self._needed)
-        self._news.offset(self._instruments.offsets)
+        self._warnings.offset(self._instruments.offsets)
         if self._capture is not None:
             for stream, counts in self._capture.counts.items():
                 values |= {f"{stream}.{name}": n for name, n in counts.items()}
@@ -180,7 +180,7 @@ class CaptureNode(CellNode):
             values[WAITING_FOR] = found or self._capture.waiting_for or ""
             if hopeless := self._capture.hopeless():
                 values[HOPELESS] = hopeless
-            self._news.complain(found or self._capture.complaint())
+            self._warnings.complain(found or self._capture.complaint())
             for remark in self._capture.remarks():
                 self.get_logger().warning(remark, throttle_duration_sec=1.0)
         return self._state, values

@@ -77,6 +77,7 @@ from rotcal_ros.sessions.domains import domains_in_use
 
 NAME: Final = "cell_check"
 EARS: Final = "_cell_check_ears"
+"""Name of the capture that listens here; ROS hides names that begin with an underscore."""
 STREAMS: Final = (
     names.JOINT_STATES, names.PROBE_POINT, names.TRACER_LENGTH, names.TEMPERATURE,
     names.AIR_PRESSURE, names.RELATIVE_HUMIDITY,
@@ -115,7 +116,7 @@ class ListeningNodes:
         steady_timer(self.node, _LOOK_S, self._look)
 
     def announce(self, calibration: Calibration) -> None:
-        """Tell the listening nodes what to listen for, as a planner does."""
+        """Publish the plan to the capture that listens, as a planner does."""
         configuration = calibration.configuration
         self._adapter = table_behind_driver(self.node, configuration)
         if self._adapter is not None:
@@ -220,7 +221,7 @@ _TODO: Final = "publish the points in the machine frame, or set cell.machine_fra
 
 
 class FramesHeard:
-    """The frames that are heard from now on."""
+    """The static frames, heard from now on."""
 
     def __init__(self, node: Node) -> None:
         self._static = StaticFrames(node)
@@ -357,7 +358,7 @@ def _order_lines(snapshot: CellSnapshot, order: str) -> Iterator[CheckLine]:
 
 
 def _adapter_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
-    """Yield what the adapter would report of its joint, and whether its controller is there."""
+    """Yield how the adapter would judge its joint, and whether its controller is there."""
     assert snapshot.adapter is not None
     if wrong := snapshot.adapter.wrong():
         yield CheckLine("table", "joint", "missing", wrong.found, wrong.todo)

@@ -49,7 +49,7 @@ class TrialMotionNode(CellNode):
         super().__init__("trial_motion")
 
     def configure(self) -> None:
-        """Hear table, tracer and probe, and any stop."""
+        """Subscribe to table, tracer, probe and the emergency stop."""
         file = Path(self.parameter("configuration_file", "", "configuration of the cell"))
         self._output = Path(self.parameter("output", "", "file that the report is written to"))
         self._calibration = prepare_to_measure(read_configuration(file))

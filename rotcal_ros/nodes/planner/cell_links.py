@@ -35,11 +35,11 @@ from rotcal_ros.foundation.node_names import PREFLIGHT_NODES, VIEWERS
 from rotcal_ros.foundation.node_state import STOPS, Reason
 from rotcal_ros.foundation.observations import Command, Observation
 from rotcal_ros.nodes.runtime import conversions
+from rotcal_ros.nodes.runtime.accepted_publishers import APART, HEARS, digest
 from rotcal_ros.nodes.runtime.announced_plan import RUN
 from rotcal_ros.nodes.runtime.beat_values import show
 from rotcal_ros.nodes.runtime.cell_graph import ORDERS, CellGraph
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.hearing import APART, HEARS, digest
 from rotcal_ros.nodes.runtime.managed_node import not_active
 from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED
 from rotcal_ros.planning.plan import MACHINE_FRAME, Move
@@ -249,7 +249,7 @@ class CellLinks:
         """Return which nodes are not connected to the publishers of a run yet, in words."""
         others = (*PREFLIGHT_NODES, *self._own_machines())
         beats = {name: self.health.values(name) for name in others}
-        beats[self.node.get_name()] = self.node.hearing.values()
+        beats[self.node.get_name()] = self.node.accepted.values()
         return [
             f"node {name} cannot hear or be heard yet on {apart}"
             if (apart := values.get(APART))

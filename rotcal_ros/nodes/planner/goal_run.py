@@ -32,6 +32,7 @@ from rotcal_ros.nodes.planner.goal_watch import SOLVER, Codes, GoalError, GoalWa
 from rotcal_ros.nodes.planner.measuring import GoalMeasurement, OperatorRequests
 from rotcal_ros.nodes.planner.preflight import doubts, expected_air, faults, without_air
 from rotcal_ros.nodes.runtime import conversions
+from rotcal_ros.nodes.runtime.accepted_publishers import BELIEVED
 from rotcal_ros.nodes.runtime.announced_plan import RUN, run_name
 from rotcal_ros.nodes.runtime.beat_values import (
     OF_MACHINES,
@@ -43,7 +44,6 @@ from rotcal_ros.nodes.runtime.beat_values import (
 )
 from rotcal_ros.nodes.runtime.cell_node import until
 from rotcal_ros.nodes.runtime.clocks import unlike_clocks
-from rotcal_ros.nodes.runtime.hearing import BELIEVED
 
 MOST_IN_VAIN: Final = 2
 """Largest number of successive runs without a newly accepted step, when nodes are lost."""
@@ -67,7 +67,8 @@ class GoalRun:
         self._from_step = continuation.start_index
         self._lost: GoalError | None = None
         self.verdict_line = ""
-        self._run, self._believed = "", Believed()
+        self._run: str | None = None
+        self._believed = Believed()
         self.watch = watch
         self.measuring = GoalMeasurement(calibration, continuation, watch)
 
@@ -87,7 +88,7 @@ class GoalRun:
             await self.bag.close_after_failure()
         finally:
             self._believed = Believed()
-            self.watch.links.node.hearing.decide(self._believed)
+            self.watch.links.node.accepted.decide(self._believed)
         if self.bag.folder is not None:
             outcome.bag_folder = str(self.bag.folder.bag)
         progress = self.watch.progress
@@ -138,20 +139,21 @@ class GoalRun:
         self.watch.links.node.get_logger().warning(f"{lost}: the goal waits for it and goes on")
 
     def values(self) -> dict[str, object]:
-        """Return what the planner's beat says of the goal."""
+        """Return the values of the planner's beat that describe the goal."""
         heard: dict[str, object] = {BELIEVED: line} if (line := self._believed.in_a_beat()) else {}
         own: dict[str, object] = {**self.watch.progress.counts(), **heard}
         own[TOPICS] = topics_value(self._calibration.configuration)
         return {RUN: self._run, **own} if self._run else own
 
-    async def _believe(self) -> None:
+    async def _fix_publishers(self) -> None:
         """Fix the present publishers as those of the run, and wait until all nodes know them."""
-        await self._decide()
+        await self._accept_publishers()
         if not await self.watch.is_found(self._missing_connections):
-            await self._decide()
+            await self._accept_publishers()
             await self.watch.have(self._missing_connections, Codes.NODE_LOST)
 
-    async def _decide(self) -> None:
+    async def _accept_publishers(self) -> None:
+        """Accept the publishers that are there now, and tell all nodes in a beat at once."""
         links, watch = self.watch.links, self.watch
         instruments = self._calibration.method.topics
         await watch.have(lambda: links.unclear(instruments), Codes.TOPIC_MISSING)
@@ -159,14 +161,14 @@ class GoalRun:
         watch.instruments = {*instruments, *needed, *wished}
         watch.heard = links.offered(watch.instruments)
         self._believed = links.believed(watch.instruments)
-        links.node.hearing.decide(self._believed)
+        links.node.accepted.decide(self._believed)
         links.health.beat()
 
     def _missing_connections(self) -> list[str]:
         return self.watch.links.missing_connections(self._believed)
 
     def _remarks(self, error: GoalError) -> str:
-        """Return what the cell says that may be why the goal has ended."""
+        """Return warnings of the cell that may be the reason why the goal has ended."""
         health = self.watch.links.health
         causes = (f"; {t}" for t in warnings_told(health, OF_MACHINES) if t not in str(error))
         return "" if error.code == Codes.CANCELED else health.sim.remark() + "".join(causes)
@@ -195,7 +197,7 @@ class GoalRun:
             start_index=self._continuation.start_index,
             run=self._continuation.run,
         )
-        await self._believe()
+        await self._fix_publishers()
         run = self._run = run_name(message)
         links.health.beat()  # names the run: without it the others ignore the plan
         links.announce(message)

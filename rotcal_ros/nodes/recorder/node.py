@@ -58,7 +58,7 @@ class RecorderNode(CellNode):
         super().__init__("recorder")
 
     def configure(self) -> None:
-        """Get ready to write."""
+        """Subscribe to everything, and offer to record."""
         self._settings = self.settings("recorder", RecorderSettings)
         self._bags, self._session = SessionBags(self._settings), RecordedSession()
         self._recording: BagRecording | None = None
@@ -229,7 +229,7 @@ class RecorderNode(CellNode):
 
 
 class Receipts:
-    """The receipts of a recorder that are due, and their topic."""
+    """Confirms observations on a topic, as soon as they and their readings are on the disk."""
 
     def __init__(
         self,
@@ -251,7 +251,7 @@ class Receipts:
         self._pending = PendingReceipts(answered=points is not None and _echoes(points))
 
     def hear(self, topic: HeardTopic, batch: Batch) -> None:
-        """Take observations, which want a receipt, and the points that answer orders."""
+        """Note observations, which need a receipt, and the points that answer orders."""
         name = topic.channel.topic
         if name == self._called.topic(names.OBSERVATION):
             for data, _ in batch:
@@ -285,7 +285,7 @@ class Receipts:
 
 
 def _echoes(points: HeardTopic) -> bool:
-    """Return whether the points tell which order they answer."""
+    """Return whether the points say which order they answer."""
     return points.channel.type_name == OWN[names.PROBE_POINT]
 
 

@@ -252,7 +252,7 @@ class DropoutNotes:
         self._waiting.clear()
 
     def note(self, dropout: Dropout) -> None:
-        """Take a dropout; it is joined with those just before it."""
+        """Note a dropout; it is joined with those just before it."""
         if self._recording is None or self._recording.error:
             return
         key = (dropout.topic, dropout.reason)
@@ -260,19 +260,19 @@ class DropoutNotes:
         self._waiting[key] = since_s, dropout if earlier is None else earlier.joined(dropout)
 
     def refused(self, messages: Messages) -> None:
-        """Take messages for which the queue had no room."""
+        """Note messages for which the queue had no room."""
         times_ns = [received_ns for _, received_ns, _ in messages.items]
         topic, count = messages.channel.topic, len(times_ns)
         self.note(Dropout(topic, min(times_ns), max(times_ns), count, QUEUE))
 
     def silences(self, ended: list[Silence]) -> None:
-        """Take silences that have ended."""
+        """Note silences that have ended."""
         for silence in ended:
             begin, end = map(_wall_ns, (silence.from_s, silence.to_s))
             self.note(Dropout(silence.topic, begin, end, 0, SILENCE))
 
     def write(self, older_than_s: float = 0.0) -> None:
-        """Write those that have waited long enough."""
+        """Write the dropouts that have waited for others to join for long enough."""
         if self._recording is None or self._recording.error:
             return
         now_s = time.monotonic()

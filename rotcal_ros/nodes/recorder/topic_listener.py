@@ -38,9 +38,9 @@ from rotcal_ros.planning.settings import SafetySettings
 ALWAYS: Final = ("/diagnostics", "/rosout", names.TF_STATIC)
 """Topics outside the namespace of the cell that are recorded too."""
 FAST_PERIOD_S: Final = 0.02
-"""Interval at which fast topics are taken: a turn costs as much for one message as for many."""
+"""Period of the fast topics: a turn costs as much for one message as for many."""
 MOST_LATCHED: Final = 100
-"""So many batches of static transforms are kept for the next bag."""
+"""Number of batches of static transforms that are kept for the next bag."""
 _STAMP: Final = struct.Struct("<4xiI")
 """CDR encapsulation, then the stamp that begins every message with a header."""
 
@@ -150,12 +150,12 @@ class TopicListener:
                 take(Messages(topic.channel, [(d, now_ns, sent) for d, _, sent in latched.items]))
 
     def drain(self) -> None:
-        """Take what has arrived and is still waiting."""
+        """Handle what has arrived and is still waiting."""
         for drained in self._drained:
             drained.drain()
 
     def take_fast(self) -> None:
-        """Take what has arrived on topics that are fast."""
+        """Handle what has arrived on the fast topics."""
         for drained in self._fast:
             drained.drain()
 
@@ -187,7 +187,7 @@ class TopicListener:
         fast = self._is_fast(name)
 
         def handle(batch: Batch) -> None:
-            ours, others = self._node.hearing.split(name, batch)
+            ours, others = self._node.accepted.split(name, batch)
             if others:  # kept on a topic of their own, apart from the run's publishers
                 self._hand_over(_left_alone(self._node, topic), others)
             if ours:

@@ -20,9 +20,9 @@ from rotcal_ros.capture.messages import Orders
 from rotcal_ros.foundation.machine_load import Patience
 from rotcal_ros.foundation.node_state import NodeState
 from rotcal_ros.foundation.observations import Command
+from rotcal_ros.nodes.runtime.accepted_publishers import AcceptedPublishers
 from rotcal_ros.nodes.runtime.beat_values import other_names
 from rotcal_ros.nodes.runtime.health import Health, Values
-from rotcal_ros.nodes.runtime.hearing import Hearing
 from rotcal_ros.nodes.runtime.managed_node import ManagedNode, declare_settings, given_parameters
 from rotcal_ros.nodes.runtime.qos import EVENT
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import steady_timer
@@ -83,7 +83,7 @@ class CellNode(ManagedNode, ABC):
         self._answering = 0
         self._answers = MutuallyExclusiveCallbackGroup()
         self._names: Values = other_names(self.get_namespace(), self.resolve_topic_name)
-        self.hearing = Hearing(self, quiet=name in _QUIET)
+        self.accepted = AcceptedPublishers(self, quiet=name in _QUIET)
         settings = self.settings("health", HealthSettings)
         self.health = Health(self, self._beat_values, self._missed, settings=settings)
 
@@ -108,7 +108,7 @@ class CellNode(ManagedNode, ABC):
         latched = getattr(qos, "durability", None) == DurabilityPolicy.TRANSIENT_LOCAL
 
         def take(message: Any, info: Any) -> None:
-            if judged and not self.hearing.hears(self.resolve_topic_name(topic), info):
+            if judged and not self.accepted.hears(self.resolve_topic_name(topic), info):
                 return
             if self.active:
                 handle(message)
@@ -217,7 +217,7 @@ class CellNode(ManagedNode, ABC):
     def _beat_values(self) -> tuple[NodeState, Values]:
         """Return state and values of a beat: the report, and topics with other names."""
         state, values = self._report() if self.configured else (self.inactivity(), {})
-        known = {**self._names, **self.hearing.values(), **values}
+        known = {**self._names, **self.accepted.values(), **values}
         return state if self.active else self.inactivity(), known
 
     def _missed(self, name: str) -> None:

@@ -136,7 +136,7 @@ class Health:
         self._on_lost = on_lost
         self.settings = settings or HealthSettings()
         self.awake = AwakeClock()
-        self._roll = Liveness(self.settings)
+        self._liveness = Liveness(self.settings)
         self._holders = NameHolders()
         self.identity = ProcessIdentity.own(os.environ, time.monotonic())
         self.refused: str | None = None
@@ -160,12 +160,12 @@ class Health:
     @property
     def lost(self) -> dict[str, str]:
         """Name -> why, of the others that are lost, as of the last turn."""
-        return self._roll.lost
+        return self._liveness.lost
 
     @property
     def slow(self) -> dict[str, float]:
         """Name -> seconds without a sign that it answers, of the others that are slow."""
-        return self._roll.slow
+        return self._liveness.slow
 
     def guarded(self, callback: Callable[..., Any]) -> Callable[..., Any]:
         """Keep an exception in ``callback`` from ending the node: count it, log it once."""
@@ -252,14 +252,14 @@ class Health:
             name, identity = beat.node, ProcessIdentity.of(beat, now_s)
             if beat.state == State.LEAVING:
                 if self._holders.leave(name, identity):
-                    self._roll.forget(name)
+                    self._liveness.forget(name)
                     self.others.pop(name, None)
             elif name == self._node.get_name():
                 self._meet(identity)
             elif name in self.lost and _process(beat).is_gone:
                 continue  # sent before its process died, delivered late
             elif self._holders.is_holder(name, identity, now_s):
-                self._roll.hear(name, awake_s - max(0.0, beat.busy))
+                self._liveness.hear(name, awake_s - max(0.0, beat.busy))
                 self.others[name] = beat
 
     def _meet(self, other: ProcessIdentity) -> None:
@@ -281,7 +281,7 @@ class Health:
         self.beat()
         if self._beats is not None:
             self._beats.go_on()
-        for name in self._roll.look(self.awake.now_s(), self._gone):
+        for name in self._liveness.look(self.awake.now_s(), self._gone):
             self._node.get_logger().error(f"node {name} is lost: {self.last_words(name)}")
             if self._on_lost is not None:
                 self._on_lost(name)
@@ -295,7 +295,7 @@ class Health:
         process = _process(self.others[name])
         if process.is_of_here:
             return f"its process {process.pid} is gone" if process.is_gone else None
-        silent_s = self.awake.now_s() - self._roll.seen[name]
+        silent_s = self.awake.now_s() - self._liveness.seen[name]
         if silent_s <= self.settings.slow_after_s:
             return None
         topic = self._node.resolve_topic_name(names.HEARTBEAT)

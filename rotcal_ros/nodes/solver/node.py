@@ -93,7 +93,7 @@ class SolverNode(CellNode):
         return 0.0 if self._answering else self.idle_s() or OBSERVATIONS_S
 
     def _take_plan(self, message: CalibrationPlan) -> None:
-        """Start afresh, with what the recorder has of the runs so far, or this node itself."""
+        """Begin with a plan, with what the recorder or this node itself has of earlier runs."""
         old, own = self._calibration, self._observations
         self._calibration, self._run, self._observations, self._state = None, "", {}, LOADING
         self._values = {}
@@ -115,7 +115,7 @@ class SolverNode(CellNode):
         self._earlier.ask(message, kept, partial(self._begin_run, message))
 
     def _begin_run(self, message: CalibrationPlan, known: Mapping[RunStep, Observation]) -> None:
-        """Take part from now on; ``known`` is what came before this node, or this run."""
+        """Collect from now on; ``known`` is what was observed before this node or run began."""
         self._know(known)
         self._run = run_name(message)
         self._state = NodeState.of(State.WORKING, Why.COLLECTING, message.method)

@@ -21,8 +21,8 @@ from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods import Configuration
 from rotcal_ros.methods.check_lines import CheckLine, DriverCheck
 from rotcal_ros.nodes.check.snapshot import Finding
+from rotcal_ros.nodes.runtime.accepted_publishers import origin_of
 from rotcal_ros.nodes.runtime.cell_graph import incompatible_listeners
-from rotcal_ros.nodes.runtime.hearing import origin_of
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import Batch, InstrumentSubscription
 from rotcal_ros.planning.settings import TableAdapterSettings
 

@@ -9,8 +9,15 @@ pytest.importorskip("rclpy")
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
 from rotcal_ros.capture.heard import Believed
+from rotcal_ros.nodes.runtime.accepted_publishers import (
+    APART,
+    BELIEVED,
+    HEARS,
+    AcceptedPublishers,
+    digest,
+    origin_of,
+)
 from rotcal_ros.nodes.runtime.beat_values import INTRUDER
-from rotcal_ros.nodes.runtime.hearing import APART, BELIEVED, HEARS, Hearing, digest, origin_of
 
 POINTS, SENT = "/cell/probe_point", "/cell/observation"
 OURS, STRAY = bytes(range(16)), bytes(range(16, 32))
@@ -58,39 +65,39 @@ def info(gid, number=1):
 def during_a_run(**options):
     node = Node()
     node.beat({BELIEVED: RUN.in_a_beat()})
-    return node, Hearing(node, **options)
+    return node, AcceptedPublishers(node, **options)
 
 
 def test_messages_of_somebody_else_are_split_off_named_once_and_shown():
-    node, hearing = during_a_run()
+    node, accepted = during_a_run()
     batch = [("a", info(OURS)), ("b", info(STRAY)), ("c", info(OURS, 2)), ("d", info(STRAY, 2))]
-    ours, others = hearing.split(POINTS, batch)
+    ours, others = accepted.split(POINTS, batch)
     assert [message for message, _ in ours] == ["a", "c"]
     assert [message for message, _ in others] == ["b", "d"]
     assert len(node.said) == 1
     assert f"{POINTS}: node second_probe publishes there too" in node.said[0]
     assert node.health.concerns[INTRUDER] == node.said[0]
-    assert hearing.values() == {HEARS: digest(RUN)}
+    assert accepted.values() == {HEARS: digest(RUN)}
 
 
 def test_who_is_known_and_not_joined_yet_is_told_until_he_can_be_heard():
-    node, hearing = during_a_run()
+    node, accepted = during_a_run()
     node.joined = 0
-    assert hearing.values() == {APART: f"{SENT}, {POINTS}"}
+    assert accepted.values() == {APART: f"{SENT}, {POINTS}"}
     node.joined = 1
-    assert hearing.values() == {HEARS: digest(RUN)}
+    assert accepted.values() == {HEARS: digest(RUN)}
     node.joined = 0  # who leaves later is lost, which others tell
-    assert hearing.values() == {HEARS: digest(RUN)}
+    assert accepted.values() == {HEARS: digest(RUN)}
     node.beat({BELIEVED: Believed({POINTS: (STRAY.hex(),)}).in_a_beat()})
-    assert hearing.values() == {APART: f"{SENT}, {POINTS}"}
+    assert accepted.values() == {APART: f"{SENT}, {POINTS}"}
 
 
 def test_a_subscription_that_is_given_up_meanwhile_proves_nothing():
-    node, hearing = during_a_run()
+    node, accepted = during_a_run()
     node.given_up = True
-    assert hearing.values() == {APART: ""}
+    assert accepted.values() == {APART: ""}
     node.given_up = False
-    assert hearing.values() == {HEARS: digest(RUN)}
+    assert accepted.values() == {HEARS: digest(RUN)}
 
 
 @pytest.mark.parametrize(
@@ -103,44 +110,44 @@ def test_a_subscription_that_is_given_up_meanwhile_proves_nothing():
     ],
 )
 def test_a_node_that_was_started_anew_is_named_as_that(there, anew):
-    node, hearing = during_a_run()
+    node, accepted = during_a_run()
     node.there = there
-    assert not hearing.hears(POINTS, info(STRAY))
+    assert not accepted.hears(POINTS, info(STRAY))
     assert f"node {there[-1][0]} " in node.said[0]
     assert ("restarted" in node.said[0]) == anew
     assert ("end that node" in node.said[0]) != anew
 
 
 def test_without_a_run_everybody_is_heard():
-    node, hearing = during_a_run()
-    assert not hearing.hears(POINTS, info(STRAY))
+    node, accepted = during_a_run()
+    assert not accepted.hears(POINTS, info(STRAY))
     node.beat({})
-    assert hearing.hears(POINTS, info(STRAY))
+    assert accepted.hears(POINTS, info(STRAY))
     assert INTRUDER not in node.health.concerns
-    assert hearing.values() == {}
+    assert accepted.values() == {}
 
 
 def test_the_planner_decides_for_itself_and_ends_it():
     node = Node()
     node.health.others.clear()
-    hearing = Hearing(node)
-    hearing.decide(RUN)
-    assert not hearing.hears(POINTS, info(STRAY))
-    hearing.decide(Believed())
-    assert hearing.hears(POINTS, info(STRAY))
+    accepted = AcceptedPublishers(node)
+    accepted.decide(RUN)
+    assert not accepted.hears(POINTS, info(STRAY))
+    accepted.decide(Believed())
+    assert accepted.hears(POINTS, info(STRAY))
 
 
 def test_a_node_that_keeps_quiet_leaves_alone_all_the_same():
-    node, hearing = during_a_run(quiet=True)
-    assert not hearing.hears(POINTS, info(STRAY))
+    node, accepted = during_a_run(quiet=True)
+    assert not accepted.hears(POINTS, info(STRAY))
     assert node.said == []
     assert node.health.concerns == {}
 
 
 def test_somebody_who_left_before_he_could_be_named():
-    node, hearing = during_a_run()
+    node, accepted = during_a_run()
     node.there = []
-    hearing.hears(POINTS, info(STRAY))
+    accepted.hears(POINTS, info(STRAY))
     assert "a node that is gone publishes there too" in node.said[0]
 
 

@@ -32,7 +32,7 @@ APART: Final = "apart"
 """Value instead of HEARS while connections are missing: the topics of these."""
 
 
-class Hearing:
+class AcceptedPublishers:
     """Which messages of a run a node accepts; it reports the publishers that it ignores.
 
     ``quiet``: it does not, because other nodes report them already.
