@@ -56,7 +56,7 @@ Values = Mapping[str, object]
 BEAT_PERIOD_S: Final = 0.2
 LEAVE_TIMEOUT_S: Final = 0.5
 _TOLD_S: Final = 0.5
-"""A turn that is younger counts as now: beats say only from then on that a node is busy."""
+"""A beat reports a busy node only if its last turn is older than this."""
 
 
 class Heartbeat:
