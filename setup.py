@@ -8,14 +8,21 @@ from setuptools import find_packages, setup
 
 NAME = "rotcal_ros"
 NODES = run_path(str(Path(NAME, "foundation", "node_names.py")))["EXECUTABLES"]
-NODES_OF_EXTENSIONS = {
-    "dme_adapter": "ipp_dme.node",
-    "instrument_driver": "instrument_plugins.node",
-    "operator_page": "page.node.operator_page",
-    "scene": "scene.node",
-    "table_adapter": "ros2_control.node.table_adapter",
+MODULES = {
+    "bridge": "nodes.bridge.node",
+    "capture": "nodes.capture.node",
+    "dme_adapter": "extensions.ipp_dme.node",
+    "instrument_driver": "extensions.instrument_plugins.node",
+    "linuxcnc_driver": "nodes.adapters.linuxcnc_driver",
+    "operator_page": "extensions.page.node.operator_page",
+    "planner": "nodes.planner.node",
+    "recorder": "nodes.recorder.node",
+    "scene": "extensions.scene.node",
+    "simulated_cell": "nodes.adapters.simulated_cell",
+    "solver": "nodes.solver.node",
+    "table_adapter": "extensions.ros2_control.node.table_adapter",
 }
-"""Node -> its module, where an extension brings it."""
+"""Node -> its module."""
 VERBS_OF_EXTENSIONS = {"dme": "ipp_dme", "replay": "replay"}
 METHODS = {
     "tracer_multistation": "tracer",
@@ -38,12 +45,6 @@ CONTROLLERS_OF_EXTENSIONS = (
 SHARED = ["config", "config/foxglove", "config/plates", "launch"]
 
 version = re.search(r'__version__ = "(.+)"', Path(NAME, "__init__.py").read_text()).group(1)
-
-
-def module_of(node):
-    """Return the module of a node."""
-    extension = NODES_OF_EXTENSIONS.get(node)
-    return f"extensions.{extension}" if extension else f"nodes.{node}"
 
 
 def shared_files():
@@ -141,7 +142,7 @@ setup(
     entry_points={
         "console_scripts": [
             f"rotcal = {NAME}.cli.main:main",
-            *(f"{node} = {NAME}.{module_of(node)}:main" for node in NODES),
+            *(f"{node} = {NAME}.{MODULES[node]}:main" for node in NODES),
         ],
         "rotcal_ros.methods": [
             f"{method} = {NAME}.methods.{folder}.method:METHOD"
@@ -177,7 +178,7 @@ setup(
         "rotcal_ros.driver_checks": [
             f"dme = {NAME}.extensions.ipp_dme.check:CHECK",
             f"instrument = {NAME}.extensions.instrument_plugins.check:CHECK",
-            f"table_adapter = {NAME}.extensions.ros2_control.node.ears:CHECK",
+            f"table_adapter = {NAME}.extensions.ros2_control.node.check:CHECK",
         ],
         "rotcal_ros.verbs": [
             f"{verb} = {NAME}.extensions.{extension}:VERB"

@@ -26,9 +26,10 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from rotcal_ros.foundation.node_names import NODES
+from rotcal_ros.foundation.plugins import node_module
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.methods.configuration import changed, read_configuration
-from rotcal_ros.sessions.environment import node_environment
+from rotcal_ros.sessions.processes import node_environment
 
 ROOT = Path(__file__).parents[1]
 GOALS = int(os.environ.get("ROTCAL_BENCH_GOALS", "3"))
@@ -84,7 +85,7 @@ class Cell:
         }
 
     def _started(self, node: str, *arguments: str) -> subprocess.Popen[str]:
-        command = [sys.executable, "-m", f"rotcal_ros.nodes.{node}", "--ros-args"]
+        command = [sys.executable, "-m", node_module(node), "--ros-args"]
         with (self.folder / f"{node}.log").open("a") as log:
             return subprocess.Popen(
                 [*command, "-r", "__ns:=/cell", *arguments], env=self._environment, text=True,

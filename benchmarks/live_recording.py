@@ -25,7 +25,7 @@ from rotcal_msgs.srv import StartRecording, StopRecording
 
 from rotcal_ros.bags.reader import bag_files, check_files
 from rotcal_ros.nodes.runtime.qos import STREAM, adapted_qos
-from rotcal_ros.sessions.environment import node_environment
+from rotcal_ros.sessions.processes import node_environment
 
 TRACER, TABLE = TOPICS = ("tracer_length", "table_stream")
 """A cell's load: readings of a fast tracer, and every tenth message of a slower stream."""
@@ -102,7 +102,7 @@ class Recorder:
 
     def __init__(self, folder: Path) -> None:
         self._process = started(
-            "-m", "rotcal_ros.nodes.recorder", "--ros-args",
+            "-m", "rotcal_ros.nodes.recorder.node", "--ros-args",
             "-p", f"recorder.folder:={json.dumps(str(folder))}",
         )  # fmt: skip
         rclpy.init()

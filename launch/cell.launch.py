@@ -18,7 +18,7 @@ from launch_ros.substitutions import FindPackageShare
 from rotcal_ros.foundation.node_names import NODES, VIEWERS
 from rotcal_ros.methods import read_configuration
 from rotcal_ros.methods.configuration import SIMULATION, node_parameters
-from rotcal_ros.nodes.runtime.machine_nodes import (
+from rotcal_ros.nodes.adapters.machine_nodes import (
     AS_CONFIGURED,
     OWN,
     PROBES,

@@ -3,7 +3,12 @@
 It works with a live graph of nodes only: examples/11_calibrate_from_a_script.py shows how.
 """
 
-from rotcal_ros.nodes.calibrator import Calibrator, CalibratorError, GoalRefusedError
-from rotcal_ros.nodes.goal.outcome import Feedback, Outcome
+from rotcal_ros.nodes.client.calibrator import (
+    Calibrator,
+    CalibratorError,
+    Feedback,
+    GoalRefusedError,
+    Outcome,
+)
 
 __all__ = ["Calibrator", "CalibratorError", "Feedback", "GoalRefusedError", "Outcome"]

@@ -21,8 +21,8 @@ from typing import Any
 from PIL import Image
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
-from rotcal_ros.sessions.following import RunningSession, running
 from rotcal_ros.sessions.processes import Processes
+from rotcal_ros.sessions.running import RunningSession, running
 from rotcal_ros.sessions.session import Session, prepare_session
 
 ROOT = Path(__file__).parents[1]

@@ -325,7 +325,7 @@ def begin(arguments: Sequence[str]) -> None:
 
 def start_copies() -> None:
     """Let the processes of a session begin as copies of this one, where that knows the nodes."""
-    if "rotcal_ros.nodes.planner" not in sys.modules:
+    if "rotcal_ros.nodes.planner.node" not in sys.modules:
         return
     processes: ModuleType = sys.modules["rotcal_ros.sessions.processes"]
     servers[os.getpid()] = WarmServer.of_this_process()

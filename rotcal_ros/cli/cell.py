@@ -51,7 +51,7 @@ def check(
     code is 0 where nothing is missing, otherwise 1, with what to do next.
     """
     from rotcal_ros.sessions.cell_check import check_cell
-    from rotcal_ros.sessions.environment import require_ros
+    from rotcal_ros.sessions.processes import require_ros
 
     if move and configuration is None:
         raise click.UsageError("--move needs CONFIG: it says which joint the table is")

@@ -155,13 +155,13 @@ def messages() -> Check:
 
 def loopback() -> Check:
     """Send a message there and back over DDS, in a domain of its own on this machine."""
-    ok, found = _try("selftest")
+    ok, found = _try("message_trial")
     return Check("DDS on this machine", ok, found, "let UDP through on the loopback interface")
 
 
 def nodes() -> Check:
     """Start the nodes of every cell and end them, in a domain of their own on this machine."""
-    ok, found = _try("trial_start")
+    ok, found = _try("start_trial")
     return Check("Nodes", ok, found, "'rotcal run' would meet the same; report it with this line")
 
 
@@ -177,7 +177,7 @@ def _try(module: str, *arguments: str) -> tuple[bool, str]:
     private = {"ROS_DOMAIN_ID": str(free_domain()), **middleware(os.environ)}
     try:
         run = subprocess.run(
-            [sys.executable, "-m", f"rotcal_ros.nodes.{module}", *arguments],
+            [sys.executable, "-m", f"rotcal_ros.nodes.check.{module}", *arguments],
             env=os.environ | private,
             capture_output=True,
             text=True,

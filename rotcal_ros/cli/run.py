@@ -58,13 +58,13 @@ def command(
     Ctrl-C cancels: the bag stays valid, and --resume continues it. A lost terminal does not end
     the calibration: 'rotcal attach' shows it again.
     """
-    from rotcal_ros.sessions.environment import page_can_be_served, require_ros
-    from rotcal_ros.sessions.following import calibrate
-    from rotcal_ros.sessions.lasting import go_to_background, lasting_output
+    from rotcal_ros.sessions.attaching import Viewers
+    from rotcal_ros.sessions.lasting_output import go_to_background, lasting_output
+    from rotcal_ros.sessions.processes import page_can_be_served, require_ros
     from rotcal_ros.sessions.products import goal_line, write_products
     from rotcal_ros.sessions.resume import resume_session
+    from rotcal_ros.sessions.running import calibrate
     from rotcal_ros.sessions.session import prepare_session
-    from rotcal_ros.sessions.viewers import Viewers
 
     if detach and as_json:
         raise click.UsageError("--json prints the outcome, for which --detach does not wait")

@@ -126,7 +126,7 @@ def _verify(folder: Path, as_json: bool) -> int:
     """Carry out what is left to do in ``folder``, print the outcome, return the exit code."""
     from rotcal_ros.foundation.session_folder import VERIFICATION, SessionFolder
     from rotcal_ros.report.verification import verification_section
-    from rotcal_ros.sessions.lasting import lasting_output
+    from rotcal_ros.sessions.lasting_output import lasting_output
     from rotcal_ros.sessions.products import goal_line, write_report
     from rotcal_ros.sessions.verification import verify
 

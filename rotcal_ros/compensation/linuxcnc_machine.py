@@ -13,7 +13,10 @@ import numpy as np
 from rotcal_ros.compensation.linuxcnc_ini import Ini
 from rotcal_ros.foundation.errors import ConfigurationError
 
-AGENT: Final = ("/usr/bin/python3", str(files("rotcal_ros") / "nodes" / "linuxcnc_agent.py"))
+AGENT: Final = (
+    "/usr/bin/python3",
+    str(files("rotcal_ros") / "nodes" / "adapters" / "linuxcnc_agent.py"),
+)
 """Speaks with the running program, on the system's Python that has the modules for it."""
 LETTERS: Final = "XYZABCUVW"
 """The axes of trivkins without ``coordinates=``, joint by joint."""

@@ -21,7 +21,7 @@ VIEWERS: Final[Mapping[str, str]] = {PAGE: "operator_page", "scene": "scene"}
 DRIVERS: Final = ("linuxcnc_driver",)
 """Nodes that are started by hand, for the machine that the user has."""
 EXECUTABLES: Final = (*NODES, *FURTHER_NODES.values(), *VIEWERS.values(), *DRIVERS)
-"""All nodes, each a command of the package: a module of rotcal_ros.nodes or an extension."""
+"""All nodes, each a command of the package; setup.py names their modules."""
 PREFLIGHT_NODES: Final = tuple(name for name in NODES if name != "planner")
 """Nodes that must beat before anything moves; the planner is the one that looks."""
 

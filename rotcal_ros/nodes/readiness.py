@@ -13,8 +13,7 @@ from typing import Final
 
 from rotcal_ros.nodes.runtime.health import Health
 from rotcal_ros.nodes.runtime.managed_node import not_active
-from rotcal_ros.nodes.runtime.peer import Peer
-from rotcal_ros.nodes.runtime.running import EndRequest, leave_with
+from rotcal_ros.nodes.runtime.running import EndRequest, Peer, run_and_exit
 
 REMIND_S: Final = 15.0
 _TURN_S: Final = 0.2
@@ -67,7 +66,7 @@ def _say(text: str) -> None:
 def main() -> None:
     """Wait for the nodes that the command line names, after their namespace."""
     _, place, *names = sys.argv
-    leave_with(lambda: _wait(place, names))
+    run_and_exit(lambda: _wait(place, names))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""A check of a live cell: a process listens, and its printed report is read."""
+"""Checks a live cell: starts the process that listens, and reads the report that it prints."""
 
 from __future__ import annotations
 
@@ -20,8 +20,7 @@ from rotcal_ros.foundation.settings import check_ros_name
 from rotcal_ros.methods.check_lines import CellReport, CheckLine
 from rotcal_ros.methods.configuration import node_parameters, read_configuration
 from rotcal_ros.planning.settings import CellSettings
-from rotcal_ros.sessions.environment import node_environment
-from rotcal_ros.sessions.processes import Processes
+from rotcal_ros.sessions.processes import Processes, node_environment
 
 _GRACE_S: Final = 30.0
 """Time for the start of the process and for working out the plan."""
@@ -41,7 +40,7 @@ def check_cell(path: Path | None, namespace: str = "", seconds: float = 5.0) -> 
         check_ros_name(namespace, "--namespace")
     cell = CellSettings() if path is None else read_configuration(path).cell
     command = [
-        sys.executable, "-m", "rotcal_ros.nodes.cell_check", "--ros-args",
+        sys.executable, "-m", "rotcal_ros.nodes.check.cell_check", "--ros-args",
         "-r", f"__ns:={namespace or cell.namespace}",
         "-p", f"seconds:={float(seconds)!r}",
     ]  # fmt: skip
@@ -66,7 +65,7 @@ def move_cell(path: Path, report: CellReport) -> CellReport:
             adapter = [sys.executable, "-m", node_module("table_adapter"), *ros]
             processes.start("table_adapter", adapter)
         trial = [
-            sys.executable, "-m", "rotcal_ros.nodes.trial_motion", *ros,
+            sys.executable, "-m", "rotcal_ros.nodes.check.trial_motion", *ros,
             "-p", f"configuration_file:={json.dumps(str(path.absolute()))}",
             "-p", f"output:={json.dumps(str(output))}",
         ]  # fmt: skip

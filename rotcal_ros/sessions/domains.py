@@ -1,4 +1,4 @@
-"""An unused ROS domain of this machine, so that two cells never hear each other."""
+"""Unused ROS domains of this machine, so that two cells never hear each other."""
 
 from __future__ import annotations
 

@@ -1,14 +1,74 @@
-"""The person at the cell: shown what to do, asked to press Enter when it is done."""
+"""The person at the terminal: sees how far a calibration is, and confirms work with Enter."""
 
 from __future__ import annotations
 
 import select
 import sys
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
+from rotcal_ros.foundation.circumstances import SIMULATED
+from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.node_state import PAUSES, RELEASED, STOPS, Why
+from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods import Configuration
+from rotcal_ros.report.terminal.console import say
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+
+Event = Mapping[str, Any]
+NO_MACHINE: Final = f"{SIMULATED}: no machine is measured, the cell is a simulation"
+
+
+class Display:
+    """A progress bar; without a terminal, a line for every tenth of the steps.
+
+    ``deciles`` are how many tenths need no line; -1 asks for one at once.
+    """
+
+    def __init__(self, bar: Progress, deciles: int = 0) -> None:
+        self._bar = bar
+        self._task = bar.add_task("starting the nodes", total=None)
+        self._decile = deciles
+
+    def line(self, text: str | None) -> None:
+        """Print a line above the bar; None: there is none."""
+        if text:
+            self._bar.console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    def feedback(self, event: Event) -> None:
+        """Move the bar."""
+        step, total, text = event["step"], event["total"], describe(event)
+        self._bar.update(self._task, completed=step, total=total, description=text)
+        without_terminal = self._bar.disable or not self._bar.console.is_terminal
+        if without_terminal and step * 10 // total > self._decile:
+            say(f"{step} of {total} steps, {text}")
+        self._decile = max(self._decile, step * 10 // total)
+
+
+def describe(feedback: Event) -> str:
+    """Return a feedback in words: activity, goal, largest U of the curve so far, time left."""
+    doing = feedback["doing"]
+    waiting = "stopped by an emergency stop" if doing in STOPS else "waiting for a person"
+    words = [waiting if doing in PAUSES else str(feedback["activity"])]
+    if feedback.get("goal_rad") is not None:
+        words.append(_standing(feedback["uncertainty_rad"], feedback["goal_rad"]))
+    if feedback["current_std_rad"] is not None:
+        largest = COVERAGE_FACTOR * feedback["current_std_rad"] / ARCSEC
+        words.append(f"U (k = {COVERAGE_FACTOR:g}) {largest:.2f} arcsec")
+    if feedback["time_left_s"] is not None:
+        words.append(f"{feedback['time_left_s']:.0f} s left")
+    return ", ".join(words)
+
+
+def _standing(uncertainty_rad: float | None, goal_rad: float) -> str:
+    """Return how far a policy is from its goal; at first some station has too few lengths."""
+    goal = f"{goal_rad / ARCSEC:.2f} arcsec"
+    if uncertainty_rad is None:
+        return f"goal: rms of U {goal}, known once all stations are placed"
+    return f"goal: rms of U {goal}, now {uncertainty_rad / ARCSEC:.2f}"
 
 
 class Person:
@@ -32,8 +92,8 @@ class Person:
         self._code = int(Why.UNKNOWN)
         self.instruction = ""
 
-    def hear(self, event: Mapping[str, Any]) -> str:
-        """Take an event of the client and return what the person has to read, often nothing."""
+    def hear(self, event: Mapping[str, Any]) -> str | None:
+        """Handle an event of the client; return what the person has to read, None: nothing."""
         if event["event"] == "paused":
             self._asked, self._confirmed = True, False
             self._paused = True
@@ -46,7 +106,7 @@ class Person:
         if event["event"] == "feedback":  # anybody may have called the service
             self._paused = event["doing"] in PAUSES
             self._asked = self._asked and self._paused
-        return ""
+        return None
 
     def confirm(self, instruction: str) -> None:
         """Accept from another terminal that this work is done, if it is still asked for."""

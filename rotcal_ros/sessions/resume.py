@@ -1,4 +1,4 @@
-"""Finding out how far an interrupted session came, to continue from there."""
+"""How far an interrupted session came, and the session that continues it."""
 
 from __future__ import annotations
 
@@ -20,11 +20,10 @@ from rotcal_ros.methods.continuation import Continuation
 from rotcal_ros.planning.choices import AS_LISTED
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.report.terminal.console import progress, say
-from rotcal_ros.sessions.disk_space import require_space
-from rotcal_ros.sessions.session import Session, checked_calibration
+from rotcal_ros.sessions.session import Session, checked_calibration, require_space
 
 LOCK_TIMEOUT_S: Final = 40.0
-"""Within this time nodes whose ``rotcal run`` was killed close their bag and end."""
+"""Nodes whose ``rotcal run`` was killed close their bag and end within this time."""
 _POLL_S: Final = 0.2
 
 

@@ -39,12 +39,12 @@ from rotcal_ros.methods.configuration import Configuration, read_configuration
 from rotcal_ros.methods.simulation.table import true_runs
 from rotcal_ros.recordings.result_sources import ResultSource, read_source
 from rotcal_ros.report.terminal.console import say
-from rotcal_ros.sessions.environment import require_ros
-from rotcal_ros.sessions.following import calibrate
+from rotcal_ros.sessions.attaching import Viewers
+from rotcal_ros.sessions.processes import require_ros
 from rotcal_ros.sessions.products import export_files, write_exports, write_truth
 from rotcal_ros.sessions.resume import resume_session
+from rotcal_ros.sessions.running import calibrate
 from rotcal_ros.sessions.session import Session, checked_calibration, prepare_session
-from rotcal_ros.sessions.viewers import Viewers
 
 CONTROLLERS: Final = ("linuxcnc", "sinumerik", "csv")
 """Those that files are written for in a simulated cell, as far as they are installed."""

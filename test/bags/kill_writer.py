@@ -17,7 +17,8 @@ from typing import Any
 from rotcal_ros.bags.interrupted_files import InterruptedSession
 from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.nodes.writing.recording import BagRecording, Channel, Messages, Receipt
+from rotcal_ros.nodes.recorder.bookkeeping import Receipt
+from rotcal_ros.nodes.recorder.recording import BagRecording, Channel, Messages
 
 DEFINITION = "uint64 number\nuint64 stamp_ns\n"
 READING = struct.Struct("<4xQQ")

@@ -23,7 +23,8 @@ from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.foundation import disk
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.nodes.writing.recording import BagRecording, Channel, Messages, Receipt
+from rotcal_ros.nodes.recorder.bookkeeping import Receipt
+from rotcal_ros.nodes.recorder.recording import BagRecording, Channel, Messages
 
 ALL = bool(os.environ.get("ROTCAL_LONG_TESTS"))
 SAMPLE = 80

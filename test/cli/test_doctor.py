@@ -131,18 +131,18 @@ def test_the_nodes_start():
 
 @pytest.mark.ros
 def test_a_node_that_cannot_start_is_seen(monkeypatch):
-    trial_start = pytest.importorskip("rotcal_ros.nodes.trial_start")
-    monkeypatch.setattr(trial_start, "NODES", ("no_such_node",))
-    with pytest.raises(trial_start.NodeError) as wrong:
-        trial_start.trial()
+    start_trial = pytest.importorskip("rotcal_ros.nodes.check.start_trial")
+    monkeypatch.setattr(start_trial, "NODES", ("no_such_node",))
+    with pytest.raises(start_trial.NodeError) as wrong:
+        start_trial.trial()
     assert str(wrong.value).startswith("no_such_node ended with 1: ")
-    assert "No module named rotcal_ros.nodes.no_such_node" in str(wrong.value)
+    assert "No module named 'rotcal_ros.nodes.no_such_node'" in str(wrong.value)
 
 
 @pytest.mark.ros
 def test_on_a_busy_machine_a_node_is_given_more_time_to_end(monkeypatch):
-    trial_start = pytest.importorskip("rotcal_ros.nodes.trial_start")
-    monkeypatch.setattr(trial_start, "patient", lambda seconds: 4.0 * seconds)
+    start_trial = pytest.importorskip("rotcal_ros.nodes.check.start_trial")
+    monkeypatch.setattr(start_trial, "patient", lambda seconds: 4.0 * seconds)
     waited = []
 
     class Process:
@@ -150,8 +150,8 @@ def test_on_a_busy_machine_a_node_is_given_more_time_to_end(monkeypatch):
             waited.append(timeout)
             raise subprocess.TimeoutExpired("planner", timeout)
 
-    monkeypatch.setattr(trial_start.subprocess, "Popen", lambda *_, **__: Process())
-    assert str(trial_start.TrialNode("planner").end()) == "planner did not end within 20 s"
+    monkeypatch.setattr(start_trial.subprocess, "Popen", lambda *_, **__: Process())
+    assert str(start_trial.TrialNode("planner").end()) == "planner did not end within 20 s"
     assert waited == [20.0]
 
 
@@ -173,7 +173,7 @@ def test_the_rate_is_tried_with_all_that_recorder_and_capture_do(tmp_path):
     ],
 )
 def test_a_reading_that_is_missing_or_a_long_wait_is_told(came, written, longest_s, error, ok):
-    rate_trial = pytest.importorskip("rotcal_ros.nodes.rate_trial")
+    rate_trial = pytest.importorskip("rotcal_ros.nodes.check.rate_trial")
     recording = SimpleNamespace(messages=written, finished=True, error=error)
     found, text = rate_trial.verdict(5000, came, recording, longest_s)
     assert found is ok

@@ -7,7 +7,7 @@ import yaml
 from click.testing import CliRunner
 
 from rotcal_ros.cli.main import rotcal
-from rotcal_ros.sessions import environment, following
+from rotcal_ros.sessions import processes, running
 
 CONFIG = Path(__file__).parents[2] / "config"
 MISSPELT = [
@@ -34,8 +34,8 @@ def refused(tmp_path, monkeypatch):
     """Return a function that runs a verb in an empty folder and returns its error text."""
     monkeypatch.chdir(tmp_path)
     # Neither is ROS needed for the answer nor does any process start.
-    monkeypatch.setattr(environment, "require_ros", lambda: None)
-    monkeypatch.setattr(following, "Processes", None)
+    monkeypatch.setattr(processes, "require_ros", lambda: None)
+    monkeypatch.setattr(running, "Processes", None)
 
     def run(*arguments):
         before = sorted(tmp_path.rglob("*"))

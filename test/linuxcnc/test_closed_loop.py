@@ -17,10 +17,10 @@ from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
-from rotcal_ros.sessions import commands
-from rotcal_ros.sessions.following import calibrate
+from rotcal_ros.sessions import running
+from rotcal_ros.sessions.attaching import Viewers
+from rotcal_ros.sessions.running import calibrate
 from rotcal_ros.sessions.session import prepare_session
-from rotcal_ros.sessions.viewers import Viewers
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -69,16 +69,16 @@ def axis(tmp_path, plant):
 @pytest.fixture
 def with_driver(axis, monkeypatch):
     """Let every session start the driver too, which starts LinuxCNC."""
-    start = commands._start
+    start = running._start
 
     def command(described, module):
         found = start(described, module)
-        if module == "rotcal_ros.nodes.linuxcnc_driver":
+        if module == "rotcal_ros.nodes.adapters.linuxcnc_driver":
             found += ["-p", f"agent_command:={json.dumps(axis.command())}"]
         return found
 
-    monkeypatch.setattr(commands, "_start", command)
-    monkeypatch.setattr(commands, "NODES", (*commands.NODES, "linuxcnc_driver"))
+    monkeypatch.setattr(running, "_start", command)
+    monkeypatch.setattr(running, "NODES", (*running.NODES, "linuxcnc_driver"))
 
 
 def measured(folder: Path, *changes: str) -> Result:

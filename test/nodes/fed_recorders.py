@@ -7,8 +7,7 @@ from collections import defaultdict
 from pathlib import Path
 from threading import Thread
 
-from rotcal_ros.sessions.environment import node_environment
-from rotcal_ros.sessions.processes import Processes
+from rotcal_ros.sessions.processes import Processes, node_environment
 
 WINDOW = 50
 """Readings per observation."""
@@ -35,7 +34,7 @@ class Recorders:
         self.processes.start(
             name,
             [
-                sys.executable, "-m", "rotcal_ros.nodes.recorder", "--ros-args",
+                sys.executable, "-m", "rotcal_ros.nodes.recorder.node", "--ros-args",
                 "-r", "__ns:=/cell", "-r", f"__node:={name}",
                 "-r", f"start_recording:=start_{name}",
                 "-r", f"observation_recorded:=receipts_{name}",

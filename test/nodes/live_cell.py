@@ -17,8 +17,7 @@ from rotcal_ros.foundation.machine_load import Patience, in_words, patient
 from rotcal_ros.foundation.node_names import EXECUTABLES, NODES
 from rotcal_ros.foundation.plugins import node_module
 from rotcal_ros.methods.configuration import changed, read_configuration
-from rotcal_ros.sessions.environment import node_environment
-from rotcal_ros.sessions.processes import Processes
+from rotcal_ros.sessions.processes import Processes, node_environment
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"
 SUITE = NODES
@@ -106,7 +105,8 @@ class LiveCell:
         wait_until(lambda: text in self.log(name), f"{name} logs {text!r}")
 
     def _python(self, node):
-        module = node_module(node) if node in EXECUTABLES else f"rotcal_ros.nodes.{node}"
+        client = "rotcal_ros.nodes.client.json_client"
+        module = node_module(node) if node in EXECUTABLES else client
         return [sys.executable, "-m", module, "--ros-args", "-r", "__ns:=/cell"]
 
 

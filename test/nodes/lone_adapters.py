@@ -8,8 +8,7 @@ from live_cell import wait_until
 
 from rotcal_ros.foundation.plugins import node_module
 from rotcal_ros.sessions.domains import free_domain
-from rotcal_ros.sessions.environment import node_environment
-from rotcal_ros.sessions.processes import Processes
+from rotcal_ros.sessions.processes import Processes, node_environment
 
 HERE = Path(__file__).parent
 CONFIGURATION = """/**:

@@ -7,7 +7,7 @@ from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from rclpy.parameter import Parameter, parameter_value_to_python
 
 from rotcal_ros.foundation.machine_load import patient
-from rotcal_ros.nodes.runtime.peer import Peer
+from rotcal_ros.nodes.runtime.running import Peer
 
 
 class StateClient:

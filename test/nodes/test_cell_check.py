@@ -137,7 +137,7 @@ def test_ctrl_c_ends_it_at_once_and_leaves_nothing_behind():
 
 
 def test_a_header_is_read_in_both_byte_orders_and_where_there_is_none():
-    from rotcal_ros.nodes.check.header_watch import read_header
+    from rotcal_ros.nodes.check.snapshot import read_header
 
     for order, mark in (("<", 1), (">", 0)):
         data = bytes([0, mark, 0, 0]) + struct.pack(f"{order}iII", 12, 34, 5) + b"base\0rest"

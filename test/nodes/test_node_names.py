@@ -23,24 +23,24 @@ from rotcal_ros.foundation.node_names import (
 )
 from rotcal_ros.foundation.plugins import node_module
 from rotcal_ros.methods.configuration import GROUPS
-from rotcal_ros.sessions import commands
+from rotcal_ros.sessions import running
 
 ROOT = Path(__file__).parents[2]
 MODULES = {
     ".".join(path.relative_to(ROOT).with_suffix("").parts)
-    for place in ("nodes/*.py", "extensions/**/*.py")
+    for place in ("nodes/**/*.py", "extensions/**/*.py")
     for path in (ROOT / "rotcal_ros").glob(place)
     if 'if __name__ == "__main__"' in path.read_text()
 }
 NO_NODES = {
-    "cell_check",
-    "client",
-    "linuxcnc_agent",
-    "rate_trial",
+    "adapters.linuxcnc_agent",
+    "check.cell_check",
+    "check.message_trial",
+    "check.rate_trial",
+    "check.start_trial",
+    "check.trial_motion",
+    "client.json_client",
     "readiness",
-    "selftest",
-    "trial_motion",
-    "trial_start",
 }
 """Programs beside the nodes that others start."""
 
@@ -84,9 +84,9 @@ def test_the_package_installs_a_command_for_every_node(monkeypatch):
 
 
 def test_sessions_and_preflight_use_the_same_lists():
-    assert commands.NODES is NODES
-    assert commands.further_nodes is further_nodes
-    assert commands.VIEWERS is VIEWERS
+    assert running.NODES is NODES
+    assert running.further_nodes is further_nodes
+    assert running.VIEWERS is VIEWERS
 
 
 def test_a_simulated_machine_behind_dme_is_no_node():

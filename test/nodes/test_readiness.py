@@ -8,7 +8,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
 from rotcal_ros.foundation.node_state import NodeState, State, Why
-from rotcal_ros.nodes.goal.cell_links import CellLinks
+from rotcal_ros.nodes.planner.cell_links import CellLinks
 from rotcal_ros.nodes.readiness import waiting_for, what_next
 
 IDLE = NodeState.of(State.INACTIVE, Why.TO_ACTIVATE, "/cell/capture")

@@ -11,7 +11,7 @@ from live_cell import SUITE, Client, wait_until
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 from rotcal_ros.foundation.node_state import UNHEARD
-from rotcal_ros.nodes import client as client_module
+from rotcal_ros.nodes.client import json_client as client_module
 
 pytestmark = pytest.mark.ros
 
@@ -41,9 +41,9 @@ def test_strays_are_refused_with_a_sentence_and_the_calibration_ends_as_ever(cel
         for node in ("capture", "solver"):
             live.wait_for_log(node, LEFT_ALONE)
             assert "published by stranger" in live.log(node)
-    live.processes.start("second", python("-m", "rotcal_ros.nodes.client"), piped=True)
+    live.processes.start("second", python("-m", "rotcal_ros.nodes.client.json_client"), piped=True)
     for node in ("capture", "recorder"):
-        live.processes.start(f"stray {node}", python("-m", f"rotcal_ros.nodes.{node}"))
+        live.processes.start(f"stray {node}", python("-m", f"rotcal_ros.nodes.{node}.node"))
     client.wait_for_step(30)
     with live.held():
         refused = Client(live.processes, "second").wait_for("refused", "started")

@@ -19,7 +19,7 @@ from rotcal_ros.methods.configuration import (
     parse_configuration,
     read_configuration,
 )
-from rotcal_ros.nodes.runtime.sim_clock import SimClock
+from rotcal_ros.nodes.runtime.clocks import SimClock
 from rotcal_ros.recordings.replay import read_recording
 
 

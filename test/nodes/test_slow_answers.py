@@ -13,11 +13,11 @@ from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import Trigger
 
 from rotcal_ros.foundation.node_state import NodeState, State
-from rotcal_ros.nodes.planner import Planner
-from rotcal_ros.nodes.recorder import RecorderNode
+from rotcal_ros.nodes.planner.node import Planner
+from rotcal_ros.nodes.recorder.node import RecorderNode
 from rotcal_ros.nodes.runtime.cell_node import CellNode, until
 from rotcal_ros.nodes.runtime.running import default_context
-from rotcal_ros.nodes.solver import SolverNode
+from rotcal_ros.nodes.solver.node import SolverNode
 
 pytestmark = pytest.mark.ros
 

@@ -21,7 +21,7 @@ def thread_names(pid):
 
 def test_a_node_that_is_started_alone_talks_over_udp_only():
     path = os.pathsep.join(filter(None, sys.path))
-    command = [sys.executable, "-m", "rotcal_ros.nodes.recorder"]
+    command = [sys.executable, "-m", "rotcal_ros.nodes.recorder.node"]
     node = subprocess.Popen(command, env={**os.environ, "PYTHONPATH": path})
     try:
         wait_until(lambda: "dds.tls.replies" in thread_names(node.pid), "the node is up")

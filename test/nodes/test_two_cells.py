@@ -23,8 +23,7 @@ from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import read_configuration
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.sessions.domains import free_domain
-from rotcal_ros.sessions.environment import node_environment
-from rotcal_ros.sessions.processes import Processes
+from rotcal_ros.sessions.processes import Processes, node_environment
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")

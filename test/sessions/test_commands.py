@@ -8,7 +8,7 @@ import yaml
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.methods.continuation import Continuation
-from rotcal_ros.sessions.commands import client_command, node_command, node_names
+from rotcal_ros.sessions.running import client_command, node_command, node_names
 from rotcal_ros.sessions.session import prepare_session
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"

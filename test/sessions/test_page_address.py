@@ -7,10 +7,9 @@ import pytest
 
 from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.foundation.node_names import VIEWERS
-from rotcal_ros.sessions import environment
-from rotcal_ros.sessions.commands import CLIENT
-from rotcal_ros.sessions.following import RunningSession
+from rotcal_ros.sessions import processes
 from rotcal_ros.sessions.processes import Processes
+from rotcal_ros.sessions.running import CLIENT, RunningSession
 
 PAGE = VIEWERS["page"]
 DEADLINE_S = 30.0
@@ -46,7 +45,7 @@ def test_without_a_page_and_with_one_nothing_has_failed(started, code):
 
 
 def test_what_the_page_needs_and_is_not_there_is_named(monkeypatch, capsys):
-    assert environment.page_can_be_served()
-    monkeypatch.setattr(environment, "_OF_THE_PAGE", ("starlette", "no_such_package"))
-    assert not environment.page_can_be_served()
+    assert processes.page_can_be_served()
+    monkeypatch.setattr(processes, "_OF_THE_PAGE", ("starlette", "no_such_package"))
+    assert not processes.page_can_be_served()
     assert "no page: not installed: no_such_package" in capsys.readouterr().err

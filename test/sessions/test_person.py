@@ -56,7 +56,7 @@ def test_a_person_at_a_terminal_presses_enter(enter):
     enter(pressed=False)
     person = make()
     assert person.hear(PAUSED) == "put the tracker there; then press Enter"
-    assert person.hear(WAITING) == ""
+    assert person.hear(WAITING) is None
     assert not person.is_done()
     enter(pressed=True)
     assert person.is_done()
@@ -119,7 +119,7 @@ def test_a_terminal_that_has_ended_has_not_said_enter(enter, monkeypatch):
 def test_a_refused_resume_is_told_with_its_reason():
     event = {"event": "resumed", "success": False, "reason": "nothing waits for resume"}
     assert make().hear(event) == "nothing waits for resume"
-    assert make().hear({"event": "alive", "planner": "ready"}) == ""
+    assert make().hear({"event": "alive", "planner": "ready"}) is None
 
 
 STOPPED = {"event": "paused", "instruction": "the door is open", "doing": Why.STOPPED}

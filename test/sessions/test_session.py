@@ -9,10 +9,9 @@ from rotcal_ros.foundation.files import FolderLock
 from rotcal_ros.foundation.node_state import Why
 from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import changed, read_configuration
-from rotcal_ros.sessions.disk_space import expected_bytes
-from rotcal_ros.sessions.display import describe
-from rotcal_ros.sessions.environment import node_environment
-from rotcal_ros.sessions.session import free_name, prepare_session
+from rotcal_ros.sessions.person import describe
+from rotcal_ros.sessions.processes import node_environment
+from rotcal_ros.sessions.session import expected_bytes, free_name, prepare_session
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"
 

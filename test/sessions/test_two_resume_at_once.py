@@ -11,8 +11,8 @@ import bag_samples
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.files import FolderLock
-from rotcal_ros.sessions.following import calibrate, running
 from rotcal_ros.sessions.resume import resume_session
+from rotcal_ros.sessions.running import calibrate, running
 
 VIEWERS = SimpleNamespace(say=lambda _text: None)
 

@@ -1,4 +1,4 @@
-"""The thread that drives an instrument: connects, reads or measures, and begins anew when lost."""
+"""The thread that drives an instrument: connects, reads or measures, and reconnects when lost."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from rotcal_ros.foundation.plugins import INSTRUMENTS, load
 
 READ_TIMEOUT_S: Final = 0.1
 PATIENCE_S: Final = 10.0
-"""An order may wait for the table so long before people are told why it does."""
+"""An order may wait this long for the table before a person is told why."""
 
 
 def instrument_of(settings: InstrumentSettings) -> Instrument:
@@ -52,7 +52,7 @@ def instrument_of(settings: InstrumentSettings) -> Instrument:
 
 @dataclass(frozen=True)
 class Listeners:
-    """Who is told of what, all of them from the thread of the driver."""
+    """Functions that get what the driver finds; its thread calls them."""
 
     length: Callable[[TracerSample], None]
     place: Callable[[ProbeSample], None]
@@ -145,7 +145,7 @@ class InstrumentDriver:
         while not self._end.is_set():
             before_s = time.monotonic()
             self._measure()
-            heard_s += time.monotonic() - before_s  # no silence: nobody listened
+            heard_s += time.monotonic() - before_s  # nothing was read meanwhile: no silence
             if self._tracer is None:
                 self._end.wait(READ_TIMEOUT_S / 10)
                 continue

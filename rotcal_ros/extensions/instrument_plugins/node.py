@@ -1,7 +1,6 @@
-"""An instrument of an installed plug-in: publishes its lengths, or its positions.
+"""An instrument by plug-in, as a node: publishes its lengths, or its positions.
 
-Its protocol is up to the plug-in, see ``instrument`` beside it; its thread is ``driver``. This
-node only passes orders and readings on.
+What a plug-in has to do is in ``instrument`` beside this file; ``driver`` runs it in a thread.
 """
 
 from __future__ import annotations
@@ -23,13 +22,13 @@ from rotcal_ros.extensions.instrument_plugins.settings import InstrumentSettings
 from rotcal_ros.extensions.instrument_plugins.table_rest import TableRest
 from rotcal_ros.foundation.node_state import NodeState
 from rotcal_ros.foundation.observations import Command, ProbeSample, TracerSample
-from rotcal_ros.nodes.instruments.topics import InstrumentTopics
+from rotcal_ros.nodes.capture.instrument_streams import InstrumentTopics
 from rotcal_ros.nodes.runtime import conversions
+from rotcal_ros.nodes.runtime.beat_values import COMPLAINT, show
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.diagnostic_warnings import COMPLAINT, show
-from rotcal_ros.nodes.runtime.draining import Batch, sent_ns
 from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
 from rotcal_ros.nodes.runtime.running import run
+from rotcal_ros.nodes.runtime.timers_and_subscriptions import Batch, sent_ns
 from rotcal_ros.planning.settings import CellSettings
 
 

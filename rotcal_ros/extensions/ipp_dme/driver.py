@@ -77,7 +77,7 @@ class Driver:
         """Whether the thread still works."""
         return self._thread is not None and self._thread.is_alive()
 
-    def begin(self, stopped: str = "") -> None:
+    def begin(self, stopped: str | None = None) -> None:
         """Begin a session; where the cell is ``stopped``, with the first :meth:`clear` only."""
         self.client.blocked = stopped or self.client.blocked
         self._thread = Thread(target=self._work, args=(not stopped,), name="DME", daemon=True)

@@ -1,7 +1,7 @@
-"""A measuring machine with a rotary table behind I++ DME: takes orders, gives points and feedback.
+"""A measuring machine with a rotary table behind I++ DME, as a node of the cell.
 
-The dialogue with the machine is that of the ``driver`` beside it, whose thread may wait; this node
-only passes orders and answers on.
+It passes orders to the ``driver`` beside it, which speaks to the machine in a thread of its own
+because it waits for answers, and publishes points and feedback.
 """
 
 from __future__ import annotations
@@ -22,12 +22,17 @@ from rotcal_ros.extensions.ipp_dme.settings import DmeSettings
 from rotcal_ros.foundation.node_state import LOADING, NodeState
 from rotcal_ros.foundation.observations import Command, ProbeSample, TableSample
 from rotcal_ros.nodes.runtime import conversions
+from rotcal_ros.nodes.runtime.announced_plan import (
+    RUN,
+    PlanSubscription,
+    calibration_of,
+    load_method,
+    run_name,
+)
+from rotcal_ros.nodes.runtime.beat_values import BLOCKED, show
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.diagnostic_warnings import BLOCKED, show
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.health import PLANNER
-from rotcal_ros.nodes.runtime.planners_plans import PlannersPlans
-from rotcal_ros.nodes.runtime.plans import RUN, calibration_of, load_method, run_name
 from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
 from rotcal_ros.nodes.runtime.running import run
 from rotcal_ros.planning.plan import Plan
@@ -35,7 +40,7 @@ from rotcal_ros.planning.settings import CellSettings, SafetySettings
 
 WATCH_PERIOD_S: Final = 0.1
 LOOKS_FIRST: Final = round(5.0 / WATCH_PERIOD_S)
-"""Looks before the machine is contacted: 5 s to find an adapter that was there, and hear it."""
+"""Looks before the machine is contacted: in 5 s an adapter that runs already is discovered."""
 UNBLOCKED: Final = ("", NOT_STARTED)
 HOW_TO_GO_ON: Final = "; once that is corrected, a person continues with the service clear_errors"
 
@@ -65,7 +70,7 @@ class DmeAdapter(CellNode):
         self._stop = EmergencyStop(
             self, self.settings("safety", SafetySettings), "the machine is stopped", self._halt
         )
-        PlannersPlans(self, self._take_plan)
+        PlanSubscription(self, self._take_plan)
         self.every(WATCH_PERIOD_S, self._watch)
 
     def deactivated(self) -> None:
@@ -106,7 +111,10 @@ class DmeAdapter(CellNode):
             return
         run = self._planners_run()
         if self._plan is None or run not in (None, self._run):
-            self._early = run, command  # of a plan that is on its way
+            self._early = (
+                run,
+                command,
+            )  # of a plan that comes later, on another topic
         else:
             self._driver.order(command, self._plan.step(command.step))
 
@@ -125,7 +133,7 @@ class DmeAdapter(CellNode):
         return response
 
     def _watch(self) -> None:
-        """Begin when no other adapter holds the machine; then check whom it serves, and faults."""
+        """Begin when no other adapter runs; then follow the planner, and show what blocks."""
         if self._looks < LOOKS_FIRST and not self.health.refused:
             self._looks += 1
             if self._looks == LOOKS_FIRST:

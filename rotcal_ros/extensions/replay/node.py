@@ -47,15 +47,13 @@ from rotcal_ros.foundation.node_state import Why
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import NANOSECOND
-from rotcal_ros.nodes.runtime.channels import importable_type
+from rotcal_ros.nodes.recorder.bookkeeping import NEVER_PAUSE
+from rotcal_ros.nodes.runtime.announced_plan import RUN, run_name
 from rotcal_ros.nodes.runtime.conversions import time_message
 from rotcal_ros.nodes.runtime.health import Health
-from rotcal_ros.nodes.runtime.json_lines import say
-from rotcal_ros.nodes.runtime.peer import Peer
-from rotcal_ros.nodes.runtime.plans import RUN, run_name
+from rotcal_ros.nodes.runtime.message_types import importable_type
 from rotcal_ros.nodes.runtime.qos import EVENT
-from rotcal_ros.nodes.runtime.running import EndRequest, leave_with
-from rotcal_ros.nodes.writing.bookkeeping import NEVER_PAUSE
+from rotcal_ros.nodes.runtime.running import EndRequest, Peer, run_and_exit, say
 
 VOLATILE_DEPTH: Final = 5000
 """The graph does not show how deep a publisher's queue was: so much is kept for slow readers."""
@@ -530,7 +528,7 @@ class ReplayOutcome:
 
 def main() -> None:
     """Play a bag until its end."""
-    leave_with(_work, LOCALHOST)
+    run_and_exit(_work, LOCALHOST)
 
 
 if __name__ == "__main__":

@@ -25,8 +25,7 @@ from rotcal_ros.cli.console import (
 )
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.report.terminal.console import progress, say, tell
-from rotcal_ros.sessions.environment import require_ros
-from rotcal_ros.sessions.processes import Processes
+from rotcal_ros.sessions.processes import Processes, require_ros
 
 LEAST_RATE, LARGEST_RATE = 0.01, 100.0
 PLAYER: Final = "player"

@@ -42,9 +42,9 @@ from rotcal_ros.extensions.scene.drawing import (
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.node_state import LOADING, NO_PLAN, NodeState, State, Why
 from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.nodes.runtime.announced_plan import calibration_of
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.conversions import header
-from rotcal_ros.nodes.runtime.plans import calibration_of
 from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED
 from rotcal_ros.nodes.runtime.running import run
 

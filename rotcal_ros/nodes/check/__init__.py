@@ -1,1 +1,1 @@
-"""What ``rotcal cell check`` looks at."""
+"""Programs that check a cell or a computer: ``rotcal cell check`` and ``rotcal doctor``."""

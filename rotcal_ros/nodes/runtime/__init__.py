@@ -1,1 +1,1 @@
-"""What all nodes share: how they run, beat, hear, and are told apart."""
+"""What all nodes share: states, parameters, heartbeats, subscriptions and messages."""

@@ -1,4 +1,4 @@
-"""Who publishes and who listens in a cell, and what keeps them from hearing each other."""
+"""Who publishes and who subscribes in a cell, and which of them cannot connect."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rotcal_ros.nodes.runtime.qos import EVENT
 
 ORDERS: Final = (names.TABLE_ANGLE, names.PROBE_TARGET)
 NO_MACHINE: Final = frozenset({"capture", "recorder", *VIEWERS.values()})
-"""Nodes that listen to orders without obeying them."""
+"""Nodes that subscribe to orders without obeying them."""
 _AS_THE_GRAPH_SHOWS_IT: Final = QoSProfile(
     depth=EVENT.depth,
     reliability=EVENT.reliability,
@@ -36,7 +36,7 @@ class ExpectedPublisher:
 
 
 PLANNERS: Final = ExpectedPublisher("planner", _AS_THE_GRAPH_SHOWS_IT)
-"""Stands for the planner's publishers as long as there are none."""
+"""The planner's publishers as they will be, for a check before the planner runs."""
 
 
 class CellGraph:
@@ -75,7 +75,7 @@ class CellGraph:
         return list(self.node.get_subscriptions_info_by_topic(self.resolve(topic)))
 
     def without_instrument(self, topic: str, has_delivered: bool) -> Iterator[str]:
-        """Yield in words why an instrument's ``topic`` is of no use to the cell."""
+        """Yield why the cell cannot use an instrument's ``topic``."""
         name, publishers = self.resolve(topic), self.publishers(topic)
         if not publishers:
             yield f"nobody publishes {name}: start its instrument"
@@ -83,10 +83,10 @@ class CellGraph:
             yield from self.crowded(topic)
         elif not has_delivered:
             yield f"{name} has not delivered a valid message (node {publishers[0]})"
-        yield from deaf_listeners(self.node, name, {"capture", "recorder"}.__contains__)
+        yield from incompatible_listeners(self.node, name, {"capture", "recorder"}.__contains__)
 
     def crowded(self, topic: str) -> Iterator[str]:
-        """Yield in words that an instrument's ``topic`` has several publishers."""
+        """Yield that an instrument's ``topic`` has several publishers."""
         publishers = self.publishers(topic)
         if len(publishers) > 1:
             yield (
@@ -96,29 +96,29 @@ class CellGraph:
             )
 
     def without_machine(self, topic: str) -> Iterator[str]:
-        """Yield in words why nobody obeys the order ``topic``.
+        """Yield why no machine can receive the order ``topic``.
 
-        A machine that cannot hear it does not matter where another one can.
+        A machine that cannot receive it does not matter where another one can.
         """
         machines = self.machines(topic)
         if not machines:
             yield f"nobody obeys {self.resolve(topic)}: start the machine's node"
         planners = () if self.publishers(topic) else (PLANNERS,)
-        name = self.resolve(topic)
-        deaf = list(deaf_listeners(self.node, name, set(machines).__contains__, planners))
-        if len(deaf) >= len(machines):
-            yield from deaf
+        obeys = set(machines).__contains__
+        unmatched = [*incompatible_listeners(self.node, self.resolve(topic), obeys, planners)]
+        if len(unmatched) >= len(machines):
+            yield from unmatched
 
 
-def deaf_listeners(
+def incompatible_listeners(
     node: Node,
     topic: str,
     counts: Callable[[str], bool],
     to_come: Iterable[ExpectedPublisher] = (),
 ) -> Iterator[str]:
-    """Yield in words which subscribers of an absolute ``topic`` get nothing of a publisher.
+    """Yield which subscribers of an absolute ``topic`` cannot receive from a publisher.
 
-    ``counts`` says by its name whether a subscriber matters.
+    ``counts`` says by its node name whether a subscriber matters.
     """
     for source in (*node.get_publishers_info_by_topic(topic), *to_come):
         for reader in node.get_subscriptions_info_by_topic(topic):

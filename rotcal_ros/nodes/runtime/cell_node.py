@@ -1,4 +1,4 @@
-"""What all nodes of a cell share: they beat, take their parameters, and end in good order."""
+"""The base class of all nodes of a cell."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ from rotcal_ros.capture.messages import Orders
 from rotcal_ros.foundation.machine_load import Patience
 from rotcal_ros.foundation.node_state import NodeState
 from rotcal_ros.foundation.observations import Command
+from rotcal_ros.nodes.runtime.accepted_publishers import AcceptedPublishers
+from rotcal_ros.nodes.runtime.beat_values import other_names
 from rotcal_ros.nodes.runtime.health import Health, Values
-from rotcal_ros.nodes.runtime.hearing import Hearing
-from rotcal_ros.nodes.runtime.managed_node import ManagedNode
-from rotcal_ros.nodes.runtime.parameters import declare_settings, given_parameters
+from rotcal_ros.nodes.runtime.managed_node import ManagedNode, declare_settings, given_parameters
 from rotcal_ros.nodes.runtime.qos import EVENT
-from rotcal_ros.nodes.runtime.timers_and_events import steady_timer
-from rotcal_ros.nodes.runtime.topic_names import other_names
+from rotcal_ros.nodes.runtime.timers_and_subscriptions import steady_timer
 from rotcal_ros.planning.settings import HealthSettings
 
 T = TypeVar("T")
 
 IDLE_S: Final = 0.1
-"""Messages gather for so long while nothing is measured."""
+"""While nothing is measured, messages are collected for this time and handled together."""
 _QUIET: Final = frozenset({"recorder", "solver"})
-"""Nodes that ignore silently what others have named."""
+"""Nodes that log nothing of an ignored publisher: capture and planner name it already."""
 
 
 @coroutine
 def _next_turn() -> Generator[None, None, None]:
-    """Let the executor work, until its next event.
+    """Return to the executor until its next event.
 
-    The heartbeat's timer bounds the pause, so that time-outs are noticed too.
+    A coroutine of rclpy that yields None is resumed in the executor's next turn. There is one at
+    least every BEAT_PERIOD_S, by the heartbeat's timer, so time-outs are noticed too.
     """
     yield
 
@@ -52,10 +52,10 @@ async def until(
     check: Callable[[], None] | None = None,
     pausing: Callable[[], bool] = lambda: False,
 ) -> bool:
-    """Wait until ``condition``; False after ``timeout_s``. ``check`` may raise to give up.
+    """Wait until ``condition``; return False after ``timeout_s``. ``check`` may raise to give up.
 
-    The time does not run while a node is waited for (``pausing``), or while this process stands
-    still.
+    The time does not count while ``pausing`` is true (a slow node is waited for), nor while this
+    process stands still.
     """
     patience = Patience(timeout_s)
     while not condition():
@@ -68,10 +68,11 @@ async def until(
 
 
 class CellNode(ManagedNode, ABC):
-    """A node of the cell. ``given`` holds the parameters it was started with, in groups.
+    """A node of the cell; ``given`` holds the parameters it was started with, in groups.
 
-    What it listens to, does regularly and offers begins and ends with its being active; a latched
-    message that comes earlier waits. It beats in every state.
+    Subscriptions, timers and services that are made by :meth:`listen`, :meth:`every` and
+    :meth:`offer` work only while the node is active. A latched message that comes earlier waits
+    until then, since its publisher will not send it again. The node beats in every state.
     """
 
     def __init__(self, name: str, **options: Any) -> None:
@@ -82,7 +83,7 @@ class CellNode(ManagedNode, ABC):
         self._answering = 0
         self._answers = MutuallyExclusiveCallbackGroup()
         self._names: Values = other_names(self.get_namespace(), self.resolve_topic_name)
-        self.hearing = Hearing(self, quiet=name in _QUIET)
+        self.accepted = AcceptedPublishers(self, quiet=name in _QUIET)
         settings = self.settings("health", HealthSettings)
         self.health = Health(self, self._beat_values, self._missed, settings=settings)
 
@@ -101,13 +102,13 @@ class CellNode(ManagedNode, ABC):
     ) -> None:
         """Subscribe to a topic; an exception in ``handle`` is counted and logged.
 
-        ``judged``: while a goal runs only the publishers of the run are heard.
+        ``judged``: while a goal runs, only messages of the publishers of the run are handled.
         """
         handle = self.health.guarded(handle)
         latched = getattr(qos, "durability", None) == DurabilityPolicy.TRANSIENT_LOCAL
 
         def take(message: Any, info: Any) -> None:
-            if judged and not self.hearing.hears(self.resolve_topic_name(topic), info):
+            if judged and not self.accepted.hears(self.resolve_topic_name(topic), info):
                 return
             if self.active:
                 handle(message)
@@ -115,7 +116,7 @@ class CellNode(ManagedNode, ABC):
                 self._latched[handle] = message
             elif topic not in self._left_alone:
                 self._left_alone.add(topic)
-                self.get_logger().warning(f"{topic} is left alone: {self.why_not()}")
+                self.get_logger().warning(f"{topic} is ignored: {self.why_not()}")
 
         self.create_subscription(kind, topic, take, qos)
 
@@ -147,7 +148,7 @@ class CellNode(ManagedNode, ABC):
         self.create_service(kind, name, answer, callback_group=self._answers)
 
     def begin(self, work: Callable[..., Awaitable[None]], *arguments: Any) -> None:
-        """Do ``work`` in the executor's turns; it is given up when the node is cleaned up."""
+        """Run a coroutine in the executor; it is given up when the node is cleaned up."""
 
         async def do() -> None:
             try:
@@ -160,7 +161,7 @@ class CellNode(ManagedNode, ABC):
         self.executor.create_task(do)
 
     def take_orders(self, obey: Callable[[Command], None]) -> Orders:
-        """Call ``obey`` with every complete order; return what waits for its other half."""
+        """Call ``obey`` with every complete order; return the halves (table, probe) that wait."""
         orders = Orders()
 
         def listen(kind: type, topic: str, take: Callable[[Any], Command | None]) -> None:
@@ -175,7 +176,7 @@ class CellNode(ManagedNode, ABC):
         return orders
 
     def gather_s(self) -> float:
-        """Return how long what comes may wait, to be taken together; s."""
+        """Return for how many seconds messages are collected, to be handled in one turn."""
         return 0.0
 
     def idle_s(self) -> float:
@@ -183,11 +184,11 @@ class CellNode(ManagedNode, ABC):
         return 0.0 if self.health.is_calibrating() else IDLE_S
 
     def why_not(self) -> str:
-        """Return why this node, which is not active, does not do what it is asked."""
+        """Return why this node does not do what it is asked: it is not active."""
         return f"node {self.get_name()} is {self.inactivity().in_words()}"
 
     def over(self) -> bool:
-        """Return whether the node has to end: by a transition, its work, or another node."""
+        """Return whether the node has to end: shut down, finished, or second of its name."""
         done = self.configured and self.finished()
         return self.shut_down or done or bool(self.health.refused)
 
@@ -201,22 +202,22 @@ class CellNode(ManagedNode, ABC):
         return nanoseconds
 
     async def answer_of(self, future: Future[T], timeout_s: float) -> T:
-        """Return what a thread of this node works out, and let the node beat meanwhile."""
+        """Return the result of work in a thread; the executor goes on meanwhile."""
         future.add_done_callback(lambda _: self.executor.wake())
         await until(future.done, timeout_s)
         return future.result(timeout=0.0)
 
     @abstractmethod
     def _report(self) -> tuple[NodeState, Values]:
-        """Return the state and values; asked for every beat."""
+        """Return the state and values of the node; called for every beat."""
 
     def _node_lost(self, name: str) -> None:
         """Handle the loss of another node."""
 
     def _beat_values(self) -> tuple[NodeState, Values]:
-        """Return what the beat tells in every state: the report, and other names of topics."""
+        """Return state and values of a beat: the report, and topics with other names."""
         state, values = self._report() if self.configured else (self.inactivity(), {})
-        known = {**self._names, **self.hearing.values(), **values}
+        known = {**self._names, **self.accepted.values(), **values}
         return state if self.active else self.inactivity(), known
 
     def _missed(self, name: str) -> None:
@@ -224,7 +225,7 @@ class CellNode(ManagedNode, ABC):
             self._node_lost(name)
 
     def _entered(self, success: bool) -> TransitionCallbackReturn:
-        """Handle what waited for the node to be active, and tell the others how it stands."""
+        """Handle the latched messages that waited for the node to be active, and beat."""
         if self.active:
             for handle, message in self._latched.items():
                 handle(message)

@@ -8,7 +8,6 @@ from typing import Any, Final
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from rotcal_msgs.action import Calibrate
 from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
 from rotcal_msgs.msg import (
     DeviationArray,
@@ -46,7 +45,6 @@ from rotcal_ros.foundation.observations import (
 )
 from rotcal_ros.foundation.results import FreeDirection as OpenZero
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.nodes.goal.progress import GoalProgress
 from rotcal_ros.planning.choices import Choice
 from rotcal_ros.planning.plan import MACHINE_FRAME
 
@@ -282,26 +280,8 @@ def _filled(kind: Any, record: object, stamp_ns: int, frame: str = TABLE, **othe
     return kind(**{**same, **others, "header": header(stamp_ns, frame)})
 
 
-def feedback_message(progress: GoalProgress, current_std: float) -> Calibrate.Feedback:
-    """Return how far a goal has come; ``current_std`` in rad."""
-    return Calibrate.Feedback(
-        step=progress.step,
-        total=progress.total,
-        activity=progress.doing.in_words(),
-        doing=progress.doing.code,
-        instruction=progress.doing.instruction,
-        time_left=progress.time_left(),
-        current_std=current_std,
-        n_accepted=len(progress.accepted),
-        n_rejected=progress.rejected,
-        left=progress.left,
-        uncertainty=progress.uncertainty,
-        goal=progress.goal,
-    )
-
-
 def node_state_message(state: NodeState) -> NodeStateMsg:
-    """Return how a node stands; who it is, and what it tells besides, is not in it yet."""
+    """Return the state of a node as a message; the sender adds its identity and values."""
     return NodeStateMsg(
         state=state.state,
         step=state.step,
@@ -312,7 +292,7 @@ def node_state_message(state: NodeState) -> NodeStateMsg:
 
 
 def node_state(message: NodeStateMsg) -> NodeState:
-    """Return how a node stands, from its beat."""
+    """Return the state of a node, from its beat."""
     reasons = (Reason(Why(r.code), tuple(r.arguments)) for r in message.reasons)
     return NodeState(
         State(message.state), tuple(reasons), message.step, message.total, message.page

@@ -1,6 +1,6 @@
-"""Listening for an emergency stop: every node that orders or carries out motion does so itself.
+"""The emergency stop: every node that orders or carries out motion subscribes to it by itself.
 
-No safety function in the sense of ISO 13849: messages come late or not at all.
+This is no safety function in the sense of ISO 13849: messages may come late or never.
 """
 
 from __future__ import annotations
@@ -13,11 +13,14 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 
+from rotcal_ros.nodes.runtime.beat_values import EMERGENCY, show
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.diagnostic_warnings import EMERGENCY, show
-from rotcal_ros.nodes.runtime.draining import Batch, DrainedSubscription
 from rotcal_ros.nodes.runtime.qos import EVENT, VIEW
-from rotcal_ros.nodes.runtime.timers_and_events import steady_timer
+from rotcal_ros.nodes.runtime.timers_and_subscriptions import (
+    Batch,
+    DrainedSubscription,
+    steady_timer,
+)
 from rotcal_ros.planning.emergency_stop import StopSources
 from rotcal_ros.planning.settings import SafetySettings
 
@@ -34,10 +37,11 @@ LATCHED_EVENT: Final = QoSProfile(
 class EmergencyStop:
     """Whether safety stops the cell.
 
-    ``why`` says why nothing may be ordered now, empty: it may. ``latched`` keeps the reason of
-    the last stop until :meth:`forget`, however short it was; ``count`` says how many began.
-    ``begin`` is called with the reason when a stop begins; ``effect`` says for people what this
-    node does meanwhile. It is heard in every state of the node; silence counts while it is active.
+    ``why`` says why nothing may be ordered now; None: it may. ``latched`` keeps the reason of the
+    last stop until :meth:`forget`, however short the stop was; ``count`` is how many stops began.
+    ``begin`` is called with the reason when a stop begins; ``effect`` tells people what this node
+    does meanwhile. A stop is heard in every state of the node; silence of the topic counts as a
+    stop only while the node is active.
     """
 
     def __init__(
@@ -51,7 +55,8 @@ class EmergencyStop:
         topic = settings.emergency_stop and node.resolve_topic_name(settings.emergency_stop)
         self._sources = StopSources(settings, topic, time.monotonic())
         self._looked_s = time.monotonic()
-        self.why = self.latched = ""
+        self.why: str | None = None
+        self.latched: str | None = None
         self.count = 0
         self._heard: list[DrainedSubscription] = []
         self._topic, self._profiles = topic, list[QoSProfile]()
@@ -63,8 +68,8 @@ class EmergencyStop:
         node.every(LOOK_PERIOD_S, self._look)
         steady_timer(node, LOOK_PERIOD_S, node.health.guarded(self._attend))
 
-    def heed(self) -> str:
-        """Return :attr:`latched`, with what has arrived and waits to be handled."""
+    def heed(self) -> str | None:
+        """Return :attr:`latched`, after handling what has arrived and waits."""
         for heard in self._heard:
             heard.drain()
         return self.latched
@@ -120,7 +125,7 @@ class EmergencyStop:
 
     def _judge(self) -> None:
         """Begin and end a stop by what was heard; silence is that of the latest look."""
-        before, self.why = self.why, "; ".join(self._sources.reasons(self._looked_s))
+        before, self.why = self.why, "; ".join(self._sources.reasons(self._looked_s)) or None
         if self.why and not before:
             self.latched, self.count = self.why, self.count + 1
             self._node.get_logger().error(f"emergency stop: {self.why}; {self._effect}")

@@ -1,8 +1,9 @@
-"""Heartbeats and diagnostics of a node, and watching those of the others.
+"""The heartbeat and the diagnostics of a node, and what it hears of the other nodes.
 
-Every node beats on ``heartbeat`` (rotcal_msgs/NodeState, 5 Hz) and reports in words on
-``/diagnostics`` at 1 Hz. A beat tells that the process lives, and how long ago its executor took a
-turn: one that hangs is slow, one whose process is gone is lost.
+Every node beats on ``heartbeat`` (rotcal_msgs/NodeState, 5 Hz), and reports in words on
+``/diagnostics`` at 1 Hz. A beat shows that the process lives, and how long ago its executor took
+a turn: a node that hangs is slow, a node whose process is gone is lost. Beats are sent at every
+change, and otherwise by a thread of their own, which a busy executor cannot block.
 """
 
 from __future__ import annotations
@@ -11,38 +12,106 @@ import os
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from functools import wraps
+from threading import Event, Lock, Thread
 from typing import Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.duration import Duration
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rotcal_msgs.msg import NodeState as NodeStateMsg
 
 from rotcal_ros.bags import names
-from rotcal_ros.foundation.machine_load import AwakeClock
+from rotcal_ros.foundation.machine_load import AwakeClock, end_without_memory
 from rotcal_ros.foundation.node_state import UNHEARD, NodeState, State
 from rotcal_ros.foundation.plugins import culprit
 from rotcal_ros.nodes.runtime import conversions
-from rotcal_ros.nodes.runtime.clock_news import ClockNews
-from rotcal_ros.nodes.runtime.draining import Batch, DrainedSubscription
-from rotcal_ros.nodes.runtime.heartbeat import BEAT_PERIOD_S, Heartbeat
-from rotcal_ros.nodes.runtime.identity import NameHolders, ProcessIdentity, second_of_its_name
-from rotcal_ros.nodes.runtime.memory import end_without_memory
-from rotcal_ros.nodes.runtime.processes_here import HostProcess
-from rotcal_ros.nodes.runtime.roll_call import RollCall
-from rotcal_ros.nodes.runtime.sim_clock import SimClock
-from rotcal_ros.nodes.runtime.timers_and_events import UNWAITED, steady_timer
+from rotcal_ros.nodes.runtime.clocks import ReportedClockJumps, SimClock
+from rotcal_ros.nodes.runtime.liveness import (
+    HostProcess,
+    Liveness,
+    NameHolders,
+    ProcessIdentity,
+    second_of_its_name,
+)
+from rotcal_ros.nodes.runtime.timers_and_subscriptions import (
+    UNWAITED,
+    Batch,
+    DrainedSubscription,
+    steady_timer,
+)
 from rotcal_ros.planning.settings import HealthSettings
 
 HEAR_PERIOD_S: Final = 0.1
 """Interval at which the beats of the others are handled, all together."""
 DIAGNOSTICS_PERIOD_S: Final = 1.0
 AWARE_S: Final = 0.7
-"""For so long after a standstill a node does not know the present state of the others."""
+"""After a standstill a node needs this long to know the present state of the others."""
 PLANNER: Final = "planner"
 
 Values = Mapping[str, object]
+BEAT_PERIOD_S: Final = 0.2
+LEAVE_TIMEOUT_S: Final = 0.5
+_TOLD_S: Final = 0.5
+"""A beat reports a busy node only if its last turn is older than this."""
+
+
+class Heartbeat:
+    """Sends the node's latest state, from the second beat on also while its executor is busy."""
+
+    def __init__(self, node: Node, identity: ProcessIdentity) -> None:
+        self._context, self._clock, self._identity = node.context, node.get_clock(), identity
+        self._process = HostProcess.own()
+        self._publisher = node.create_publisher(
+            NodeStateMsg, names.HEARTBEAT, QoSProfile(depth=20)
+        )
+        self._lock, self._ended = Lock(), Event()
+        self._thread: Thread | None = None
+        self._latest = NodeStateMsg()
+        self._turn_s = self._sent_s = 0.0
+
+    def tell(self, state: NodeStateMsg) -> None:
+        """Send the present state of the node, from a turn of its executor."""
+        with self._lock:
+            self._latest, self._turn_s = state, time.monotonic()
+            self._send()
+
+    def go_on(self) -> None:
+        """Start the thread of the beats, in the first turn of the executor: all is loaded then."""
+        if self._thread is None:
+            self._thread = Thread(target=self._beat, name="heartbeat", daemon=True)
+            self._thread.start()
+
+    def leave(self, state: NodeStateMsg) -> None:
+        """Send the last beat, and let it reach the others."""
+        self._ended.set()
+        self.tell(state)
+        self._publisher.wait_for_all_acked(Duration(seconds=LEAVE_TIMEOUT_S))
+
+    def _beat(self) -> None:
+        """Repeat the latest state whenever a beat is due, until the node has left."""
+        with suppress(rclpy_implementation.InvalidHandle, rclpy_implementation.RCLError):
+            while not self._ended.wait(BEAT_PERIOD_S / 2) and self._context.ok():
+                with self._lock:
+                    if (
+                        time.monotonic() - self._sent_s > BEAT_PERIOD_S
+                        and not self._ended.is_set()
+                    ):
+                        self._send()
+
+    def _send(self) -> None:
+        now_s, beat, process = time.monotonic(), self._latest, self._process
+        busy_s = now_s - self._turn_s
+        beat.header.stamp = self._clock.now().to_msg()
+        beat.session, beat.process = self._identity.session, self._identity.process
+        beat.age = self._identity.age_ns(now_s)
+        beat.host, beat.pid, beat.start = process.host, process.pid, process.start
+        beat.busy = busy_s if busy_s > _TOLD_S else 0.0
+        self._publisher.publish(beat)
+        self._sent_s = now_s
 
 
 class Health:
@@ -67,7 +136,7 @@ class Health:
         self._on_lost = on_lost
         self.settings = settings or HealthSettings()
         self.awake = AwakeClock()
-        self._roll = RollCall(self.settings)
+        self._liveness = Liveness(self.settings)
         self._holders = NameHolders()
         self.identity = ProcessIdentity.own(os.environ, time.monotonic())
         self.refused: str | None = None
@@ -76,7 +145,7 @@ class Health:
         self.errors: Counter[str] = Counter()
         self.concerns: dict[str, str] = {}
         self.alarms: dict[str, str] = {}
-        self.clock = ClockNews(node.get_logger())
+        self.clock = ReportedClockJumps(node.get_logger())
         self.sim = SimClock(node.get_clock())
         self._beats = Heartbeat(node, self.identity) if report is not None else None
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 1)
@@ -91,12 +160,12 @@ class Health:
     @property
     def lost(self) -> dict[str, str]:
         """Name -> why, of the others that are lost, as of the last turn."""
-        return self._roll.lost
+        return self._liveness.lost
 
     @property
     def slow(self) -> dict[str, float]:
         """Name -> seconds without a sign that it answers, of the others that are slow."""
-        return self._roll.slow
+        return self._liveness.slow
 
     def guarded(self, callback: Callable[..., Any]) -> Callable[..., Any]:
         """Keep an exception in ``callback`` from ending the node: count it, log it once."""
@@ -124,7 +193,7 @@ class Health:
         return self.others.keys() - self.lost.keys()
 
     def aware(self) -> bool:
-        """Return whether the others are known as they are now; not just behind a standstill."""
+        """Return whether the state of the others is up to date; not right after a standstill."""
         return self.awake.awake_s() > AWARE_S
 
     def missing(self, names: Iterable[str]) -> list[str]:
@@ -183,18 +252,18 @@ class Health:
             name, identity = beat.node, ProcessIdentity.of(beat, now_s)
             if beat.state == State.LEAVING:
                 if self._holders.leave(name, identity):
-                    self._roll.forget(name)
+                    self._liveness.forget(name)
                     self.others.pop(name, None)
             elif name == self._node.get_name():
                 self._meet(identity)
             elif name in self.lost and _process(beat).is_gone:
-                continue  # its last beats came late
+                continue  # sent before its process died, delivered late
             elif self._holders.is_holder(name, identity, now_s):
-                self._roll.hear(name, awake_s - max(0.0, beat.busy))
+                self._liveness.hear(name, awake_s - max(0.0, beat.busy))
                 self.others[name] = beat
 
     def _meet(self, other: ProcessIdentity) -> None:
-        """Hear a beat of this node's own name: of two nodes the younger one ends."""
+        """Handle a beat under this node's own name: of two such nodes the younger one ends."""
         if self._report is None or other.process == self.identity.process:
             return
         name, place = self._node.get_name(), self._node.get_namespace()
@@ -212,13 +281,13 @@ class Health:
         self.beat()
         if self._beats is not None:
             self._beats.go_on()
-        for name in self._roll.look(self.awake.now_s(), self._gone):
+        for name in self._liveness.look(self.awake.now_s(), self._gone):
             self._node.get_logger().error(f"node {name} is lost: {self.last_words(name)}")
             if self._on_lost is not None:
                 self._on_lost(name)
 
     def _gone(self, name: str) -> str | None:
-        """Say why a node whose beat is late is gone; None: it is there, as far as can be told.
+        """Return why a node whose beat is late is gone; None: it is there, as far as is known.
 
         On another machine, or where its process is not known, the graph decides: DDS removes a
         participant that does not renew its lease.
@@ -226,7 +295,7 @@ class Health:
         process = _process(self.others[name])
         if process.is_of_here:
             return f"its process {process.pid} is gone" if process.is_gone else None
-        silent_s = self.awake.now_s() - self._roll.seen[name]
+        silent_s = self.awake.now_s() - self._liveness.seen[name]
         if silent_s <= self.settings.slow_after_s:
             return None
         topic = self._node.resolve_topic_name(names.HEARTBEAT)

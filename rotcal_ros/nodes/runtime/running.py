@@ -1,51 +1,55 @@
-"""Running a node until it has to end: by SIGINT, SIGTERM or the loss of its supervisor.
+"""Runs the process of a node until SIGINT, SIGTERM or the end of its supervisor.
 
-Long work in a thread, while the node goes on.
+Also here: a node for programs that spin it themselves, long work in a thread, lines of JSON.
 """
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import Final, NoReturn, TypeVar
+from typing import Any, Final, NoReturn, TypeVar
 
 import rclpy
+from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from threadpoolctl import threadpool_limits
 
 from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
-from rotcal_ros.foundation.machine_load import Patience
+from rotcal_ros.foundation.machine_load import Patience, end_without_memory
 from rotcal_ros.foundation.middleware import ROS_DEFAULT_RANGE, explain_start_failure, middleware
 from rotcal_ros.nodes.runtime.cell_node import CellNode, until
-from rotcal_ros.nodes.runtime.memory import end_without_memory
-from rotcal_ros.nodes.runtime.timers_and_events import wake_after_jumps
+from rotcal_ros.nodes.runtime.timers_and_subscriptions import wake_after_jumps
 
 SUPERVISOR_VARIABLE: Final = "ROTCAL_SUPERVISOR"
 """Environment variable: process id of a supervisor that the node must not outlive."""
 STOP_TIMEOUT_S: Final = 20.0
 _TURN_S: Final = 0.2
 _AWAKE_S: Final = 0.01
+_PEER_TURN_S: Final = 0.1
+T = TypeVar("T")
 
 
 def run(make: Callable[[], CellNode], default_range: str = ROS_DEFAULT_RANGE) -> NoReturn:
-    """Make a node and spin it until it has to end; exit with the exit code of the process.
+    """Make a node, spin it until it has to end, and exit.
 
     ``default_range`` is the discovery range where the user has not set one.
     """
-    leave_with(lambda: _spin(make), default_range)
+    run_and_exit(lambda: _spin(make), default_range)
 
 
-def leave_with(work: Callable[[], None], default_range: str = ROS_DEFAULT_RANGE) -> NoReturn:
-    """Do the work of a process and exit; an error of rotcal is one line and its exit code."""
+def run_and_exit(work: Callable[[], None], default_range: str = ROS_DEFAULT_RANGE) -> NoReturn:
+    """Do the work of a process and exit; a RotcalError becomes one line and its exit code."""
     use_middleware(default_range)
     use_single_thread()
     try:
@@ -79,7 +83,7 @@ def use_single_thread() -> None:
 
 @contextmanager
 def default_context() -> Iterator[None]:
-    """Keep ROS's default context up, without its signals: Jazzy's ``rclpy.init`` cannot."""
+    """Init and shut down rclpy's default context; rclpy.init of Jazzy is no context manager."""
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:
         yield
@@ -107,16 +111,16 @@ class EndRequest:
 
 
 class _Rest:
-    """Lets messages gather as long as a node likes, after all that had gathered before.
+    """Pauses between turns of the executor, so that messages collect.
 
-    A turn costs as much for one message as for many.
+    A turn costs as much for one message as for many. With ``use_sim_time`` there is no pause.
     """
 
     def __init__(self) -> None:
         self._taken_s = 0.0
 
     def take(self, node: CellNode) -> None:
-        """Rest for a moment, if the node was awake for long enough."""
+        """Pause as long as the node asks for, if it was awake for long enough."""
         if time.monotonic() < self._taken_s + _AWAKE_S:
             return
         if not node.health.sim.used:
@@ -125,9 +129,9 @@ class _Rest:
 
 
 def _spin(make: Callable[[], CellNode]) -> None:
-    """Spin a node; the first signal lets it finish (close its bag, end its goal).
+    """Spin a node; the first signal lets it finish its work (close its bag, end its goal).
 
-    The middleware stays up meanwhile, which the handlers of rclpy itself would not allow.
+    rclpy's own signal handlers would shut the middleware down at once; here it stays up.
     """
     end = EndRequest()
     with default_context():
@@ -161,12 +165,49 @@ def _finish(node: CellNode, executor: SingleThreadedExecutor) -> None:
         executor.spin_once(timeout_sec=_TURN_S)
 
 
-T = TypeVar("T")
-
-
-async def done_aside(work: Callable[..., T], *arguments: object) -> T:
+async def in_thread(work: Callable[..., T], *arguments: object) -> T:
     """Return what ``work`` returns, or raise what it raises; it has a thread of its own."""
     with ThreadPoolExecutor(max_workers=1) as aside:
         found = aside.submit(work, *arguments)
         await until(found.done, math.inf)
         return found.result()
+
+
+def say(event: str, **values: Any) -> None:
+    """Print one line; the reader may be gone already."""
+    with suppress(BrokenPipeError):
+        sys.stdout.write(json.dumps({"event": event, **values}) + "\n")
+        sys.stdout.flush()
+
+
+class Peer:
+    """A node in a context of its own, which is a DDS participant of its own.
+
+    ``args`` are arguments of ROS's command line.
+    """
+
+    def __init__(self, name: str, namespace: str = "", args: Sequence[str] = ()) -> None:
+        self._context = Context()
+        rclpy.init(
+            args=[*args], context=self._context, signal_handler_options=SignalHandlerOptions.NO
+        )
+        self.node = Node(name, namespace=namespace, context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        wake_after_jumps(self._executor)
+
+    def work_until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        """Handle what comes in until ``condition``; False after the time-out."""
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            left = deadline - time.monotonic()
+            self._executor.spin_once(timeout_sec=max(0.0, min(left, _PEER_TURN_S)))
+            if left <= 0.0:
+                return condition()
+        return True
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.try_shutdown()

@@ -17,7 +17,7 @@ from rotcal_ros.capture.messages import Orders
 from rotcal_ros.extensions.ipp_dme import node as dme_adapter
 from rotcal_ros.extensions.ipp_dme.node import LOOKS_FIRST, DmeAdapter
 from rotcal_ros.foundation.observations import Approach, Command, PointKind
-from rotcal_ros.nodes.runtime.plans import RUN, run_name
+from rotcal_ros.nodes.runtime.announced_plan import RUN, run_name
 
 ORDER = Command(1, 0, 0.5, Approach.POSITIVE, PointKind.SURFACE, 0, (0.1, 0.0, 0.0))
 
@@ -284,7 +284,7 @@ def test_an_adapter_that_is_refused_never_speaks_to_the_machine(made):
 
 def test_plans_are_taken_from_the_planner_alone_and_nothing_begins_at_once(made, monkeypatch):
     sources = []
-    monkeypatch.setattr(dme_adapter, "PlannersPlans", lambda *source: sources.append(source))
+    monkeypatch.setattr(dme_adapter, "PlanSubscription", lambda *source: sources.append(source))
     monkeypatch.setattr(dme_adapter, "Driver", lambda *_: Driver())
     monkeypatch.setattr(dme_adapter, "EmergencyStop", lambda *_: SimpleNamespace(why=""))
     made.settings = lambda _group, kind: kind()

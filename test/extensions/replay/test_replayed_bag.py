@@ -22,7 +22,7 @@ from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.extensions.replay.node import offered_qos
 from rotcal_ros.extensions.replay.replayed_bag import ReplayedBag
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.nodes.runtime.channels import importable_type
+from rotcal_ros.nodes.runtime.message_types import importable_type
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "tracer" / "bag"
 

@@ -13,6 +13,7 @@ pytest.importorskip("rotcal_msgs")
 
 from rotcal_msgs.msg import TableAngle
 
+from rotcal_ros.extensions.ros2_control.joint_watch import JointWatch
 from rotcal_ros.extensions.ros2_control.node import joint_controllers
 from rotcal_ros.extensions.ros2_control.node.joint_controllers import (
     ControllerReport,
@@ -20,7 +21,6 @@ from rotcal_ros.extensions.ros2_control.node.joint_controllers import (
     TrajectoryController,
 )
 from rotcal_ros.extensions.ros2_control.node.table_adapter import TableAdapter
-from rotcal_ros.extensions.ros2_control.obeyed import JointWatch
 from rotcal_ros.foundation.machine_load import AwakeClock
 from rotcal_ros.foundation.node_state import NodeState, State, Why
 from rotcal_ros.foundation.observations import Approach, TableSample
@@ -56,7 +56,7 @@ class Adapter(TableAdapter):
         self._settings, self._joint = SETTINGS, "rotary"
         self._watch, self._controller = JointWatch(SETTINGS), controller or Controller()
         self._stop = SimpleNamespace(why="", refuses=lambda _step: bool(self._stop.why))
-        self._waiting, self._held, self._refused, self._others = None, False, "", ()
+        self._waiting, self._held, self._refused, self._others = None, False, None, ()
         self._state = NodeState.of(State.WORKING, Why.ORDERED, 1, 0)
 
     def __del__(self):
@@ -95,7 +95,7 @@ def test_a_joint_under_way_is_braked_and_what_waits_is_forgotten(adapter):
     assert adapter._waiting is None
     assert adapter._wrong() is None  # it stands where it was stopped, and that is right
     assert adapter._report()[0].has(Why.HELD)
-    adapter._stop.why = ""
+    adapter._stop.why = None
     assert adapter._report()[0].has(Why.NO_ORDER)
 
 

@@ -1,1 +1,1 @@
-"""The node of the page: what it hears, made into sections, and what a person asks, passed on."""
+"""The node of the page: turns messages into sections, and requests of a person into calls."""

@@ -1,8 +1,7 @@
-"""The operator's page: shows a browser what the cell does, and passes on what a person asks.
+"""The operator's page: shows in a browser what the cell does, and passes on what a person asks.
 
-It hears what the nodes publish anyway and subscribes to no instrument. Nothing waits for it.
-
-Following the goal of a planner from outside, whoever sent it.
+It receives what the nodes publish anyway and subscribes to no instrument; no node waits for it.
+FollowedGoal follows the planner's latest goal, whoever sent it.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from rotcal_ros.extensions.page.settings import PageSettings
 from rotcal_ros.extensions.page.state import Cell, ShownUncertainty, StepProgress
 from rotcal_ros.foundation.node_state import LOADING, NodeState, Reason, State, Why
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.nodes.goal.outcome import Feedback, Outcome
+from rotcal_ros.nodes.client.calibrator import Feedback, Outcome
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.health import PLANNER
 from rotcal_ros.nodes.runtime.qos import VIEW
@@ -39,11 +38,11 @@ from rotcal_ros.nodes.runtime.running import run
 
 PERIOD_S: Final = 0.25
 LAST_WORD_S: Final = 2.0
-"""How long to wait for the end of a goal, which its client may have heard before us."""
+"""Time to wait for the end of a goal: its client may hear of it earlier and end the nodes."""
 
 
 class OperatorPage(CellNode):
-    """Turns what it hears into the sections of the page."""
+    """Turns messages and beats into the sections of the page."""
 
     def __init__(self) -> None:
         super().__init__("operator_page")
@@ -93,7 +92,7 @@ class OperatorPage(CellNode):
         return False
 
     def _asked(self, work: Callable[[], Awaitable[Answer]]) -> Future[Answer]:
-        """Do ``work`` in the executor's turn; the future is for another thread."""
+        """Run ``work`` in the executor; the future is for the thread of the server."""
         future: Future[Answer] = Future()
 
         async def do() -> None:

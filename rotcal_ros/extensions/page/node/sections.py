@@ -1,4 +1,4 @@
-"""Sections of the page from what nodes say of themselves and from messages."""
+"""Sections of the page, made from messages and from the beats of nodes."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""What the page takes from topics: plan, deviations, rejected attempts, orders, warnings.
+"""What the page takes from topics, and from the beat of the capture.
 
-What the heartbeat of the capture says of the instruments: rates, readings, temperatures.
+Topics: plan, deviations, rejected attempts, orders, warnings. Beat: rates, readings, temperatures.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.observations import Command, LengthStatus, place_in_words
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
 from rotcal_ros.methods import Calibration
+from rotcal_ros.nodes.runtime.announced_plan import calibration_of
+from rotcal_ros.nodes.runtime.beat_values import NOW, SILENT
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.latest import NOW, SILENT
-from rotcal_ros.nodes.runtime.plans import calibration_of
 from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED
 
 REJECTIONS: Final = 50

@@ -16,14 +16,14 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
-from rotcal_ros.nodes.bridge import NEVER, OFFERED, WITHHELD
+from rotcal_ros.nodes.bridge.node import NEVER, OFFERED, WITHHELD
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.qos import LATCHED
 
 BRIDGE: Final = "bridge"
 MOST_ANGLES: Final = 120
 SILENCE_S: Final = 10.0
-"""After that long without an answer the bridge is asked for the drawing again."""
+"""After this long without an answer the bridge is asked for the drawing again."""
 UNDRAWN: Final = "it is not drawn yet"
 
 

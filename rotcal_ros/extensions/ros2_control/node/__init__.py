@@ -1,1 +1,1 @@
-"""The adapter as a node, the controllers that it orders, and what a check hears for it."""
+"""The adapter as a node, the controllers that it commands, and its check before it runs."""

@@ -1,4 +1,4 @@
-"""How controllers of ros2_control are told where a joint shall go: by topics, or by goals."""
+"""How controllers of ros2_control are told where a joint has to go: by topics, or by goals."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ from rotcal_ros.planning.table_ways import Way
 
 SETPOINT_PERIOD_S: Final = 0.02
 LATEST_S: Final = 1.5 * SETPOINT_PERIOD_S
-"""Longest time made up for in one step: a busy computer slows the joint, it never jumps."""
+"""Longest time that one step makes up for: on a busy computer the joint slows, never jumps."""
 
 
 @dataclass(frozen=True, slots=True)
 class ControllerReport:
-    """What a controller says: ``trouble`` why it does not go, ``done`` that it has arrived."""
+    """What a controller says: ``trouble`` why it does not move, ``done`` that it has arrived."""
 
-    trouble: str = ""
+    trouble: str | None = None
     done: bool = False
 
 
 class JointController(Protocol):
-    """Takes ways; a new one replaces the present one."""
+    """Accepts ways to go; a new one replaces the present one."""
 
     def heard(self) -> bool:
-        """Return whether a node listens to it."""
+        """Return whether a controller receives what is sent."""
 
     def setpoint(self) -> tuple[float, float] | None:
         """Return where (rad) and how fast (rad/s) it was sent last on its way, if known."""
 
     def send(self, way: Way) -> None:
-        """Let the joint go that way from now on."""
+        """Start the joint on a way."""
 
     def forget(self) -> None:
         """Send nothing more of the present way."""
@@ -88,7 +88,7 @@ class TrajectoryController:
         )
 
     def heard(self) -> bool:
-        """Return whether a node listens to it."""
+        """Return whether a controller receives what is sent."""
         return bool(self._publisher.get_subscription_count())
 
     def setpoint(self) -> None:
@@ -120,7 +120,7 @@ class PositionController:
         node.every(SETPOINT_PERIOD_S, self._step)
 
     def heard(self) -> bool:
-        """Return whether a node listens to it."""
+        """Return whether a controller receives what is sent."""
         return bool(self._publisher.get_subscription_count())
 
     def setpoint(self) -> tuple[float, float] | None:

@@ -1,4 +1,4 @@
-"""A joint moved by goals of FollowJointTrajectory: the controller says what becomes of them."""
+"""A joint moved by goals of FollowJointTrajectory: the controller reports how each goal ends."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """A joint of ros2_control as the table: orders become trajectories, its feedback the cell's.
 
-Only the feedback of its joint shows whether the table is where it was sent; what is impossible, or
-does not happen, is logged and stands in the diagnostics.
+Controllers may accept an order and not carry it out, so only the feedback of the joint shows
+whether the table is where it was sent. What is impossible, or does not happen, is logged and
+stands in the diagnostics.
 """
 
 from __future__ import annotations
@@ -14,31 +15,31 @@ from sensor_msgs.msg import JointState
 from rotcal_ros.bags import names
 from rotcal_ros.capture import messages
 from rotcal_ros.capture.rejections import kind_of
+from rotcal_ros.extensions.ros2_control.joint_watch import JointWatch
 from rotcal_ros.extensions.ros2_control.node.joint_controllers import (
     JointController,
     PositionController,
     TrajectoryController,
     interface_of,
 )
-from rotcal_ros.extensions.ros2_control.obeyed import JointWatch
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.node_state import NodeState, State, Why
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.nodes.runtime import conversions
+from rotcal_ros.nodes.runtime.beat_values import COMPLAINT, show
 from rotcal_ros.nodes.runtime.cell_node import CellNode
-from rotcal_ros.nodes.runtime.diagnostic_warnings import COMPLAINT, show
-from rotcal_ros.nodes.runtime.draining import Batch, InstrumentSubscription
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.runtime.health import PLANNER
 from rotcal_ros.nodes.runtime.qos import EVENT, STREAM
 from rotcal_ros.nodes.runtime.running import run
+from rotcal_ros.nodes.runtime.timers_and_subscriptions import Batch, InstrumentSubscription
 from rotcal_ros.planning.settings import CellSettings, SafetySettings, TableAdapterSettings
 from rotcal_ros.planning.table_ways import way_to, way_to_rest
 
 LOOK_PERIOD_S: Final = 0.2
 FRESH_S: Final = 1.0
-"""Age of an order from which the planner's beat is certainly younger."""
+"""The planner beats more often than this: after it, its beat is younger than the order."""
 
 
 class TableAdapter(CellNode):
@@ -48,7 +49,7 @@ class TableAdapter(CellNode):
         super().__init__("table_adapter")
 
     def configure(self) -> None:
-        """Hear the joint."""
+        """Subscribe to the joint's feedback, and offer to move it."""
         self._settings = self.settings("table_adapter", TableAdapterSettings)
         self._joint = self.settings("cell", CellSettings).joint
         if not self._joint:
@@ -63,7 +64,9 @@ class TableAdapter(CellNode):
         )
         self._waiting: TableAngle | None = None
         self._waiting_s = 0.0
-        self._refused, self._kind, self._held = "", "", False
+        self._refused: str | None = None
+        self._kind: str | None = None
+        self._held = False
         self._others: tuple[str, ...] = ()
         self._state = NodeState.of(State.WAITING, Why.NO_FEEDBACK)
         self._feedback = self.create_publisher(JointState, names.JOINT_STATES, STREAM)
@@ -85,7 +88,7 @@ class TableAdapter(CellNode):
         """Take an order; it replaces one that is being carried out."""
         if self._stop.refuses(message.step):
             return
-        self._waiting, self._waiting_s, self._refused = message, self.health.awake.now_s(), ""
+        self._waiting, self._waiting_s, self._refused = message, self.health.awake.now_s(), None
         self._held = False
         self._send()
 
@@ -150,7 +153,7 @@ class TableAdapter(CellNode):
                 self.get_logger().error(text)
             self._kind = kind_of(text)
         elif self._watch.arrived():
-            self._kind = ""
+            self._kind = None
         if text or self._held or self._watch.arrived():
             show(self.health, COMPLAINT, text)
 

@@ -1,0 +1,1 @@
+"""The bridge node: passes compensation tables to the machine's controller."""

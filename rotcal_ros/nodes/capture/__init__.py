@@ -1,0 +1,1 @@
+"""The capture node: subscribes to the instruments and publishes observations."""

@@ -1,0 +1,126 @@
+"""Start the suite's nodes and end them, for ``rotcal doctor``.
+
+    python -m rotcal_ros.nodes.check.start_trial
+
+They are processes as in a calibration: each has to beat, and to end cleanly when told to. Prints
+one line and exits with 0, or says what failed and exits with 1.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import ExitStack
+from typing import Final
+
+from rclpy.qos import QoSProfile
+from rotcal_msgs.msg import NodeState as NodeStateMsg
+
+from rotcal_ros.bags import names
+from rotcal_ros.foundation.errors import RotcalError
+from rotcal_ros.foundation.machine_load import patient
+from rotcal_ros.foundation.node_names import NODES
+from rotcal_ros.nodes.runtime.running import SUPERVISOR_VARIABLE, Peer
+
+START_S: Final = 40.0
+END_S: Final = 5.0
+_NAMESPACE: Final = "/doctor"
+
+
+class NodeError(RotcalError):
+    """A node did not start, beat or end as it should."""
+
+
+class TrialNode:
+    """One node as a process; its output goes to a file without a name."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._output = tempfile.TemporaryFile("w+")  # noqa: SIM115 - closed with the process
+        module = f"rotcal_ros.nodes.{name}.node"
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", module, "--ros-args", "-r", f"__ns:={_NAMESPACE}"],
+            env=os.environ | {SUPERVISOR_VARIABLE: str(os.getpid())},
+            stdout=self._output,
+            stderr=subprocess.STDOUT,
+        )
+
+    def running(self) -> bool:
+        """Return whether the process is there."""
+        return self._process.poll() is None
+
+    def interrupt(self) -> None:
+        """Tell it to end, as Ctrl-C does."""
+        self._process.send_signal(signal.SIGINT)
+
+    def end(self) -> NodeError | None:
+        """Wait until it ended; return what went wrong, if anything."""
+        try:
+            code = self._process.wait(patient(END_S))
+        except subprocess.TimeoutExpired as late:
+            return NodeError(f"{self.name} did not end within {late.timeout:.0f} s")
+        return NodeError(self.last_words()) if code else None
+
+    def last_words(self) -> str:
+        """Return how a process ended that has ended."""
+        self._output.seek(0)
+        lines = self._output.read().strip().splitlines() or ["it said nothing"]
+        return f"{self.name} ended with {self._process.returncode}: {lines[-1]}"
+
+    def close(self) -> None:
+        """Leave nothing behind."""
+        self._process.kill()
+        self._process.wait()
+        self._output.close()
+
+
+def trial() -> float:
+    """Start all and end them; return the seconds until all beat. NodeError: what went wrong."""
+    beating: set[str] = set()
+
+    def hear(beat: NodeStateMsg) -> None:
+        beating.add(beat.node)
+
+    with ExitStack() as stack:
+        peer = Peer("doctor", _NAMESPACE)
+        stack.callback(peer.close)
+        peer.node.create_subscription(NodeStateMsg, names.HEARTBEAT, hear, QoSProfile(depth=100))
+        start = time.monotonic()
+        nodes = []
+        for name in NODES:
+            nodes.append(node := TrialNode(name))
+            stack.callback(node.close)
+        peer.work_until(
+            lambda: beating >= set(NODES) or not all(node.running() for node in nodes),
+            patient(START_S),
+        )
+        took = time.monotonic() - start
+        if dead := [node.last_words() for node in nodes if not node.running()]:
+            raise NodeError("; ".join(dead))
+        if silent := [name for name in NODES if name not in beating]:
+            raise NodeError(f"no sign of life within {START_S:g} s: {', '.join(silent)}")
+        for node in nodes:
+            node.interrupt()
+        wrong = [str(error) for node in nodes if (error := node.end()) is not None]
+        if wrong:
+            raise NodeError("; ".join(wrong))
+        return took
+
+
+def main() -> int:
+    """Run the trial and print the outcome in one line."""
+    try:
+        took = trial()
+    except NodeError as error:
+        sys.stdout.write(f"{error}\n")
+        return 1
+    sys.stdout.write(f"{', '.join(NODES)} started and beat after {took:.1f} s, and ended well\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Clients of the planner: for Python scripts, and for programs without ROS."""

@@ -1,1 +1,0 @@
-"""The planner's work: one goal, from preflight to result."""

@@ -1,1 +1,0 @@
-"""How the nodes hear instruments and move a table."""

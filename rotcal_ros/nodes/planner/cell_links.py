@@ -1,0 +1,373 @@
+"""The planner's links to the cell: what it publishes and receives, and what is missing.
+
+The pause of a running goal is published on ``pause`` and ended by the service ``resume``.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Collection, Iterable, Sequence
+from math import nan
+from typing import Final
+
+from rotcal_msgs.msg import (
+    CalibrationPlan,
+    DeviationArray,
+    ProbeTarget,
+    RecordedObservation,
+    StepChoice,
+    TableAngle,
+)
+from rotcal_msgs.msg import Observation as ObservationMsg
+from rotcal_msgs.msg import Pause as PauseMsg
+from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
+from std_srvs.srv import Trigger
+
+from rotcal_ros.bags import names
+from rotcal_ros.bags.topic_roles import TOPIC, plain_name
+from rotcal_ros.capture import messages
+from rotcal_ros.capture.heard import Believed, Offers, publisher_of
+from rotcal_ros.evaluation.marks import withheld_by
+from rotcal_ros.foundation.errors import RotcalError
+from rotcal_ros.foundation.middleware import discovery_in_words
+from rotcal_ros.foundation.node_names import PREFLIGHT_NODES, VIEWERS
+from rotcal_ros.foundation.node_state import STOPS, Reason
+from rotcal_ros.foundation.observations import Command, Observation
+from rotcal_ros.nodes.runtime import conversions
+from rotcal_ros.nodes.runtime.accepted_publishers import APART, HEARS, digest
+from rotcal_ros.nodes.runtime.announced_plan import RUN
+from rotcal_ros.nodes.runtime.beat_values import show
+from rotcal_ros.nodes.runtime.cell_graph import ORDERS, CellGraph
+from rotcal_ros.nodes.runtime.cell_node import CellNode
+from rotcal_ros.nodes.runtime.managed_node import not_active
+from rotcal_ros.nodes.runtime.qos import EVENT, LATCHED
+from rotcal_ros.planning.plan import MACHINE_FRAME, Move
+
+
+class CellServices:
+    """One client for each service."""
+
+    def __init__(self, node: CellNode) -> None:
+        self.start_recording = node.create_client(StartRecording, "start_recording")
+        self.continue_recording = node.create_client(StartRecording, "continue_recording")
+        self.recorded_observations = node.create_client(Trigger, "recorded_observations")
+        self.stop_recording = node.create_client(StopRecording, "stop_recording")
+        self.finish_calibration = node.create_client(FinishCalibration, "finish_calibration")
+
+    def missing(self) -> list[str]:
+        """Return which services are not offered, in words."""
+        of_recorder = (
+            self.start_recording,
+            self.continue_recording,
+            self.recorded_observations,
+            self.stop_recording,
+        )
+        needed = [("recorder", client) for client in of_recorder]
+        return [
+            f"node {node} does not offer {client.srv_name}"
+            for node, client in (*needed, ("solver", self.finish_calibration))
+            if not client.service_is_ready()
+        ]
+
+
+SPARE: Final = frozenset({"bridge", *VIEWERS.values()})
+"""Nodes that may be inactive while a calibration runs."""
+OWNERS: Final = {
+    names.OBSERVATION: "capture", names.OBSERVATION_RECORDED: "recorder",
+    **dict.fromkeys(ORDERS, "planner"),
+}  # fmt: skip
+"""The only node whose messages count on each of our own topics."""
+Attempt = tuple[int, int]
+"""Step and attempt."""
+
+
+class CellLinks:
+    """Publishers, subscriptions and clients, and what came in for the steps so far."""
+
+    def __init__(self, node: CellNode) -> None:
+        self.node = node
+        self.health = node.health
+        self.graph = CellGraph(node)
+        self.observations: dict[Attempt, Observation] = {}
+        self.receipts: dict[Attempt, int] = {}
+        self.current_std = math.nan
+        self._plan_id = ""
+        self._publish()
+        node.listen(ObservationMsg, names.OBSERVATION, self._observed, EVENT, judged=True)
+        node.listen(
+            RecordedObservation, names.OBSERVATION_RECORDED, self._recorded, EVENT, judged=True
+        )
+        node.listen(DeviationArray, "deviations", self._solved, LATCHED)
+        self.services = CellServices(node)
+
+    def _publish(self) -> None:
+        node = self.node
+        self._plans = node.create_publisher(CalibrationPlan, names.PLAN, LATCHED)
+        self._tables = node.create_publisher(TableAngle, names.TABLE_ANGLE, EVENT)
+        self._probes = node.create_publisher(ProbeTarget, names.PROBE_TARGET, EVENT)
+        self._choices = node.create_publisher(StepChoice, names.STEP_CHOICE, EVENT)
+
+    def publish_anew(self) -> None:
+        """Replace all publishers: new ones may be discovered where the old ones were not."""
+        for publisher in (self._plans, self._tables, self._probes, self._choices):
+            self.node.destroy_publisher(publisher)
+        self._publish()
+
+    def forget(self) -> None:
+        """Forget what came in for an earlier goal."""
+        self.observations.clear()
+        self.receipts.clear()
+        self.current_std = math.nan
+
+    def last_accepted(self, attempts: Iterable[Attempt]) -> Observation | None:
+        """Return the accepted observation of the last of these attempts that has any."""
+        came = (self.observations.get(attempt) for attempt in attempts)
+        return max(
+            (o for o in came if o is not None and o.accepted),
+            key=lambda o: o.attempt,
+            default=None,
+        )
+
+    def announce(self, plan: CalibrationPlan) -> None:
+        """Publish the plan."""
+        self._plan_id = plan.plan_id
+        self._plans.publish(plan)
+
+    def tell_choice(self, choice: StepChoice) -> None:
+        """Publish what is measured next, and why."""
+        self._choices.publish(choice)
+
+    def order(self, command: Command) -> None:
+        """Order the table to its angle and the probe to its target."""
+        table, probe = conversions.command_messages(command, self.node.now_ns())
+        self._tables.publish(table)
+        self._probes.publish(probe)
+
+    def warn(self, key: str, texts: Sequence[str]) -> None:
+        """Report what looks wrong, and that it is over when there is nothing."""
+        for text in texts:
+            self.node.get_logger().warning(text)
+        show(self.health, key, "; ".join(texts))
+
+    def publishers(self, topic: str) -> list[str]:
+        """Return the names of the nodes that publish ``topic``."""
+        return self.graph.publishers(topic)
+
+    def resolve(self, topic: str) -> str:
+        """Return the absolute name of a topic of the cell."""
+        return self.graph.resolve(topic)
+
+    def instrument(self, role: str) -> str:
+        """Return the absolute name of an instrument's topic, as the capture knows it."""
+        plain = plain_name(self.node.get_namespace(), role)
+        return self.health.values("capture").get(TOPIC + role, plain)
+
+    def missing_nodes(self) -> list[str]:
+        """Return what keeps the nodes of the suite from working together, in words."""
+        lost = [f"node {name} does not beat" for name in self.health.missing(PREFLIGHT_NODES)]
+        lost += self.idle_nodes()
+        return lost or self.services.missing()[:1]
+
+    def idle_nodes(self, but: Collection[str] = ()) -> list[str]:
+        """Return which nodes of the calibration are there and not active, in words."""
+        return not_active(self.health, sorted(self.health.present() - SPARE - {*but}))
+
+    def missing_topics(
+        self, topics: Sequence[str], silent: Collection[str] = (), stop: str = ""
+    ) -> list[str]:
+        """Return what is missing around the instrument topics and the orders, in words.
+
+        Those that are ``silent`` before the first order need not deliver anything yet, and the
+        emergency ``stop`` need not be published.
+        """
+        graph, heard = self.graph, self.health.values("capture")
+        measured = [self.instrument(topic) for topic in topics]
+        found = [
+            text
+            for topic, name in zip(topics, measured, strict=True)
+            for text in graph.without_instrument(
+                name, topic in silent or heard.get(f"valid.{topic}", "0") != "0"
+            )
+        ]
+        here = [] if all(map(self.publishers, measured)) else [discovery_in_words(os.environ)]
+        found += [text for topic in ORDERS for text in graph.without_machine(topic)]
+        stops = [stop] if stop and self.publishers(stop) else []
+        recorded = (*measured, *ORDERS, names.PLAN, names.OBSERVATION, names.STEP_CHOICE, *stops)
+        unheard = (topic for topic in recorded if "recorder" not in graph.listeners(topic))
+        return found + here + [self._unrecorded(self.resolve(topic)) for topic in unheard]
+
+    def _unrecorded(self, name: str) -> str:
+        """Say that the recorder does not listen to a topic yet, or why it cannot."""
+        why = self.health.values("recorder").get(name, "")
+        return f"the recorder does not listen to {name}{': ' + why if why else ' yet'}"
+
+    def believed(self, instruments: Collection[str]) -> Believed:
+        """Return the present publishers of a run's topics: our nodes and the ``instruments``."""
+        place = self.node.get_namespace()
+        found = {
+            self.instrument(role): self.graph.offers(self.instrument(role)) for role in instruments
+        }
+        for topic, owner in OWNERS.items():
+            offers = self.graph.offers(topic)
+            own = [i for i in offers if (i.node_name, i.node_namespace) == (owner, place)]
+            found[self.resolve(topic)] = own
+        return Believed({
+            topic: tuple(sorted(publisher_of(info.endpoint_gid) for info in infos))
+            for topic, infos in found.items()
+            if infos
+        })  # fmt: skip
+
+    def offered(self, roles: Collection[str]) -> Offers:
+        """Return the present publishers of these instruments, with the paths of their nodes."""
+        return {
+            (name := self.instrument(role)): {
+                publisher_of(
+                    info.endpoint_gid
+                ): f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+                for info in self.graph.offers(name)
+            }
+            for role in roles
+        }
+
+    def unclear(self, instruments: Collection[str]) -> list[str]:
+        """Return on which topics the publisher is not unique yet, in words."""
+        believed, found = self.believed(()).publishers, list[str]()
+        for topic, owner in OWNERS.items():
+            name = self.resolve(topic)
+            count = len(believed.get(name, ()))
+            if count > 1:
+                found.append(
+                    f"{count} nodes are called {owner} and publish {name}: end the others"
+                )
+            elif not count:
+                found.append(f"node {owner} does not publish {name} yet")
+        called = (self.instrument(role) for role in instruments)
+        return found + [text for name in called for text in self.graph.crowded(name)]
+
+    def missing_connections(self, believed: Believed) -> list[str]:
+        """Return which nodes are not connected to the publishers of a run yet, in words."""
+        others = (*PREFLIGHT_NODES, *self._own_machines())
+        beats = {name: self.health.values(name) for name in others}
+        beats[self.node.get_name()] = self.node.accepted.values()
+        return [
+            f"node {name} cannot hear or be heard yet on {apart}"
+            if (apart := values.get(APART))
+            else f"node {name} has not been told which publishers count in this run"
+            for name, values in beats.items()
+            if values.get(HEARS) != digest(believed)
+        ] + self._missing_machines()
+
+    def _own_machines(self) -> list[str]:
+        """Return the machines that obey orders and beat as nodes of the suite do."""
+        obey = {name for topic in ORDERS for name in self.graph.machines(topic)}
+        return sorted(obey & self.health.present())
+
+    def _missing_machines(self) -> list[str]:
+        """Return the orders that do not reach all machines that beat yet, in words."""
+        publishers = {names.TABLE_ANGLE: self._tables, names.PROBE_TARGET: self._probes}
+        return [
+            f"the planner cannot be heard yet by all nodes that obey {self.resolve(topic)}"
+            for topic, publisher in publishers.items()
+            if publisher.get_subscription_count()
+            < len(self.health.present().intersection(self.graph.listeners(topic)))
+        ]
+
+    def missing_air(self, expected: Iterable[str]) -> dict[str, str]:
+        """Return role -> absolute name of those ``expected`` topics that nobody publishes."""
+        called = {role: self.instrument(role) for role in expected}
+        return {role: name for role, name in called.items() if not self.publishers(name)}
+
+    def missing_plan(
+        self, run: str | None, nodes: Sequence[str] = ("capture", "solver")
+    ) -> list[str]:
+        """Return which nodes have not taken the plan of this run, with their reason."""
+        return [
+            f"node {name} has not taken the plan ({self.health.in_words(name)})"
+            for name in nodes
+            if self.health.values(name).get(RUN) != run
+        ]
+
+    def _observed(self, message: ObservationMsg) -> None:
+        self.observations[message.step, message.attempt] = messages.observation(message)
+
+    def _recorded(self, message: RecordedObservation) -> None:
+        self.receipts[message.step, message.attempt] = int(message.lost)
+
+    def _solved(self, message: DeviationArray) -> None:
+        if message.plan_id == self._plan_id and message.ecc_std:
+            doubtful = message.final and withheld_by(message.verdict, message.warnings)
+            self.current_std = math.nan if doubtful else max(message.ecc_std)
+
+
+RESUME: Final = "resume"
+UNKNOWN_PLACE: Final = (nan, nan, nan)
+
+
+class Pauses:
+    """What the goal waits for; ``waiting`` is True until somebody has called ``resume``.
+
+    ``require_free`` raises RotcalError while it cannot go on; ``busy`` says what the planner is
+    doing.
+    """
+
+    def __init__(
+        self, node: CellNode, require_free: Callable[[], None], busy: Callable[[], str]
+    ) -> None:
+        self._node, self._require_free, self._busy = node, require_free, busy
+        self._publisher = node.create_publisher(PauseMsg, names.PAUSE, LATCHED)
+        node.offer(Trigger, RESUME, self._resume)
+        self._latest = PauseMsg()
+        self._stops = 0
+        self.waiting = False
+
+    def begin(self, plan_id: str, run: int, step: int, stops: int) -> None:
+        """Wait from now on, before ``step`` of a run of a plan, after so many stops."""
+        self._stops = stops
+        self._latest = PauseMsg(plan_id=plan_id, run=run, step=step, waiting=True)
+        self.waiting = True
+
+    def show(self, asked: Reason, move: Move | None = None) -> None:
+        """Publish what is waited for, unless that has not changed."""
+        latest, instruction = self._latest, asked.instruction
+        if latest.instruction == instruction:
+            return
+        place = move or Move("", 0)
+        latest.kind = PauseMsg.KIND_MOVE if move else PauseMsg.KIND_WORK
+        latest.kind = PauseMsg.KIND_STOP if asked.code in STOPS else latest.kind
+        latest.what, latest.station = place.what, place.station
+        latest.position = place.position or UNKNOWN_PLACE
+        latest.instruction = instruction
+        latest.resume = self._node.resolve_service_name(RESUME)
+        self._publish(place.frame)
+
+    def stop_between(self, stops: int) -> bool:
+        """Return, once, that a stop came after the pause began: its caller may not know of it."""
+        before, self._stops = self._stops, stops
+        return stops > before
+
+    def end(self) -> None:
+        """Publish that nothing is waited for any more."""
+        self.waiting = False
+        if self._latest.waiting:
+            latest = self._latest
+            self._latest = PauseMsg(plan_id=latest.plan_id, run=latest.run, step=latest.step)
+            self._latest.position = UNKNOWN_PLACE
+            self._publish(MACHINE_FRAME)
+
+    def _publish(self, frame: str) -> None:
+        self._latest.header = conversions.header(self._node.now_ns(), frame)
+        self._publisher.publish(self._latest)
+
+    def _resume(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Go on after the work is done, unless something keeps the cell from it."""
+        if not self.waiting:
+            response.message = f"nothing waits for resume: the planner is {self._busy()}"
+            return response
+        try:
+            self._require_free()
+        except RotcalError as error:
+            response.message = f"not resumed: {error}"
+        else:
+            self.waiting, response.success = False, True
+        return response

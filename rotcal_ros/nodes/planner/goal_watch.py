@@ -1,0 +1,402 @@
+"""Watches over a running goal: what it needs, what it waits for, and when it must end."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from rotcal_msgs.action import Calibrate
+
+from rotcal_ros.bags import names
+from rotcal_ros.capture.heard import Offers, started_anew
+from rotcal_ros.foundation import machine_load
+from rotcal_ros.foundation.machine_load import AwakeClock, Patience
+from rotcal_ros.foundation.node_names import PREFLIGHT_NODES
+from rotcal_ros.foundation.node_state import Reason, State, Why
+from rotcal_ros.nodes.planner.cell_links import CellLinks, Pauses
+from rotcal_ros.nodes.planner.progress import GoalProgress
+from rotcal_ros.nodes.runtime.beat_values import HOPELESS, SILENT, SLOW, show
+from rotcal_ros.nodes.runtime.cell_graph import ORDERS
+from rotcal_ros.nodes.runtime.cell_node import until
+from rotcal_ros.nodes.runtime.clocks import jumps_told
+from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop
+from rotcal_ros.nodes.runtime.health import Health
+from rotcal_ros.nodes.runtime.liveness import Overload
+from rotcal_ros.planning.choices import AS_LISTED
+from rotcal_ros.planning.plan import Pause
+from rotcal_ros.planning.settings import PlannerSettings
+
+ASTRAY_TIMEOUT_S: Final = 5.0
+"""Capture and solver may work for another plan than the goal's for this long."""
+FOUND_S: Final = 5.0
+"""Time for two ends to discover each other: lost discovery packets are sent again after 3 s."""
+SETTLED_S: Final = 0.5
+"""When no new publisher was discovered for this long, those known count as all."""
+HOPELESS_S: Final = 0.5
+"""The capture must report hopeless for this long: late readings may look so for a moment."""
+SOLVER: Final = "solver"
+Codes = Calibrate.Result
+"""The message that holds the error codes of the action."""
+
+
+class GoalError(Exception):
+    """The goal cannot go on; ``code`` is an error code of the action.
+
+    ``in_another_run`` says that it can, in another run, once the nodes of the suite are back.
+    """
+
+    def __init__(self, code: int, text: str, *, in_another_run: bool = False) -> None:
+        super().__init__(text)
+        self.code = code
+        self.in_another_run = in_another_run
+
+
+class RequiredNodes:
+    """The ``nodes`` that must be there while a goal runs.
+
+    The solver may be away for ``restart_wait_s``: it gets from the recorder what it missed. The
+    restart of any other node breaks the run off, however quickly it came back.
+    """
+
+    def __init__(self, health: Health, restart_wait_s: float) -> None:
+        self.nodes: set[str] = set()
+        self.restart_wait_s = restart_wait_s
+        self._health = health
+        self._processes: dict[str, str | None] = {}
+        self._away: Patience | None = None
+
+    def begin_run(self) -> None:
+        """Take those that are here now for those of the run."""
+        nodes = self.nodes.union(PREFLIGHT_NODES)
+        self._processes = {name: self._health.process(name) for name in nodes}
+
+    def end_run(self) -> None:
+        """Let the nodes of the suite come and go: a preflight looks for them."""
+        self.nodes -= set(PREFLIGHT_NODES)
+        for name in PREFLIGHT_NODES:
+            self._processes.pop(name, None)
+
+    def newcomers(self) -> list[str]:
+        """Return which nodes are other processes than when the run began."""
+        began = self._processes.items()
+        return [name for name, process in began if self._health.process(name) != process]
+
+    def slow(self) -> dict[str, float]:
+        """Return which required nodes are slow: name -> seconds without a sign that it answers."""
+        return {name: s for name, s in self._health.slow.items() if name in self.nodes}
+
+    def is_another(self, name: str) -> Callable[[], bool]:
+        """Return a function that says whether a node is another process than now."""
+        now = self._health.process(name)
+        return lambda: self._health.process(name) != now
+
+    def check(self, place: str) -> None:
+        """Raise GoalError where the run cannot go on with the nodes that are here."""
+        missing = self._health.missing(self.nodes)
+        anew = sorted({*self.newcomers()} - {SOLVER, *missing})
+        if SOLVER not in missing:
+            self._away = None
+        elif missing == [SOLVER] and not anew and self._may_be_away():
+            return
+        if missing or anew:
+            raise GoalError(
+                Codes.NODE_LOST,
+                f"{'; '.join(self._in_words(missing, anew))} {place}{self._last_words(missing)}",
+                in_another_run={*missing, *anew} <= set(PREFLIGHT_NODES),
+            )
+
+    def _may_be_away(self) -> bool:
+        self._away = self._away or Patience(self.restart_wait_s)
+        return self.restart_wait_s > 0.0 and not self._away.is_over()
+
+    def _in_words(self, missing: list[str], anew: list[str]) -> list[str]:
+        lost = any(name in self._health.lost for name in missing)
+        how = "is lost" if lost else "was ended"
+        words = [f"node {', '.join(missing)} {how}"] if missing else []
+        return [*words, *(f"node {name} was restarted" for name in anew)]
+
+    def _last_words(self, missing: list[str]) -> str:
+        lost = [name for name in missing if name in self._health.lost]
+        return f" ({self._health.last_words(lost[0])})" if lost else ""
+
+
+class HaltedError(Exception):
+    """An emergency stop has broken off the present step; the goal waits."""
+
+
+@dataclass
+class GoalWatch:
+    """What one goal knows of the cell, and when it has to end."""
+
+    settings: PlannerSettings
+    links: CellLinks
+    stop: EmergencyStop
+    pauses: Pauses
+    progress: GoalProgress
+    show: Callable[[GoalProgress], None]
+    """Is called whenever the progress changes."""
+    canceled: Callable[[], bool]
+    """Returns whether the client has asked to cancel the goal."""
+    required: RequiredNodes
+    patience_s: float
+    """How long a preflight waits for what is missing."""
+    stopping: str | None = None
+    """Why the planner gives the goal up; None: it does not."""
+    preflight: bool = True
+    """Nothing has moved yet: an emergency stop ends the goal, later the goal waits."""
+    recording: bool = False
+    """A bag is open: the recorder and the streams are watched too."""
+    run: str | None = None
+    """The run that capture and solver have to work for; None: none yet."""
+    owed: tuple[Pause, str | None, int] | None = None
+    """A pause that was broken off, the work still to be done, and the first step to check."""
+    slow: dict[str, float] = field(default_factory=dict)
+    """Nodes and instruments that are waited for: name -> seconds without a sign of life."""
+    instruments: Collection[str] = ()
+    heard: Offers = field(default_factory=dict)
+    """Who published the topics of the instruments when the run began."""
+    _astray: Patience | None = None
+    _hopeless: Patience | None = None
+    _overload: Overload = field(default_factory=Overload)
+    _stream_beat: object = None
+    _silent: dict[str, float] = field(default_factory=dict)
+    _interrupted: Reason | None = None
+    _bag_open: bool = False
+
+    def tell(self, code: Why, *arguments: object) -> None:
+        """Show what is done now."""
+        self.tell_again(Reason.of(code, *arguments))
+
+    def tell_again(self, doing: Reason) -> None:
+        """Show what is done now, as it was shown before."""
+        self.progress.doing = doing
+        self.show(self.progress)
+
+    def how_to_go_on(self, code: int) -> str:
+        """Return how to continue after an error that ends the goal half-way."""
+        if code not in (
+            Codes.NODE_LOST, Codes.RECORDER_FAILED, Codes.CANCELED, Codes.TOPIC_MISSING,
+        ):  # fmt: skip
+            return ""
+        if self.settings.policy != AS_LISTED:
+            return "; continue with rotcal run --resume"
+        again = "start again what is lost, then " if code == Codes.NODE_LOST else ""
+        step = max(0, min(self.progress.step, self.progress.total - 1))
+        return f"; {again}continue with start_index {step}"
+
+    def begin_run(self, run: str) -> None:
+        """Watch over a run: capture and solver have its plan, and the bag is open."""
+        self.run = run
+        self.required.begin_run()
+
+    def end_run(self, patience_s: float) -> None:
+        """Stop watching the run, and let a preflight look for the nodes of the next one."""
+        self.run, self.recording, self._bag_open, self._astray = None, False, False, None
+        self._silent, self.heard = {}, {}
+        self.patience_s = patience_s
+        self.required.end_run()
+
+    async def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        """Wait until ``condition``; False after the time-out, GoalError when the goal must end.
+
+        The time does not run while a node is slow.
+        """
+        return await until(condition, timeout_s, self._check, self._is_slow)
+
+    async def wait_for_machine(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        """Wait as :meth:`wait` does, for what was ordered; HaltedError in an emergency stop."""
+        arrived = await until(condition, timeout_s, self._check_machine, self._is_slow)
+        self.heed_stop()
+        return arrived
+
+    async def have_all_answer(self) -> None:
+        """Wait until no node is slow; called between orders, when nothing moves."""
+        self._check()
+        await self.wait(lambda: not self.slow, math.inf)
+
+    def _is_slow(self) -> bool:
+        return bool(self.slow)
+
+    def heed_stop(self) -> None:
+        """Raise HaltedError during an emergency stop, and after it until a person has resumed."""
+        if why := self.stop.heed():
+            raise HaltedError(f"emergency stop: {why}")
+
+    def clock_jumps(self) -> int:
+        """Return how often a clock of the cell has jumped, as far as this node knows by now."""
+        health = self.links.health
+        health.clock.look()
+        return health.clock.watch.count + jumps_told(map(health.values, health.others))
+
+    async def have(self, missing: Callable[[], list[str]], code: int) -> None:
+        """Wait until nothing is missing; after the preflight time raise what still is."""
+        if not await self.wait(lambda: not missing(), self.patience_s):
+            raise GoalError(code, "; ".join(missing()) or "preflight timed out")
+
+    async def stands_still(self, look: Callable[[], object]) -> None:
+        """Wait until what ``look`` returns has not changed for SETTLED_S, at most patience_s."""
+        clock, known = AwakeClock(time.monotonic), look()
+        since_s = clock.now_s()
+
+        def settled() -> bool:
+            nonlocal known, since_s
+            now, now_s = look(), clock.now_s()
+            if now != known:
+                known, since_s = now, now_s
+            return now_s - since_s >= SETTLED_S
+
+        await self.wait(settled, self.patience_s)
+
+    async def is_found(self, missing: Callable[[], list[str]]) -> bool:
+        """Return whether nothing is missing within FOUND_S; otherwise make new publishers.
+
+        Sometimes the middleware never connects two ends that it knows; new ones it connects.
+        """
+        if await self.wait(lambda: not missing(), min(FOUND_S, self.patience_s)):
+            return True
+        self.links.publish_anew()
+        return False
+
+    async def call(
+        self,
+        client: Any,
+        request: Any,
+        timeout_s: float,
+        in_vain: Callable[[], bool] = lambda: False,
+    ) -> Any:
+        """Return the answer of a service; None as soon as ``in_vain`` says that none will come."""
+        future = client.call_async(request)
+        if not await self.wait(lambda: future.done() or in_vain(), timeout_s):
+            text = f"{client.srv_name} gave no answer in {timeout_s:g} s"
+            raise GoalError(Codes.NODE_LOST, text)
+        return future.result() if future.done() else None
+
+    def refuse_stop(self) -> None:
+        """Raise GoalError in an emergency stop, before the goal may move anything."""
+        if self.preflight and (why := self.stop.heed()):
+            raise GoalError(
+                Codes.EMERGENCY_STOP,
+                f"emergency stop: {why}: nothing is ordered; release it, then start again",
+            )
+
+    def _check_machine(self) -> None:
+        self._check()
+        self.heed_stop()
+
+    def _check(self) -> None:
+        """Raise when the goal must end: cancel, shutdown, a node or an instrument lost."""
+        place = f"at step {self.progress.step} of {self.progress.total}"
+        self.refuse_stop()
+        if self.stopping:
+            raise GoalError(Codes.CANCELED, f"{self.stopping} {place}")
+        if self.canceled():
+            raise GoalError(Codes.CANCELED, f"canceled {place}")
+        self.required.check(place)
+        idle = self.links.idle_nodes(but=self.required.newcomers()) if self.recording else ()
+        if idle:
+            raise GoalError(Codes.NODE_LOST, f"{idle[0]} ({place})")
+        if self.recording:
+            health = self.links.health
+            state = health.state("recorder")
+            if state is State.FAILED:
+                text = f"{health.in_words('recorder')}, {place}"
+                raise GoalError(Codes.RECORDER_FAILED, text)
+            self._bag_open |= state is State.RECORDING
+            if self._bag_open and state is State.IDLE:
+                raise GoalError(
+                    Codes.RECORDER_FAILED,
+                    f"the recorder has closed the bag {place}: node planner stood still too long",
+                )
+            self._check_streams(place)
+            self._check_plan(place)
+        self._heed_slow()
+
+    def _heed_slow(self) -> None:
+        """Find the slow nodes; log an overload once, and show what is waited for now."""
+        overload, before = self._overload, self._overload.text
+        self.slow = self.required.slow() | self._silent
+        if text := overload.look(self.slow, time.monotonic(), machine_load.in_words):
+            self.links.node.get_logger().warning(text)
+        if bool(overload.text) == bool(before):
+            return
+        show(self.links.health, SLOW, overload.text)
+        doing = self.progress.doing
+        if overload.text and not self.pauses.waiting:
+            self._interrupted = doing
+            self.tell(Why.NODES_SLOW, overload.text)
+        elif self._interrupted is not None and doing.code is Why.NODES_SLOW:
+            self.tell_again(self._interrupted)
+
+    def _check_plan(self, place: str) -> None:
+        """Raise when capture or solver have worked for another plan for too long."""
+        astray = self.links.missing_plan(self.run) if self.run else []
+        if not astray:
+            self._astray = None
+            return
+        of_capture = self.links.missing_plan(self.run, ("capture",))
+        allowed_s = (
+            ASTRAY_TIMEOUT_S if of_capture else ASTRAY_TIMEOUT_S + self.required.restart_wait_s
+        )
+        self._astray = self._astray or Patience(allowed_s)
+        if self._astray.is_over(pausing=bool(self.slow)):
+            topic = self.links.resolve(names.PLAN)
+            publishers = ", ".join(self.links.publishers(topic)) or "nobody"
+            raise GoalError(
+                Codes.NODE_LOST,
+                f"{'; '.join(astray)} any more {place}: does another node publish on {topic} (its "
+                f"publishers: {publishers}), or was it restarted?",
+                in_another_run=True,
+            )
+
+    def _check_streams(self, place: str) -> None:
+        """Raise when the capture reports that an instrument it had heard is lost.
+
+        One that is silent and still there counts as slow, like a node, for as long.
+        """
+        beat = self.links.health.others.get("capture")
+        settled = self.links.health.sim.is_settled()
+        if self.stop.latched or not settled:
+            self._silent = {}
+        if beat is self._stream_beat or self.stop.latched or not settled:
+            return
+        self._stream_beat = beat
+        hopeless = self.links.health.values("capture").get(HOPELESS)
+        self._hopeless = (self._hopeless or Patience(HOPELESS_S)) if hopeless else None
+        if self._hopeless is not None and self._hopeless.is_over(pausing=bool(self.slow)):
+            raise GoalError(Codes.TOPIC_MISSING, f"nothing can be measured: {hopeless} ({place})")
+        self._check_publishers(place)
+        self._silent = self.silent_streams()
+        for topic, seconds in self._silent.items():
+            publishers = ", ".join(self.links.publishers(topic))
+            if not publishers or seconds > self.links.health.settings.lost_after_s:
+                who = f"{topic} (node {publishers or 'gone'})"
+                text = f"{who} has been silent for {seconds:.1f} s {place}"
+                raise GoalError(Codes.NODE_LOST, text)
+
+    def _check_publishers(self, place: str) -> None:
+        """Raise where an instrument was restarted: this run ignores it, another run hears it.
+
+        Required nodes are known by their beats; a restarted machine may not know any more
+        where it is, so that a person has to begin again.
+        """
+        found = started_anew(self.heard, self.links.offered(self.instruments))
+        for path, topics in found.items():
+            name = path.rpartition("/")[2]
+            if name not in self.required.nodes:
+                moves = any(name in self.links.graph.machines(order) for order in ORDERS)
+                raise GoalError(
+                    Codes.NODE_LOST,
+                    f"node {name}, which publishes {', '.join(topics)}, was restarted {place}",
+                    in_another_run=not moves,
+                )
+
+    def silent_streams(self) -> dict[str, float]:
+        """Return which instruments are silent, as the capture says: topic -> seconds."""
+        return {
+            self.links.instrument(key.removeprefix(SILENT)): float(value)
+            for key, value in self.links.health.values("capture").items()
+            if key.startswith(SILENT) and float(value) > self.settings.stream_timeout_s
+        }

@@ -1,0 +1,267 @@
+"""Measures the steps of a goal, and asks a person (or a robot) for work in between."""
+
+from __future__ import annotations
+
+from functools import partial
+from itertools import count
+from typing import Final
+
+from rotcal_ros.capture.rejections import FailedSteps, TooManyFailedError
+from rotcal_ros.foundation.errors import DataError, RotcalError
+from rotcal_ros.foundation.node_state import Reason, Why
+from rotcal_ros.methods import Calibration
+from rotcal_ros.methods.continuation import ATTEMPTS_PER_RUN, Continuation
+from rotcal_ros.nodes.planner.cell_links import Attempt
+from rotcal_ros.nodes.planner.goal_watch import Codes, GoalError, GoalWatch, HaltedError
+from rotcal_ros.nodes.runtime import conversions
+from rotcal_ros.nodes.runtime.beat_values import BLOCKED, WAITING_FOR
+from rotcal_ros.planning.choices import AS_LISTED, Choice, Standing, StepOutcome
+from rotcal_ros.planning.plan import Move, Pause
+
+SETTLING_S: Final = 1.2
+"""After a clock was set the capture accepts nothing for 1 s; a little more to be sure."""
+REPEAT_PERIOD_S: Final = 2.0
+"""An instruction is repeated after this time, for clients that join late."""
+
+
+class GoalMeasurement:
+    """Measures the steps of one goal; no attempt at a step has a number twice.
+
+    ``reasons`` says why attempts were rejected, or came to nothing; ``operator`` asks a person.
+    """
+
+    def __init__(
+        self, calibration: Calibration, continuation: Continuation, watch: GoalWatch
+    ) -> None:
+        self._calibration = calibration
+        self._continuation = continuation
+        self._watch = watch
+        self.operator = OperatorRequests(
+            watch, calibration.configuration.plan_id, continuation.run
+        )
+        self._policy = calibration.policy(continuation)
+        self._chosen = 0
+        self._next_attempt: dict[int, int] = {}
+        self._failed = FailedSteps(watch.settings.max_failed_steps)
+        self.reasons: list[str] = []
+
+    async def measure_all(self) -> None:
+        """Measure what the policy chooses, until it stops."""
+        progress = self._watch.progress
+        progress.begin()
+        made_up = self._watch.owed
+        if made_up:
+            await self._have_done(*made_up)
+        choice = self._policy.choose()
+        while choice.step is not None:
+            progress.left = choice.standing.left
+            progress.uncertainty, progress.goal = choice.standing.uncertainty, choice.standing.goal
+            pause = self._calibration.plan.pause_before(choice.step)
+            if made_up and pause is made_up[0]:
+                pause = None
+            if pause is not None:
+                work = pause.instruction if pause.again_from is None else None
+                await self._have_done(pause, work, pause.first)
+            if pause is None or pause.last < pause.first:
+                self._failed.note(choice.step, await self._measure(choice.step, choice))
+            choice = self._policy.choose()
+            self._give_up(at_the_end=choice.step is None)
+        self._tell(choice, 0)
+        progress.uncertainty, progress.left = choice.standing.uncertainty, 0
+        progress.step = progress.total
+
+    def accepted(self) -> list[int]:
+        """Return the steps that were accepted in this run."""
+        return [step for step in self._watch.progress.accepted if step in self._next_attempt]
+
+    def _give_up(self, *, at_the_end: bool) -> None:
+        """Raise GoalError where too many steps failed; at the end the others are solved."""
+        solvable = self._watch.progress.accepted or self._continuation.observations
+        try:
+            self._failed.check()
+        except TooManyFailedError as error:
+            if not (at_the_end and solvable):
+                raise GoalError(Codes.TOO_FEW_OBSERVATIONS, str(error)) from error
+
+    def _tell(self, choice: Choice, attempt: int) -> None:
+        """Publish which step is measured next and why; people read it, and the bag keeps it."""
+        links, plan_id = self._watch.links, self._calibration.configuration.plan_id
+        chosen = choice, plan_id, self._continuation.run, self._chosen, attempt
+        links.tell_choice(conversions.choice_message(*chosen, links.node.now_ns()))
+        self._chosen += 1
+
+    async def _have_done(self, pause: Pause, work: str | None, begin: int) -> None:
+        """Have the ``work`` of a pause done and check it, again and again until it is good.
+
+        The check begins with step ``begin``. What the method can live with is asked for
+        ``max_attempts`` times, what makes a result impossible until the goal is canceled. What is
+        broken off is still owed: the next run begins with it.
+        """
+        for asked in count(1):
+            self._watch.owed = pause, work, begin
+            if work:
+                self._place(pause.first)
+                await self.operator.have_done(work, pause.move)
+            self._watch.owed = pause, None, begin
+            for index in range(begin, pause.last + 1):
+                shows = Choice(index, f"shows {pause.instruction}", Standing(1))
+                await self._measure(index, shows)
+            begin = pause.first if pause.again_from is None else pause.again_from
+            found, hopeless = self._complaints()
+            if not found or (asked >= self._watch.settings.max_attempts and not hopeless):
+                self._watch.owed = None
+                return
+            work = f"not as it should be: {found}; correct it ({pause.instruction})"
+
+    def _complaints(self) -> tuple[str, bool]:
+        """Return what the observations so far show against the work, and if it is hopeless."""
+        earlier, now = self._continuation.observations, self._watch.links.observations
+        try:
+            return "; ".join(self._calibration.check([*earlier, *now.values()])), False
+        except DataError as error:
+            return str(error), True
+
+    async def _measure(self, index: int, choice: Choice) -> list[str]:
+        """Attempt a step; when an emergency stop breaks it off, again after a person has resumed.
+
+        Return why it failed, once for every attempt; nothing when it was captured.
+        """
+        try:
+            return await self._attempt(index, choice)
+        except HaltedError as halted:
+            self.reasons.append(str(halted))
+        self._watch.progress.rejected += 1
+        await self.operator.have_done()
+        return await self._measure(index, choice)
+
+    async def _attempt(self, index: int, choice: Choice) -> list[str]:
+        """Attempt a step until it is captured without a loss, or attempts are used up."""
+        progress, limit = self._watch.progress, self._watch.settings.max_attempts
+        self._place(index)
+        first = self._next_attempt.get(index, self._continuation.run * ATTEMPTS_PER_RUN)
+        self._next_attempt[index] = first + limit
+        self._tell(choice, first)
+        captured, reasons = False, list[str]()
+        for number in range(limit):
+            key = (index, first + number)
+            jumps = self._watch.clock_jumps()
+            observed = await self._observed(key, number)
+            if self._watch.clock_jumps() != jumps:
+                await self._watch.wait(lambda: False, SETTLING_S)
+                reasons.append("a clock was set meanwhile")
+            elif observed:
+                captured = True
+                if not await self._lost(key):
+                    break
+            else:
+                reasons.append(self._why_not(key))
+            progress.rejected += 1
+        progress.note(index, accepted=captured)
+        attempts = ((index, first + number) for number in range(limit))
+        self._policy.note(StepOutcome(index, self._watch.links.last_accepted(attempts)))
+        self.reasons += reasons
+        return [] if captured else reasons
+
+    def _why_not(self, key: Attempt) -> str:
+        """Return why an attempt is not captured: its rejection, or what the capture waits for."""
+        links, limit_s = self._watch.links, self._watch.settings.step_timeout_s
+        if key in links.observations:
+            return links.observations[key].reason
+        heard = links.health.values("capture").get(WAITING_FOR) or "the capture says nothing"
+        return f"no observation within {limit_s:g} s of the order: {heard}"
+
+    def _place(self, index: int) -> None:
+        """Show the progress of the goal: the step of a list, or how many of the expected steps."""
+        progress = self._watch.progress
+        if self._watch.settings.policy == AS_LISTED:
+            progress.step = index
+        else:
+            progress.step, progress.total = progress.done, progress.done + progress.left
+
+    async def _observed(self, key: Attempt, number: int) -> bool:
+        """Order an attempt; return whether an observation came and is accepted."""
+        index, attempt = key
+        step = self._calibration.plan.steps[index]
+        links = self._watch.links
+        await self._watch.have_all_answer()
+        self._watch.tell(Why.MEASURING, step.in_words(number))
+        self._watch.heed_stop()
+        links.order(step.command(attempt))
+        limit_s = self._watch.settings.step_timeout_s
+        arrived = await self._watch.wait_for_machine(lambda: key in links.observations, limit_s)
+        return arrived and links.observations[key].accepted
+
+    async def _lost(self, key: Attempt) -> int:
+        """Wait for the receipt of an observation; return how many messages were lost."""
+        receipts = self._watch.links.receipts
+        limit_s = self._watch.settings.receipt_timeout_s
+        if not await self._watch.wait(lambda: key in receipts, limit_s):
+            reason = self._watch.links.health.in_words("recorder")
+            place = self._calibration.plan.steps[key[0]].in_words()
+            raise GoalError(
+                Codes.RECORDER_FAILED,
+                f"{place}: no receipt from the recorder within {limit_s:g} s ({reason})",
+            )
+        return receipts[key]
+
+
+class NotFreeError(RotcalError):
+    """A goal that waits for a person cannot go on yet."""
+
+
+class OperatorRequests:
+    """Pauses the goal of a ``watch``, which is a run of a plan."""
+
+    def __init__(self, watch: GoalWatch, plan_id: str, run: int) -> None:
+        self._watch, self._plan_id, self._run = watch, plan_id, run
+
+    async def have_done(self, work: str | None = None, move: Move | None = None) -> None:
+        """Show what is to be done before the present step until it is, as long as it takes.
+
+        An emergency stop may come in between; without ``work`` it is all that is waited for.
+        """
+        watch, pauses, stop = self._watch, self._watch.pauses, self._watch.stop
+        watch.progress.pause()
+        pauses.begin(self._plan_id, self._run, watch.progress.step, stop.count)
+        try:
+            while pauses.waiting:
+                seen = stop.why, stop.latched
+                asked = request(*seen, work)
+                pauses.show(asked, move)
+                watch.tell_again(asked)
+                await watch.wait(partial(self._has_changed, seen), REPEAT_PERIOD_S)
+            stop.forget()
+        finally:
+            pauses.end()
+            watch.progress.go_on()
+
+    def _has_changed(self, seen: tuple[str | None, str | None]) -> bool:
+        """Return whether there is an answer, or something else to say than was ``seen``."""
+        stop = self._watch.stop
+        return not self._watch.pauses.waiting or (stop.why, stop.latched) != seen
+
+
+def require_free(watch: GoalWatch) -> None:
+    """Raise NotFreeError where a goal cannot be resumed yet."""
+    health = watch.links.health
+    watch.stop.heed()
+    stop = [f"the emergency stop is on: {watch.stop.why}"] if watch.stop.why else []
+    blocked = [
+        f"node {name} waits for a person: {text}"
+        for name in sorted(health.present())
+        if (text := health.values(name).get(BLOCKED))
+    ]
+    silent = [f"{t} has been silent for {s:.1f} s" for t, s in watch.silent_streams().items()]
+    if lasting := [*stop, *blocked, *silent]:
+        raise NotFreeError("; ".join(lasting))
+    if watch.pauses.stop_between(watch.stop.count):
+        raise NotFreeError("an emergency stop came in between: look, then resume again")
+
+
+def request(why: str | None, latched: str | None, work: str | None) -> Reason:
+    """Return what is asked of a person during a stop ``why``, once it is over, or as ``work``."""
+    if why:
+        return Reason.of(Why.STOPPED, why)
+    if latched and work:
+        return Reason.of(Why.RELEASED_AND_WORK, latched, work)
+    return Reason.of(Why.RELEASED, latched) if latched else Reason.of(Why.WORK, work or "")

@@ -1,0 +1,128 @@
+"""The plan that the planner announces: accepted from the planner alone, then worked out.
+
+Another node may publish a plan on the same topic; it must not stop a running calibration. So the
+planner's beat names the run, and a plan of another publisher is reported and ignored.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from rotcal_msgs.msg import CalibrationPlan
+
+from rotcal_ros.bags import names
+from rotcal_ros.capture.heard import PlansHeard, Whose
+from rotcal_ros.capture.messages import stamp_ns
+from rotcal_ros.foundation.errors import DataError, PlanError, RotcalError
+from rotcal_ros.foundation.untrusted import read_text, why
+from rotcal_ros.methods import Calibration, prepare
+from rotcal_ros.methods.configuration import (
+    parse_configuration,
+)
+from rotcal_ros.methods.continuation import Continuation
+from rotcal_ros.methods.method import DEFAULT, find_method
+from rotcal_ros.nodes.runtime.beat_values import FOREIGN_PLAN, show
+from rotcal_ros.nodes.runtime.cell_node import CellNode
+from rotcal_ros.nodes.runtime.health import BEAT_PERIOD_S
+from rotcal_ros.nodes.runtime.qos import LATCHED
+
+RUN: Final = "run"
+"""Value in a beat: the run of the plan that a node works for; see :func:`run_name`."""
+
+
+def run_name(message: CalibrationPlan) -> str:
+    """Return a name for this run of a plan that no other run has."""
+    return f"{message.plan_id}@{stamp_ns(message.header.stamp)}"
+
+
+def calibration_of(message: CalibrationPlan) -> Calibration:
+    """Return the calibration that a plan message describes.
+
+    Raises PlanError when the configuration leads to another plan here than at the planner,
+    which means that the two run different versions; ConfigurationError when it is wrong.
+    """
+    configuration = parse_configuration(message.configuration, "the announced plan")
+    calibration = prepare(configuration)
+    found = (configuration.plan_id, len(calibration.plan.steps))
+    if found != (message.plan_id, message.total_steps):
+        raise PlanError(
+            f"the announced plan has {message.total_steps} steps and the hash {message.plan_id}, "
+            f"here it has {found[1]} and {found[0]}: install the same version everywhere"
+        )
+    return calibration
+
+
+def load_method(node: CellNode) -> None:
+    """Load the code of the configured method before the first beat: it can take seconds.
+
+    The planner reports a method that cannot be loaded.
+    """
+    with suppress(RotcalError):
+        find_method(str(node.given.get("method") or DEFAULT))
+
+
+def read_continuation(node: CellNode) -> Continuation | None:
+    """Declare ``continuation_file`` and return what it holds; None when it is not given."""
+    path = node.parameter(
+        "continuation_file", "", "what an interrupted calibration has left; empty: nothing"
+    )
+    if not path:
+        return None
+    try:
+        return Continuation.from_json(read_text(Path(path)))
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(f"cannot read the continuation {path}: {why(error)}") from error
+
+
+class PlanSubscription:
+    """Calls ``take`` with the planner's plans; while a goal runs, the beat names its run.
+
+    Beat and plan come on two topics in any order: a plan waits until a beat decides about it. A
+    plan of another publisher that cannot be used is reported and ignored, which is no error.
+    """
+
+    def __init__(self, node: CellNode, take: Callable[[CalibrationPlan], None]) -> None:
+        self._node, self._take = node, take
+        self._heard = PlansHeard[CalibrationPlan]()
+        node.listen(CalibrationPlan, names.PLAN, self._offer, LATCHED)
+        node.every(BEAT_PERIOD_S, self._look)
+
+    def _offer(self, message: CalibrationPlan) -> None:
+        self._heard.offer(run_name(message), message, time.monotonic())
+        self._look()
+
+    def _look(self) -> None:
+        """Hand over the plans that are known to be the planner's; report the others."""
+        for message, whose in self._heard.judged(self._goals_run(), time.monotonic()):
+            if whose is Whose.A_STRANGERS:
+                self._ignored(message, "is not the planner's and was left alone")
+                continue
+            show(self._node.health, FOREIGN_PLAN, None)
+            try:
+                self._take(message)
+            except RotcalError as error:
+                if whose is Whose.THE_GOALS:
+                    raise
+                self._ignored(message, f"cannot be used: {error}")
+
+    def _goals_run(self) -> str | None:
+        """Return the run of the planner's goal; empty: it has none, None: it is not known."""
+        health = self._node.health
+        if "planner" in health.lost:
+            return ""
+        return health.values("planner").get(RUN, "") if "planner" in health.others else None
+
+    def _ignored(self, message: CalibrationPlan, why: str) -> None:
+        topic = self._node.resolve_topic_name(names.PLAN)
+        infos = self._node.get_publishers_info_by_topic(topic)
+        others = sorted({info.node_name for info in infos} - {"planner"})
+        text = (
+            f"a plan on {topic} {why} (plan {message.plan_id[:12]!r}, published by "
+            f"{', '.join(others) or 'a node that left'})"
+        )
+        self._node.get_logger().warning(text)
+        show(self._node.health, FOREIGN_PLAN, text)

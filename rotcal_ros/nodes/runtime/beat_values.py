@@ -1,0 +1,169 @@
+"""The values in a node's beat, by key: warnings, latest readings, names of topics. Needs no ROS.
+
+A beat (rotcal_msgs/NodeState) carries key and value as text. Warnings are there while they last,
+and in /diagnostics too. The capture adds the latest reading of every instrument, so that people
+see it without subscribing to a stream of 1 kHz themselves.
+
+A topic is called by its role below the namespace of the cell, unless it is remapped or the
+configuration names another one in its group ``topics``; a beat tells such other names.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Collection, Iterator, Mapping
+from typing import Any, Final
+
+from rotcal_ros.bags import names
+from rotcal_ros.bags.topic_roles import TOPIC, Values, plain_name
+from rotcal_ros.capture import Record
+from rotcal_ros.capture.instruments.steps import Position
+from rotcal_ros.foundation.observations import (
+    HumiditySample,
+    LengthStatus,
+    PressureSample,
+    ProbeSample,
+    TableSample,
+    TracerSample,
+)
+from rotcal_ros.foundation.observations import TemperatureSample as Thermometer
+from rotcal_ros.methods import Configuration
+
+REJECTED: Final = "rejected_running"
+"""Attempts that were rejected since the last accepted one, and why."""
+COMPLAINT: Final = "complaint"
+"""What keeps the present order from being measured."""
+PREFLIGHT: Final = "preflight"
+"""What looks wrong about the instruments before anything moves."""
+OFFSET: Final = "clock_offset"
+"""Streams whose clocks differ, and by how much."""
+CLOCK_DOUBT: Final = "clock_doubt"
+"""Streams whose clocks seem to differ by less than what is rejected."""
+FOREIGN_PLAN: Final = "foreign_plan"
+"""A plan that is not the planner's."""
+INTRUDER: Final = "intruder"
+"""Who publishes on a topic of the run and was not there when it began."""
+SIM_CLOCK: Final = "sim_clock"
+"""That ``/clock`` stands still, or does not come, for a node that follows it."""
+EMERGENCY: Final = "emergency_stop"
+"""Who stops the cell, and what this node does meanwhile."""
+BLOCKED: Final = "blocked"
+"""Why a machine does nothing until a person has cleared it."""
+SLOW: Final = "slow"
+"""Who is slow and waited for, with the load of the machine."""
+FOR_PEOPLE: Final = (
+    REJECTED, COMPLAINT, PREFLIGHT, OFFSET, CLOCK_DOUBT, FOREIGN_PLAN, INTRUDER, SIM_CLOCK,
+    BLOCKED, SLOW,
+)  # fmt: skip
+"""Values in a beat that are shown to the person who runs a calibration."""
+OF_MACHINES: Final = (BLOCKED, COMPLAINT)
+"""Values in a beat that may be why a calibration cannot go on."""
+
+
+def show(health: Any, key: str, text: str | None, *, alarm: bool = False) -> None:
+    """Show ``text`` as a warning, or as an error with ``alarm``; None: it is over."""
+    for book, is_its in ((health.concerns, not alarm), (health.alarms, alarm)):
+        book.pop(key, None)
+        if text and is_its:
+            book[key] = text
+
+
+def warnings_told(health: Any, keys: Collection[str] = FOR_PEOPLE) -> Iterator[str]:
+    """Yield the present warnings of the other nodes under these ``keys``."""
+    for name in health.others:
+        values = health.values(name)
+        yield from (f"{name}: {values[key]}" for key in keys if key in values)
+
+
+NOW: Final = "now."
+"""Beginning of the capture's values with the latest reading of a topic."""
+FRAME: Final = "frame."
+"""Beginning of the capture's values with the frame that a topic is stamped with."""
+HOPELESS: Final = "hopeless"
+"""Value in the capture's beat: why no attempt at any step will ever be accepted."""
+WAITING_FOR: Final = "waiting_for"
+"""Value of the capture: what its oldest undecided attempt waits for, in words."""
+RATE: Final = "rate_hz."
+"""Beginning of the capture's values with the rate of a stream."""
+REFUSED: Final = "refused."
+"""Beginning of the capture's values with the reason why a topic's message type cannot be used."""
+SILENT: Final = "silent_s."
+"""Beginning of the capture's values with the silence of a stream in seconds."""
+JOINT: Final = "joint."
+"""Beginning of the capture's values with angle (rad) and velocity (rad/s) of a joint."""
+MOST_JOINTS: Final = 32
+"""Largest number of joints in a beat, besides the chosen one once there is a plan."""
+
+
+def reading(record: Record | Position) -> str:
+    """Return a reading in SI: length and status, point, angle, or the air and its sensor."""
+    match record:
+        case TracerSample():
+            return f"{record.length:.9f} {LengthStatus(record.status).name}"
+        case ProbeSample() | Position():
+            return " ".join(f"{x:.7f}" for x in record.position)
+        case TableSample():
+            return f"{record.angle:.9f}"
+        case Thermometer():
+            return f"{record.temperature_c:.4f} {record.sensor}"
+        case PressureSample():
+            return f"{record.pressure_pa:.1f} {record.sensor}"
+        case HumiditySample():
+            return f"{record.humidity:.4f} {record.sensor}"
+    return ""
+
+
+TOPICS: Final = "topics"
+"""Value of the planner while it has a goal: what its group ``topics`` gives, as JSON; of the
+capture: what it follows."""
+_HEARD_OF_THE_PLANNER: Final = {
+    "capture": (names.PLAN, names.OBSERVATION, names.TABLE_ANGLE, names.PROBE_TARGET),
+    "solver": (names.PLAN, names.OBSERVATION),
+}
+"""Roles whose names a node must share with the planner."""
+
+Resolve = Callable[[str], str]
+"""The absolute name of a topic for this node."""
+
+
+def other_names(namespace: str, resolve: Resolve) -> dict[str, str]:
+    """Return the values of a beat for roles that have another name in a node."""
+    called = {role: resolve(role) for role in sorted(names.ROLES)}
+    return {f"{TOPIC}{r}": n for r, n in called.items() if n != plain_name(namespace, r)}
+
+
+def name_in(values: Mapping[str, str], role: str) -> str:
+    """Return the name of a role's topic to show; the role itself where it is not renamed."""
+    return values.get(TOPIC + role, role)
+
+
+def at_odds(values: Values, namespace: str, resolve: Resolve) -> Iterator[str]:
+    """Yield in words which topics have other names in a node than in the planner."""
+    for node, roles in _HEARD_OF_THE_PLANNER.items():
+        for role in roles:
+            theirs = values(node).get(TOPIC + role, plain_name(namespace, role))
+            if theirs != resolve(role):
+                yield (
+                    f"topic {role} is {resolve(role)} for the planner and {theirs} for node "
+                    f"{node}: remap it for all nodes of the cell, or for none"
+                )
+
+
+def names_at_odds(node: Any, topics_of_goal: str) -> list[str]:
+    """Return why the names of topics do not fit, in words, as the planner's ``node`` sees it."""
+    values = node.health.values
+    if values("capture").get(TOPICS) != topics_of_goal:
+        return ["node capture has not taken the names in the group topics yet"]
+    return list(at_odds(values, node.get_namespace(), node.resolve_topic_name))
+
+
+def given_topics(configuration: Configuration) -> dict[str, Any]:
+    """Return what a configuration gives in its group ``topics``."""
+    given = (name.partition(".") for name in configuration.given)
+    found = {name for group, _, name in given if group == "topics" and name}
+    return {name: getattr(configuration.topics, name) for name in sorted(found)}
+
+
+def topics_value(configuration: Configuration) -> str:
+    """Return the values of a planner's beat for its goal's group ``topics``."""
+    return json.dumps(given_topics(configuration), sort_keys=True)

@@ -1,0 +1,55 @@
+"""Message types by name: their classes, and whether a recorded one is the installed one."""
+
+from __future__ import annotations
+
+import json
+from importlib import import_module
+from pathlib import Path
+from typing import Final
+
+from ament_index_python.packages import get_package_share_directory
+
+from rotcal_ros.foundation.errors import BagError
+
+_FEEDBACK: Final = "_FeedbackMessage"
+
+
+def importable_type(type_name: str, type_hash: str) -> type:
+    """Return the class of a recorded message type; BagError where it is not the same here.
+
+    ``type_hash`` is that of the recorded definition, empty where it is not known.
+    """
+    found, here = message_type(type_name), installed_hash(type_name)
+    if type_hash and here and type_hash != here:
+        raise BagError(f"message type {type_name} is defined differently here and in the bag")
+    return found
+
+
+def message_type(type_name: str) -> type:
+    """Return the class of a message type (``pkg/msg/Name``); BagError where there is none."""
+    package, kind, name = [*type_name.split("/"), "", ""][:3]
+    try:
+        if kind == "action" and name.endswith(_FEEDBACK):
+            action = getattr(import_module(f"{package}.{kind}"), name.removesuffix(_FEEDBACK))
+            feedback: type = action.Impl.FeedbackMessage
+            return feedback
+        found: type = getattr(import_module(f"{package}.{kind}"), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise BagError(f"message type {type_name} is not installed here: {error}") from error
+    return found
+
+
+def installed_hash(type_name: str) -> str | None:
+    """Return the hash of a type's definition as it is installed; None where it is not known."""
+    package, kind, name = type_name.split("/")
+    try:
+        described = share_folder(package) / kind / f"{name}.json"
+        hashes = json.loads(described.read_text())["type_hashes"] if described.exists() else ()
+    except LookupError:
+        return None
+    return next((h["hash_string"] for h in hashes if h["type_name"] == type_name), None)
+
+
+def share_folder(package: str) -> Path:
+    """Return where an installed package keeps its message definitions; LookupError: nowhere."""
+    return Path(get_package_share_directory(package))

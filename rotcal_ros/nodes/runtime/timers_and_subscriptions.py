@@ -1,0 +1,202 @@
+"""Timers, subscriptions and events of nodes: independent of the system clock, and quick.
+
+rclpy's own timers run by the system clock: set back by an hour, they stand still for an hour.
+
+An executor takes one message per wait, which limits a node to some 2,700 messages per second;
+emptying the subscription inside the callback takes several times more without a loss.
+
+The cost of each wait grows with the number of things that are waited for. rclpy adds two or more
+event handlers (such as for lost messages) for every publisher and subscription, which is most of
+the cost of a node with many topics: here they are polled by a timer instead.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from threading import Thread
+from typing import Any, Final
+
+from rclpy.callback_groups import CallbackGroup
+from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import EventHandler
+from rclpy.executors import Executor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+
+from rotcal_ros.foundation.clock_jumps import ClockWatch
+from rotcal_ros.nodes.runtime.qos import adapted_qos
+
+_LOOK_S: Final = 0.1
+
+
+def steady_timer(node: Node, period_s: float, work: Callable[[], Any]) -> Any:
+    """Do ``work`` regularly, by the monotonic clock; return the timer."""
+    return node.create_timer(period_s, work, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+
+def wake_after_jumps(executor: Executor) -> None:
+    """Wake an executor when the system clock has jumped.
+
+    The middleware may wait until a time of the system clock: set back, it would wait for hours.
+    """
+
+    def watch() -> None:
+        clock = ClockWatch()
+        while executor.context.ok():
+            time.sleep(_LOOK_S)
+            if clock.look() is not None:
+                with suppress(rclpy_implementation.InvalidHandle):  # it was shut down meanwhile
+                    executor.wake()
+
+    Thread(target=watch, name="clock watch", daemon=True).start()
+
+
+class Unwaited(CallbackGroup):
+    """A callback group whose entities no executor waits for: a timer polls them.
+
+    An executor leaves out of its wait set what its group says cannot be executed.
+    """
+
+    def can_execute(self, entity: Any) -> bool:
+        """Return False, so that the executor waits for none."""
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        """Return False: no execution begins."""
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        """Do nothing: no execution has begun."""
+
+
+UNWAITED: Final = Unwaited()
+
+
+def with_unwaited_events(entity: Any) -> Any:
+    """Return a publisher or subscription whose events :func:`handle_events` looks for."""
+    for handler in entity.event_handlers:
+        handler.callback_group = UNWAITED
+    return entity
+
+
+def handle_events(node: Node) -> None:
+    """Call the handlers of all events since the last call; the middleware counts meanwhile."""
+    for handler in [each for each in node.waitables if isinstance(each, EventHandler)]:
+        handler._ready_to_take_data = True  # else set by a wait of the executor
+        event = handler.take_data()
+        if event is not None and event.total_count_change:
+            handler.callback(event)
+
+
+LIMIT: Final = 1000
+"""Messages taken in one callback at most, so that no topic starves the others."""
+
+GRAPH_PERIOD_S: Final = 0.1
+"""Period at which the graph is searched for new publishers."""
+
+Batch = Sequence[tuple[Any, Any]]
+"""Pairs of a message (or its serialised bytes) and rclpy's message info."""
+
+
+def received_ns(info: Any) -> int:
+    """Return when a message arrived, in ns since 1970."""
+    return int(info["received_timestamp"] or time.time_ns())
+
+
+def sent_ns(info: Any) -> int:
+    """Return when a message was sent; when it arrived where the middleware does not say that.
+
+    It is the same for every listener, and in the bag.
+    """
+    return int(info["source_timestamp"]) or received_ns(info)
+
+
+class DrainedSubscription:
+    """A subscription whose ``handle`` gets all waiting messages at once, in their order."""
+
+    def __init__(
+        self,
+        node: Node,
+        message_type: type,
+        topic: str,
+        qos: QoSProfile,
+        handle: Callable[[Batch], None],
+        *,
+        raw: bool = False,
+        event_callbacks: Any = None,
+        group: Unwaited | None = None,
+    ) -> None:
+        self._handle = handle
+        self._type = message_type
+        self._raw = raw
+        self.subscription = node.create_subscription(
+            message_type, topic, self._on_message, qos, raw=raw, event_callbacks=event_callbacks,
+            callback_group=group,
+        )  # fmt: skip
+
+    def drain(self) -> None:
+        """Handle what is waiting now."""
+        batch: list[tuple[Any, Any]] = []
+        self._take(batch)
+        if batch:
+            self._handle(batch)
+
+    def _on_message(self, message: Any, info: Any) -> None:
+        batch = [(message, info)]
+        self._take(batch)
+        self._handle(batch)
+
+    def _take(self, batch: list[tuple[Any, Any]]) -> None:
+        handle = self.subscription.handle
+        with handle:
+            while len(batch) < LIMIT:
+                pair = handle.take_message(self._type, self._raw)
+                if pair is None:
+                    return
+                batch.append(pair)
+
+
+class InstrumentSubscription:
+    """Subscribes once there is a publisher, with a quality of service that matches it.
+
+    That is reliable where the publisher is: best effort would match every publisher, but lose
+    readings of a fast one. ``message_type`` may be a function that chooses one of the publishers'
+    types.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        message_type: type | Callable[[Sequence[str]], type | None],
+        topic: str,
+        handle: Callable[[Batch], None],
+    ) -> None:
+        self._node, self._type, self._handle = node, message_type, handle
+        self.topic = topic
+        self._drained: DrainedSubscription | None = None
+        self._timer = steady_timer(node, GRAPH_PERIOD_S, self._look)
+
+    def move(self, topic: str) -> bool:
+        """Subscribe to another topic from now on; return False where it is the same one."""
+        if self._node.resolve_topic_name(topic) == self._node.resolve_topic_name(self.topic):
+            return False
+        self.topic = topic
+        if self._drained is not None:
+            self._node.destroy_subscription(self._drained.subscription)
+            self._drained = None
+            self._timer = steady_timer(self._node, GRAPH_PERIOD_S, self._look)
+        return True
+
+    def _look(self) -> None:
+        infos = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(self.topic))
+        kind = self._kind([info.topic_type for info in infos]) if infos else None
+        if kind is not None:
+            qos = adapted_qos([info.qos_profile for info in infos])
+            self._drained = DrainedSubscription(self._node, kind, self.topic, qos, self._handle)
+            self._node.destroy_timer(self._timer)
+
+    def _kind(self, type_names: Sequence[str]) -> type | None:
+        return self._type if isinstance(self._type, type) else self._type(type_names)

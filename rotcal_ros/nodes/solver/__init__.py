@@ -1,0 +1,1 @@
+"""The solver node: computes deviations and the compensation table from observations."""

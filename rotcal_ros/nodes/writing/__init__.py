@@ -1,1 +1,0 @@
-"""The recorder's work: hearing all topics, and keeping them."""

@@ -1,0 +1,108 @@
+"""What is missing around a cell before anything moves; no graph."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("rotcal_msgs")
+
+from rotcal_ros.methods import changed, prepare, read_configuration
+from rotcal_ros.nodes.planner import goal_run
+from rotcal_ros.nodes.planner.cell_links import CellLinks
+from rotcal_ros.nodes.planner.goal_watch import GoalError, GoalWatch
+
+STOP = "/safety/estop"
+
+
+def links(*, publishers, recorded, refused=""):
+    """Return the links of a cell without instruments, whose machine obeys every order."""
+    found = CellLinks.__new__(CellLinks)
+    found.health = SimpleNamespace(
+        values=lambda name: {STOP: refused} if refused and name == "recorder" else {}
+    )
+    found.graph = SimpleNamespace(
+        publishers=lambda topic: publishers if topic == STOP else [],
+        listeners=lambda topic: ["recorder"] if topic != STOP or recorded else [],
+        without_machine=lambda _: [],
+        resolve=lambda topic: topic,
+    )
+    return found
+
+
+@pytest.mark.parametrize(
+    ("publishers", "recorded", "missing"),
+    [
+        ([], False, []),  # nobody need publish it
+        (["plc"], False, [f"the recorder does not listen to {STOP} yet"]),
+        (["plc"], True, []),
+    ],
+)
+def test_a_stop_that_somebody_publishes_is_recorded_before_anything_moves(
+    publishers, recorded, missing
+):
+    cell = links(publishers=publishers, recorded=recorded)
+    assert cell.missing_topics((), (), STOP) == missing
+    assert cell.missing_topics((), (), "") == []
+
+
+def test_why_a_recorder_never_listens_is_told():
+    cell = links(publishers=["plc"], recorded=False, refused="its type is not installed")
+    told = f"the recorder does not listen to {STOP}: its type is not installed"
+    assert cell.missing_topics((), (), STOP) == [told]
+
+
+def test_the_preflight_asks_for_the_stop_of_its_goal(monkeypatch):
+    file = Path(__file__).parents[3] / "config" / "tracer.yaml"
+    calibration = prepare(changed(read_configuration(file), [f"safety.emergency_stop={STOP}"]))
+    monkeypatch.setattr(goal_run, "names_at_odds", lambda *_: [])
+    asked = SimpleNamespace(
+        node=None,
+        health=SimpleNamespace(values=lambda _: {}),
+        missing_air=lambda _: {},
+        missing_topics=lambda _topics, _silent, stop: [f"asked for {stop}"],
+    )
+    assert goal_run._missing(calibration, asked) == [f"asked for {STOP}"]
+
+
+OURS, NEW = [1] * 16, [2] * 16
+
+
+def offer(name, gid):
+    return SimpleNamespace(node_name=name, node_namespace="/cell", endpoint_gid=gid)
+
+
+def watched(*offers, machines=(), required=()):
+    """Return a watch over a run that hears the tracer, and who publishes its lengths now."""
+    there = [offer("tracer", OURS)]
+    cell = CellLinks.__new__(CellLinks)
+    cell.instrument = lambda role: f"/cell/{role}"
+    cell.graph = SimpleNamespace(offers=lambda _: there, machines=lambda _: machines)
+    watch = GoalWatch.__new__(GoalWatch)
+    watch.links, watch.required = cell, SimpleNamespace(nodes={*required})
+    watch.instruments = ["tracer_length"]
+    watch.heard = cell.offered(watch.instruments)
+    there[:] = offers
+    return watch
+
+
+@pytest.mark.parametrize(
+    ("machines", "another_run"), [((), True), (["tracer"], False), (["other"], True)]
+)
+def test_an_instrument_that_was_started_anew_is_named_and_measured_with_in_another_run(
+    machines, another_run
+):
+    """Nobody heard it before the next run: its steps were rejected for want of lengths."""
+    watch = watched(offer("tracer", NEW), machines=machines)
+    with pytest.raises(GoalError) as lost:
+        watch._check_publishers("at step 3 of 9")
+    assert "node tracer, which publishes /cell/tracer_length, was restarted" in str(lost.value)
+    assert lost.value.in_another_run == another_run
+
+
+def test_who_is_there_still_or_belongs_to_the_crew_is_not_started_anew():
+    watched(offer("tracer", OURS))._check_publishers("")
+    watched(offer("tracer", OURS), offer("tracer", NEW))._check_publishers("")
+    watched(offer("stranger", NEW))._check_publishers("")
+    watched(offer("tracer", NEW), required=["tracer"])._check_publishers("")

@@ -1,0 +1,128 @@
+"""What looks wrong before anything moves: joint, velocity, unit, air, each in a sentence."""
+
+from math import nan
+from pathlib import Path
+
+import pytest
+
+from rotcal_ros.methods import prepare
+from rotcal_ros.methods.configuration import changed, read_configuration
+from rotcal_ros.nodes.planner.preflight import doubts, expected_air, faults, without_air
+
+CONFIG = Path(__file__).parents[3] / "config"
+TRACER = read_configuration(CONFIG / "tracer_paper.yaml")
+GOOD = {
+    "joint.table": "0.500000000 0.000000000",
+    "now.tracer_length": "0.350000000 OK",
+    "now.temperature": "20.1000 air",
+    "now.air_pressure": "101325.0 air",
+    "now.relative_humidity": "0.4500 air",
+    "valid.temperature": "3",
+}
+
+
+def configured(*changes):
+    return changed(TRACER, changes)
+
+
+def test_good_instruments_have_no_faults():
+    assert faults(GOOD, TRACER) == doubts(GOOD, TRACER) == []
+    assert faults({}, TRACER) == doubts({}, TRACER) == []
+
+
+def test_a_joint_that_is_not_there_is_told_with_those_that_are():
+    values = {**GOOD, "joint.spindle": "30.0 0.0"}
+    (fault,) = faults(values, configured("cell.joint=C"))
+    assert "no joint 'C' (cell.joint), it has table, spindle" in fault
+    assert faults(values, configured("cell.joint=spindle")) == []
+
+
+def test_where_there_are_more_joints_than_are_told_one_that_is_not_told_may_be_there():
+    for told in (31, 32):
+        values = {f"joint.axis_{k}": "0.5 0.0" for k in range(told)}
+        assert len(faults(values, configured("cell.joint=C"))) == (told == 31)
+        assert doubts(values, configured("cell.joint=C")) == []
+
+
+def test_a_joint_without_velocity_is_told_where_it_is_the_tables():
+    values = {"joint.x": f"0.5 {nan}", "joint.table": "0.5 0.0"}
+    assert faults(values, configured("cell.joint=table")) == []
+    (fault,) = faults(values, configured("cell.joint=''"))  # the first one
+    assert "joint x has no velocity" in fault
+    assert "rad/s" in fault
+
+
+def test_lengths_in_millimetres_are_a_fault():
+    (fault,) = faults({**GOOD, "now.tracer_length": "350.000000000 OK"}, TRACER)
+    assert "says 350 m, plausible are 20 m" in fault
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"refused.tracer_length": "a text is no length"}, "a text is no length"),
+        ({"now.probe_point": "500.0 0.0 0.0"}, "set topics.position_unit: mm"),
+        ({"rate_hz.tracer_length": "0"}, "stamps stand still, is the header filled?"),
+        ({"rate_hz.joint_states": "0.5"}, "comes every 2 s: at rest 1 s are allowed"),
+        ({"rate_hz.tracer_length": "5"}, "40 s, more than capture.step_timeout_s = 30 s"),
+        ({"rate_hz.tracer_length": "0.4"}, "topics.length_single_shot: true"),
+    ],
+)
+def test_what_no_window_can_come_of_is_a_fault(values, words):
+    patient = configured("capture.window_samples=200", "capture.step_timeout_s=30.0")
+    found = faults(GOOD | values, patient, prepare(patient).plan)
+    assert words in "; ".join(found)
+    asked = configured("topics.length_single_shot=true", "capture.window_samples=1")
+    if values.get("rate_hz.tracer_length", "0") != "0":  # its silence is no loss
+        assert faults(GOOD | values, asked) == []
+
+
+def test_clocks_that_differ_are_a_fault():
+    assert faults({**GOOD, "clock_offset": "4.0 s behind"}, TRACER) == ["4.0 s behind"]
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (
+            {"joint.table": "30.0 0.0"},
+            "joint_states says 30 rad, 4.8 turns from zero: is it",
+        ),
+        ({"now.temperature": "293.15 air"}, "temperature says 293.15; degrees Celsius"),
+        ({"now.air_pressure": "1013.2 air"}, "air_pressure says 1013.2; pascal"),
+        ({"now.relative_humidity": "45.0 air"}, "relative_humidity says 45; a share"),
+    ],
+)
+def test_an_implausible_unit_is_a_doubt(value, words):
+    assert faults(GOOD | value, TRACER) == []
+    (doubt,) = doubts(GOOD | value, TRACER)
+    assert words in doubt
+
+
+def test_the_air_that_is_expected_and_that_without_which_nothing_is_measured():
+    assert expected_air(prepare(TRACER)) == ([], ["temperature"])
+    none = prepare(configured("capture.temperature_expected=false"))
+    assert expected_air(none) == ([], [])
+    text = without_air("temperature", "/cell/temperature", TRACER)
+    assert "nobody publishes /cell/temperature: every observation waits for it for" in text
+    assert "capture.temperature_expected: false" in text
+
+
+def test_points_of_another_frame_than_the_machine_s_are_a_doubt():
+    named = GOOD | {"frame.probe_point": "base"}
+    (doubt,) = doubts(named, TRACER)
+    assert "probe_point is stamped with the frame base" in doubt
+    assert "(cell.machine_frame)" in doubt
+    assert doubts(named, configured("cell.machine_frame=base")) == []
+    for good in ("", "machine", "/machine"):
+        assert doubts(GOOD | {"frame.probe_point": good}, TRACER) == []
+    mirror = read_configuration(CONFIG / "plane_mirror_demo.yaml")
+    assert doubts({"frame.probe_point": "tracker"}, mirror) == []  # a tracker's own
+
+
+def test_the_points_of_a_tracker_are_in_its_own_frame_and_no_unit_is_read_from_them():
+    mirror = read_configuration(CONFIG / "plane_mirror.yaml")
+    plan = prepare(mirror).plan
+    far = max(abs(x) for step in plan.steps for x in step.position)
+    values = {"now.probe_point": f"{1000.0 * max(far, 1.0)} 0.0 0.0"}
+    assert faults(values, mirror, plan) == []
