@@ -16,7 +16,7 @@ NODES_OF_EXTENSIONS = {
     "table_adapter": "ros2_control.node.table_adapter",
 }
 """Node -> its module, where an extension brings it."""
-VERBS_OF_EXTENSIONS = {"dme": "ipp_dme", "replay": "replay"}
+VERBS_OF_EXTENSIONS = {"dme": "ipp_dme", "replay": "replay", "reprocess": "fleet"}
 METHODS = {
     "tracer_multistation": "tracer",
     "ball_plate": "ball_plate",
