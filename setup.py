@@ -23,7 +23,7 @@ MODULES = {
     "table_adapter": "extensions.ros2_control.node.table_adapter",
 }
 """Node -> its module."""
-VERBS_OF_EXTENSIONS = {"dme": "ipp_dme", "replay": "replay"}
+VERBS_OF_EXTENSIONS = {"dme": "ipp_dme", "replay": "replay", "reprocess": "fleet"}
 METHODS = {
     "tracer_multistation": "tracer",
     "ball_plate": "ball_plate",

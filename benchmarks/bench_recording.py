@@ -28,11 +28,11 @@ from bag_samples import CONFIGURATION, START_NS, encode, open_writer, simulate
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.reader import bag_files, check_files, read_blocks
 from rotcal_ros.bags.settings import WriterSettings
+from rotcal_ros.extensions.fleet.batch_solving import Job
+from rotcal_ros.extensions.fleet.workers import on_all_cores
 from rotcal_ros.foundation.observations import LengthStatus, TracerSample
 from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
-from rotcal_ros.recordings.batch_solving import Job
-from rotcal_ros.recordings.workers import on_all_cores
 
 SECONDS = float(os.environ.get("ROTCAL_BENCH_SECONDS", "10"))
 GIGABYTES = float(os.environ.get("ROTCAL_BENCH_GB", "0.2"))

@@ -31,18 +31,20 @@ import pyarrow.compute as compute
 import pyarrow.parquet as parquet
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "test" / "recordings"))
+sys.path.insert(0, str(ROOT / "test" / "extensions" / "fleet"))
 from fleet_bags import configuration_text, write_bag  # noqa: E402
 
+from rotcal_ros.extensions.fleet.batch_solving import Job  # noqa: E402
+from rotcal_ros.extensions.fleet.overview import write_overview  # noqa: E402
+from rotcal_ros.extensions.fleet.queries import connected  # noqa: E402
+from rotcal_ros.extensions.fleet.results_dataset import parts  # noqa: E402
+from rotcal_ros.extensions.fleet.workers import on_all_cores  # noqa: E402
 from rotcal_ros.methods.configuration import parse_configuration  # noqa: E402
-from rotcal_ros.recordings.batch_solving import Job  # noqa: E402
-from rotcal_ros.recordings.results_dataset import parts  # noqa: E402
-from rotcal_ros.recordings.workers import on_all_cores  # noqa: E402
-from rotcal_ros.report.fleet_queries import connected  # noqa: E402
-from rotcal_ros.report.overview import write_overview  # noqa: E402
 
 TABLES = 50
 FUTURE = 100_000
+SOLVER = on_all_cores.__module__
+"""What the command of a process that solves names."""
 
 
 def generated(folder: Path, bags: int) -> Path:
@@ -99,7 +101,7 @@ class Disturbance(threading.Thread):
         while not self.ended.wait(self._random.expovariate(1 / self._every_s)):
             with suppress(psutil.Error, IndexError):
                 below = psutil.Process(self._workers.pid).children(recursive=True)
-                solving = [p for p in below if any("supervised" in a for a in p.cmdline())]
+                solving = [p for p in below if SOLVER in p.cmdline()]
                 kind = self._random.choice(list(self.kills))
                 owners = [p.parent() for p in solving]
                 victim = self._random.choice(solving if kind == "solving process" else owners)

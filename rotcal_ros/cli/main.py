@@ -32,7 +32,6 @@ OWN_VERBS: Final[Mapping[str, str]] = {
     "cell": "Look at a live cell: what is there, what is missing?",
     "verify": "Measure the simulated cell, compensate it, and measure again.",
     "solve": "Solve a recorded bag or a plain table, without ROS.",
-    "reprocess": "Solve many bags with one configuration, on all cores or a cluster.",
     "export": "Write the correction table of a calibration for a controller.",
     "plan": "Plan what to measure, in what order, and what it could hide.",
     "report": "Write the self-contained HTML report of a calibration.",

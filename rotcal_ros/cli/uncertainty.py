@@ -57,8 +57,8 @@ def command(
     uncertainty.
     """
     from rotcal_ros.evaluation.monte_carlo import propagated
+    from rotcal_ros.foundation.machine_load import cores
     from rotcal_ros.recordings.inputs import Input
-    from rotcal_ros.recordings.workers import usable_cores
 
     measured = _read(Input(source, setup, targets, changes))
     with progress("trials") as shown:
@@ -67,7 +67,7 @@ def command(
             trials=trials,
             digits=digits,
             seed=seed,
-            workers=workers or usable_cores(),
+            workers=workers or cores(),
             progress=shown,
         )
     if as_json:

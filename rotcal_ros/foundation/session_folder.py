@@ -1,4 +1,4 @@
-"""The names of everything inside the folder of a session, and beside the results of many bags."""
+"""The names of everything inside the folder of a session."""
 
 from __future__ import annotations
 
@@ -6,9 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-RESULTS_TABLE: Final = "results.parquet"
-"""The results of many bags, a folder of parts beside their OVERVIEW."""
-OVERVIEW: Final = "overview.html"
 VERIFICATION: Final = "verification.json"
 """The figures of two sessions, before and after compensation, beside their folders."""
 REQUEST: Final = "verify.json"

@@ -19,17 +19,20 @@ from rotcal_ros.foundation.escapes import printable, printable_lines
 from rotcal_ros.methods.figures import style
 
 
-def render(template: str, **values: Any) -> str:
-    """Return the page, every value escaped; a name that the template lacks a value for raises."""
-    template_file = _environment().get_template(f"{template}.html.j2")
+def render(template: str, *, package: str = "rotcal_ros.report", **values: Any) -> str:
+    """Return the page, every value escaped; a name that the template lacks a value for raises.
+
+    The template lies in the folder ``templates`` of ``package``.
+    """
+    template_file = _environment(package).get_template(f"{template}.html.j2")
     return template_file.render(values, version=__version__)
 
 
 @cache
-def _environment() -> Environment:
-    """Return what compiles each template once."""
+def _environment(package: str) -> Environment:
+    """Return what compiles each template of a package once."""
     environment = Environment(
-        loader=PackageLoader("rotcal_ros.report", "templates"),
+        loader=PackageLoader(package, "templates"),
         autoescape=True,
         undefined=StrictUndefined,
         finalize=_visible,

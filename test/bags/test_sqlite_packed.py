@@ -19,8 +19,8 @@ from rotcal_ros.bags.repair import reindex, repair
 from rotcal_ros.bags.session_verdict import judge_session
 from rotcal_ros.bags.storage_scan import FileVerdict
 from rotcal_ros.cli import main
+from rotcal_ros.extensions.fleet.bag_search import find_bags
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.recordings.bag_search import find_bags
 from rotcal_ros.recordings.replay import read_recording
 
 MESSAGES = payloads(60)

@@ -8,8 +8,8 @@ import click
 from click.testing import CliRunner
 
 from rotcal_ros.cli import main
+from rotcal_ros.extensions.fleet.bag_search import find_bags
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.recordings.bag_search import find_bags
 from rotcal_ros.recordings.replay import read_recording
 
 locked = sys.argv[1]

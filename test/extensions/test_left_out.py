@@ -1,5 +1,6 @@
 """Without an extension all else works, and a name that it brings is told with what to install."""
 
+import json
 import os
 import subprocess
 import sys
@@ -15,6 +16,7 @@ EXTENSIONS = sorted(
     place.parent.name for place in (ROOT / "rotcal_ros/extensions").glob("*/__init__.py")
 )
 RESULT = ROOT / "examples" / "data" / "result_tracer.json"
+BAG = ROOT / "examples" / "data" / "ball_plate_bag"
 INSTALL = "its extension is not installed: pip install rotcal_ros"
 ROTCAL = ("-m", "rotcal_ros.cli.main")
 CHANGED = """
@@ -52,6 +54,17 @@ def test_the_core_alone_works(without, arguments):
     ran = without(EXTENSIONS, *ROTCAL, *arguments)
     assert (ran.returncode, ran.stderr) == (0, "")
     assert "dme" not in ran.stdout
+
+
+def test_the_core_alone_solves_propagates_and_reports(without, tmp_path):
+    solved = without(EXTENSIONS, *ROTCAL, "solve", BAG, "--json")
+    assert json.loads(solved.stdout)["verdict"] == "ok", solved.stderr
+    trials = without(EXTENSIONS, *ROTCAL, "uncertainty", BAG, "--trials", 100)
+    assert trials.returncode == 0, trials.stderr
+    report = without(EXTENSIONS, *ROTCAL, "report", BAG, "-o", tmp_path / "report.html")
+    assert report.returncode == 0, report.stderr
+    missing = without(EXTENSIONS, *ROTCAL, "reprocess", BAG)
+    assert (missing.returncode, "no verb 'reprocess'" in missing.stderr) == (2, True)
 
 
 def test_without_its_extension_a_controller_is_told_with_what_to_install(without, tmp_path):

@@ -28,7 +28,7 @@ from rotcal_ros.sessions import running
 ROOT = Path(__file__).parents[2]
 MODULES = {
     ".".join(path.relative_to(ROOT).with_suffix("").parts)
-    for place in ("nodes/**/*.py", "extensions/**/*.py")
+    for place in ("nodes/**/*.py", "extensions/*/node.py", "extensions/*/node/*.py")
     for path in (ROOT / "rotcal_ros").glob(place)
     if 'if __name__ == "__main__"' in path.read_text()
 }

@@ -17,7 +17,7 @@ from rotcal_ros.bags.rosbag2_metadata import FileInfo
 from rotcal_ros.bags.settings import WriterSettings
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.cli.main import rotcal
-from rotcal_ros.recordings.batch_solving import Job, solve_bag
+from rotcal_ros.extensions.fleet.batch_solving import Job, solve_bag
 from rotcal_ros.recordings.replay import read_recording
 
 pytestmark = pytest.mark.usefixtures("without_figures")

@@ -9,9 +9,9 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Final
 
+from rotcal_ros.extensions.fleet.results_dataset import parts
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
-from rotcal_ros.recordings.results_dataset import parts
 
 ENOUGH: Final = 5
 """With this many bags of a table or more, one of them can stand out."""

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import os
 import pickle
 import signal
 import subprocess
@@ -23,8 +22,9 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, Final
 
+from rotcal_ros.extensions.fleet.batch_solving import BagOutcome, Job, solve_bag
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
-from rotcal_ros.recordings.batch_solving import BagOutcome, Job, solve_bag
+from rotcal_ros.foundation.machine_load import cores
 
 TIME_LIMIT_S: Final = 3600.0
 """How long a bag may take by default."""
@@ -49,7 +49,7 @@ def on_all_cores(
     A process that dies is started again and its job tried once more; a job that kills two, or
     takes longer than ``time_limit_s``, becomes an outcome with that error.
     """
-    workers = workers or usable_cores()
+    workers = workers or cores()
     remaining = iter(jobs)
     crew = [Supervised(work, time_limit_s) for _ in range(workers)]
     idle: SimpleQueue[Supervised] = SimpleQueue()
@@ -78,11 +78,6 @@ def on_all_cores(
                 future.cancel()
             for member in crew:
                 member.close()
-
-
-def usable_cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0))
 
 
 def on_cluster(

@@ -10,19 +10,23 @@ import shutil
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
+from rotcal_ros.extensions.fleet.queries import Bag, bags_by_table, connected
 from rotcal_ros.foundation.components import COMPONENTS, unit_of
 from rotcal_ros.foundation.files import write_atomically
-from rotcal_ros.report.fleet_queries import Bag, bags_by_table, connected
-from rotcal_ros.report.template import render
+from rotcal_ros.report import template
 
+OVERVIEW: Final = "overview.html"
+FOLDER: Final = "overview"
+"""What the page leads to, beside it."""
 PAGE: Final = 200
 """Rows of a page."""
-FOLDER: Final = "overview"
 Row = TypeVar("Row")
+render = partial(template.render, package="rotcal_ros.extensions.fleet")
 
 
 @dataclass

@@ -14,10 +14,12 @@ from uuid import uuid4
 import numpy as np
 
 from rotcal_ros.bags.parquet import arrow
+from rotcal_ros.extensions.fleet.batch_solving import BagOutcome
 from rotcal_ros.foundation.escapes import encodable
 from rotcal_ros.foundation.files import FolderLock, replace_atomically
-from rotcal_ros.recordings.batch_solving import BagOutcome
 
+RESULTS_TABLE: Final = "results.parquet"
+"""The folder of parts, beside the overview of what they hold."""
 ROWS: Final = 50_000
 """Rows after which a part is written."""
 PATIENCE_S: Final = 30.0

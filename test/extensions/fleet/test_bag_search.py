@@ -5,10 +5,10 @@ import os
 import pytest
 from fleet_bags import RECORDING, configuration_text
 
+from rotcal_ros.extensions.fleet.bag_search import find_bags
+from rotcal_ros.extensions.fleet.batch_solving import Job, solve_bag
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.methods.configuration import parse_configuration
-from rotcal_ros.recordings.bag_search import find_bags
-from rotcal_ros.recordings.batch_solving import Job, solve_bag
 
 CONFIGURATION = parse_configuration(configuration_text())
 

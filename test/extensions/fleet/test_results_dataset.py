@@ -9,10 +9,10 @@ import pytest
 pytest.importorskip("pyarrow")
 import pyarrow.parquet as parquet
 
+from rotcal_ros.extensions.fleet.batch_solving import BagOutcome
+from rotcal_ros.extensions.fleet.results_dataset import ResultsDataset, parts
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.recordings.batch_solving import BagOutcome
-from rotcal_ros.recordings.results_dataset import ResultsDataset, parts
 
 
 def outcome(name, key="k", ecc=(0.0, 1e-6, 3e-6)):

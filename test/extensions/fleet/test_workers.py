@@ -9,8 +9,8 @@ import deadly_work
 import psutil
 import pytest
 
-from rotcal_ros.recordings.batch_solving import Job
-from rotcal_ros.recordings.workers import on_all_cores
+from rotcal_ros.extensions.fleet.batch_solving import Job
+from rotcal_ros.extensions.fleet.workers import on_all_cores
 
 HERE = Path(__file__).parent
 
@@ -67,8 +67,8 @@ def test_jobs_are_taken_as_they_are_needed(tmp_path):
 def test_a_worker_outlives_neither_its_supervisor_nor_the_bag_that_hangs(tmp_path):
     script = (
         "import deadly_work\n"
-        "from rotcal_ros.recordings.batch_solving import Job\n"
-        "from rotcal_ros.recordings.workers import on_all_cores\n"
+        "from rotcal_ros.extensions.fleet.batch_solving import Job\n"
+        "from rotcal_ros.extensions.fleet.workers import on_all_cores\n"
         f"jobs = [Job('good', None, {str(tmp_path)!r})] * 10**6\n"
         "for outcome in on_all_cores(jobs, 1, 1.0, deadly_work.work):\n"
         "    print(outcome.source, flush=True)\n"

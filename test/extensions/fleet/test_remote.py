@@ -11,11 +11,11 @@ import time
 import pytest
 from fleet_bags import configuration_text, write_bag
 
+from rotcal_ros.extensions.fleet.bag_search import find_bags
+from rotcal_ros.extensions.fleet.batch_solving import Job, solve_bag
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.methods.configuration import parse_configuration
-from rotcal_ros.recordings.bag_search import find_bags
-from rotcal_ros.recordings.batch_solving import Job, solve_bag
 
 pytest.importorskip("fsspec")
 pytest.importorskip("moto.server")

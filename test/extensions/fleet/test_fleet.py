@@ -12,13 +12,13 @@ pytest.importorskip("pyarrow")
 import deadly_work
 from fleet_bags import configuration_text, write_bag, write_fleet
 
+from rotcal_ros.extensions.fleet.bag_search import find_bags
+from rotcal_ros.extensions.fleet.batch_solving import Job, solve_bag
+from rotcal_ros.extensions.fleet.overview import write_overview
+from rotcal_ros.extensions.fleet.queries import bags_by_table, connected
+from rotcal_ros.extensions.fleet.results_dataset import ResultsDataset
+from rotcal_ros.extensions.fleet.workers import on_all_cores
 from rotcal_ros.methods.configuration import parse_configuration
-from rotcal_ros.recordings.bag_search import find_bags
-from rotcal_ros.recordings.batch_solving import Job, solve_bag
-from rotcal_ros.recordings.results_dataset import ResultsDataset
-from rotcal_ros.recordings.workers import on_all_cores
-from rotcal_ros.report.fleet_queries import bags_by_table, connected
-from rotcal_ros.report.overview import write_overview
 
 HERE = Path(__file__).parent
 BAGS = 12

@@ -6,8 +6,8 @@ import stat
 import pytest
 from fleet_bags import configuration_text, write_bag
 
+from rotcal_ros.extensions.fleet.batch_solving import TAIL_BYTES, Job, fingerprint, solve_bag
 from rotcal_ros.methods.configuration import parse_configuration
-from rotcal_ros.recordings.batch_solving import TAIL_BYTES, Job, fingerprint, solve_bag
 
 CONFIGURATION = parse_configuration(configuration_text())
 

@@ -16,7 +16,7 @@ from rotcal_ros.bags.decode import Decoder, work_out_layout
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import bag_files, read_blocks
 
-RECORDING = Path(__file__).parents[2] / "examples" / "data" / "ball_plate_bag"
+RECORDING = Path(__file__).parents[3] / "examples" / "data" / "ball_plate_bag"
 NOISE_M = 0.5e-6
 DAY_NS = 86_400 * 10**9
 

@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 import time
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import deadly_work
@@ -17,14 +18,15 @@ from bag_samples import simulate, write_run
 from click.testing import CliRunner
 
 from rotcal_ros.cli.main import rotcal
+from rotcal_ros.extensions.fleet import batch_solving, workers
+from rotcal_ros.extensions.fleet.bag_search import find_bags
+from rotcal_ros.extensions.fleet.batch_solving import Job, solve_bag
+from rotcal_ros.extensions.fleet.workers import on_all_cores, on_cluster
+from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.methods.configuration import dump_configuration, parse_configuration
-from rotcal_ros.recordings import workers
-from rotcal_ros.recordings.bag_search import find_bags
-from rotcal_ros.recordings.batch_solving import Job, solve_bag
 from rotcal_ros.recordings.replay import read_recording
-from rotcal_ros.recordings.workers import on_all_cores, on_cluster
 
 HERE = Path(__file__).parent
 SEEDS = (5, 6, 7)
@@ -92,6 +94,23 @@ def test_work_that_is_done_is_not_repeated_until_bag_or_configuration_change(job
     assert [o.result for o in again] == [o.result for o in first]
     changed = parse_configuration(CONFIGURATION + "\n# another\n")
     assert not solve_bag(Job(jobs[0].source, changed, str(tmp_path))).cached
+
+
+def test_a_fault_is_told_as_ours_but_that_of_a_plug_in_by_its_name(jobs, tmp_path, monkeypatch):
+    def fault(*_, **__):
+        return 1 / 0
+
+    (tmp_path / "dividing_drive.py").write_text("def write(*_, **__):\n    return 1 / 0\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    plug_in = EntryPoint("broken", "dividing_drive:write", plugins.CONTROLLERS)
+    points = {plugins.CONTROLLERS: {"broken": plug_in}}
+    monkeypatch.setattr(plugins, "_found", lambda group: points.get(group, {}))
+    for work, words in (
+        (fault, "ZeroDivisionError while solving, which is a fault of rotcal_ros"),
+        (plug_in.load(), "ZeroDivisionError in the controller 'broken' (dividing_drive: "),
+    ):
+        monkeypatch.setattr(batch_solving, "read_recording", work)
+        assert solve_bag(jobs[0]).error.startswith(words)
 
 
 def test_a_remote_bag_is_fetched_through_fsspec(fleet, jobs, tmp_path):

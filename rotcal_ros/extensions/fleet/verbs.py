@@ -13,12 +13,11 @@ import click
 from rotcal_ros.bags.unread_data import note_unread
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.options import configurations
-from rotcal_ros.foundation.session_folder import OVERVIEW, RESULTS_TABLE
 from rotcal_ros.report.terminal.console import progress, say, tell
 
 if TYPE_CHECKING:
-    from rotcal_ros.recordings.batch_solving import BagOutcome
-    from rotcal_ros.recordings.results_dataset import ResultsDataset
+    from rotcal_ros.extensions.fleet.batch_solving import BagOutcome
+    from rotcal_ros.extensions.fleet.results_dataset import ResultsDataset
 
 
 @click.command()
@@ -73,12 +72,13 @@ def command(
     interruption costs only the bags being solved. One bad bag does not stop the rest; the exit
     code is then 1.
     """
+    from rotcal_ros.extensions.fleet.bag_search import find_bags
+    from rotcal_ros.extensions.fleet.batch_solving import Job
+    from rotcal_ros.extensions.fleet.overview import OVERVIEW, write_overview
+    from rotcal_ros.extensions.fleet.results_dataset import RESULTS_TABLE, ResultsDataset
+    from rotcal_ros.extensions.fleet.workers import on_all_cores, on_cluster
+    from rotcal_ros.foundation.machine_load import cores
     from rotcal_ros.methods.configuration import read_configuration
-    from rotcal_ros.recordings.bag_search import find_bags
-    from rotcal_ros.recordings.batch_solving import Job
-    from rotcal_ros.recordings.results_dataset import ResultsDataset
-    from rotcal_ros.recordings.workers import on_all_cores, on_cluster, usable_cores
-    from rotcal_ros.report.overview import write_overview
 
     configuration = read_configuration(setup)
     bags = find_bags(sources)
@@ -92,7 +92,7 @@ def command(
         if scheduler:
             running = on_cluster(jobs, scheduler, time_limit_s)
         else:
-            workers = min(workers or usable_cores(), len(bags))
+            workers = min(workers or cores(), len(bags))
             running = on_all_cores(jobs, workers, time_limit_s)
         with closing(running):
             tally = _followed(running, len(bags), dataset)
@@ -152,7 +152,7 @@ def _print(tally: _Tally, table: Path, overview: Path) -> None:
 
 def _print_json(table: Path, overview: Path) -> None:
     """Print one object per bag, as the dataset has it, in order of recording."""
-    from rotcal_ros.report.fleet_queries import bags_by_table, connected
+    from rotcal_ros.extensions.fleet.queries import bags_by_table, connected
 
     with connected(table) as connection:
         bags = sorted(

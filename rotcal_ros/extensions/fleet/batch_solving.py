@@ -16,12 +16,12 @@ from rotcal_ros.bags.reader import bag_files, sha256_of
 from rotcal_ros.bags.rosbag2_metadata import METADATA_FILE
 from rotcal_ros.bags.session_identity import session_of
 from rotcal_ros.bags.unread_data import unread
+from rotcal_ros.extensions.fleet.bag_search import is_remote, local, remote_state
 from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.plugins import culprit, in_words
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.configuration import Configuration, parse_configuration
-from rotcal_ros.recordings.bag_search import is_remote, local, remote_state
 from rotcal_ros.recordings.replay import Recording, read_recording
 
 

@@ -6,7 +6,7 @@ import signal
 import time
 from pathlib import Path
 
-from rotcal_ros.recordings.batch_solving import BagOutcome, Job, solve_bag
+from rotcal_ros.extensions.fleet.batch_solving import BagOutcome, Job, solve_bag
 
 
 def work(job: Job) -> BagOutcome:

@@ -12,10 +12,10 @@ import pyarrow as pa
 import pyarrow.parquet as parquet
 from browser import launched
 
-from rotcal_ros.recordings.results_dataset import _schema
-from rotcal_ros.report import overview
-from rotcal_ros.report.fleet_queries import bags_by_table, connected
-from rotcal_ros.report.overview import PAGE, write_overview
+from rotcal_ros.extensions.fleet import overview
+from rotcal_ros.extensions.fleet.overview import PAGE, write_overview
+from rotcal_ros.extensions.fleet.queries import bags_by_table, connected
+from rotcal_ros.extensions.fleet.results_dataset import _schema
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 
