@@ -193,11 +193,11 @@ class Diagnosis:
     def open_contests(self) -> tuple[Contest, ...]:
         """The contests without rivals that were taken for true as well, later on."""
         taken = [e.what for e in self.taken]
-        still = (
+        remaining = (
             Contest(c.best, tuple(e for e in c.rivals if not self._holds(e, taken)))
             for c in self.contests
         )
-        return tuple(contest for contest in still if contest.rivals)
+        return tuple(contest for contest in remaining if contest.rivals)
 
     def _holds(self, rival: Explanation, taken: Sequence[str]) -> bool:
         if rival.effect is not None:
@@ -459,10 +459,12 @@ class Look:
             return []
         chance, found = family_test(seen, self.rest).probability, []
         for k in np.argsort(-squares, kind="stable")[: MOST_RIVALS + 1].tolist():
-            one = slice(k, k + 1)
-            test = effect_test(seen.part(one), self.rest)._replace(probability=chance)
+            member = slice(k, k + 1)
+            test = effect_test(seen.part(member), self.rest)._replace(probability=chance)
             if test.rank:
-                found.append(self._explanation(effect, columns[:, one], seen.part(one), test))
+                found.append(
+                    self._explanation(effect, columns[:, member], seen.part(member), test)
+                )
         return found
 
     def _explanation(
