@@ -1,8 +1,11 @@
 """The engine of adjustment: what residuals say of groups of observations, for any method.
 
-It knows no method, only the linear view at a solution (:mod:`.groups`): whitened residuals r,
-their cofactor R = I - J N^-1 J' and the response B = C N^-1 J' of the outputs, group by group. A
-method uses it so:
+A method without algebra of its own hands over a :class:`~.model.Model` and gets all from
+:func:`~.engine.adjust`: start, noise, causes, verdict (docs/engine.md).
+
+Methods with an algebra of their own use its parts, which know no method, only the linear view at a
+solution (:mod:`.groups`): whitened residuals r, their cofactor R = I - J N^-1 J' and the response
+B = C N^-1 J' of the outputs, group by group:
 
 1. It makes a :class:`~.groups.Group` for every station, position, target, ball or stretch of time:
    the rows in use, how they form elements, what unit shifts are in whitened units, and which

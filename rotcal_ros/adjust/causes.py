@@ -41,7 +41,7 @@ from rotcal_ros.adjust.noise import (
     estimate_factors,
 )
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
-from rotcal_ros.foundation.errors import ObservabilityError, RotcalError
+from rotcal_ros.foundation.errors import DataError, ObservabilityError, RotcalError
 
 ROUNDS: Final = 30
 """Reweighted adjustments of the robust start, and concentration steps after them."""
@@ -143,7 +143,6 @@ class Diagnosis:
 
     model: Model
     limits: Limits
-    used: Bools
     noise: Noise
     start: Floats
     gathering: Gathering = field(default_factory=Gathering)
@@ -151,6 +150,11 @@ class Diagnosis:
     taken: tuple[Explanation, ...] = ()
     contests: tuple[Contest, ...] = ()
     price: float = 0.0
+
+    @cached_property
+    def used(self) -> Bools:
+        """The observations (n,) in use: those that nothing was said against."""
+        return np.isin(np.arange(len(self.model.observed)), list(self.why), invert=True)
 
     def fitted(self, factors: Floats, start: Floats) -> Fit:
         """Return the solution with ``factors`` (c,) on the stated noise."""
@@ -171,23 +175,17 @@ class Diagnosis:
         parts = [f"{gone}{more} are wrong"] if gone else []
         return " and ".join([*parts, *(e.what for e in self.taken)]) or "nothing is wrong"
 
-    def leaving_out(self, found: Explanation) -> Diagnosis:
-        """Return the diagnosis without the rows of an explanation."""
-        used, name = self.used.copy(), self.model.row_name
-        used[found.rows] = False
-        reasons = {row: f"{name(row)}: {found.reason}" for row in found.rows.tolist()}
-        gathering = self.gathering
-        if found.blamed is not None:
-            gathering = replace(gathering, blamed=(*gathering.blamed, found.blamed))
-        return replace(self, used=used, why=self.why | reasons, gathering=gathering)
-
     def holding(self, found: Explanation, rivals: Sequence[Explanation] = ()) -> Diagnosis:
         """Return the diagnosis that ``found`` is true, and that its ``rivals`` are possible."""
         contests = (*self.contests, Contest(found, tuple(rivals))) if rivals else self.contests
         here = replace(self, contests=contests, price=self.price + found.price)
         if found.effect is not None:
             return replace(here, taken=(*here.taken, found))
-        return here.leaving_out(found)
+        name, gathering = self.model.row_name, self.gathering
+        if found.blamed is not None:
+            gathering = replace(gathering, blamed=(*gathering.blamed, found.blamed))
+        reasons = {row: f"{name(row)}: {found.reason}" for row in found.rows.tolist()}
+        return replace(here, why=self.why | reasons, gathering=gathering)
 
     @property
     def open_contests(self) -> tuple[Contest, ...]:
@@ -219,8 +217,7 @@ def found_causes(model: Model, limits: Limits) -> Diagnosis:
     something explains them together.
     """
     start, gross = _robust_start(model, limits)
-    noise, every = Noise(np.ones(len(model.components))), np.ones(len(model.observed), np.bool_)
-    whole = Diagnosis(model, limits, every, noise, start)
+    whole = Diagnosis(model, limits, Noise(np.ones(len(model.components))), start)
     if not len(gross):
         return _explained(whole)
     apart = _come_back(_explained(_outside(whole, gross)), gross)
@@ -246,10 +243,14 @@ def _contested_by(best: Diagnosis, other: Diagnosis) -> Diagnosis:
 
 
 def _outside(diagnosis: Diagnosis, gross: Ints) -> Diagnosis:
-    used = np.isin(np.arange(len(diagnosis.used)), gross, invert=True)
-    name, each = diagnosis.model.row_name, 3.0 * float(np.log(len(used)))
+    name = diagnosis.model.row_name
     why = {row: f"{name(row)}: far off all others" for row in gross.tolist()}
-    return replace(diagnosis, used=used, why=why, price=each * len(gross))
+    return replace(diagnosis, why=why, price=_price_of_single(diagnosis) * len(gross))
+
+
+def _price_of_single(diagnosis: Diagnosis) -> float:
+    """Return the price of one observation that explains itself, of as many as there are."""
+    return 3.0 * float(np.log(len(diagnosis.model.observed)))
 
 
 def _come_back(diagnosis: Diagnosis, gross: Ints) -> Diagnosis:
@@ -258,10 +259,9 @@ def _come_back(diagnosis: Diagnosis, gross: Ints) -> Diagnosis:
     back = gross[np.abs(diagnosis.fit.test_value[gross]) <= limit].tolist()
     if not back:
         return diagnosis
-    used = diagnosis.used | np.isin(np.arange(len(diagnosis.used)), back)
     why = {row: text for row, text in diagnosis.why.items() if row not in back}
-    price = diagnosis.price - 3.0 * float(np.log(len(used))) * len(back)
-    return _explained(replace(diagnosis, used=used, why=why, price=price))
+    price = diagnosis.price - _price_of_single(diagnosis) * len(back)
+    return _explained(replace(diagnosis, why=why, price=price))
 
 
 def _improbability(diagnosis: Diagnosis) -> float:
@@ -511,7 +511,18 @@ def seen_by(fit: Fit, columns: Floats) -> Seen:
 
 
 def _robust_start(model: Model, limits: Limits) -> tuple[Floats, Ints]:
-    """Return unknowns (p,) that gross errors do not bend, and the observations that are gross."""
+    """Return unknowns (p,) that gross errors do not bend, and the observations that are gross.
+
+    From start values that are too poor for that, plain least squares may settle all the same.
+    """
+    try:
+        return _unbent(model, limits)
+    except DataError:
+        every = np.ones(len(model.observed), dtype=np.bool_)
+        return fitted(model, every, model.std, model.first).x, np.zeros(0, dtype=np.int64)
+
+
+def _unbent(model: Model, limits: Limits) -> tuple[Floats, Ints]:
     n, p = model.size
     every = np.ones(n, dtype=np.bool_)
     # at first each by what it misses the start values by: a gross error cannot pull them away

@@ -26,6 +26,7 @@ from rotcal_ros.foundation.arrays import Floats
 UNSEEN: Final = 1e-9
 """Information of a size, per that of its errors without the unknowns, that is none."""
 NOTHING: Final = 1e-150
+"""Probability below which a normal quantile is not asked for: it would be infinite."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,11 +77,10 @@ def effect_test(seen: Seen, rest: tuple[float, float] | None = None) -> EffectTe
     ``rest``: chi-squared and degrees of freedom of the adjustment where the noise was estimated
     from it; None: the noise is known.
     """
-    inverse, rank = _inverse(seen)
+    axes, values, _ = _axes(seen)
+    inverse = (axes / values) @ axes.T
     size = inverse @ seen.score
-    squares = float(seen.score @ size)
-    scale, values, vectors = _axes(seen)
-    axes = vectors[:, values > UNSEEN] / scale[:, None]
+    squares, rank = float(seen.score @ size), len(values)
     return EffectTest(size, inverse, squares, rank, _chance(squares, rank, rest), axes)
 
 
@@ -100,19 +100,16 @@ def member_squares(seen: Seen) -> Floats:
     return np.where(checked, seen.score**2 / np.where(checked, information, 1.0), 0.0)
 
 
-def _inverse(seen: Seen) -> tuple[Floats, int]:
-    """Return S^+ and the rank of S."""
-    scale, values, vectors = _axes(seen)
-    checked = values > UNSEEN
-    kept = vectors[:, checked] / scale[:, None]
-    return np.asarray((kept / values[checked]) @ kept.T), int(checked.sum())
-
-
 def _axes(seen: Seen) -> tuple[Floats, Floats, Floats]:
-    """Return lengths (k,) of the columns; eigenvalues, vectors of S for columns of length one."""
+    """Return combinations (k, rank) of the columns that leave residuals, and their information.
+
+    And the combinations (k, k - rank) that leave none. All columns count as of length one: S is
+    brought to that scale before its eigenvalues are compared.
+    """
     scale = np.sqrt(np.maximum(seen.whole, np.finfo(np.float64).tiny))
     values, vectors = np.linalg.eigh(seen.information / scale / scale[:, None])
-    return scale, values, vectors
+    axes, checked = vectors / scale[:, None], values > UNSEEN
+    return axes[:, checked], values[checked], axes[:, ~checked]
 
 
 def _chance(squares: float, rank: int, rest: tuple[float, float] | None) -> float:
@@ -166,10 +163,10 @@ def unseen(
     would overlook. ``significance``: of this effect's own test.
     """
     share = _share(seen.moved, std)
-    inverse, _ = _inverse(seen)
+    axes, values, silent = _axes(seen)
     needed = noncentrality(significance, power, max(len(seen.whole), 1))
-    shown = np.sqrt(needed * np.maximum(np.einsum("ko,kl,lo->o", share, inverse, share), 0.0))
-    hidden = largest * np.linalg.norm(_hidden_directions(seen).T @ share, axis=0)
+    shown = np.sqrt(needed * ((axes.T @ share) ** 2 / values[:, None]).sum(axis=0))
+    hidden = largest * np.linalg.norm(np.linalg.qr(silent)[0].T @ share, axis=0)
     bound = largest * np.linalg.norm(share, axis=0)
     error = np.minimum(shown + hidden, bound)
     if not error.size:
@@ -205,12 +202,3 @@ def _share(moved: Floats, std: Floats) -> Floats:
     """Return moves (k, o') of the outputs that count, in their standard uncertainties."""
     counts = std > 0.0
     return np.asarray(moved[:, counts] / std[counts])
-
-
-def _hidden_directions(seen: Seen) -> Floats:
-    """Return the sizes (k, h) that leave no residual, as orthonormal columns."""
-    scale, values, vectors = _axes(seen)
-    open_ = values <= UNSEEN
-    if not open_.any():
-        return np.zeros((len(scale), 0))
-    return np.asarray(np.linalg.qr(vectors[:, open_] / scale[:, None])[0])

@@ -194,7 +194,7 @@ def _counted(
 
 
 def details(gathering: Gathering, elements: str) -> dict[str, Any]:
-    """Return what was found for the details of a result; sizes in m.
+    """Return what was found for the details of a result; sizes in SI.
 
     ``chance``: how probably sound data look as much as if something gathered. ``groups``: the test
     of every group, ``blamed``: what was left out together; ``elements`` is the key of numbers.

@@ -366,8 +366,8 @@ def fitted(
             break  # no step makes it better
         x = x + step
     raise DataError(
-        f"the adjustment did not settle in {MAX_ITERATIONS} steps: start values are too far off, "
-        "or observations contradict each other"
+        "the adjustment does not settle: the start values are too far off, or observations "
+        "contradict each other"
     )
 
 

@@ -87,9 +87,12 @@ def test_all_nine_effects_are_stated_and_what_the_readings_cannot_show_is_named(
 ):
     readings = measured(*truth(np.random.default_rng(1)), first_faces, None, closure, **more)
     where = readings.position, readings.face
-    result = adjust(readings).result(
-        "polygon", np.arange(N), {"ECC": slice(N)}, where, protections=_protections(readings)
-    )
+    found = adjust(readings)
+    (noise,) = (p.error for p in found.protections() if p.effect == "axis noise")
+    result = found.result(
+        "polygon", np.arange(N), {"ECC": slice(N)}, where,
+        protections=_protections(readings, noise),
+    )  # fmt: skip
     stated = [p.effect for p in result.protections]
     assert [effect for effect in stated if effect in EFFECTS] == list(EFFECTS)
     assert unprotected(result.protections) == bare

@@ -42,6 +42,9 @@ from rotcal_ros.planning.plan import Move, Pause, Plan, Step
 NAME: Final = "polygon"
 NOWHERE: Final = (0.0, 0.0, 0.0)
 """The autocollimator stays where it is; what it shall read is zero."""
+ARRIVALS: Final = 1.4
+"""What arrivals that scatter do before they are found, per what noise does: by simulation of the
+demonstration, as scripts/power_table.py does, 2.4 standard uncertainties where noise does 1.85."""
 FARTHEST_RAD: Final = 0.02
 """No autocollimator reads more than a degree."""
 
@@ -163,6 +166,7 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     """Solve accepted observations; residuals are radians, ``target`` is the face."""
     readings = readings_of(configuration, observations)
     found = adjust(model_of(readings))
+    noise = next(p.error for p in found.protections() if p.effect == "axis noise")
     n, doubts, details = readings.faces, [], {}
     if readings.unknown_faces:
         error, std = face_errors(found, n)
@@ -178,15 +182,17 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
         {"ECC": slice(n)},
         (readings.position, readings.face),
         doubts=doubts,
-        protections=_protections(readings),
+        protections=_protections(readings, noise),
         details=details,
     )
 
 
-def _protections(readings: PolygonReadings) -> tuple[Protection, ...]:
-    """Return what is done about effects that no reading can tell of."""
+def _protections(readings: PolygonReadings, noise: float | None) -> tuple[Protection, ...]:
+    """Return what is done about effects that no reading can tell of.
+
+    ``noise``: error of a larger noise that just is found, in standard uncertainties.
+    """
     once = len(np.unique(readings.mounting)) == 1
-    repeated = None if once else 2.4  # found by simulation, as scripts/power_table.py does
     repeats = "the table comes once to an angle" if once else "every mounting comes to every angle"
     gauge = Protection("gauge", "estimated", "the mountings separate the polygon's errors")
     if readings.certificate is not None:
@@ -195,7 +201,12 @@ def _protections(readings: PolygonReadings) -> tuple[Protection, ...]:
         gauge = Protection("gauge", "not protected", "the polygon's errors are in the result")
     return (
         Protection("error motion", "harmless", "an autocollimator sees no shift of the face"),
-        Protection("repeatability", "not protected" if once else "tested", repeats, repeated),
+        Protection(
+            "repeatability",
+            "not protected" if once else "tested",
+            repeats,
+            None if once or noise is None else ARRIVALS * noise,
+        ),
         Protection("refraction", "harmless", "a steady bend is the same at all faces"),
         Protection("tilt", "harmless", "a tilt moves the image across the direction that is read"),
         gauge,

@@ -11,7 +11,7 @@ from rotcal_ros.foundation.observations import Command, ProbeSample
 from rotcal_ros.foundation.settings import group, setting
 from rotcal_ros.foundation.units import ARCSEC, NANOSECOND
 from rotcal_ros.methods.simulation.air import SimulatedTemperature
-from rotcal_ros.methods.simulation.instrument import Series, SimulatedInstrument, Table
+from rotcal_ros.methods.simulation.instrument import Series, SeriesInstrument, Table
 from rotcal_ros.methods.simulation.noise import IndexedNoise
 from rotcal_ros.methods.simulation.settings import SimulationSettings
 
@@ -53,7 +53,7 @@ class PolygonSimulationSettings(SimulationSettings):
     autocollimator: AutocollimatorSettings = group(AutocollimatorSettings)
 
 
-class SimulatedAutocollimator(SimulatedInstrument):
+class SimulatedAutocollimator(SeriesInstrument):
     """Reads the direction of the face before it: horizontal and vertical angle, rad.
 
     Everything follows from the true pose of the table, its tilts included.

@@ -13,7 +13,7 @@ from rotcal_ros.methods.ball_plate.simulation_settings import (
     SimulatedPlateSettings,
     TouchProbeSettings,
 )
-from rotcal_ros.methods.simulation.instrument import Series, SimulatedInstrument, Table
+from rotcal_ros.methods.simulation.instrument import Series, SeriesInstrument, Table
 from rotcal_ros.methods.simulation.motion import Motion, MotionLimits
 from rotcal_ros.methods.simulation.noise import IndexedNoise, NoiseSource
 from rotcal_ros.methods.simulation.table import rotations
@@ -65,7 +65,7 @@ class MachineError:
         return error
 
 
-class SimulatedTouchProbe(SimulatedInstrument):
+class SimulatedTouchProbe(SeriesInstrument):
     """A probe that travels to the ball at the ordered place and touches its upper half.
 
     It touches whatever ball is nearest to the order, once table and probe are at rest. Touch k

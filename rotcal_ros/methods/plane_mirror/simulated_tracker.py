@@ -22,13 +22,13 @@ from rotcal_ros.methods.plane_mirror.simulation_settings import (
     TrackerSettings,
 )
 from rotcal_ros.methods.plane_mirror.solver.problem import TrackerNoise
-from rotcal_ros.methods.simulation.instrument import Series, SimulatedInstrument, Table
+from rotcal_ros.methods.simulation.instrument import Series, SeriesInstrument, Table
 from rotcal_ros.methods.simulation.noise import IndexedNoise, NoiseSource
 
 _HOUR_S: Final = 3600.0
 
 
-class SimulatedTracker(SimulatedInstrument):
+class SimulatedTracker(SeriesInstrument):
     """A laser tracker and the person who moves it, its nests and its reflectors.
 
     The person puts everything up a little beside the plan: the tracker at each station, each nest

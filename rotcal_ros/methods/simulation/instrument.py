@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
@@ -23,15 +24,7 @@ Table = SimulatedTable | ExternalTable
 _NO_ORDER: Final = Command(0, 0, 0.0, Approach.UNKNOWN, PointKind.UNKNOWN, 0, (0.0, 0.0, 0.0))
 
 
-class Series(NamedTuple):
-    """How many readings answer an order, after which settling, and how long each takes."""
-
-    n_readings: int
-    settling_ns: int
-    each_ns: int
-
-
-class SimulatedInstrument:
+class SimulatedInstrument(ABC):
     """The machine beside the table with what it carries, on the cell's clock (ns).
 
     ``frame`` is that of its points, ``streams_lengths`` says whether it delivers lengths besides.
@@ -45,36 +38,15 @@ class SimulatedInstrument:
     def __init__(self, start_ns: int) -> None:
         self.rest_ns = start_ns
         self.pending: Command | None = None
-        self._sequence = self._answered = 0
+        self._sequence = 0
 
+    @abstractmethod
     def order(self, now_ns: int, command: Command) -> None:
-        """Carry out ``command``: an instrument that stays where it is reads at once."""
-        self.pending, self.rest_ns, self._answered = command, now_ns, 0
+        """Carry out ``command``."""
 
-    def series(self, order: Command) -> Series:
-        """Return how many readings an order asks for, and when; one that streams has none."""
-        raise NotImplementedError
-
-    def reading(self, stamp_ns: int, order: Command, number: int) -> ProbeSample:
-        """Return reading ``number`` of an order; only asked of an instrument with a series."""
-        raise NotImplementedError
-
+    @abstractmethod
     def report(self, after_ns: int, now_ns: int, table_rest_ns: int) -> tuple[ProbeSample, ...]:
-        """Return the points of the pending order that fall in ``after_ns`` < t <= ``now_ns``."""
-        order, samples = self.pending, list[ProbeSample]()
-        if order is None:
-            return ()
-        count, settling_ns, each_ns = self.series(order)
-        ready_ns = max(self.rest_ns, table_rest_ns) + settling_ns
-        for number in range(self._answered, count):
-            stamp = max(ready_ns + (number + 1) * each_ns, after_ns + 1 + len(samples))
-            if stamp > now_ns:
-                break
-            samples.append(self.reading(stamp, order, number))
-        self._answered += len(samples)
-        if self._answered == count:
-            self.pending = None
-        return tuple(samples)
+        """Return the points that fall in ``after_ns`` < t <= ``now_ns``."""
 
     def go(self, now_ns: int, place: Floats) -> bool:
         """Move in a straight line to ``place`` (3,), m; False: something stands in the way.
@@ -122,6 +94,54 @@ class SimulatedInstrument:
         return order.answered(
             stamp_ns, self._sequence - 1, (x, y, z), (sx, sy, sz), number, tip_radius
         )
+
+
+class Series(NamedTuple):
+    """How many readings answer an order, after which settling, and how long each takes."""
+
+    n_readings: int
+    settling_ns: int
+    each_ns: int
+
+
+class SeriesInstrument(SimulatedInstrument):
+    """An instrument that answers every order with a series of readings, with the table at rest.
+
+    One that stays where it is has nothing more to do to be ordered.
+    """
+
+    def __init__(self, start_ns: int) -> None:
+        super().__init__(start_ns)
+        self._answered = 0
+
+    @abstractmethod
+    def series(self, order: Command) -> Series:
+        """Return how many readings an order asks for, and when."""
+
+    @abstractmethod
+    def reading(self, stamp_ns: int, order: Command, number: int) -> ProbeSample:
+        """Return reading ``number`` of an order."""
+
+    def order(self, now_ns: int, command: Command) -> None:
+        """Begin to answer ``command``."""
+        self.pending, self.rest_ns, self._answered = command, now_ns, 0
+
+    def report(self, after_ns: int, now_ns: int, table_rest_ns: int) -> tuple[ProbeSample, ...]:
+        """Return the points of the pending order that fall in ``after_ns`` < t <= ``now_ns``."""
+        order, samples = self.pending, list[ProbeSample]()
+        if order is None:
+            return ()
+        count, settling_ns, each_ns = self.series(order)
+        ready_ns = max(self.rest_ns, table_rest_ns) + settling_ns
+        for number in range(self._answered, count):
+            stamp = max(ready_ns + (number + 1) * each_ns, after_ns + 1 + len(samples))
+            if stamp > now_ns:
+                break
+            samples.append(self.reading(stamp, order, number))
+        self._answered += len(samples)
+        if self._answered == count:
+            self.pending = None
+        return tuple(samples)
 
 
 MakeInstrument = Callable[[Any, Table, SimulatedTemperature, int], SimulatedInstrument]
