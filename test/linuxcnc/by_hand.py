@@ -66,11 +66,12 @@ def live(ini, program, options):
         parts.append(subprocess.Popen(command, stdin=subprocess.DEVNULL, **options))
 
     try:
-        start("io", "-ini", str(ini))
-        # It makes the shared memory and the pins that axis.hal connects.
-        wait_for("iocontrol", parts, options["env"])
+        # The real-time part first: it holds the shared memory. Else a halcmd that only looks, and
+        # is the last to leave, takes it away just when io has found it, and io ends.
         run("halcmd", "loadrt", "tpmod")
         run("halcmd", "loadrt", "homemod")
+        start("io", "-ini", str(ini))
+        wait_for("iocontrol", parts, options["env"])  # it has the pins that axis.hal connects
         run("halcmd", "-i", str(ini), "-f", str(ini.parent / "axis.hal"))
         run("halcmd", "start")
         start("milltask", "-ini", str(ini))
