@@ -44,7 +44,7 @@ REASONS = {
 }
 
 
-def record(folder: Path, *, earlier=None) -> tuple[list[int], str]:
+def record(folder: Path, *, earlier=None) -> tuple[list[int], str | None]:
     """Make the recording that is the same every time; return its receipts and its error."""
     receipts: list[int] = []
     noise = random.Random(0)
@@ -94,7 +94,7 @@ def calls(tmp_path_factory) -> list[str]:
     with pytest.MonkeyPatch.context() as patch:
         sound = FaultyDisk(root)
         sound.install(patch)
-        assert record(root / "session" / "bag") == (list(range(STEPS)), "")
+        assert record(root / "session" / "bag") == (list(range(STEPS)), None)
     files = bag_files(root / "session" / "bag")
     assert len(files) > 1
     assert all(verdict.state == "complete" for verdict in check_files(files))
@@ -145,7 +145,7 @@ def go_on(left: Path, receipts: list[int], monkeypatch) -> None:
     bag = left / "session" / "bag"
     with monkeypatch.context() as patch:
         FaultyDisk(left).install(patch)
-        assert record(bag, earlier=InterruptedSession.read(bag).files) == (list(range(STEPS)), "")
+        assert record(bag, earlier=InterruptedSession.read(bag).files) == (list(range(STEPS)), None)
     assert set(receipts) <= observations(bag)
 
 
@@ -201,6 +201,6 @@ def test_no_file_is_missed_that_never_was(tmp_path, monkeypatch):
     watched.root.mkdir()
     with monkeypatch.context() as patch:
         watched.install(patch)
-        assert record(watched.root / "session" / "bag") == (list(range(STEPS)), "")
+        assert record(watched.root / "session" / "bag") == (list(range(STEPS)), None)
     assert watched.split
     assert watched.missed == {}
