@@ -304,7 +304,7 @@ def begin(arguments: Sequence[str]) -> None:
         import importlib
 
         module = importlib.import_module(rest.pop(0))
-        prctl(SET_NAME, module.__name__.rpartition(".")[2].encode())
+        prctl(SET_NAME, module.__name__.removesuffix(".node").rpartition(".")[2].encode())
         sys.argv = [str(module.__file__), *rest]
         if ("-m", module.__name__) == ROTCAL and rest and rest[0] in START_NODES:
             start_copies()

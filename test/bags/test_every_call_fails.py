@@ -145,7 +145,8 @@ def go_on(left: Path, receipts: list[int], monkeypatch) -> None:
     bag = left / "session" / "bag"
     with monkeypatch.context() as patch:
         FaultyDisk(left).install(patch)
-        assert record(bag, earlier=InterruptedSession.read(bag).files) == (list(range(STEPS)), None)
+        earlier = InterruptedSession.read(bag).files
+        assert record(bag, earlier=earlier) == (list(range(STEPS)), None)
     assert set(receipts) <= observations(bag)
 
 

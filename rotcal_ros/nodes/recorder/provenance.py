@@ -18,12 +18,16 @@ from rclpy.utilities import get_rmw_implementation_identifier
 from rotcal_ros import __version__
 from rotcal_ros.bags import names
 from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.machine_load import Patience
 from rotcal_ros.foundation.middleware import distribution, rclpy_version
 from rotcal_ros.methods.configuration import read_subject
 from rotcal_ros.nodes.recorder.recording import BagRecording
 from rotcal_ros.nodes.runtime.cell_node import CellNode, until
 
 TIMEOUT_S: Final = 3.0
+"""How long one question waits for its answer."""
+ASKING_S: Final = 60.0
+"""How long nodes are asked that do not answer."""
 _PACKAGES = ("numpy", "scipy", "mcap", "rclpy", "ros-rclpy", "rotcal_msgs")
 
 
@@ -69,8 +73,8 @@ def _version(package: str) -> str:
 class NodeParameters:
     """What the nodes say of their parameters: node name -> parameter -> value, as JSON in a bag.
 
-    They are asked while the calibration begins. A node that does not answer is null, and so is one
-    that had not yet answered when the bag was closed.
+    They are asked while the calibration begins, those that are slow again and again. A node that
+    has not answered after ASKING_S, or when the bag was closed, is null.
     """
 
     def __init__(self, recording: BagRecording, node: CellNode) -> None:
@@ -86,9 +90,15 @@ class NodeParameters:
         own = node.get_parameters_by_prefix("")
         self._found = dict.fromkeys(others)
         self._found[node.get_name()] = {key: _plain(mine.value) for key, mine in own.items()}
-        for name in others:
-            self._found[name] = await _parameters_of(node, f"{namespace.rstrip('/')}/{name}")
+        patience = Patience(ASKING_S)
+        while not self._attached and (silent := self._silent()) and not patience.is_over():
+            for name in silent:
+                self._found[name] = await _parameters_of(node, f"{namespace.rstrip('/')}/{name}")
         self.attach()
+
+    def _silent(self) -> list[str]:
+        """Return the nodes that have not answered yet."""
+        return [name for name, said in self._found.items() if said is None]
 
     def attach(self) -> None:
         """Put what is known into the bag, once."""

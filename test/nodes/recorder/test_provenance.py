@@ -69,3 +69,21 @@ def test_a_bag_that_is_closed_early_says_which_nodes_had_not_answered(monkeypatc
     with pytest.raises(StopIteration):
         asked.send(None)
     assert len(cell.attached) == 1
+
+
+def test_a_node_that_is_slow_at_first_is_asked_again(monkeypatch):
+    from rotcal_ros.nodes.recorder import provenance as surroundings
+
+    asked = []
+
+    async def answer(_node, remote):
+        asked.append(remote)
+        return {"speed": 2.0} if len(asked) > 2 else None
+
+    monkeypatch.setattr(surroundings, "_parameters_of", answer)
+    cell = Open()
+    with pytest.raises(StopIteration):
+        surroundings.NodeParameters(cell, cell).ask().send(None)
+    assert asked == ["/cell/planner", "/cell/solver"] * 2
+    known = {"planner": {"speed": 2.0}, "recorder": {"depth": 3}, "solver": {"speed": 2.0}}
+    assert cell.attached == [("parameters.json", known)]
