@@ -183,6 +183,9 @@ def test_two_publishers_on_one_instrument_topic_are_found_and_named(cell):
         assert [states.state(n) for n in ("other_cell", "simulated_cell")] == ["active"] * 2
     live.start(*SUITE)
     outcome = live.client().result()
+    if outcome["error_code"] == 0:
+        # Found only during that goal, as happens on a busy machine: the next one is not begun.
+        outcome = live.client().result()
     assert outcome["error_code"] == TOPIC_MISSING
     assert (
         "2 publishers on /cell/tracer_length (nodes other_cell, simulated_cell)"
