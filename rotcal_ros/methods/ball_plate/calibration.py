@@ -46,7 +46,7 @@ def _told_by_touches(
     protections: Sequence[Protection], observations: Sequence[Observation]
 ) -> tuple[Protection, ...]:
     """Return the protections; balls whose touches were captured tell which way z points."""
-    if any(o.kind != PointKind.SURFACE or not o.window_end_ns for o in observations):
+    if any(o.kind != PointKind.SURFACE or not o.captured for o in observations):
         return tuple(protections)
     touched = Protection(
         "sign of z",
