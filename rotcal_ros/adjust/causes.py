@@ -55,6 +55,8 @@ RARER: Final = 3.0
 """How much rarer an effect or a gathering is held to be than a single wrong observation."""
 ALL_BUT_NOTHING: Final = 1.0 - 1e-12
 """Share of chi-squared, at most, that is said to be explained."""
+NOTHING: Final = 1e-300
+"""Chi-squared of exact observations, by which may be divided."""
 TIED: Final = 1e-6
 """Difference of two improbabilities that is rounding."""
 MOST_RIVALS: Final = 12
@@ -355,7 +357,7 @@ class Look:
         test = np.where(fit.used & fit.model.may_go, fit.test_value, 0.0)
         if self.rest is None or fit.dof < 2:
             return test
-        others = np.maximum(self.rest[0] - test**2, 1e-300) / (fit.dof - 1)
+        others = np.maximum(self.rest[0] - test**2, NOTHING) / (fit.dof - 1)
         return np.asarray(test / np.sqrt(others))
 
     @property
@@ -379,7 +381,8 @@ class Look:
         """
         count, fall = max(int(self.fit.used.sum()), 2), squares
         if self.rest is not None:
-            fall = -self.rest[1] * float(np.log1p(-min(squares / self.rest[0], ALL_BUT_NOTHING)))
+            share = min(squares / max(self.rest[0], NOTHING), ALL_BUT_NOTHING)
+            fall = -self.rest[1] * float(np.log1p(-share))
         price = rank * float(np.log(count)) + 2.0 * float(np.log(alternatives))
         return 0.5 * (fall - price), price
 

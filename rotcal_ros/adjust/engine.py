@@ -446,8 +446,6 @@ def _against_noise(found: Adjusted) -> Protection:
     dof = found.fit.dof
     if not dof:
         return Protection("axis noise", "not protected", "nothing is measured twice")
-    if found.diagnosis.noise.estimated:
-        return Protection("axis noise", "estimated", f"{dof} residuals told how large it is")
     ratio = float(chi2_isf(found.diagnosis.limits.significance, dof) / chi2_isf(POWER, dof))
     why = f"{dof} residuals test the stated noise, which is estimated where it does not hold"
     return Protection("axis noise", "tested", why, float(np.sqrt(max(ratio - 1.0, 0.0))))
