@@ -190,7 +190,7 @@ def free(group: Group, subset: Bools) -> Hypotheses:
     return Hypotheses(np.maximum(values, 0.0)[None], along[None], on_rows, group.sensitivity)
 
 
-class Exchange:
+class ElementExchange:
     """What speaks for a subset with one element taken in or put back, for all elements at once.
 
     ln B of :func:`shifts` and of :func:`free`, without their axes. Where the errors of a free
@@ -254,12 +254,12 @@ class Exchange:
         each, n = np.arange(e), e * c
         corner, last = self._table[:, n:, n:], self._table[:, :n, n:].reshape(-1, e, c, 1 + c)
         pivot = self._table[:, :n, :n].reshape(-1, e, c, e, c)[:, each, :, each].swapaxes(0, 1)
-        told = last.swapaxes(2, 3) @ np.linalg.solve(pivot, last) - corner[:, None]
+        forms = last.swapaxes(2, 3) @ np.linalg.solve(pivot, last) - corner[:, None]
         count = self.subset.sum() + np.where(self.subset, -1.0, 1.0)
         share = self._own[:, None] / (OWN**2 + count)
-        left = np.eye(c) - share[:, :, None, None] * told[:, :, 1:, 1:]
-        rest = (told[:, :, :1, 1:] @ np.linalg.solve(left, told[:, :, 1:, :1]))[:, :, 0, 0]
-        fitted = told[:, :, 0, 0] + share * rest
+        left = np.eye(c) - share[:, :, None, None] * forms[:, :, 1:, 1:]
+        rest = (forms[:, :, :1, 1:] @ np.linalg.solve(left, forms[:, :, 1:, :1]))[:, :, 0, 0]
+        fitted = forms[:, :, 0, 0] + share * rest
         prior = np.log1p(count / OWN**2) - count * np.log(self._own[:, None])
         log = self._log[:, None] + np.linalg.slogdet(pivot)[1] + np.linalg.slogdet(left)[1]
         return np.asarray(0.5 * (fitted - log - c * prior).T)

@@ -26,7 +26,7 @@ import numpy as np
 from rotcal_ros.adjust.distributions import chi2_sf
 from rotcal_ros.adjust.explanations import (
     SIZES,
-    Exchange,
+    ElementExchange,
     Hypotheses,
     any_subset,
     free,
@@ -395,7 +395,7 @@ class _Tried:
         bayes = log_sum(np.concatenate([alike.log_bayes()[0], apart.log_bayes()[0]]))
         return float(prior + bayes) - float(np.log(2 * len(SIZES)))
 
-    def neighbours(self, exchange: Exchange) -> Floats:
+    def neighbours(self, exchange: ElementExchange) -> Floats:
         """Return the merits (e,) with each element taken in or put back; -inf: not to be had."""
         here, e = exchange.subset, self.group.size
         count = here.sum() + np.where(here, -1, 1)
@@ -410,7 +410,7 @@ class _Tried:
 
     def polished(self, subset: Bools) -> Bools:
         """Return ``subset`` with elements taken in and put back while that gains."""
-        exchange = Exchange(self.group)
+        exchange = ElementExchange(self.group)
         for element in np.flatnonzero(subset):
             exchange.flip(element)
         value = self.merit(subset)
@@ -443,7 +443,7 @@ def _candidates(group: Group, tried: _Tried) -> Bools:
 
 def _forward(group: Group, tried: _Tried) -> Bools:
     """Return the subsets that a forward search by free errors passes through."""
-    exchange, path = Exchange(group), list[Bools]()
+    exchange, path = ElementExchange(group), list[Bools]()
     for _ in range(most_of(group.size)):
         merit = np.where(exchange.subset, -np.inf, tried.neighbours(exchange))
         exchange.flip(_first_of_best(merit))

@@ -20,7 +20,7 @@ from rotcal_ros.capture.points import mean_point, points
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Observation, PointKind
-from rotcal_ros.foundation.protection import Protection
+from rotcal_ros.foundation.protection import EFFECTS, Protection
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.disturbance import (
@@ -53,7 +53,7 @@ class ByModel:
 
     The first observations of a model are the readings, in their order. Its outputs are the
     deviations at the first table positions of the plan, one of the ``components`` after the other.
-    ``states`` tells what the engine cannot know.
+    ``states`` tells what the engine cannot know; all that every method lists has to be said.
     """
 
     name: str
@@ -66,17 +66,23 @@ class ByModel:
     ) -> Result:
         """Return the result of accepted observations."""
         found, read = self._adjusted(configuration, observations), Readings.of(observations)
-        said = self.states(configuration, found)
+        statement = self.states(configuration, found)
         count = len(found.value) // len(self.components)
-        return found.result(
+        result = found.result(
             self.name,
             np.array(plan.table_angles[:count]),
             {c: slice(k * count, (k + 1) * count) for k, c in enumerate(self.components)},
             (read.position % count, read.target),
-            doubts=said.doubts,
-            protections=said.protections,
-            details=said.details,
+            doubts=statement.doubts,
+            protections=statement.protections,
+            details=statement.details,
         )
+        if silent := set(EFFECTS) - {p.effect for p in result.protections}:
+            raise DataError(
+                f"the method {self.name} says nothing of {', '.join(sorted(silent))}: declare an "
+                "effect of the model, or state a protection"
+            )
+        return result
 
     def trials(
         self, configuration: Configuration, _plan: Plan, observations: Sequence[Observation]

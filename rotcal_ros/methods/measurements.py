@@ -94,7 +94,7 @@ def planned_table(columns: Mapping[str, str], values: Mapping[str, float]) -> Ta
         configuration: Configuration, table: Table, _targets: Path | None
     ) -> PlannedMeasurements:
         calibration = prepare(configuration)
-        find, observations = RowStepFinder(calibration.plan, columns), []
+        find, observations = RowStepFinder(calibration.plan, columns), list[Observation]()
         for row in table.rows():
             seen = [_value(row, name, largest) for name, largest in values.items()]
             step, missing = find(row), (0.0,) * (3 - len(seen))

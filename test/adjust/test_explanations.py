@@ -11,7 +11,7 @@ from scipy.special import comb, logsumexp
 from rotcal_ros.adjust.explanations import (
     OWN,
     SIZES,
-    Exchange,
+    ElementExchange,
     free,
     scatter,
     search,
@@ -152,7 +152,7 @@ def test_exchanges_of_single_elements_are_worked_out_as_if_one_by_one(axes):
     view = Dense(design, np.eye(7), residuals(design, errors))
     rows, unit = np.arange(45).reshape(count, axes), rng.uniform(0.5, 2.0, (count, axes))
     group = view.group("station", "station 0", np.arange(count), rows, unit)
-    exchange = Exchange(group)
+    exchange = ElementExchange(group)
     for element in (3, 1, 8, 3, 12, 5):
         exchange.flip(element)
         others = exchange.subset ^ np.eye(count, dtype=bool)

@@ -66,9 +66,12 @@ def model(_configuration, read):
     )
 
 
+OTHERS = ("error motion", "repeatability", "refraction", "tilt", "gauge")
+
+
 def states(_configuration, found):
-    said = Protection("gauge", "harmless", "there is none")
-    return Statement(("it is a test",), (said,), {"largest": float(np.abs(found.value).max())})
+    said = [Protection(effect, "harmless", "there is none") for effect in OTHERS]
+    return Statement(("it is a test",), said, {"largest": float(np.abs(found.value).max())})
 
 
 METHOD = ByModel("places", model, states).method(
@@ -102,6 +105,12 @@ def test_exact_readings_give_the_truth_and_what_the_method_says():
     assert result.residuals.target.tolist() == [0] * len(STEPS)
     with pytest.raises(DataError, match="nothing was read"):
         METHOD.solve(None, PLAN, [])
+
+
+def test_a_method_that_is_silent_about_an_effect_is_told_so():
+    silent = ByModel("silent", model, lambda *_: Statement())
+    with pytest.raises(DataError, match="silent says nothing of error motion, gauge, refraction"):
+        silent.solve(None, PLAN, observed(exact()))
 
 
 def test_trials_travel_and_have_the_stated_scatter():
