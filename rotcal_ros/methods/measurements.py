@@ -25,6 +25,8 @@ from rotcal_ros.planning.plan import Plan, Step
 
 TIME: Final = "time_s"
 """A last column that tells when a row was read, from any moment on."""
+LATEST_S: Final = 9e9
+"""Nanoseconds beyond are no numbers of 64 bits."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,10 @@ def read_at(row: Row, observation: Observation) -> Observation:
     """Return the observation with the time that its row tells, if it tells one."""
     if TIME not in row.cells:
         return observation
-    return replace(observation, window_end_ns=round(row.number(TIME) / NANOSECOND))
+    seconds = row.number(TIME)
+    if abs(seconds) > LATEST_S:
+        raise DataError(f"{row.place}: {TIME} is {seconds:g} s; are these milliseconds?")
+    return replace(observation, window_end_ns=round(seconds / NANOSECOND))
 
 
 def _value(row: Row, name: str, largest: float) -> float:

@@ -177,6 +177,12 @@ def test_rows_that_cannot_be_are_named(tmp_path, monkeypatch, row, words):
         read(tmp_path, monkeypatch, ("place", "run", "reading_rad"), [row])
 
 
+def test_a_time_that_cannot_be_is_named(tmp_path, monkeypatch):
+    header = ("place", "run", "reading_rad", "time_s")
+    with pytest.raises(DataError, match="row 2: time_s is 1e\\+12 s; are these milliseconds"):
+        read(tmp_path, monkeypatch, header, [(1, 0, 0.0, 1e12)])
+
+
 def test_a_person_works_before_each_station():
     pauses = pauses_at_stations(STEPS, "level", ["first", "second", "third"])
     assert [(p.first, p.last, p.instruction) for p in pauses] == [
