@@ -53,10 +53,10 @@ NORMAL_QUARTILE: Final = 0.6745
 """Median of |x| for a standard normal x."""
 RARER: Final = 3.0
 """How much rarer an effect or a gathering is held to be than a single wrong observation."""
-SAME: Final = 0.01
-"""Difference of the outputs, in their uncertainty, that makes it no matter which cause it was."""
 ALL_BUT_NOTHING: Final = 1.0 - 1e-12
 """Share of chi-squared, at most, that is said to be explained."""
+NOTHING: Final = 1e-300
+"""Chi-squared of exact observations, by which may be divided."""
 TIED: Final = 1e-6
 """Difference of two improbabilities that is rounding."""
 MOST_RIVALS: Final = 12
@@ -110,7 +110,7 @@ class Explanation(NamedTuple):
     ``columns`` (n, r) of errors in the unit of the observations; ``rows`` are left out for it, or
     it is ``effect`` and its columns become unknowns, which ``mixing`` (k, r) takes to sizes of the
     effect. ``support``: ln of its probability, by BIC, at a ``price`` of unknowns and of
-    alternatives of its kind. ``change`` (o,): what it does to the outputs.
+    alternatives of its kind. ``change`` (o + a,): what it does to all outputs.
     """
 
     what: str
@@ -169,8 +169,8 @@ class Diagnosis:
 
     def in_words(self) -> str:
         """Return what is wrong with the observations."""
-        name = self.model.row_name
-        gone = ", ".join(name(row) for row in sorted(self.why)[:8])
+        name = self.model.names
+        gone = ", ".join(name[row] for row in sorted(self.why)[:8])
         more = f" and {len(self.why) - 8} others" if len(self.why) > 8 else ""
         parts = [f"{gone}{more} are wrong"] if gone else []
         return " and ".join([*parts, *(e.what for e in self.taken)]) or "nothing is wrong"
@@ -181,10 +181,10 @@ class Diagnosis:
         here = replace(self, contests=contests, price=self.price + found.price)
         if found.effect is not None:
             return replace(here, taken=(*here.taken, found))
-        name, gathering = self.model.row_name, self.gathering
+        name, gathering = self.model.names, self.gathering
         if found.blamed is not None:
             gathering = replace(gathering, blamed=(*gathering.blamed, found.blamed))
-        reasons = {row: f"{name(row)}: {found.reason}" for row in found.rows.tolist()}
+        reasons = {row: f"{name[row]}: {found.reason}" for row in found.rows.tolist()}
         return replace(here, why=self.why | reasons, gathering=gathering)
 
     @property
@@ -233,8 +233,7 @@ def found_causes(model: Model, limits: Limits) -> Diagnosis:
 def _contested_by(best: Diagnosis, other: Diagnosis) -> Diagnosis:
     """Return the ``best`` of two diagnoses, and that the ``other`` is possible where it is."""
     apart, change = _improbability(other) - _improbability(best), other.fit.value - best.fit.value
-    std = np.linalg.norm(best.fit.response, axis=1)
-    if apart >= 2.0 * np.log(ALIKE) or not (np.abs(change) > SAME * std).any():
+    if apart >= 2.0 * np.log(ALIKE) or not best.fit.felt(change):
         return best
     none, nothing = np.zeros((len(best.used), 0)), np.zeros(0, dtype=np.int64)
     chosen = Explanation(best.in_words(), "", none, nothing, 0.0, 0.0, 0.0 * change)
@@ -243,8 +242,8 @@ def _contested_by(best: Diagnosis, other: Diagnosis) -> Diagnosis:
 
 
 def _outside(diagnosis: Diagnosis, gross: Ints) -> Diagnosis:
-    name = diagnosis.model.row_name
-    why = {row: f"{name(row)}: far off all others" for row in gross.tolist()}
+    name = diagnosis.model.names
+    why = {row: f"{name[row]}: far off all others" for row in gross.tolist()}
     return replace(diagnosis, why=why, price=_price_of_single(diagnosis) * len(gross))
 
 
@@ -339,7 +338,6 @@ class Look:
 
     def rivals(self, best: Explanation) -> list[Explanation]:
         """Return what explains the residuals nearly as well as ``best``, to another result."""
-        std = np.linalg.norm(self.fit.response, axis=1)
         tried = [*self.singles, *(e for members in self.effects for e in members)]
         if best.blamed is not None:
             tried += self.groups
@@ -348,7 +346,7 @@ class Look:
             for e in tried
             if e.what != best.what
             and best.support - e.support < np.log(ALIKE)
-            and (np.abs(e.change - best.change) > SAME * std).any()
+            and self.fit.felt(e.change - best.change)
         ]
         return sorted(near, key=lambda e: -e.support)[:MOST_RIVALS]
 
@@ -359,7 +357,7 @@ class Look:
         test = np.where(fit.used & fit.model.may_go, fit.test_value, 0.0)
         if self.rest is None or fit.dof < 2:
             return test
-        others = np.maximum(self.rest[0] - test**2, 1e-300) / (fit.dof - 1)
+        others = np.maximum(self.rest[0] - test**2, NOTHING) / (fit.dof - 1)
         return np.asarray(test / np.sqrt(others))
 
     @property
@@ -383,7 +381,8 @@ class Look:
         """
         count, fall = max(int(self.fit.used.sum()), 2), squares
         if self.rest is not None:
-            fall = -self.rest[1] * float(np.log1p(-min(squares / self.rest[0], ALL_BUT_NOTHING)))
+            share = min(squares / max(self.rest[0], NOTHING), ALL_BUT_NOTHING)
+            fall = -self.rest[1] * float(np.log1p(-share))
         price = rank * float(np.log(count)) + 2.0 * float(np.log(alternatives))
         return 0.5 * (fall - price), price
 
@@ -403,7 +402,7 @@ class Look:
         )
         support, price = self._support(float(fit.test_value[row] ** 2), 1, model.may_go.sum())
         return Explanation(
-            f"{model.row_name(row)} is off by {model.unit.shown(size)}", reason,
+            f"{model.names[row]} is off by {model.unit.shown(size)}", reason,
             np.eye(len(fit.white), 1, -row), np.array([row]), support, price,
             -fit.response[:, row] * size / fit.std[row],
         )  # fmt: skip
@@ -476,7 +475,7 @@ class Look:
         where = ""
         if effect.family:
             first = int(np.flatnonzero(columns[:, 0])[0])
-            where = f" from {self.before.model.row_name(first)} on"
+            where = f" from {self.before.model.names[first]} on"
         return Explanation(
             f"{effect.what}{where}", "", columns @ test.axes, np.zeros(0, dtype=np.int64),
             support, price, -(test.size @ seen.moved), effect, test.axes, test.probability,

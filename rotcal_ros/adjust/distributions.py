@@ -67,17 +67,35 @@ def binomial_quantile(probability: float, trials: int, chance: float) -> int:
     return below if bdtr(below, trials, chance) >= probability else above
 
 
+def detected(limit: float, power: float, dof: float = np.inf) -> float:
+    """Return the size, in standard deviations, that a test finds with the probability ``power``.
+
+    ``limit``: beyond it a standard normal number is found; where the standard deviation is
+    estimated with ``dof`` degrees of freedom, a number of Student's t that is as rare.
+    """
+    if not np.isfinite(dof):
+        return limit + normal_isf(1.0 - power)
+    rare = t_isf(max(normal_sf(limit), 1e-300), dof)
+    return float(np.sqrt(f_noncentrality(rare**2, 1.0, dof, power)))
+
+
 def f_noncentrality(limit: float, dof: float, dof_below: float, power: float) -> float:
     """Return the noncentrality at which F exceeds ``limit`` with the probability ``power``."""
     return float(ncfdtrinc(dof, dof_below, 1.0 - power, limit))
 
 
-def noncentrality(significance: float, power: float, dof: int = 1) -> float:
+def noncentrality(
+    significance: float, power: float, dof: int = 1, dof_below: float = np.inf
+) -> float:
     """Return Baarda's lambda0: what shifts chi-squared with ``dof`` enough to be found.
 
     A test of ``significance`` finds a noncentral chi-squared of this noncentrality with the
     probability ``power``. For one degree of freedom its root is delta0: 4.13 at 0.001 and 0.80
-    (Baarda 1968, A testing procedure for use in geodetic networks).
+    (Baarda 1968, A testing procedure for use in geodetic networks). Where the noise is estimated
+    with ``dof_below`` degrees of freedom, the same of F.
     """
+    if np.isfinite(dof_below):
+        limit = float(f_isf(significance, dof, dof_below))
+        return f_noncentrality(limit, dof, dof_below, power)
     critical = float(chi2_isf(significance, dof))
     return float(chndtrinc(critical, dof, 1.0 - power))

@@ -19,7 +19,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.special import erfc
 
-from rotcal_ros.adjust.distributions import chi2_sf, f_sf, noncentrality, normal_isf
+from rotcal_ros.adjust.distributions import chi2_sf, detected, f_sf, noncentrality, normal_isf
 from rotcal_ros.adjust.roots import root_between
 from rotcal_ros.foundation.arrays import Floats
 
@@ -155,16 +155,26 @@ class Unseen(NamedTuple):
 
 
 def unseen(
-    seen: Seen, std: Floats, largest: float, *, significance: float, power: float
+    seen: Seen,
+    std: Floats,
+    largest: float,
+    *,
+    significance: float,
+    power: float,
+    dof: float = np.inf,
 ) -> Unseen:
     """Return the worst that columns together do before their test finds them.
 
     ``std`` (o,) of the outputs, zero: one that does not count; ``largest``: a size that nobody
-    would overlook. ``significance``: of this effect's own test.
+    would overlook. ``significance``: of this effect's own test. ``dof``: degrees of freedom of the
+    adjustment, where the noise was estimated from it.
     """
     share = _share(seen.moved, std)
     axes, values, silent = _axes(seen)
-    needed = noncentrality(significance, power, max(len(seen.whole), 1))
+    columns = max(len(seen.whole), 1)
+    if dof - columns < 1.0:
+        return _everything(share, largest)
+    needed = noncentrality(significance, power, columns, dof - columns)
     shown = np.sqrt(needed * ((axes.T @ share) ** 2 / values[:, None]).sum(axis=0))
     hidden = largest * np.linalg.norm(np.linalg.qr(silent)[0].T @ share, axis=0)
     bound = largest * np.linalg.norm(share, axis=0)
@@ -177,20 +187,36 @@ def unseen(
 
 
 def unseen_family(
-    seen: Seen, std: Floats, largest: float, *, significance: float, power: float
+    seen: Seen,
+    std: Floats,
+    largest: float,
+    *,
+    significance: float,
+    power: float,
+    dof: float = np.inf,
 ) -> Unseen:
-    """Return the worst that one column of a family does before the test of all finds it."""
+    """Return the worst that one column of a family does before the test of all finds it.
+
+    Arguments as of :func:`unseen`.
+    """
     share = _share(seen.moved, std).max(axis=1, initial=0.0)
     if not len(share):
         return Unseen(0.0, found=True)
+    if dof - 1.0 < 1.0:
+        return _everything(share, largest)
     information = seen.information.diagonal()
     checked = information > UNSEEN * seen.whole
     limit = limit_of_family(significance, correlations(seen.information))
-    needed = limit + normal_isf(1.0 - power)
+    needed = detected(limit, power, dof - 1.0)
     size = np.where(checked, needed / np.sqrt(np.where(checked, information, 1.0)), np.inf)
     error = np.minimum(size, largest) * share
     worst = int(np.argmax(error))
     return Unseen(float(error[worst]), bool(size[worst] <= largest), not checked[worst])
+
+
+def _everything(share: Floats, largest: float) -> Unseen:
+    """Return that an effect stays unseen up to its ``largest`` size: no residual is left."""
+    return Unseen(largest * float(np.linalg.norm(share, axis=0).max(initial=0.0)), found=False)
 
 
 def limit_of_family(significance: float, alike: Floats) -> float:

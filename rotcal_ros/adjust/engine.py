@@ -89,15 +89,21 @@ class Adjusted:
     @property
     def value(self) -> Floats:
         """The outputs (o,)."""
-        return self.fit.value
+        return self.fit.value[: len(self.model.outputs)]
 
-    @cached_property
+    @property
     def covariance(self) -> Floats:
         """Covariance (o, o) of the outputs, with all that is probable but not proved.
 
         Where the noise was estimated from few residuals, 1.96 of its standard uncertainties hold
         95 % as those of Student's t do.
         """
+        count = len(self.model.outputs)
+        return self._covariance[:count, :count]
+
+    @cached_property
+    def _covariance(self) -> Floats:
+        """Covariance (o + a, o + a) of all outputs."""
         few = self.scale * self._student
         total = few[:, None] * (self.fit.response @ self.fit.response.T) * few
         for weight, change in self.diagnosis.contested():
@@ -106,14 +112,24 @@ class Adjusted:
         return np.asarray(total if gathers is None else total + gathers)
 
     @cached_property
+    def also(self) -> Mapping[str, tuple[Floats, Floats]]:
+        """What else the model tells, by name: values (a,) and standard uncertainties (a,)."""
+        sizes = [len(rows) for rows in self.model.also.values()]
+        ends = np.cumsum([len(self.model.outputs), *sizes]).tolist()
+        return {
+            name: (self.fit.value[a:b], self._every_std[a:b])
+            for name, a, b in zip(self.model.also, ends[:-1], ends[1:], strict=True)
+        }
+
+    @cached_property
     def _student(self) -> Floats:
-        """Quantile of Student's t over that of the normal distribution, by output (o,).
+        """Quantile of Student's t over that of the normal distribution, by output (o + a,).
 
         Degrees of freedom after Satterthwaite, from how well the factors of the noise are known.
         """
         estimated, model = self.diagnosis.noise.estimated, self.model
         if estimated is None:
-            return np.ones(len(self.value))
+            return np.ones(len(self.fit.value))
         part = model.of_component == np.arange(len(model.components))[:, None]
         variance = (self.fit.response**2) @ part.T.astype(np.float64)  # (o, c)
         known = np.nan_to_num(estimated.log_std)
@@ -141,7 +157,21 @@ class Adjusted:
     @property
     def std(self) -> Floats:
         """Standard uncertainties (o,) of the outputs."""
-        return np.sqrt(np.maximum(self.covariance.diagonal(), 0.0))
+        return self._every_std[: len(self.model.outputs)]
+
+    @cached_property
+    def _every_std(self) -> Floats:
+        return np.sqrt(np.maximum(self._covariance.diagonal(), 0.0))
+
+    @property
+    def counting_std(self) -> Floats:
+        """Standard uncertainties (o + a,) of all outputs; infinite: it counts in no test."""
+        return self.fit.counting(self._every_std)
+
+    @property
+    def freedom(self) -> float:
+        """Degrees of freedom from which the noise was estimated; infinite: it is that stated."""
+        return float(self.fit.dof) if self.diagnosis.noise.estimated else np.inf
 
     @property
     def scale(self) -> float:
@@ -185,10 +215,19 @@ class Adjusted:
             return "failed"
         return "suspect" if self.doubts else "ok"
 
-    def trials(self, rng: np.random.Generator, count: int) -> Floats:
-        """Draw ``count`` measurements with the noise that was used; return outputs (count, o)."""
-        noise = self.scale * rng.standard_normal((count, len(self.fit.std))) * self.fit.used
-        return np.asarray(self.value + noise @ self.fit.response.T)
+    @cached_property
+    def trials(self) -> Trials:
+        """Measurements with the noise that was used, and with what is probable but not proved."""
+        few = self.scale * self._student
+        causes = [few[:, None] * self.fit.response]
+        causes += [
+            np.sqrt(weight) * change[:, None] for weight, change in self.diagnosis.contested()
+        ]
+        gathers = self.diagnosis.gathering.covariance()
+        if gathers is not None:
+            values, vectors = np.linalg.eigh(gathers)
+            causes.append(vectors * np.sqrt(np.maximum(values, 0.0)))
+        return Trials(self.value, np.concatenate(causes, axis=1)[: len(self.value)])
 
     def protections(self) -> tuple[Protection, ...]:
         """Return what is done about each declared effect, the noise, and what gathers."""
@@ -243,7 +282,7 @@ class Adjusted:
         rows = np.flatnonzero(self.fit.used[:measured])
         known = np.arange(measured, len(self.fit.used))
         felt = self.scale * self.fit.response[:, np.append(rows, known)]
-        causes = tuple(self.model.row_name(row) for row in known.tolist())
+        causes = tuple(self.model.names[row] for row in known.tolist())
         return Influence(rows, 1, {n: felt[part] for n, part in components.items()}, causes)
 
     def details(self) -> dict[str, Any]:
@@ -266,6 +305,22 @@ class Adjusted:
 
 
 @dataclass(frozen=True, eq=False)
+class Trials:
+    """Draws outputs about their ``value`` (o,), by what each of k independent causes does to them.
+
+    ``causes`` (o, k): per standard deviation.
+    """
+
+    value: Floats
+    causes: Floats
+
+    def __call__(self, rng: np.random.Generator, count: int) -> Floats:
+        """Return outputs (count, o)."""
+        drawn = rng.standard_normal((count, self.causes.shape[1]))
+        return np.asarray(self.value + drawn @ self.causes.T)
+
+
+@dataclass(frozen=True, eq=False)
 class PlanPrediction:
     """What a plan would give: ``std`` (o,), ``redundancy`` (n,), by effect what stays unseen."""
 
@@ -284,9 +339,10 @@ def predicted(model: Model, limits: Limits = LIMITS) -> PlanPrediction:
     computed, _ = model.equations(model.first)
     exact = replace(model, observed=computed)
     fit = fitted(exact, np.ones(len(computed), dtype=np.bool_), model.std, model.first)
-    std = np.linalg.norm(fit.response, axis=1)
+    std = np.linalg.norm(fit.response, axis=1)[: len(model.outputs)]
+    each = limits.of_each_effect(model)
     every = {
-        e.effect: _unseen(e, seen_by(fit, e.at(computed)), std, limits.of_each_effect(model))
+        e.effect: _unseen(e, seen_by(fit, e.at(computed)), fit.output_std, each)
         for e in model.effects
         if e.at(computed).any()
     }
@@ -356,7 +412,7 @@ def _protections(found: Adjusted) -> Iterator[Protection]:
     taken = {e.effect.effect for e in found.diagnosis.taken if e.effect is not None}
     worst: dict[Effect, tuple[Unseen, Disturbing]] = {}
     for effect, seen in found.seen:
-        hides = _unseen(effect, seen, found.std, each)
+        hides = _unseen(effect, seen, found.counting_std, each, found.freedom)
         if effect.effect not in worst or hides.error > worst[effect.effect][0].error:
             worst[effect.effect] = hides, effect
     for name, (hides, effect) in worst.items():
@@ -379,9 +435,11 @@ def _protections(found: Adjusted) -> Iterator[Protection]:
     yield from _against_gathering(found)
 
 
-def _unseen(effect: Disturbing, seen: Seen, std: Floats, significance: float) -> Unseen:
+def _unseen(
+    effect: Disturbing, seen: Seen, std: Floats, significance: float, dof: float = np.inf
+) -> Unseen:
     worst = unseen_family if effect.family else unseen
-    return worst(seen, std, effect.largest, significance=significance, power=POWER)
+    return worst(seen, std, effect.largest, significance=significance, power=POWER, dof=dof)
 
 
 def _against_noise(found: Adjusted) -> Protection:
@@ -407,8 +465,9 @@ def _against_gathering(found: Adjusted) -> Iterator[Protection]:
         return
     words, unit = found.model.words, found.model.unit
     worst = hidden(
-        judgement.groups, found.std, SUSPECTED, POWER, LARGEST * float(found.model.std.max())
-    )
+        judgement.groups, found.counting_std, SUSPECTED, POWER,
+        LARGEST * float(found.model.std.max()), freedom=judgement.freedom,
+    )  # fmt: skip
     if worst is None:
         return
     what = f"several {words.elements} that are off together ({words.cause})"

@@ -7,8 +7,9 @@ the order of the observations; nothing is whitened.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final, NamedTuple
 
@@ -25,7 +26,7 @@ from rotcal_ros.foundation.units import ARCSEC
 OPEN: Final = 1e-9
 """Singular values below this share of the largest are directions that nothing tells."""
 FREE: Final = 1e-7
-"""Share of its length that an observation or an output may feel of a free direction."""
+"""Share of its length that an output may feel of a direction that nothing tells."""
 NAMED: Final = 0.3
 """Share of the largest part of an open direction from which an unknown is named."""
 MAX_ITERATIONS: Final = 50
@@ -34,6 +35,8 @@ CONVERGED: Final = 1e-14
 NEARLY: Final = 1e-6
 """Squared step from which on the solution is so near that no step has to be shortened."""
 HALVINGS: Final = 20
+SAME: Final = 0.01
+"""Difference of the outputs, in their uncertainty, that makes it no matter which cause it was."""
 
 Equations = Callable[[Floats], tuple[Floats, Floats]]
 """Takes the unknowns (p,) to the computed observations (n,) and their derivatives (n, p)."""
@@ -63,6 +66,11 @@ class Grouping(NamedTuple):
     kind: str
     number: Ints
     along: Floats | None = None
+
+    def with_others(self, count: int) -> Grouping:
+        """Return the same beside further observations that belong to none."""
+        along = None if self.along is None else np.append(self.along, np.zeros(count))
+        return self._replace(number=np.append(self.number, np.full(count, -1)), along=along)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,16 +133,62 @@ def knocks(run: Ints, when: Floats) -> Floats:
     return np.column_stack([np.zeros((len(run), 0)), *found])
 
 
+def instrument_effects(
+    instrument: str,
+    run: Ints,
+    when: Floats,
+    largest: float,
+    *,
+    moved: str = "",
+    unit: Unit = SECONDS,
+) -> tuple[Disturbing, ...]:
+    """Return what may happen to any instrument: it drifts, something moves, its scale is wrong.
+
+    ``run`` (n,): readings from one zero, -1 for none; ``when`` (n,): the order or the time.
+    ``largest``: a drift or a shift that nobody would overlook; ``moved``: what may be moved.
+    """
+    return (
+        Disturbing("drift", f"{instrument} drifts", drifts(run, when), largest, unit),
+        Disturbing(
+            "knock", f"{moved or instrument} moved", knocks(run, when), largest, unit, family=True
+        ),
+        Disturbing("scale", f"the scale of {instrument} is wrong", _scaled, 0.1, Unit("%", 0.01)),
+    )
+
+
+def _scaled(computed: Floats) -> Floats:
+    """Return by how much readings are off whose scale is too large by 1: (n, 1)."""
+    return computed[:, None]
+
+
+def from_first(blocks: Mapping[str, int], name: str) -> Floats:
+    """Return outputs (k, p): the k unknowns of a block, counted from the first of them."""
+    outputs = _of_block(blocks, name)
+    return outputs - outputs[0]
+
+
+def from_mean(blocks: Mapping[str, int], name: str) -> Floats:
+    """Return outputs (k, p): the k unknowns of a block, counted from their mean."""
+    outputs = _of_block(blocks, name)
+    return outputs - outputs.mean(axis=0)
+
+
+def _of_block(blocks: Mapping[str, int], name: str) -> Floats:
+    before = sum(list(blocks.values())[: list(blocks).index(name)])
+    return np.eye(blocks[name], sum(blocks.values()), before)
+
+
 @dataclass(frozen=True, eq=False)
 class Model:
     """Observed (n,) = computed(x) + noise, and what could be wrong with it.
 
     ``blocks``: names of the unknowns in the order of x (p,), and how many of each. ``observed``,
     ``std`` (n,): what was read, and its stated standard deviation. ``outputs`` (o, p): C, the
-    result is C x. ``free`` (p, g): directions that no observation tells, such as one zero of all;
-    outputs must not feel them. ``component`` (n,): which of the ``components`` of noise each
-    observation belongs to. ``judged`` (n,): those that may be left out; a certificate may not.
-    ``row_name`` calls an observation by its number, for people.
+    result is C x; what nothing tells, such as a zero that all readings share, outputs must not
+    feel. ``also`` (k, p) by name: what else is told with its uncertainty, but counts in no test.
+    ``component`` (n,): which of the ``components`` of noise each observation belongs to.
+    ``judged`` (n,): those that may be left out. ``row_names``: what people call the observations;
+    else they are called by their groups. What is known beforehand joins by :meth:`knowing`.
     """
 
     blocks: Mapping[str, int]
@@ -145,13 +199,13 @@ class Model:
     words: Words
     unit: Unit = SECONDS
     start: Floats | None = None
-    free: Floats | None = None
+    also: Mapping[str, Floats] = field(default_factory=dict)
     components: Sequence[str] = ("the observations",)
     component: Ints | None = None
     judged: Bools | None = None
     groupings: Sequence[Grouping] = ()
     effects: Sequence[Disturbing] = ()
-    row_name: Callable[[int], str] = field(default=lambda row: f"observation {row}")
+    row_names: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         """Refuse what does not fit together; raises DataError."""
@@ -160,13 +214,12 @@ class Model:
             raise DataError("nothing was observed: there is nothing to solve")
         if not p:
             raise DataError("the model has no unknowns")
-        free = (p, 0) if self.free is None else (p, np.shape(self.free)[-1])
         for name, values, wanted in (
             ("observed", self.observed, (n,)),
             ("std", self.std, (n,)),
             ("start", self.first, (p,)),
             ("outputs", self.outputs, (len(self.outputs), p)),
-            ("free", np.zeros((p, 0)) if self.free is None else self.free, free),
+            *((name, rows, (len(rows), p)) for name, rows in self.also.items()),
             ("component", self.of_component, (n,)),
             ("judged", self.may_go, (n,)),
             *((f"numbers of {g.kind}", g.number, (n,)) for g in self.groupings),
@@ -211,6 +264,66 @@ class Model:
         """Where the iteration starts (p,)."""
         return np.zeros(self.size[1]) if self.start is None else self.start
 
+    @cached_property
+    def every_output(self) -> Floats:
+        """``outputs`` and, below them, all of ``also`` (o + a, p)."""
+        return np.concatenate([self.outputs, *self.also.values()])
+
+    @cached_property
+    def names(self) -> Sequence[str]:
+        """What people call each observation: its groups, and which one of several it is."""
+        if self.row_names or not self.groupings:
+            return self.row_names or [f"observation {k}" for k in range(len(self.observed))]
+        groups = zip(*(g.number.tolist() for g in self.groupings), strict=True)
+        kinds = [g.kind for g in self.groupings]
+        plain = [
+            ", ".join(f"{kind} {k}" for kind, k in zip(kinds, numbers, strict=True) if k >= 0)
+            for numbers in groups
+        ]
+        whole, seen, found = Counter(plain), Counter[str](), []
+        for name in plain:
+            seen[name] += 1
+            found.append(f"{name} ({seen[name]} of {whole[name]})" if whole[name] > 1 else name)
+        return found
+
+    def at(self, unknowns: Floats) -> Model:
+        """Return the model of exact observations, were these the ``unknowns`` (p,)."""
+        return replace(self, observed=self.equations(unknowns)[0], start=unknowns)
+
+    def knowing(self, what: str, rows: Floats, values: Floats, std: float) -> Model:
+        """Return the model with what is known beforehand, as from a certificate.
+
+        ``rows`` (k, p) times the unknowns are ``values`` (k,), each with ``std``: observations
+        that belong to no group, that no effect spoils and that are never left out, with noise of
+        their own. ``what`` they are, for people.
+        """
+        n, k = len(self.observed), len(values)
+
+        def equations(x: Floats) -> tuple[Floats, Floats]:
+            computed, design = self.equations(x)
+            return np.append(computed, rows @ x), np.concatenate([design, rows])
+
+        def spared(effect: Disturbing) -> Disturbing:
+            if callable(effect.columns):
+                return replace(effect, columns=lambda computed: below(effect.at(computed[:n])))
+            return replace(effect, columns=below(effect.columns))
+
+        def below(columns: Floats) -> Floats:
+            return np.pad(columns, ((0, k), (0, 0)))
+
+        return replace(
+            self,
+            observed=np.append(self.observed, values),
+            std=np.append(self.std, np.full(k, std)),
+            equations=equations,
+            components=(*self.components, what),
+            component=np.append(self.of_component, np.full(k, len(self.components))),
+            judged=np.append(self.may_go, np.zeros(k, dtype=np.bool_)),
+            groupings=[g.with_others(k) for g in self.groupings],
+            effects=[spared(effect) for effect in self.effects],
+            row_names=[*self.names, *(f"value {i} of {what}" for i in range(k))],
+        )
+
     def name_of(self, unknown: int) -> str:
         """Return the name of an unknown for people: its block, its number there."""
         for name, count in self.blocks.items():
@@ -225,7 +338,8 @@ class Fit:
     """A model at its least-squares solution, by the whole design: the dense reference.
 
     ``x`` (p + q,): the unknowns, then the sizes of q effects that were found. ``residual`` (n,):
-    observed - computed, also of observations that are not ``used``. ``std`` (n,): as weighed.
+    observed - computed, also of observations that are not ``used``. ``weighed`` (n,): with which
+    standard deviations.
     ``basis`` (n, rank): orthonormal columns that span the whitened design of what is used.
     ``gain`` (p + q, n): what whitened errors do to x.
     """
@@ -279,24 +393,31 @@ class Fit:
 
     @cached_property
     def outputs(self) -> Floats:
-        """C (o, p + q): the outputs do not count the effects that were taken up."""
-        extra = len(self.x) - self.model.size[1]
-        return np.pad(self.model.outputs, ((0, 0), (0, extra)))
+        """C (o + a, p + q): the outputs do not count the effects that were taken up."""
+        return _padded(self.model.every_output, len(self.x))
 
     @property
     def value(self) -> Floats:
-        """The outputs (o,)."""
+        """All outputs (o + a,)."""
         return np.asarray(self.outputs @ self.x)
 
     @cached_property
     def response(self) -> Floats:
-        """B (o, n): what whitened errors do to the outputs."""
+        """B (o + a, n): what whitened errors do to the outputs."""
         return np.asarray(self.outputs @ self.gain)
 
-    def covariance_of(self, rows: Floats) -> Floats:
-        """Return the covariance of ``rows`` (k, p) times the unknowns."""
-        own = np.pad(rows, ((0, 0), (0, len(self.x) - rows.shape[1]))) @ self.gain
-        return np.asarray(own @ own.T)
+    @cached_property
+    def output_std(self) -> Floats:
+        """Standard deviations (o + a,) of the outputs; infinite for those that count nowhere."""
+        return self.counting(np.linalg.norm(self.response, axis=1))
+
+    def felt(self, change: Floats) -> bool:
+        """Whether a ``change`` (o + a,) of the outputs is no trifle for those that count."""
+        return bool((np.abs(change) > SAME * self.output_std).any())
+
+    def counting(self, std: Floats) -> Floats:
+        """Return ``std`` (o + a,), infinite for those that count in no test."""
+        return np.where(np.arange(len(std)) < len(self.model.outputs), std, np.inf)
 
     def left_of(self, white: Floats) -> Floats:
         """Return what whitened errors (n, k) leave in the residuals, R times them."""
@@ -305,30 +426,14 @@ class Fit:
 
 
 def require_determined(model: Model) -> None:
-    """Refuse a model that leaves more open than it says, or whose outputs feel what is open.
+    """Refuse a model whose outputs feel what no observation tells.
 
-    Raises ObservabilityError with the unknowns; DataError for a free direction that observations
-    determine, or that an output feels.
+    Raises ObservabilityError with the unknowns.
     """
     computed, jacobian = model.equations(model.first)
     if not (np.isfinite(computed).all() and np.isfinite(jacobian).all()):
         raise DataError("the equations give no finite numbers at the start values")
-    white = jacobian / model.std[:, None]
-    _solved(model, white)
-    if model.free is None:
-        return
-    length = np.maximum(np.linalg.norm(white, axis=0), np.finfo(np.float64).tiny)
-    if np.linalg.matrix_rank(model.free * length[:, None]) < model.free.shape[1]:
-        raise DataError("the free directions of the model depend on each other, or are zero")
-    for k, direction in enumerate(model.free.T):
-        felt = np.abs(white @ direction).max() / np.linalg.norm(length * direction)
-        if felt > FREE:
-            raise DataError(f"free direction {k} of the model is determined by the observations")
-        moved = np.abs(model.outputs @ direction)
-        if (moved > FREE * np.abs(model.outputs) @ np.abs(direction)).any():
-            raise DataError(
-                f"an output of the model feels free direction {k}, which nothing tells"
-            )
+    _solved(model, jacobian / model.std[:, None])
 
 
 def fitted(
@@ -337,8 +442,8 @@ def fitted(
     """Return the least-squares solution with the observations ``used`` (n,), weighed by ``std``.
 
     ``start`` (p,) or longer; ``extra`` (n, q): columns that are unknowns, too. Gauss-Newton with
-    halved steps where the sum of squares would grow. Raises ObservabilityError where more than
-    the free directions is open, DataError where the iteration does not settle.
+    halved steps where the sum of squares would grow. Raises ObservabilityError where an output
+    feels what nothing tells, DataError where the iteration does not settle.
     """
     n, p = model.size
     extra = np.zeros((n, 0)) if extra is None else extra
@@ -389,27 +494,37 @@ def _solved(model: Model, white: Floats) -> tuple[Floats, Floats]:
     scale = np.where(scale > 0.0, scale, 1.0)
     u, s, vt = np.linalg.svd(white / scale, full_matrices=False)
     determined = s > OPEN * s[0]
-    rank, free = int(determined.sum()), 0 if model.free is None else model.free.shape[1]
-    if rank < white.shape[1] - free:
-        raise ObservabilityError(_what_is_open(model, white / scale, scale, rank))
+    if not determined.all() or len(s) < len(scale):
+        full = vt if len(vt) == len(scale) else np.linalg.svd(white / scale)[2]
+        _require_unfelt(model, scale, full[int(determined.sum()) :], white.any(axis=0))
     gain = (vt[determined].T / s[determined]) @ u[:, determined].T / scale[:, None]
     return u[:, determined], gain
 
 
-def _what_is_open(model: Model, scaled: Floats, scale: Floats, rank: int) -> str:
-    """Return in words which unknowns the observations leave open, beside the free directions."""
-    p = model.size[1]
-    unseen = np.flatnonzero(np.linalg.norm(scaled[:, :p], axis=0) == 0.0)
-    null = np.linalg.svd(np.linalg.qr(scaled, mode="r"))[2][rank:, :p].T
-    if model.free is not None:
-        known = np.linalg.qr(model.free * scale[:p, None])[0]
-        null = null - known @ (known.T @ null)
-    share = np.linalg.norm(null, axis=1)
-    named = unseen if len(unseen) else np.flatnonzero(share > NAMED * share.max())
-    names = ", ".join(model.name_of(int(k)) for k in named[:8])
+def _require_unfelt(model: Model, scale: Floats, open_: Floats, seen: Bools) -> None:
+    """Raise ObservabilityError where an output feels one of the ``open_`` directions (k, p + q).
+
+    Both in unknowns times ``scale`` (p + q,); ``seen``: those that observations tell of at all.
+    What is open else, such as a zero that all readings share, is no matter.
+    """
+    outputs = _padded(model.every_output, len(scale)) / scale
+    felt = outputs @ open_.T
+    if (np.abs(felt) <= FREE * np.linalg.norm(outputs, axis=1, keepdims=True)).all():
+        return
+    size, ways = np.linalg.svd(felt, full_matrices=False)[1:]
+    lost = ways[size > FREE * size[0]] @ open_  # what outputs feel of it
+    share = np.linalg.norm(lost, axis=0)[: model.size[1]]
+    unseen = ~seen[: len(share)] & (share > FREE)
+    named = np.flatnonzero(unseen if unseen.any() else share > NAMED * share.max())
+    names = ", ".join(model.name_of(k) for k in named[:8].tolist())
     more = f" and {len(named) - 8} others" if len(named) > 8 else ""
-    why = "no observation tells of" if len(unseen) else "the observations cannot tell apart"
-    return f"{why} {names}{more}: measure what joins them to the others"
+    why = "no observation tells of" if unseen.any() else "the observations cannot tell apart"
+    raise ObservabilityError(f"{why} {names}{more}: measure what joins them to the others")
+
+
+def _padded(rows: Floats, unknowns: int) -> Floats:
+    """Return ``rows`` (k, p) of so many unknowns; they do not count the last ones."""
+    return np.pad(rows, ((0, 0), (0, unknowns - rows.shape[1])))
 
 
 def members_of(grouping: Grouping, judged: Bools) -> dict[int, Ints]:

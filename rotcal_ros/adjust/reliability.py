@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.adjust.distributions import normal_isf
+from rotcal_ros.adjust.distributions import detected
 from rotcal_ros.adjust.explanations import Hypotheses, shifts
 from rotcal_ros.adjust.groups import Group
 from rotcal_ros.adjust.sensitivity import Sensitivity
@@ -46,6 +46,7 @@ def hidden(
     power: float,
     largest: float,
     gathered: Sequence[Hypotheses] | None = None,
+    freedom: Sequence[float] | None = None,
 ) -> Hidden | None:
     """Return the worst of all gathered subsets; None where no group has one.
 
@@ -53,17 +54,20 @@ def hidden(
     ``significance``: that of the test of :meth:`~.judgement.Judgement.proved`, whose limit
     for a shift is 2 ln(1 / significance) and what choosing among all subsets takes away.
     ``gathered``: those of a :class:`~.judgement.Judgement` of the same groups, if there is one.
-    ``largest``: a shift of this size, in its own unit, nobody would overlook.
+    ``largest``: a shift of this size, in its own unit, nobody would overlook. ``freedom``: of each
+    group, degrees of freedom from which its noise was estimated; None: it is known.
     """
     many = sum(len(group.gathered) for group in groups)
     if not many:
         return None
-    needed = np.sqrt(2.0 * np.log(max(many, 2) / significance)) + normal_isf(1.0 - power)
+    limit = float(np.sqrt(2.0 * np.log(max(many, 2) / significance)))
+    if freedom is None:
+        freedom = [np.inf] * len(groups)
     if gathered is None:
         gathered = [shifts(group, group.gathered) for group in groups]
     unseen = [
-        _Unseen.of(group, found, needed, largest)
-        for group, found in zip(groups, gathered, strict=True)
+        _Unseen.of(group, found, detected(limit, power, dof), largest)
+        for group, found, dof in zip(groups, gathered, freedom, strict=True)
         if len(group.gathered)
     ]
     reach = _Reach.of(unseen[0].found.sensitivity, std)

@@ -209,3 +209,8 @@ class Observation:
     segment: int = 0
     pressure_pa: float | None = None
     humidity: float | None = None
+
+    @property
+    def captured(self) -> bool:
+        """Whether a window of samples was captured; a row of a table may tell a time, but none."""
+        return self.window_start_ns > 0

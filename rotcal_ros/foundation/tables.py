@@ -67,6 +67,16 @@ class Row:
             )
         return value
 
+    def radians(self, name: str, largest: float) -> float:
+        """Return a cell as a finite number of radians of plausible size."""
+        value = self.number(name)
+        if abs(value) > largest:
+            raise DataError(
+                f"{self.place}: {name} is {value:g} rad, more than {largest:g}; are these "
+                "arcseconds? Tables are in radians"
+            )
+        return value
+
     def point(self, farthest: float = _FARTHEST) -> tuple[float, float, float]:
         """Return the columns x_m, y_m, z_m."""
         x, y, z = (self.metres(name, farthest) for name in ("x_m", "y_m", "z_m"))

@@ -298,7 +298,7 @@ def prepare_whole(configuration: Configuration) -> Calibration:
 
 def _numbered_by_feedback(result: Result, used: Sequence[Observation]) -> Result:
     """Return the result; what was captured cannot be numbered off, as a table written down can."""
-    if any(not o.window_end_ns for o in used):
+    if not all(o.captured for o in used):
         return result
     captured = Protection(
         "numbering",

@@ -137,6 +137,23 @@ def arrival_errors(plan: Plan, sizes: Sizes, other: np.random.Generator) -> Floa
     return np.asarray(sizes.get("repeatability", 0.0) * drawn[arrivals(plan)], dtype=np.float64)
 
 
+def of_readings(
+    start: float, largest: float, unit: str = "arcsec", unit_si: float = ARCSEC
+) -> tuple[Disturbance, ...]:
+    """Return what spoils any readings: drift and knock, of sizes in ``unit``, noise and scale.
+
+    They are those of :func:`~rotcal_ros.adjust.model.instrument_effects`.
+    """
+    return (
+        Disturbance("drift", "linearly from one zero to the next", unit, unit_si, start, largest),
+        Disturbance("knock", "from one moment on", unit, unit_si, start, largest),
+        Disturbance(
+            "axis noise", "so many times as stated", "times", 1.0, 1.2, 50.0, scatters=True
+        ),
+        Disturbance("scale", "all readings too large by so much", "%", 0.01, 1.0, 50.0),
+    )
+
+
 def harmless(*effects: Effect) -> tuple[Disturbance, ...]:
     """Return effects that cannot touch what a method measures: nothing happens, of any size."""
     what = "nothing that is measured feels it: nothing happens"

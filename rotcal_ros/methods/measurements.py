@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Final
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.tables import Row, read_table, require_header
-from rotcal_ros.methods.calibration import Calibration
+from rotcal_ros.foundation.tables import Row, Table, hashes, read_table, require_header
+from rotcal_ros.foundation.units import NANOSECOND
+from rotcal_ros.methods.calibration import Calibration, prepare
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.method import Measurements, Trials, find_method, method_names
+from rotcal_ros.methods.method import (
+    Measurements,
+    TableReader,
+    Trials,
+    find_method,
+    method_names,
+)
 from rotcal_ros.planning.plan import Plan, Step
+
+TIME: Final = "time_s"
+"""A last column that tells when a row was read, from any moment on."""
+LATEST_S: Final = 9e9
+"""Nanoseconds beyond are no numbers of 64 bits."""
 
 
 @dataclass(frozen=True)
@@ -69,36 +82,72 @@ def read_measurements(
     return method.table.read(configuration, table, targets)
 
 
+def planned_table(columns: Mapping[str, str], values: Mapping[str, float]) -> TableReader:
+    """Return what reads tables with a row for each step of a plan, and what was read there.
+
+    ``columns`` of numbers from 0, each with the field of a :class:`~.planning.plan.Step` that it
+    tells; columns of up to three ``values``, in metres or radians as their names say (``_m``,
+    ``_rad``), with the largest that can be. A last column ``time_s`` may tell when each row was
+    read; without it that was in the order of the plan.
+    """
+    header = (*columns, *values)
+
+    def read(
+        configuration: Configuration, table: Table, _targets: Path | None
+    ) -> PlannedMeasurements:
+        calibration = prepare(configuration)
+        find, observations = RowStepFinder(calibration.plan, columns), list[Observation]()
+        for row in table.rows():
+            seen = [_value(row, name, largest) for name, largest in values.items()]
+            step, missing = find(row), (0.0,) * (3 - len(seen))
+            observations.append(read_at(row, step.observed((*seen, *missing))))
+        return PlannedMeasurements(calibration, tuple(observations), hashes(table.path))
+
+    return TableReader((header, (*header, TIME)), read)
+
+
+def read_at(row: Row, observation: Observation) -> Observation:
+    """Return the observation with the time that its row tells, if it tells one."""
+    if TIME not in row.cells:
+        return observation
+    seconds = row.number(TIME)
+    if abs(seconds) > LATEST_S:
+        raise DataError(f"{row.place}: {TIME} is {seconds:g} s; are these milliseconds?")
+    return replace(observation, window_end_ns=round(seconds / NANOSECOND))
+
+
+def _value(row: Row, name: str, largest: float) -> float:
+    return row.radians(name, largest) if name.endswith("_rad") else row.metres(name, largest)
+
+
 class RowStepFinder:
     """Finds the step of the plan that a row measures, and refuses it twice.
 
     What the plan measures again, as a plan that closes does, may stand in the table again.
-    ``stations``: rows say from which place they were measured; else all places count as the same.
-    ``target`` is the word for what is measured.
+    ``columns`` of the table, each with the field of a step that it tells: ``table_position``,
+    ``target`` or ``station``. A field that no column tells counts as the same everywhere.
     """
 
-    def __init__(self, plan: Plan, *, stations: bool = False, target: str = "target") -> None:
-        self._plan, self._by_station, self._target = plan, stations, target
-        self._steps: dict[tuple[int, int, int], list[Step]] = {}
+    def __init__(self, plan: Plan, columns: Mapping[str, str]) -> None:
+        self._columns, self._steps = columns, dict[tuple[int, ...], list[Step]]()
         for step in plan.steps:
-            key = (step.station if stations else 0, step.table_position, step.target)
+            key = tuple(getattr(step, field) for field in columns.values())
             self._steps.setdefault(key, []).append(step)
-        self._seen: dict[tuple[int, int, int], list[str]] = {}
+        self._seen: dict[tuple[int, ...], list[str]] = {}
 
-    def __call__(self, row: Row, position: int, target: int, station: int = 0) -> Step:
-        """Return the step that measures a target at a table position, from a place or station."""
-        steps = self._steps.get((station, position, target))
-        what, places = f"position {position}, {self._target} {target}", ""
-        if self._by_station:
-            known = len({step.station for step in self._plan.steps})
-            what, places = f"place {station}, {what}", f"places 0 to {known - 1}, "
+    def __call__(self, row: Row) -> Step:
+        """Return the step that a row measures; DataError, with its place, where there is none."""
+        key = tuple(row.index(name) for name in self._columns)
+        steps, names = self._steps.get(key), [name.replace("_", " ") for name in self._columns]
+        what = ", ".join(f"{name} {number}" for name, number in zip(names, key, strict=True))
         if steps is None:
+            known = zip(names, zip(*self._steps, strict=True), strict=True)
+            *most, last = [f"{name}s {_in_words(numbers)}" for name, numbers in known]
             raise DataError(
-                f"{row.place}: {what} is not in the plan, which has {places}positions 0 to "
-                f"{len(self._plan.table_angles) - 1} and {self._target}s "
-                f"{_in_words(self._plan.steps)}; does the set-up belong to this table?"
+                f"{row.place}: {what} is not in the plan, which has {', '.join(most)} and {last}; "
+                "does the set-up belong to this table?"
             )
-        seen = self._seen.setdefault((station, position, target), [])
+        seen = self._seen.setdefault(key, [])
         if len(seen) == len(steps):
             raise DataError(
                 f"{row.place}: {what} was measured already ({', '.join(seen)}); keep one of the "
@@ -108,9 +157,9 @@ class RowStepFinder:
         return steps[len(seen) - 1]
 
 
-def _in_words(steps: Sequence[Step]) -> str:
-    """Return the targets of a plan in words; the balls of a plate have gaps."""
-    known = sorted({step.target for step in steps})
+def _in_words(numbers: Iterable[int]) -> str:
+    """Return which numbers there are; the balls of a plate have gaps."""
+    known = sorted(set(numbers))
     if known == list(range(len(known))):
         return f"0 to {known[-1]}"
     return ", ".join(map(str, known))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -86,6 +87,35 @@ class Step:
         )
 
 
+def numbered_steps(
+    rows: Iterable[tuple[int, int, int]],
+    angles: Sequence[float],
+    targets: Sequence[Point],
+    kind: PointKind,
+    *,
+    approaches: Sequence[Approach] = (),
+    n_points: int = 1,
+) -> tuple[Step, ...]:
+    """Return a step for each of ``rows``, which are table position, target and station.
+
+    ``approaches`` are those of the table positions; none: all from below.
+    """
+    return tuple(
+        Step(
+            index=index,
+            table_position=position,
+            table_angle=angles[position],
+            approach=approaches[position] if approaches else Approach.POSITIVE,
+            kind=kind,
+            target=target,
+            position=targets[target],
+            station=station,
+            n_points=n_points,
+        )
+        for index, (position, target, station) in enumerate(rows)
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Move:
     """What a pause is for: ``what`` is brought to ``station``, at ``position`` (m) in ``frame``.
@@ -114,6 +144,22 @@ class Pause:
     instruction: str
     again_from: int | None = None
     move: Move | None = None
+
+
+def pauses_at_stations(
+    steps: Sequence[Step], what: str, instructions: Sequence[str]
+) -> tuple[Pause, ...]:
+    """Return a pause before the first step of each station, which shows whether it is done well.
+
+    ``what`` is moved there, as its instruction says.
+    """
+    first: dict[int, int] = {}
+    for step in steps:
+        first.setdefault(step.station, step.index)
+    return tuple(
+        Pause(index, index, instructions[station], move=Move(what, station))
+        for station, index in first.items()
+    )
 
 
 @dataclass(frozen=True)

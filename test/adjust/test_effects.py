@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.optimize import brentq
 
 from rotcal_ros.adjust.distributions import noncentrality
 from rotcal_ros.adjust.effects import (
@@ -73,6 +74,20 @@ def test_the_detectable_size_of_one_column_is_baardas():
     largest = 0.5 * size
     bounded = unseen(here, std, largest, significance=0.01, power=0.95)
     assert bounded == (pytest.approx(0.5 * wanted), False, False)
+
+
+@pytest.mark.parametrize("k", [1, 2])
+def test_over_estimated_noise_the_detectable_size_is_that_of_f(k):
+    """By scipy's noncentral F and chi-squared; with nothing left, all stays unseen."""
+    design, columns, outputs, _ = world(k=k)
+    here, std = seen(design, columns, outputs, np.zeros(40)), np.ones(4)
+    sizes = {"significance": 0.01, "power": 0.95}
+    known, few = (unseen(here, std, 1e9, dof=dof, **sizes).error for dof in (np.inf, 9.0))
+    below = 9.0 - k
+    limit = stats.f.isf(0.01, k, below)
+    needed = brentq(lambda shift: stats.ncf.sf(limit, k, below, shift) - 0.95, 1.0, 999.0)
+    assert few / known == pytest.approx(np.sqrt(needed / noncentrality(0.01, 0.95, k)), rel=1e-4)
+    assert not unseen(here, std, 1.0, dof=float(k), **sizes).found
 
 
 def test_an_effect_of_the_detectable_size_is_found_as_often_as_stated():

@@ -15,6 +15,7 @@ from rotcal_ros.adjust.model import (
     Model,
     Unit,
     drifts,
+    from_mean,
     indicators,
     knocks,
     linear,
@@ -47,7 +48,6 @@ def comparison(rng=None, noise=SIGMA):
         outputs=outputs,
         words=WORDS,
         unit=MICRON,
-        free=np.append(np.ones(PLACES), -np.ones(RUNS))[:, None],
         groupings=(Grouping("run", run, along=when), Grouping("place", place)),
         effects=(
             Disturbing(
@@ -243,9 +243,9 @@ def test_what_nothing_tells_is_named():
     part = _rows(model, kept)
     with pytest.raises(ObservabilityError, match="no observation tells of place 6: measure"):
         adjust(part)
-    free = replace(model, free=None)
+    from_nowhere = replace(model, outputs=np.eye(PLACES, PLACES + RUNS))
     with pytest.raises(ObservabilityError, match="cannot tell apart place 0"):
-        adjust(free)
+        adjust(from_nowhere)
     with pytest.raises(DataError, match="nothing was observed"):
         _rows(model, kept[:0])
 
@@ -366,7 +366,7 @@ def test_a_knock_at_one_of_two_moments_that_do_the_same_is_covered_whichever_it_
     knock = Disturbing("knock", "something moved", knocks(run, when), 1e-3, MICRON, family=True)
     pair = replace(
         pair, blocks={"place": PLACES, "zero of run": 2}, equations=linear(design),
-        outputs=model.outputs[:, : PLACES + 2], free=model.free[: PLACES + 2], effects=(knock,),
+        outputs=model.outputs[:, : PLACES + 2], effects=(knock,),
         observed=pair.observed + 50e-6 * ((run == 0) & (when >= 6)),
     )  # fmt: skip
     found = adjust(pair)
@@ -415,9 +415,8 @@ def test_exact_numbers_of_one_kind_do_not_keep_the_noise_of_another_from_being_e
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"free": np.eye(PLACES + RUNS)[:, :1]}, "determined by the observations"),
-        ({"outputs": np.eye(PLACES, PLACES + RUNS)}, "feels free direction 0"),
-        ({"free": np.zeros((PLACES + RUNS, 1))}, "depend on each other, or are zero"),
+        ({"outputs": np.eye(PLACES, PLACES + RUNS)}, "cannot tell apart place 0, place 1"),
+        ({"also": {"places": np.eye(3)}}, "places of the model: shape"),
         ({"std": np.full(60, np.inf)}, "std of the model: expected finite numbers"),
         ({"start": np.zeros(3)}, "start of the model: shape"),
         ({"component": np.full(60, 2)}, "component of the model: expected 0 to 0"),
@@ -436,6 +435,66 @@ def test_sizes_of_groups_are_told_in_the_unit_of_the_model():
     found = adjust(replace(model, observed=observed, effects=(), unit=Unit("mm", 1e-3)))
     assert sorted(found.why) == [18, 19, 20, 21, 22]
     assert any("by about +0.04 mm" in words for words in found.doubts)
+
+
+def test_what_is_known_beforehand_is_weighed_and_never_left_out():
+    """Like an observation of its own noise: the weighted mean of one reading and a certificate."""
+    read, std, each = np.array([3e-6, 5e-6]), np.full(2, SIGMA), np.eye(2)
+    model = Model({"place": 2}, read, std, linear(each), each, WORDS)
+    effects = (
+        Disturbing("scale", "the scale is wrong", lambda read: read[:, None], 0.1),
+        Disturbing("drift", "it drifts", np.array([[0.0], [1.0]]), 1e-3),
+    )
+    model = replace(model, groupings=(Grouping("place", np.arange(2)),), effects=effects)
+    known = model.knowing("the certificate", np.eye(1, 2), np.array([6e-6]), 2.0 * SIGMA)
+    found = adjust(known)
+    assert found.value == pytest.approx([(3e-6 + 6e-6 / 4) / (1 + 1 / 4), 5e-6])
+    assert found.std == pytest.approx([SIGMA / np.sqrt(1.25), SIGMA])
+    assert known.may_go.tolist() == [True, True, False]
+    assert known.of_component.tolist() == [0, 0, 1]
+    assert list(known.names) == ["place 0", "place 1", "value 0 of the certificate"]
+    assert known.groupings[0].number.tolist() == [0, 1, -1]
+    assert known.effects[0].at(known.observed).tolist() == [[3e-6], [5e-6], [0.0]]
+    assert known.effects[1].at(known.observed).tolist() == [[0.0], [1.0], [0.0]]
+
+
+def test_observations_are_called_by_their_groups():
+    _, model = comparison()
+    assert model.names[17] == "run 1, place 12"
+    runs = replace(model, groupings=model.groupings[:1])
+    assert runs.names[17] == "run 1 (3 of 15)"
+    assert replace(model, groupings=()).names[17] == "observation 17"
+
+
+def test_outputs_that_are_only_told_change_no_judgement_and_no_bit_of_the_others():
+    _, model = comparison(np.random.default_rng(36))
+    observed = model.observed + 60e-6 * model.effects[1].columns[:, 20]
+    model = replace(model, observed=observed)
+    also = {"zero of run": from_mean(model.blocks, "zero of run")}
+    plain, more = adjust(model), adjust(replace(model, also=also))
+    assert more.value == pytest.approx(plain.value, rel=1e-12)
+    assert more.covariance == pytest.approx(plain.covariance, rel=1e-12, abs=1e-24)
+    assert (more.doubts, more.why) == (plain.doubts, plain.why)
+    assert [p.why for p in more.protections()] == [p.why for p in plain.protections()]
+    zeros, std = more.also["zero of run"]
+    truth = np.random.default_rng(1).standard_normal(PLACES + RUNS)[PLACES:] * 1e-3
+    assert (np.abs(zeros - (truth - truth.mean())) <= 4.0 * std).all()
+
+
+def test_where_the_noise_was_estimated_larger_effects_stay_unseen():
+    _, model = comparison(np.random.default_rng(37), noise=4.0 * SIGMA)
+    found = adjust(model)
+    assert np.isfinite(found.freedom)
+    said = {p.effect: p for p in found.protections()}
+    stated = {p.effect: p for p in adjust(replace(model, std=found.fit.std)).protections()}
+    assert said["knock"].error > 1.05 * stated["knock"].error
+
+
+def test_exact_readings_with_one_redundant_one_are_no_matter():
+    drift = Disturbing("drift", "it drifts", np.array([[0.0], [1.0]]), 1e-3)
+    std, design = np.full(2, SIGMA), np.ones((2, 1))
+    model = Model({"place": 1}, np.zeros(2), std, linear(design), np.eye(1), WORDS)
+    assert adjust(replace(model, effects=(drift,))).value == pytest.approx(0.0)
 
 
 def test_few_residuals_widen_the_uncertainty_as_students_t_does():

@@ -336,11 +336,36 @@ def test_a_mounting_turned_by_another_number_of_faces_is_suspect(rotcal, tmp_pat
     assert any("of mounting 2" in words for words in json.loads(done.stdout)["warnings"])
 
 
+def test_a_column_of_times_tells_what_came_before_what(rotcal, tmp_path):
+    """The second mounting was read backwards: a drift in time is one that falls by position."""
+    rows = rows_of((0, 1, 5), FACES)
+    stops = N + 1
+    for row in rows:
+        position, mounting, _ = row
+        when = stops - 1 - position if mounting == 1 else position
+        row[2] += 0.5 * ARCSEC * when / N
+        row.insert(3, 60.0 * when + 3600.0 * mounting)
+    lines = [",".join(map(repr, row)) for row in rows]
+    header = "position,mounting,reading_rad"
+    table = tmp_path / "timed.csv"
+    table.write_text("\n".join([f"{header},time_s", *lines]) + "\n")
+    s = setup(tmp_path / "s.yaml")
+    result = json.loads(rotcal("solve", table, "--setup", s, "--json", code=1).stdout)
+    error = np.array(result["deviations"]["ECC"]) - [ecc(i) for i in range(N)]
+    assert np.abs(error).max() < 0.01 * ARCSEC
+    plain = write(tmp_path / "plain.csv", [row[:3] for row in rows])
+    other = json.loads(rotcal("solve", plain, "--setup", s, "--json", code=1).stdout)
+    for found, backwards in ((result, 1.0), (other, -1.0)):
+        (drift,) = found["details"]["effects_found"]
+        sizes = np.array(drift["size"]) / ARCSEC
+        assert sizes == pytest.approx([0.5, 0.5 * backwards, 0.5], abs=0.01)
+
+
 @pytest.mark.parametrize(
     ("row", "words"),
     [
-        ([2, 3, 0.0], "row 2: mounting 3 is not in the plan, which has mountings 0 to 2"),
-        ([13, 0, 0.0], "row 2: position 13"),
+        ([2, 3, 0.0], "which has positions 0 to 12 and mountings 0 to 2"),
+        ([13, 0, 0.0], "row 2: position 13, mounting 0 is not in the plan"),
         ([1, 0, 1.7], "are these arcseconds? Tables are in radians"),
         ([1, 0, float("nan")], "reading_rad must be a finite number"),
     ],

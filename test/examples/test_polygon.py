@@ -1,31 +1,44 @@
 """Cross calibration of table and polygon: signs, truth, uncertainty, what cannot be solved."""
 
+import pickle
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from rotcal_polygon.method import (
-    PolygonPlanSettings,
-    PolygonSolverSettings,
-    _protections,
-    check,
-    plan,
-)
-from rotcal_polygon.model import PolygonReadings, face_errors, model_of, separable
+from rotcal_polygon.method import check, plan, states
+from rotcal_polygon.model import FACE_ERROR, model_of, separable
+from rotcal_polygon.settings import PolygonPlanSettings, PolygonSolverSettings
 from rotcal_ros.adjust import engine
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.protection import EFFECTS, unprotected
 from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.planning.readings import Readings
 
 N = 12
 SIGMA = 0.05 * ARCSEC
 
 
-def adjust(readings):
-    """Return what the engine makes of readings."""
-    return engine.adjust(model_of(readings))
+def adjust(measurement):
+    """Return what the engine makes of settings and readings."""
+    return engine.adjust(model_of(*measurement))
+
+
+def face_errors(found):
+    """Return the errors (n,) of the faces from their mean, and their standard uncertainties."""
+    return found.also[FACE_ERROR]
+
+
+def configured(settings, solver):
+    """Return a configuration of these settings."""
+    return SimpleNamespace(plan=settings, solver=solver, source="here")
+
+
+def with_readings(measurement, value):
+    """Return the same measurement with other values (n,)."""
+    settings, solver, read = measurement
+    return settings, solver, replace(read, value=value)
 
 
 def truth(rng, n=N):
@@ -34,17 +47,22 @@ def truth(rng, n=N):
     return table - table[0], face - face.mean()
 
 
-def measured(table, face, first_faces, offsets=None, closure=False, **more):
-    """Return exact readings, written out one by one from the model in the module's words."""
+def measured(table, face, first_faces, offsets=None, closure=False, certificate=(), std=SIGMA):
+    """Return settings and exact readings, one by one from the model in the module's words."""
     n, rows = len(table), []
     for mounting, first in enumerate(first_faces):
         offset = 0.0 if offsets is None else offsets[mounting]
         for position in range(n + closure):
             seen, at = (first + position) % n, position % n
             rows.append((at, seen, mounting, table[at] + face[seen] + offset))
-    position, seen, mounting, reading = zip(*rows, strict=True)
-    whole = (np.array(column, dtype=np.int64) for column in (position, seen, mounting))
-    return PolygonReadings(n, *whole, np.array(reading), SIGMA, **more)
+    *numbers, reading = zip(*rows, strict=True)
+    whole = (np.array(column, dtype=np.int64) for column in numbers)
+    settings = PolygonPlanSettings(faces=n, first_faces=first_faces, closure=closure)
+    known = tuple((np.array(certificate) / ARCSEC).tolist())
+    solver = PolygonSolverSettings(
+        sigma_arcsec=SIGMA / ARCSEC, face_errors_arcsec=known, face_std_arcsec=std / ARCSEC
+    )
+    return settings, solver, Readings(*whole, np.array(reading), np.arange(len(rows)))
 
 
 @pytest.mark.parametrize("first_faces", [(0, 1), (0, 1, 5), (3, 2, 8, 11), (7, 2)])
@@ -55,7 +73,7 @@ def test_exact_readings_give_the_truth(first_faces, closure):
     offsets = 30.0 * ARCSEC * rng.standard_normal(len(first_faces))
     found = adjust(measured(table, face, first_faces, offsets, closure))
     assert found.value == pytest.approx(table, rel=0, abs=1e-12 * np.abs(table).max() + 1e-18)
-    assert face_errors(found, N)[0] == pytest.approx(face, rel=0, abs=1e-18 + 1e-12 * np.ptp(face))
+    assert face_errors(found)[0] == pytest.approx(face, rel=0, abs=1e-18 + 1e-12 * np.ptp(face))
     assert (found.verdict, found.doubts, found.why) == ("ok", (), {})
     m = len(first_faces)
     assert found.fit.dof == m * (N + closure) - (2 * N - 1 + m - 1)
@@ -64,9 +82,9 @@ def test_exact_readings_give_the_truth(first_faces, closure):
 def test_the_signs_are_those_of_the_conventions():
     """A table 4 arcsec too far, and a face turned 4 arcsec counter-clockwise, both read +4."""
     ahead, none = 4.0 * ARCSEC * np.eye(N)[5], np.zeros(N)
-    assert measured(ahead, none, (0,)).reading[5] == 4.0 * ARCSEC
+    assert measured(ahead, none, (0,))[2].value[5] == 4.0 * ARCSEC
     assert adjust(measured(ahead, none, (0, 1))).value[5] == pytest.approx(4.0 * ARCSEC)
-    turned = face_errors(adjust(measured(none, ahead, (0, 1))), N)[0]
+    turned = face_errors(adjust(measured(none, ahead, (0, 1))))[0]
     assert turned[5] == pytest.approx(11 / 12 * 4 * ARCSEC)
 
 
@@ -76,22 +94,22 @@ def test_the_signs_are_those_of_the_conventions():
         ((0, 1, 5), True, {}, ("drift", "knock", "repeatability", "scale", "one place")),
         ((0, 1, 5), False, {},
          ("drift", "knock", "axis noise", "repeatability", "scale", "one place")),
-        ((0,), True, {"unknown_faces": False},
-         ("axis noise", "repeatability", "scale", "gauge", "one place")),
-        ((0,), False, {"certificate": np.zeros(N), "certificate_std": SIGMA},
+        ((0,), True, {},
+         ("drift", "knock", "axis noise", "repeatability", "scale", "gauge", "one place")),
+        ((0,), False, {"certificate": np.zeros(N)},
          ("drift", "knock", "axis noise", "repeatability", "scale", "one place")),
     ],
 )  # fmt: skip
 def test_all_nine_effects_are_stated_and_what_the_readings_cannot_show_is_named(
     first_faces, closure, more, bare
 ):
-    readings = measured(*truth(np.random.default_rng(1)), first_faces, None, closure, **more)
-    where = readings.position, readings.face
-    found = adjust(readings)
-    (noise,) = (p.error for p in found.protections() if p.effect == "axis noise")
+    measurement = measured(*truth(np.random.default_rng(1)), first_faces, None, closure, **more)
+    settings, solver, read = measurement
+    found = adjust(measurement)
+    said = states(configured(settings, solver), found)
     result = found.result(
-        "polygon", np.arange(N), {"ECC": slice(N)}, where,
-        protections=_protections(readings, noise),
+        "polygon", np.arange(N), {"ECC": slice(N)}, (read.position, read.target),
+        protections=said.protections,
     )  # fmt: skip
     stated = [p.effect for p in result.protections]
     assert [effect for effect in stated if effect in EFFECTS] == list(EFFECTS)
@@ -103,16 +121,17 @@ def test_the_same_as_dense_least_squares_with_constraints():
     rng = np.random.default_rng(17)
     first = (0, 1, 5)
     problem = measured(*truth(rng), first, rng.standard_normal(3) * 1e-5, closure=True)
-    reading = problem.reading + SIGMA * rng.standard_normal(len(problem.reading))
-    found = adjust(replace(problem, reading=reading))
-    columns = [np.eye(N)[problem.position], np.eye(N)[problem.face], np.eye(3)[problem.mounting]]
+    read = problem[2]
+    reading = read.value + SIGMA * rng.standard_normal(len(read.value))
+    found = adjust(with_readings(problem, reading))
+    columns = [np.eye(N)[read.position], np.eye(N)[read.target], np.eye(3)[read.station]]
     gauge = np.zeros((2, 2 * N + 3))
     gauge[0, 0] = gauge[1, N : 2 * N] = 1.0
     normal = np.block([[np.hstack(columns).T @ np.hstack(columns), gauge.T],
                        [gauge, np.zeros((2, 2))]])  # fmt: skip
     inverse = np.linalg.inv(normal)
     unknowns = inverse[:, : 2 * N + 3] @ (np.hstack(columns).T @ reading)
-    error, std = face_errors(found, N)
+    error, std = face_errors(found)
     assert found.value == pytest.approx(unknowns[:N], abs=1e-16)
     assert error == pytest.approx(unknowns[N : 2 * N], abs=1e-16)
     assert found.covariance / SIGMA**2 == pytest.approx(inverse[:N, :N], abs=1e-10)
@@ -139,18 +158,18 @@ def test_turning_all_mountings_and_faces_by_one_changes_nothing():
     table, face = truth(rng)
     noise = SIGMA * rng.standard_normal(3 * N)
     plain, turned = measured(table, face, (0, 1, 5)), measured(table, np.roll(face, 1), (1, 2, 6))
-    assert turned.reading == pytest.approx(plain.reading, abs=1e-18)
-    one = adjust(replace(plain, reading=plain.reading + noise))
-    two = adjust(replace(turned, reading=turned.reading + noise))
+    assert turned[2].value == pytest.approx(plain[2].value, abs=1e-18)
+    one = adjust(with_readings(plain, plain[2].value + noise))
+    two = adjust(with_readings(turned, turned[2].value + noise))
     assert two.value == pytest.approx(one.value, abs=1e-17)
-    faces = face_errors(two, N)[0]
-    assert faces == pytest.approx(np.roll(face_errors(one, N)[0], 1), abs=1e-17)
+    faces = face_errors(two)[0]
+    assert faces == pytest.approx(np.roll(face_errors(one)[0], 1), abs=1e-17)
 
 
 def test_one_mounting_with_a_certificate_carries_its_uncertainty():
     rng = np.random.default_rng(3)
     table, face = truth(rng)
-    known = {"certificate": face + 2.0 * ARCSEC, "certificate_std": 3.0 * SIGMA}
+    known = {"certificate": face + 2.0 * ARCSEC, "std": 3.0 * SIGMA}
     found = adjust(measured(table, face, (4,), **known))
     assert found.value == pytest.approx(table, abs=1e-17)  # the certificate's zero is its own
     assert found.std[1:] == pytest.approx(np.sqrt(2.0 * (1.0 + 3.0**2)) * SIGMA)
@@ -159,7 +178,8 @@ def test_one_mounting_with_a_certificate_carries_its_uncertainty():
 
 def test_a_perfect_polygon_is_believed_when_nothing_else_is_known():
     table, face = truth(np.random.default_rng(5))
-    found = adjust(measured(table, face, (0,), unknown_faces=False))
+    found = adjust(measured(table, face, (0,)))
+    assert not found.also
     assert found.value == pytest.approx(table + face - face[0], abs=1e-17)
 
 
@@ -167,9 +187,9 @@ def test_a_wrong_reading_is_rejected_alone():
     rng = np.random.default_rng(6)
     table, face = truth(rng)
     problem = measured(table, face, (0, 1, 5), closure=True)
-    reading = problem.reading + SIGMA * rng.standard_normal(len(problem.reading))
+    reading = problem[2].value + SIGMA * rng.standard_normal(3 * (N + 1))
     reading[17] += 40.0 * SIGMA
-    found = adjust(replace(problem, reading=reading))
+    found = adjust(with_readings(problem, reading))
     assert list(found.why) == [17]
     assert found.fit.residual[17] > 35.0 * SIGMA
     assert found.fit.dof == 3 * (N + 1) - (2 * N - 1 + 2) - 1
@@ -184,25 +204,41 @@ def test_what_separates_polygon_and_table(first_faces, good):
     assert separable(N, first_faces) is good
     if good:
         adjust(measured(table, face, first_faces))
-    else:
+    elif len(first_faces) > 1:
         with pytest.raises(ObservabilityError, match="cannot tell apart"):
             adjust(measured(table, face, first_faces))
 
 
 def test_a_position_without_reading_is_named():
-    problem = measured(*truth(np.random.default_rng(9)), (0, 1, 5))
-    keep = problem.position != 7
-    columns = ("position", "face", "mounting", "reading")
-    part = replace(problem, **{name: getattr(problem, name)[keep] for name in columns})
+    settings, solver, read = measured(*truth(np.random.default_rng(9)), (0, 1, 5))
+    keep = read.position != 7
+    columns = {name: column[keep] for name, column in vars(read).items()}
     with pytest.raises(
         ObservabilityError, match="no observation tells of table position 7: measure"
     ):
-        adjust(part)
+        adjust((settings, solver, Readings(**columns)))
+
+
+def test_a_contested_cause_widens_the_faces_and_what_trials_draw():
+    """A knock that nobody can tell from its neighbours moves the faces, too."""
+    rng = np.random.default_rng(20)
+    settings, solver, read = measured(*truth(rng), (0, 1, 5), closure=True)
+    knocked = 0.2 * ARCSEC * ((read.station == 1) & (read.position >= 6))
+    noise = SIGMA * rng.standard_normal(len(read.value))
+    found = adjust((settings, solver, replace(read, value=read.value + knocked + noise)))
+    assert found.diagnosis.open_contests
+    certain = np.linalg.norm(found.fit.response, axis=1)
+    assert (face_errors(found)[1] > 1.001 * certain[N:]).any()
+    drawn = found.trials(rng, 20000)
+    assert np.cov(drawn.T)[1:, 1:] == pytest.approx(
+        found.covariance[1:, 1:], abs=0.06 * found.covariance.max()
+    )
+    assert pickle.loads(pickle.dumps(found.trials)).value == pytest.approx(found.value)
 
 
 def test_the_newest_mounting_has_to_be_aligned_before_the_plan_goes_on():
     settings = PolygonPlanSettings(first_faces=(0, 1), alignment_arcsec=60.0)
-    configuration = SimpleNamespace(plan=settings, solver=PolygonSolverSettings(), source="here")
+    configuration = configured(settings, PolygonSolverSettings())
     planned = plan(configuration)
     assert [(pause.first, pause.last) for pause in planned.pauses] == [(0, 0), (13, 13)]
     first, second = (

@@ -1,94 +1,40 @@
-"""The polygon method, as nodes, replay and report see it: settings, plan, result, tables."""
+"""The polygon method, as nodes, replay and report see it: plan, result, figures."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from rotcal_polygon.model import PolygonReadings, face_errors, model_of, separable
+from rotcal_polygon.model import FACE_ERROR, model_of, separable
+from rotcal_polygon.settings import PolygonPlanSettings, PolygonSolverSettings
 from rotcal_polygon.simulation import PolygonSimulationSettings, SimulatedAutocollimator
-from rotcal_ros.adjust.engine import adjust
-from rotcal_ros.capture import CaptureRules
-from rotcal_ros.capture.points import mean_point, points
+from rotcal_ros.adjust.engine import Adjusted
+from rotcal_ros.adjust.model import Model
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
-from rotcal_ros.foundation.errors import ConfigurationError, DataError, PlanError
-from rotcal_ros.foundation.observations import Approach, Observation, PointKind
+from rotcal_ros.foundation.errors import ConfigurationError, PlanError
+from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.settings import setting
-from rotcal_ros.foundation.tables import Row, Table, hashes
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
-from rotcal_ros.methods.calibration import prepare
+from rotcal_ros.methods.by_model import ByModel, Statement
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.disturbance import (
-    Disturbance,
-    Disturbances,
-    DisturbedMeasurement,
-    Sizes,
-    harmless,
-    repeatability,
-    spoiled,
-)
+from rotcal_ros.methods.disturbance import harmless, of_readings, repeatability
 from rotcal_ros.methods.figures import Figure, style
 from rotcal_ros.methods.figures.residuals import residual_figures
-from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder
-from rotcal_ros.methods.method import Method, TableReader, Trials
-from rotcal_ros.planning.plan import Move, Pause, Plan, Step
+from rotcal_ros.methods.measurements import planned_table
+from rotcal_ros.planning.plan import Plan, numbered_steps, pauses_at_stations
+from rotcal_ros.planning.readings import Readings
 
 NAME: Final = "polygon"
 NOWHERE: Final = (0.0, 0.0, 0.0)
-"""The autocollimator stays where it is; what it shall read is zero."""
+"""The autocollimator stays where it is."""
 ARRIVALS: Final = 1.4
 """What arrivals that scatter do before they are found, per what noise does: by simulation of the
 demonstration, as scripts/power_table.py does, 2.4 standard uncertainties where noise does 1.85."""
 FARTHEST_RAD: Final = 0.02
 """No autocollimator reads more than a degree."""
-
-
-@dataclass(frozen=True)
-class PolygonPlanSettings:
-    """The polygon, its mountings, and where the table stops: once for every face."""
-
-    faces: int = setting(
-        12, doc="number of faces of the polygon", minimum=3, maximum=144, first=True
-    )
-    first_faces: tuple[int, ...] = setting(
-        (0, 1, 5),
-        doc="face before the autocollimator at table position 0, by mounting",
-        minimum=0,
-        first=True,
-    )
-    table_start_deg: float = setting(0.0, doc="deg, table angle of position 0", first=True)
-    closure: bool = setting(True, doc="measure position 0 again after a full turn")
-    readings: int = setting(3, doc="readings at each position", minimum=1, maximum=1000)
-    alignment_arcsec: float = setting(
-        60.0, doc="arcsec, largest first reading of a mounting: else align again", minimum=0.1
-    )
-
-
-@dataclass(frozen=True)
-class PolygonSolverSettings:
-    """How sure a reading is, and what is known about the polygon."""
-
-    sigma_arcsec: float = setting(
-        0.05, doc="arcsec, standard deviation of a reading, the table's repeatability included",
-        minimum=1e-6, first=True,
-    )  # fmt: skip
-    face_errors_arcsec: tuple[float, ...] = setting(
-        (),
-        doc="arcsec, certificate: how far each face is turned counter-clockwise; none: unknown",
-        first=True,
-    )
-    face_std_arcsec: float = setting(
-        0.05,
-        doc="arcsec, standard uncertainty (k = 1) of the face errors of the certificate",
-        minimum=1e-6,
-        first=True,
-    )
 
 
 def plan(configuration: Configuration) -> Plan:
@@ -99,30 +45,22 @@ def plan(configuration: Configuration) -> Plan:
     """
     _check(configuration)
     settings: PolygonPlanSettings = configuration.plan
-    stops, first = settings.faces + settings.closure, settings.first_faces
-    angle = [
-        (settings.table_start_deg + 360.0 / settings.faces * i) * DEGREE for i in range(stops)
+    n, first, start = settings.faces, settings.first_faces, settings.table_start_deg
+    angles = [(start + 360.0 / n * i) * DEGREE for i in range(n + settings.closure)]
+    rows = (
+        (position, (face + position) % n, mounting)
+        for mounting, face in enumerate(first)
+        for position in range(len(angles))
+    )
+    targets, points = (NOWHERE,) * n, settings.readings
+    steps = numbered_steps(rows, angles, targets, PointKind.READING, n_points=points)
+    instructions = [
+        f"mounting {mounting} of {len(first)}: turn the polygon on the table so that the "
+        f"autocollimator sees face {face} with the table at {start:g} deg"
+        for mounting, face in enumerate(first)
     ]
-    steps = tuple(
-        Step(
-            index=mounting * stops + position, table_position=position,
-            table_angle=angle[position], approach=Approach.POSITIVE, kind=PointKind.READING,
-            target=(face + position) % settings.faces, position=NOWHERE, station=mounting,
-            n_points=settings.readings,
-        )
-        for mounting, face in enumerate(first)
-        for position in range(stops)
-    )  # fmt: skip
-    pauses = tuple(
-        Pause(
-            mounting * stops, mounting * stops,
-            f"mounting {mounting} of {len(first)}: turn the polygon on the table so that the "
-            f"autocollimator sees face {face} with the table at {settings.table_start_deg:g} deg",
-            move=Move("polygon", mounting),
-        )
-        for mounting, face in enumerate(first)
-    )  # fmt: skip
-    return Plan(NAME, tuple(angle), (NOWHERE,) * settings.faces, steps, pauses)
+    pauses = pauses_at_stations(steps, "polygon", instructions)
+    return Plan(NAME, tuple(angles), targets, steps, pauses)
 
 
 def _check(configuration: Configuration) -> None:
@@ -146,78 +84,44 @@ def _check(configuration: Configuration) -> None:
         )
 
 
-def readings_of(
-    configuration: Configuration, observations: Sequence[Observation]
-) -> PolygonReadings:
-    """Return what was read, for the engine; position N is position 0 again."""
-    if not observations:
-        raise DataError("the autocollimator has read nothing: there is nothing to solve")
-    settings, solver = configuration.plan, configuration.solver
-    known = solver.face_errors_arcsec
-    columns = [(o.table_position % settings.faces, o.target, o.station) for o in observations]
-    return PolygonReadings(
-        settings.faces, *np.array(columns).T, np.array([o.mean[0] for o in observations]),
-        solver.sigma_arcsec * ARCSEC, np.array(known) * ARCSEC if known else None,
-        solver.face_std_arcsec * ARCSEC, bool(known) or len(settings.first_faces) > 1,
-    )  # fmt: skip
+def model(configuration: Configuration, read: Readings) -> Model:
+    """Return what was read, for the engine."""
+    return model_of(configuration.plan, configuration.solver, read)
 
 
-def solve(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
-    """Solve accepted observations; residuals are radians, ``target`` is the face."""
-    readings = readings_of(configuration, observations)
-    found = adjust(model_of(readings))
-    noise = next(p.error for p in found.protections() if p.effect == "axis noise")
-    n, doubts, details = readings.faces, [], {}
-    if readings.unknown_faces:
-        error, std = face_errors(found, n)
+def states(configuration: Configuration, found: Adjusted) -> Statement:
+    """Return the faces' errors, and what is done about effects that no reading can tell of."""
+    gauge = Protection("gauge", "estimated", "the mountings separate the polygon's errors")
+    doubts, details = [], {}
+    if FACE_ERROR in found.also:
+        error, std = found.also[FACE_ERROR]
         details = {"face_error_rad": error, "face_error_std_rad": std}
     else:
         doubts.append(
             "the errors of the polygon are in the result: there is one mounting and no "
             "certificate; add mountings, or solver.face_errors_arcsec"
         )
-    return found.result(
-        NAME,
-        np.array(plan.table_angles[:n]),
-        {"ECC": slice(n)},
-        (readings.position, readings.face),
-        doubts=doubts,
-        protections=_protections(readings, noise),
-        details=details,
-    )
-
-
-def _protections(readings: PolygonReadings, noise: float | None) -> tuple[Protection, ...]:
-    """Return what is done about effects that no reading can tell of.
-
-    ``noise``: error of a larger noise that just is found, in standard uncertainties.
-    """
-    once = len(np.unique(readings.mounting)) == 1
-    repeats = "the table comes once to an angle" if once else "every mounting comes to every angle"
-    gauge = Protection("gauge", "estimated", "the mountings separate the polygon's errors")
-    if readings.certificate is not None:
-        gauge = Protection("gauge", "bounded", "the polygon's errors are those of its certificate")
-    elif not readings.unknown_faces:
         gauge = Protection("gauge", "not protected", "the polygon's errors are in the result")
+    if configuration.solver.face_errors_arcsec:
+        gauge = Protection("gauge", "bounded", "the polygon's errors are those of its certificate")
+    return Statement(doubts, (*_harmless(), _arrivals(found), gauge), details)
+
+
+def _harmless() -> tuple[Protection, ...]:
     return (
         Protection("error motion", "harmless", "an autocollimator sees no shift of the face"),
-        Protection(
-            "repeatability",
-            "not protected" if once else "tested",
-            repeats,
-            None if once or noise is None else ARRIVALS * noise,
-        ),
         Protection("refraction", "harmless", "a steady bend is the same at all faces"),
         Protection("tilt", "harmless", "a tilt moves the image across the direction that is read"),
-        gauge,
     )
 
 
-def trials(
-    configuration: Configuration, _plan: Plan, observations: Sequence[Observation]
-) -> Trials:
-    """Prepare Monte Carlo trials about accepted observations."""
-    return adjust(model_of(readings_of(configuration, observations))).trials
+def _arrivals(found: Adjusted) -> Protection:
+    mounting = found.model.groupings[0].number
+    if len(np.unique(mounting[mounting >= 0])) == 1:
+        return Protection("repeatability", "not protected", "the table comes once to an angle")
+    noise = next(p.error for p in found.protections() if p.effect == "axis noise")
+    error = None if noise is None else ARRIVALS * noise
+    return Protection("repeatability", "tested", "every mounting comes to every angle", error)
 
 
 def check(
@@ -231,35 +135,6 @@ def check(
         for o in observations
         if (o.station, o.table_position) == (newest, 0) and abs(o.mean[0]) > limit * ARCSEC
     )
-
-
-def read(configuration: Configuration, table: Table, _targets: Path | None) -> PlannedMeasurements:
-    """Return the readings of a plain table by position and mounting, from 0.
-
-    DataError names file and row of what cannot be.
-    """
-    calibration, settings = prepare(configuration), configuration.plan
-    find, observations = RowStepFinder(calibration.plan), []
-    for row in table.rows():
-        position, mounting = row.index("position"), row.index("mounting")
-        if mounting >= len(settings.first_faces):
-            raise DataError(
-                f"{row.place}: mounting {mounting} is not in the plan, which has mountings "
-                f"0 to {len(settings.first_faces) - 1}"
-            )
-        step = find(row, position, (settings.first_faces[mounting] + position) % settings.faces)
-        observations.append(step.observed((_reading(row), 0.0, 0.0)))
-    return PlannedMeasurements(calibration, tuple(observations), hashes(table.path))
-
-
-def _reading(row: Row) -> float:
-    value = row.number("reading_rad")
-    if abs(value) > FARTHEST_RAD:
-        raise DataError(
-            f"{row.place}: reading_rad is {value:g} rad, more than {FARTHEST_RAD:g}; are these "
-            "arcseconds? Tables are in radians"
-        )
-    return value
 
 
 def figures(result: Result, _truth: Mapping[str, Any] | None) -> Sequence[Figure]:
@@ -285,51 +160,22 @@ def _face_errors(details: Mapping[str, Any]) -> str:
     return style.svg(ax)
 
 
-def measure(
-    configuration: Configuration, plan: Plan, sizes: Sizes, seed: int
-) -> DisturbedMeasurement:
-    """Return readings of every step, with noise and the effects of ``sizes``."""
-    n = configuration.plan.faces
-    true = 2.0 * ARCSEC * np.random.default_rng([seed, 2]).standard_normal(n)
-    at = [step.table_position % n for step in plan.steps]
-    exact = [
-        step.observed((angle, 0.0, 0.0)) for step, angle in zip(plan.steps, true[at], strict=True)
-    ]
-    found = spoiled(model_of(readings_of(configuration, exact)), plan, sizes, seed)
-    steps = zip(plan.steps, found.tolist(), strict=False)  # the certificate's values come after
-    observations = tuple(step.observed((value, 0.0, 0.0)) for step, value in steps)
-    return DisturbedMeasurement(observations, {"ECC": np.resize(true, len(plan.distinct_angles))})
-
-
-DISTURBANCES: Final = Disturbances(
-    (
-        Disturbance("drift", "linearly in each mounting", "arcsec", ARCSEC, 0.05, 20.0),
-        Disturbance("knock", "from one moment on", "arcsec", ARCSEC, 0.05, 20.0),
-        Disturbance(
-            "axis noise", "so many times as stated", "times", 1.0, 1.2, 50.0, scatters=True
-        ),
-        Disturbance("scale", "all readings too large by so much", "%", 0.01, 1.0, 50.0),
-        repeatability(0.02, 10.0),
-        *harmless("error motion", "refraction", "tilt", "gauge"),
-    ),
-    measure,
-)
-METHOD: Final = Method(
-    name=NAME,
+METHOD: Final = ByModel(NAME, model, states).method(
     title="Optical polygon and autocollimator",
     page="polygon",
-    topics=("probe_point", "joint_states"),
     plan_settings=PolygonPlanSettings,
     solver_settings=PolygonSolverSettings,
     simulation_settings=PolygonSimulationSettings,
     simulated_instrument=SimulatedAutocollimator,
     plan=plan,
-    capture=CaptureRules({PointKind.READING: points(mean_point)}),
-    solve=solve,
-    trials=trials,
     check=check,
-    nominal=lambda _configuration, _plan: lambda step: step.position,
-    table=TableReader((("position", "mounting", "reading_rad"),), read),
+    table=planned_table(
+        {"position": "table_position", "mounting": "station"}, {"reading_rad": FARTHEST_RAD}
+    ),
     figures=figures,
-    disturbances=DISTURBANCES,
+    disturbances=(
+        *of_readings(0.05, 20.0),
+        repeatability(0.02, 10.0),
+        *harmless("error motion", "refraction", "tilt", "gauge"),
+    ),
 )

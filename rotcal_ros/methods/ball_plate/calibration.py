@@ -21,6 +21,7 @@ from rotcal_ros.methods.ball_plate.solver_settings import DRIFTS, BallPlateSolve
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Trials
 from rotcal_ros.planning.plan import Plan
+from rotcal_ros.planning.readings import Readings
 
 
 def solve(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
@@ -46,7 +47,7 @@ def _told_by_touches(
     protections: Sequence[Protection], observations: Sequence[Observation]
 ) -> tuple[Protection, ...]:
     """Return the protections; balls whose touches were captured tell which way z points."""
-    if any(o.kind != PointKind.SURFACE or not o.window_end_ns for o in observations):
+    if any(o.kind != PointKind.SURFACE or not o.captured for o in observations):
         return tuple(protections)
     touched = Protection(
         "sign of z",
@@ -112,12 +113,12 @@ def problem(
     if not observations:
         raise DataError("no ball was measured: there is nothing to solve")
     settings: BallPlatePlanSettings = configuration.plan
-    plate, solver = settings.plate, configuration.solver
+    plate, solver, read = settings.plate, configuration.solver, Readings.of(observations)
     return BallPlateProblem(
         grid=plate.grid,
         radius=plate.circle_radius_m,
-        position=np.array([o.table_position for o in observations], dtype=np.int64),
-        ball_step=np.array([o.target for o in observations], dtype=np.int64),
+        position=read.position,
+        ball_step=read.target,
         centres=np.array([o.mean for o in observations]) - np.array(settings.centre_m),
         sigma=None if solver.own_std else solver.sigma_centre_m or None,
         std=_std(solver, observations),

@@ -36,11 +36,10 @@ def read(configuration: Configuration, table: Table, _targets: Path | None) -> P
         solver = replace(configuration.solver, own_std=True)
         configuration = replace(configuration, solver=solver)
     calibration = prepare(configuration)
-    find = RowStepFinder(calibration.plan, target="ball step")
+    find = RowStepFinder(calibration.plan, {"position": "table_position", "ball_step": "target"})
     observations = []
     for number, row in enumerate(table.rows()):
-        step = find(row, row.index("position"), row.index("ball_step"))
-        observation = step.observed(row.point(), PointKind.CENTRE)
+        observation = find(row).observed(row.point(), PointKind.CENTRE)
         std = tuple(_std(row, name) for name in STD) if stated else observation.std
         observations.append(replace(observation, step=number, std=std))
     return PlannedMeasurements(calibration, tuple(observations), hashes(table.path))

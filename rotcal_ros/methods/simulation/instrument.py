@@ -17,7 +17,10 @@ from rotcal_ros.foundation.observations import (
     ProbeSample,
     TracerSample,
 )
+from rotcal_ros.foundation.units import ARCSEC, NANOSECOND
 from rotcal_ros.methods.simulation.air import SimulatedTemperature
+from rotcal_ros.methods.simulation.noise import IndexedNoise
+from rotcal_ros.methods.simulation.settings import AngleReaderSettings
 from rotcal_ros.methods.simulation.table import ExternalTable, SimulatedTable
 
 Table = SimulatedTable | ExternalTable
@@ -142,6 +145,39 @@ class SeriesInstrument(SimulatedInstrument):
         if self._answered == count:
             self.pending = None
         return tuple(samples)
+
+
+class AngleReader(SeriesInstrument):
+    """Stays where it is and reads one or two small angles, with noise, as far as it can.
+
+    ``source``: its own stream of random numbers, see :class:`~.noise.NoiseSource`.
+    """
+
+    def __init__(self, own: AngleReaderSettings, seed: int, source: int, start_ns: int) -> None:
+        super().__init__(start_ns)
+        self.own, self._noise, self._read = own, IndexedNoise(seed, source), 0
+
+    @abstractmethod
+    def seen(self, stamp_ns: int, order: Command) -> Floats:
+        """Return the true angles (2,), rad, without noise; the second is 0 where there is one."""
+
+    def series(self, _order: Command) -> Series:
+        """Return how often and how fast it reads."""
+        settling_ns, each_ns = (
+            round(time_s / NANOSECOND)
+            for time_s in (self.own.settling_time_s, self.own.reading_time_s)
+        )
+        return Series(self.own.readings, settling_ns, each_ns)
+
+    def reading(self, stamp_ns: int, order: Command, number: int) -> ProbeSample:
+        """Return what it reads; beyond its range that is no number."""
+        std = self.own.noise_arcsec * ARCSEC * np.array([1.0, 1.0, 0.0])
+        noise = self.own.noise_arcsec * ARCSEC * self._noise.normal(2 * self._read, 2)
+        self._read += 1
+        seen = self.seen(stamp_ns, order)
+        beyond = np.abs(seen).max() > self.own.range_arcsec * ARCSEC
+        read = np.append(np.where(beyond, np.nan, seen) + noise, 0.0)
+        return self.point(stamp_ns, order, read, std, number)
 
 
 MakeInstrument = Callable[[Any, Table, SimulatedTemperature, int], SimulatedInstrument]

@@ -151,6 +151,17 @@ class SimulatedAirSettings:
 
 
 @dataclass(frozen=True)
+class AngleReaderSettings:
+    """An instrument at rest that reads small angles: an autocollimator, an interferometer."""
+
+    noise_arcsec: float = setting(0.03, doc="arcsec, noise of one reading", minimum=0.0)
+    range_arcsec: float = setting(300.0, doc="arcsec, largest reading", minimum=1.0)
+    settling_time_s: float = setting(1.0, doc="s, from table at rest to reading", minimum=0.0)
+    reading_time_s: float = setting(0.2, doc="s, from one reading to the next", minimum=1e-3)
+    readings: int = setting(3, doc="readings for each order", minimum=1, maximum=1000)
+
+
+@dataclass(frozen=True)
 class SimulationSettings:
     """The simulated cell: a table, a temperature, and the instrument of a method."""
 

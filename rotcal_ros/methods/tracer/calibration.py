@@ -33,8 +33,8 @@ from rotcal_ros.methods.tracer.solver.solve import result_of
 from rotcal_ros.methods.tracer.solver.trials import trials_about
 from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
 from rotcal_ros.planning.plan import Plan
+from rotcal_ros.planning.readings import Readings
 from rotcal_ros.planning.table_angles import table_angles
-from rotcal_ros.planning.time_order import time_order
 
 
 def solve(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
@@ -178,18 +178,17 @@ def problem(
                 f"step {o.step}: position {o.table_position}, target {o.target} are not in the "
                 f"plan of {len(plan.table_angles)} angles and {len(plan.targets)} targets"
             )
-    target = np.array([o.target for o in observations], dtype=np.int64)
-    reported = reported_positions(observations)
-    targets = mean_targets(np.array(plan.targets), target, reported)
-    distance = np.linalg.norm(targets, axis=1)[target]
+    read, reported = Readings.of(observations), reported_positions(observations)
+    targets = mean_targets(np.array(plan.targets), read.target, reported)
+    distance = np.linalg.norm(targets, axis=1)[read.target]
     variance, growing = stated_variance(settings, observations, distance)
     return TracerProblem(
-        position=np.array([o.table_position for o in observations], dtype=np.int64),
-        target=target,
-        length=np.array([o.mean[0] for o in observations]),
+        position=read.position,
+        target=read.target,
+        length=read.value,
         length_std=np.sqrt(variance),
         distance_std=growing,
-        order=time_order(observations),
+        order=read.order,
         segment=_segments(observations) if _in_segments(configuration) else None,
         again=_again(plan, observations),
         zero_walk_std=settings.zero_walk_std_m if _in_segments(configuration) else 0.0,

@@ -23,7 +23,7 @@ from rotcal_ros.methods.tracer.solver.grid import station_minimum
 from rotcal_ros.methods.tracer.solver.observability import what_is_missing
 from rotcal_ros.methods.tracer.solver.solve import METHOD
 from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
-from rotcal_ros.planning.plan import Plan, Point, Step
+from rotcal_ros.planning.plan import Plan, Point, Step, numbered_steps
 from rotcal_ros.planning.points import block, in_a_line, in_a_plane, triples
 from rotcal_ros.planning.table_angles import table_angles, visits
 
@@ -198,18 +198,9 @@ def _plan(
     approaches: Sequence[Approach],
 ) -> Plan:
     """Return the plan with one step for each pair (arrival, target), in their order."""
-    steps = tuple(
-        Step(
-            index=number,
-            table_position=arrival,
-            table_angle=table_angles[arrival],
-            approach=approaches[arrival],
-            kind=PointKind.REFLECTOR,
-            target=target,
-            position=targets[target],
-        )
-        for number, (arrival, target) in enumerate(pairs)
-    )
+    rows = ((arrival, target, 0) for arrival, target in pairs)
+    kind = PointKind.REFLECTOR
+    steps = numbered_steps(rows, table_angles, targets, kind, approaches=approaches)
     return Plan(METHOD, table_angles, targets, steps)
 
 

@@ -6,7 +6,7 @@ A fourth column ``segment`` numbers the unbroken beams. Beside a table of length
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -14,14 +14,14 @@ from typing import Final
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.observations import Approach, Observation
-from rotcal_ros.foundation.tables import Header, Row, Table, hashes, read_table, require_header
+from rotcal_ros.foundation.tables import Header, Table, hashes, read_table, require_header
 from rotcal_ros.methods.calibration import Calibration, prepare
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder
 from rotcal_ros.methods.method import PlanFile
 from rotcal_ros.methods.tracer.lengths import LengthCheck
 from rotcal_ros.methods.tracer.plan import explicit_plan, plan_of
-from rotcal_ros.planning.plan import Plan, Point, Step
+from rotcal_ros.planning.plan import Plan, Point
 
 SEGMENT: Final = "segment"
 HEADERS: Final[tuple[Header, ...]] = (
@@ -56,26 +56,22 @@ def read(configuration: Configuration, table: Table, targets: Path | None) -> Pl
         else:
             plan = plan_of(angles, read_targets(targets), unknown)
         calibration = Calibration(configuration, plan)
-    find = RowStepFinder(calibration.plan)
-    observations = observed_rows(
-        table,
-        calibration.plan,
-        lambda row: find(row, row.index("position"), row.index("target")),
-    )
+    columns = {"position": "table_position", "target": "target"}
+    observations = observed_rows(table, calibration.plan, columns)
     return PlannedMeasurements(calibration, observations, hashes(*files))
 
 
-def observed_rows(
-    table: Table, plan: Plan, step_of: Callable[[Row], Step]
-) -> tuple[Observation, ...]:
+def observed_rows(table: Table, plan: Plan, columns: Mapping[str, str]) -> tuple[Observation, ...]:
     """Return the lengths of ``table``, each as the one step of ``plan`` that its row tells.
 
-    Raises DataError for a length that cannot be one in metres.
+    ``columns`` as of a :class:`RowStepFinder`. Raises DataError for a length that cannot be one in
+    metres.
     """
-    in_segments, check = SEGMENT in table.header, LengthCheck(plan)
+    find, check = RowStepFinder(plan, columns), LengthCheck(plan)
+    in_segments = SEGMENT in table.header
     observations = []
     for row in table.rows():
-        step, segment = step_of(row), row.index(SEGMENT) if in_segments else 0
+        step, segment = find(row), row.index(SEGMENT) if in_segments else 0
         observation = check(replace(step.observed((row.metres("length_m"),)), segment=segment))
         if not observation.accepted:
             raise DataError(f"{row.place}: {observation.reason}")

@@ -36,7 +36,7 @@ from rotcal_ros.methods.tracer_six.solver_settings import (
     ZeroSetting,
 )
 from rotcal_ros.planning.plan import Plan, Point
-from rotcal_ros.planning.time_order import time_order
+from rotcal_ros.planning.readings import Readings
 
 
 def solve(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
@@ -105,18 +105,18 @@ def problem(
     settings: TracerSixSolverSettings = configuration.solver
     places = np.array(places_of(configuration.plan))
     _require_planned(plan, places, observations)
-    target = np.array([o.target for o in observations], dtype=np.int64)
-    targets = mean_targets(np.array(plan.targets), target, reported_positions(observations))
-    distance = np.linalg.norm(targets, axis=1)[target]
+    read = Readings.of(observations)
+    targets = mean_targets(np.array(plan.targets), read.target, reported_positions(observations))
+    distance = np.linalg.norm(targets, axis=1)[read.target]
     variance, growing = stated_variance(settings, observations, distance)
     zero, segment = _zeros(settings.zero, observations)
     arrival = arrivals(plan)
     shift, turn, own_std = _scatter(configuration)
     return SixProblem(
-        position=np.array([o.table_position for o in observations], dtype=np.int64),
-        place=np.array([o.station for o in observations], dtype=np.int64),
-        target=target,
-        length=np.array([o.mean[0] for o in observations]),
+        position=read.position,
+        place=read.station,
+        target=read.target,
+        length=read.value,
         length_std=np.sqrt(variance + own_std**2),
         distance_std=growing,
         targets=targets,
@@ -135,7 +135,7 @@ def problem(
         ),
         tilt_std=settings.tilt_std_rad,
         slip=settings.slip_m,
-        order=time_order(observations),
+        order=read.order,
         settings=settings,
     )
 

@@ -22,7 +22,15 @@ from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION
 from rotcal_ros.methods.tracer_six.settings import SixPlanSettings
 from rotcal_ros.methods.tracer_six.solver import METHOD
 from rotcal_ros.methods.tracer_six.solver.layout import lost_direction
-from rotcal_ros.planning.plan import TABLE_FRAME, Move, Pause, Plan, Point, Step
+from rotcal_ros.planning.plan import (
+    TABLE_FRAME,
+    Move,
+    Pause,
+    Plan,
+    Point,
+    Step,
+    numbered_steps,
+)
 from rotcal_ros.planning.points import triples
 from rotcal_ros.planning.table_angles import table_angles, visits
 
@@ -76,19 +84,8 @@ def plan_of(settings: SixPlanSettings, targets: tuple[Point, ...]) -> Plan:
     blocks = [
         _rows(number, visited, len(targets), settings.order) for number in range(len(places))
     ]
-    steps = tuple(
-        Step(
-            index=index,
-            table_position=position,
-            table_angle=angles[position],
-            approach=every[position].approach,
-            kind=PointKind.REFLECTOR,
-            target=target,
-            position=targets[target],
-            station=place,
-        )
-        for index, (place, position, target) in enumerate(chain(*blocks))
-    )
+    sides = [visit.approach for visit in every]
+    steps = numbered_steps(chain(*blocks), angles, targets, PointKind.REFLECTOR, approaches=sides)
     length = len(visited) * len(targets)
     pauses = tuple(
         Pause(
@@ -137,10 +134,10 @@ def check_plan(_configuration: Configuration, planned: Plan) -> None:
 def _rows(
     place: int, visited: Sequence[int], n_targets: int, order: str
 ) -> Iterator[tuple[int, int, int]]:
-    """Return place, table position and target of each step at a place."""
+    """Return table position, target and place of each step at a place."""
     if order == TARGETS_PER_STATION:
-        return ((place, at, target) for at, target in product(visited, range(n_targets)))
-    return ((place, at, target) for target, at in product(range(n_targets), visited))
+        return ((at, target, place) for at, target in product(visited, range(n_targets)))
+    return ((at, target, place) for target, at in product(range(n_targets), visited))
 
 
 def _located(steps: Sequence[Step], order: str) -> int:

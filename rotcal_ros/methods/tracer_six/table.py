@@ -16,7 +16,7 @@ from rotcal_ros.foundation.settings import declarations
 from rotcal_ros.foundation.tables import Header, Table, hashes
 from rotcal_ros.methods.calibration import Calibration, prepare
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder
+from rotcal_ros.methods.measurements import PlannedMeasurements
 from rotcal_ros.methods.tracer.table import SEGMENT, observed_rows, read_targets, targets_of_table
 from rotcal_ros.methods.tracer_six.plan import plan_of
 from rotcal_ros.methods.tracer_six.settings import SixPlanSettings
@@ -41,12 +41,8 @@ def read(configuration: Configuration, table: Table, targets: Path | None) -> Pl
         files.append(targets)
         plan = plan_of(configuration.plan, read_targets(targets))
         calibration = Calibration(configuration, plan)
-    find = RowStepFinder(calibration.plan, stations=True)
-    observations = observed_rows(
-        table,
-        calibration.plan,
-        lambda row: find(row, row.index("position"), row.index("target"), row.index("place")),
-    )
+    columns = {"place": "station", "position": "table_position", "target": "target"}
+    observations = observed_rows(table, calibration.plan, columns)
     return PlannedMeasurements(calibration, observations, hashes(*files))
 
 

@@ -1,0 +1,39 @@
+"""What an instrument read at the steps of a plan, column by column."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.planning.time_order import time_order
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """One row for each of n observations, in their order; numbers as of a step of the plan.
+
+    ``value`` (n,): what was read, the first of several values, SI. ``order`` (n,): rank in time.
+    """
+
+    position: Ints
+    target: Ints
+    station: Ints
+    value: Floats
+    order: Ints
+
+    @classmethod
+    def of(cls, observations: Sequence[Observation]) -> Readings:
+        """Return the columns of observations."""
+        numbers = [(o.table_position, o.target, o.station) for o in observations]
+        position, target, station = np.array(numbers, dtype=np.int64).reshape(-1, 3).T.copy()
+        value = np.array([o.mean[0] for o in observations])
+        return cls(position, target, station, value, time_order(observations))
+
+    @property
+    def when(self) -> Floats:
+        """``order`` as numbers (n,) along which something may drift."""
+        return self.order.astype(np.float64)
