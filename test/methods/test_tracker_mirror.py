@@ -2,16 +2,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mirror_cell import add_noise, measure, paper_cell, ring_cell, table_pose
 
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.observations import PointKind
-from rotcal_ros.methods.plane_mirror.mirror_physics import (
-    add_noise,
-    measure,
-    paper_cell,
-    ring_cell,
-    table_pose,
-)
 from rotcal_ros.methods.plane_mirror.solver import TrackerNoise
 
 

@@ -22,9 +22,9 @@ from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Trials
 from rotcal_ros.methods.plane_mirror import solver as plane_mirror
 from rotcal_ros.methods.plane_mirror.settings import MirrorPlanSettings
+from rotcal_ros.methods.plane_mirror.solver.prepare import MIN_SEPARATION
 from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem, noise_of
 from rotcal_ros.methods.plane_mirror.solver.registration import MIN_APART
-from rotcal_ros.methods.plane_mirror.solver.screening import MIN_SEPARATION
 from rotcal_ros.methods.plane_mirror.solver_settings import DIRECT, WAYS, MirrorSolverSettings, Way
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.table_angles import table_angles

@@ -1,9 +1,9 @@
 """A measured cell with known truth: deviations of a few arcsec, seen the wanted way."""
 
 import numpy as np
+from mirror_cell import measure, measure_direct, paper_cell
 
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.methods.plane_mirror.mirror_physics import measure, measure_direct, paper_cell
 
 PLACES = np.array([[0.3, 0.1, 0.1], [-0.2, 0.25, 0.15]])
 """Reflectors on the table, for the way "direct"."""

@@ -5,16 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from chances import LONG, most
+from mirror_cell import measure, measure_direct, paper_cell, ring_cell
 
 from rotcal_ros.foundation.errors import DataError, GeometryError
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
-from rotcal_ros.methods.plane_mirror.mirror_physics import (
-    measure,
-    measure_direct,
-    paper_cell,
-    ring_cell,
-)
 from rotcal_ros.methods.plane_mirror.solver import TrackerNoise, check_nests, solve
 
 DIRECT, MIRRORED, NEST = PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST

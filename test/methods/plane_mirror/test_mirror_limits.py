@@ -4,21 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mirror_cell import measure, measure_direct, paper_cell, ring_cell
 from mirror_scene import measured
 
 from rotcal_ros.foundation.errors import DataError, GeometryError
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
-from rotcal_ros.methods.plane_mirror.mirror_physics import (
-    measure,
-    measure_direct,
-    paper_cell,
-    ring_cell,
-)
 from rotcal_ros.methods.plane_mirror.solver import TrackerNoise, check_nests, mirror_trials, solve
 from rotcal_ros.methods.plane_mirror.solver.normals import fit_normals, pair_weights
+from rotcal_ros.methods.plane_mirror.solver.prepare import check_normals, check_pairs
 from rotcal_ros.methods.plane_mirror.solver.problem import find_nests, find_pairs, find_reflectors
-from rotcal_ros.methods.plane_mirror.solver.screening import check_normals, check_pairs, check_size
+from rotcal_ros.methods.plane_mirror.solver.solve import check_size
 
 DIRECT, MIRRORED, NEST = PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST
 

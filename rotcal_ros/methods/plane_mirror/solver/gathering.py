@@ -31,14 +31,13 @@ from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.protection import POWER, Protection
 from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.plane_mirror.solver.linear import Elements, Linear, linear
-from rotcal_ros.methods.plane_mirror.solver.prepare import (
+from rotcal_ros.methods.plane_mirror.solver.prepare import ScreenedPoints, prepare
+from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem
+from rotcal_ros.methods.plane_mirror.solver.ways import (
     PreparedNormals,
     PreparedPoints,
     PreparedWay,
-    ScreenedPoints,
-    prepare,
 )
-from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.solver_settings import DIRECT
 
 LEAST_OF_GROUP: Final = 2
