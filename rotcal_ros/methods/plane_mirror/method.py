@@ -26,10 +26,12 @@ from rotcal_ros.methods.plane_mirror.plan import (
     plan,
     tracker_stands,
 )
-from rotcal_ros.methods.plane_mirror.settings import MirrorPlanSettings
-from rotcal_ros.methods.plane_mirror.simulation_settings import MirrorSimulationSettings
+from rotcal_ros.methods.plane_mirror.settings import (
+    MirrorPlanSettings,
+    MirrorSimulationSettings,
+    MirrorSolverSettings,
+)
 from rotcal_ros.methods.plane_mirror.solver.solve import METHOD as NAME
-from rotcal_ros.methods.plane_mirror.solver_settings import MirrorSolverSettings
 from rotcal_ros.planning.plan import Plan, Step
 
 if TYPE_CHECKING:

@@ -24,9 +24,8 @@ from rotcal_ros.methods.plane_mirror.mirror_physics import (
     on_circle,
     reflector_places,
 )
-from rotcal_ros.methods.plane_mirror.settings import MIRROR, MirrorPlanSettings
+from rotcal_ros.methods.plane_mirror.settings import DIRECT, MIRROR, STITCHING, MirrorPlanSettings
 from rotcal_ros.methods.plane_mirror.solver.solve import METHOD
-from rotcal_ros.methods.plane_mirror.solver_settings import DIRECT, STITCHING
 from rotcal_ros.planning.plan import Move, Pause, Plan, Point, Step
 from rotcal_ros.planning.points import triples
 from rotcal_ros.planning.table_angles import table_angles

@@ -24,6 +24,7 @@ import numpy as np
 
 from rotcal_ros.adjust.groups import SolutionView
 from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.methods.plane_mirror.settings import STITCHING
 from rotcal_ros.methods.plane_mirror.solver import joint
 from rotcal_ros.methods.plane_mirror.solver.drift import movement
 from rotcal_ros.methods.plane_mirror.solver.normals import (
@@ -52,7 +53,6 @@ from rotcal_ros.methods.plane_mirror.solver.ways import (
     PreparedPoints,
     PreparedWay,
 )
-from rotcal_ros.methods.plane_mirror.solver_settings import STITCHING
 
 _CIRCLE: Final = 7
 """Unknowns of the circle of a reflector on the table: centre, three turns, radius."""

@@ -6,8 +6,9 @@ safely is left out, and the result says which rows and why.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import dist, hypot
 from typing import Final
 
 import numpy as np
@@ -17,8 +18,9 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.results import Rejection
-from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
 from rotcal_ros.geometry.rotations import wrap_angle
+from rotcal_ros.methods.plane_mirror.settings import DIRECT, JOINT, STITCHING
 from rotcal_ros.methods.plane_mirror.solver import joint
 from rotcal_ros.methods.plane_mirror.solver.drift import NestDrift, displaced_nests, find_drift
 from rotcal_ros.methods.plane_mirror.solver.normals import (
@@ -49,7 +51,6 @@ from rotcal_ros.methods.plane_mirror.solver.ways import (
     PreparedPoints,
     PreparedWay,
 )
-from rotcal_ros.methods.plane_mirror.solver_settings import DIRECT, JOINT, STITCHING
 
 MIN_SEPARATION: Final = 1e-3
 """Two reflectors, or a reflector and its image, are never closer than this (m)."""
@@ -202,27 +203,34 @@ def _require_three(problem: PlaneMirrorProblem, angles: Floats) -> None:
 
 
 def check_pairs(problem: PlaneMirrorProblem, pairs: MirrorPairs) -> None:
-    """Refuse a reflector measured twice directly, and direct and mirrored points exchanged.
+    """Refuse a reflector measured twice directly, and direct and mirrored points exchanged."""
+    for direct, mirrored in zip(pairs.direct.tolist(), pairs.mirrored.tolist(), strict=True):
+        if why := not_an_image(problem.xyz[direct].tolist(), problem.xyz[mirrored].tolist()):
+            raise DataError(
+                f"{problem.source}: {problem.row_name(direct)}: {why} (points are given in the "
+                "tracker's own frame, not in a common one)"
+            )
+
+
+def not_an_image(direct: Sequence[float], mirrored: Sequence[float]) -> str:
+    """Say why a point is not the image of the reflector at ``direct``; empty: it may be.
 
     The plane half way between M and M' separates the tracker from the image, so the direct point
     is always the nearer one.
     """
-    direct, mirrored = problem.xyz[pairs.direct], problem.xyz[pairs.mirrored]
-    apart = np.linalg.norm(direct - mirrored, axis=1)
-    near, far = np.linalg.norm(direct, axis=1), np.linalg.norm(mirrored, axis=1)
-    for pair, row in enumerate(pairs.direct):
-        where = f"{problem.source}: {problem.row_name(int(row))}"
-        if apart[pair] < MIN_SEPARATION:
-            raise DataError(
-                f"{where} and its mirrored point are {apart[pair] * 1e3:.3f} mm apart: the same "
-                "point was measured twice; measure the image through the mirror"
-            )
-        if near[pair] >= far[pair]:
-            raise DataError(
-                f"{where} is {near[pair]:.3f} m from the tracker and its mirrored point "
-                f"{far[pair]:.3f} m, but the image is always the farther one: exchange direct and "
-                "mirrored (and give the points in the tracker's own frame, not in a common one)"
-            )
+    apart = dist(direct, mirrored)
+    if apart < MIN_SEPARATION:
+        return (
+            f"the mirrored point is {apart / MILLIMETRE:.3f} mm from the direct one: the same "
+            "point was measured twice; measure the image through the mirror"
+        )
+    near, far = hypot(*direct), hypot(*mirrored)
+    if near >= far:
+        return (
+            f"the mirrored point is {far:.4f} m away, the direct one {near:.4f} m, but an image "
+            "is always the farther one: direct and mirrored exchanged"
+        )
+    return ""
 
 
 def drop_steep(

@@ -19,7 +19,7 @@ from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
-from rotcal_ros.methods.plane_mirror.solver_settings import (
+from rotcal_ros.methods.plane_mirror.settings import (
     INCIDENCE_LIMIT_DEG,
     WAYS,
     MirrorSolverSettings,

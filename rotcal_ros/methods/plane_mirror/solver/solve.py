@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from rotcal_ros.adjust import gathering as engine
 from rotcal_ros.adjust.distributions import chi2_isf, normal_isf
 from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.errors import DataError
@@ -29,6 +30,7 @@ from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.solver.readings import cones, islands
 from rotcal_ros.methods.plane_mirror.solver.ways import (
     AdjustedCurve,
+    Fit,
     PreparedNormals,
     PreparedPoints,
     PreparedWay,
@@ -58,7 +60,8 @@ def solve(problem: PlaneMirrorProblem) -> Result:
     curve, correction = _with_drift(prepared, prepared.curve(residuals))
     angles, deviations = prepared.angles, curve.deviations
     check_size(problem, angles, deviations)
-    sigma0 = float(np.sqrt(curve.chi_square / curve.dof)) if curve.dof else 1.0
+    fit = curve.fit
+    sigma0 = float(np.sqrt(fit.chi_square / fit.dof)) if fit.dof else 1.0
     covariance, warnings = _judge(problem, curve, sigma0)
     # To the noise come errors that may gather in one place, and drift that the nests cannot show.
     if (added := gathered.covariance()) is not None:
@@ -69,14 +72,16 @@ def solve(problem: PlaneMirrorProblem) -> Result:
     side = None if problem.upward is None else problem.upward[prepared.positions]
     again, differing = repeats(angles, deviations, covariance, problem.significance, side)
     std, closure = _std(covariance), _closure(angles, again)
-    gathers = gathering.doubts(gathered, problem)
+    limits = engine.GatheringLimits(gathering.USUAL_SHARE, problem.significance)
+    gathers = engine.doubts(gathered, limits, gathering.WORDS)
     warnings = [
         *screened.warnings, *gathers, *warnings, *correction.doubts(std), *differing
     ]  # fmt: skip
     closes = closure.get("closure_std_rad")
-    facts = _Evidence(prepared, correction, std, curve.dof, closes, points is not None)
+    facts = _Evidence(prepared, correction, std, fit.dof, closes, points is not None)
     details = {**_details(prepared, curve), "repeats": again, **closure}
-    details |= gathering.details(gathered)
+    if gathered.judgement is not None:
+        details["gathering"] = engine.details(gathered, gathering.WORDS.elements)
     steps = np.diff(np.eye(len(angles)), axis=0)
     result = Result(
         method=METHOD,
@@ -85,7 +90,7 @@ def solve(problem: PlaneMirrorProblem) -> Result:
         std={"ECC": std},
         covariance={"ECC": covariance},
         sigma0=sigma0,
-        dof=curve.dof,
+        dof=fit.dof,
         n_observations=len(problem.xyz),
         rejected=screened.rejected,
         verdict="suspect" if warnings else "ok",
@@ -124,14 +129,10 @@ def _with_drift(
     correction = DriftCorrection.of(prepared.problem, drift, prepared.drift_response())
     if not drift.size:
         return curve, correction
-    curve = replace(curve, covariance=curve.covariance + correction.covariance)
+    fit = curve.fit
     if not len(prepared.nests.row):  # else the nests are in the fit, with what the drift took
-        curve = replace(
-            curve,
-            chi_square=curve.chi_square + sum(s.chi_square for s in drift.stations),
-            dof=curve.dof + sum(s.dof for s in drift.stations),
-        )
-    return curve, correction
+        fit = fit + sum((Fit(s.chi_square, s.dof) for s in drift.stations), Fit())
+    return replace(curve, covariance=curve.covariance + correction.covariance, fit=fit), correction
 
 
 def _zeros(prepared: PreparedWay) -> tuple[str, tuple[FreeDirection, ...]]:
@@ -159,7 +160,7 @@ def _details(prepared: PreparedWay, curve: AdjustedCurve) -> dict[str, Any]:
     """Return the method's own part of the result; SI, plain arrays and numbers."""
     return {
         "way": prepared.problem.way,
-        **curve.details,
+        **curve.fit.details,
         **_stations(prepared),
         **_normals(prepared),
         **({} if prepared.problem.upward is None else {"table_positions": prepared.positions}),
@@ -173,9 +174,9 @@ def _judge(
 
     It is scaled when the residuals are larger than the stated noise allows.
     """
-    if curve.dof == 0:
+    if curve.fit.dof == 0:
         return curve.covariance, ["nothing is measured twice: the noise could not be checked"]
-    if curve.chi_square <= chi2_isf(problem.significance, curve.dof):
+    if curve.fit.chi_square <= chi2_isf(problem.significance, curve.fit.dof):
         return curve.covariance, []
     text = (
         f"the residuals are {sigma0:.2f} times what the stated noise explains; the standard "
@@ -348,8 +349,8 @@ def _carried(facts: _Evidence) -> Iterator[Protection]:
         lean = "a tilt of the table moves reflectors above its centre like radial error motion"
         yield Protection("tilt", "not protected", lean)
         return
-    still = "a mirror that is moved without turning keeps its normal"
-    yield Protection("error motion", "harmless", still)
+    motion = "a mirror that is moved without turning keeps its normal"
+    yield Protection("error motion", "harmless", motion)
     limit = facts.prepared.problem.tilt_std / ARCSEC
     stated = f"by the stated tilts of the table of {limit:g} arcsec (tilt_std_arcsec)"
     yield Protection("tilt", "bounded", stated)

@@ -22,6 +22,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.results import Residuals
+from rotcal_ros.methods.plane_mirror.settings import STITCHING
 from rotcal_ros.methods.plane_mirror.solver import joint
 from rotcal_ros.methods.plane_mirror.solver.drift import NestDrift
 from rotcal_ros.methods.plane_mirror.solver.normals import (
@@ -60,7 +61,6 @@ from rotcal_ros.methods.plane_mirror.solver.registration import (
     nest_equations,
     nest_fit,
 )
-from rotcal_ros.methods.plane_mirror.solver_settings import STITCHING
 
 _DRIFT_STEP: Final = 1e-6
 """Turn (rad), shift and range (m) that the response to a drift is found with."""
@@ -70,26 +70,29 @@ _CERTAIN: Final = 1e-300
 
 
 @dataclass(frozen=True)
-class AdjustedCurve:
-    """Deviations (N,) in rad from the first position, covariance (N, N), chi square and dof.
-
-    ``details`` are plain values for the result.
-    """
-
-    deviations: Floats
-    covariance: Floats
-    chi_square: float
-    dof: int
-    details: Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class _Fit:
+class Fit:
     """Chi square and degrees of freedom of what was fitted, and plain values for the result."""
 
     chi_square: float = 0.0
     dof: int = 0
     details: Mapping[str, Any] = field(default_factory=dict)
+
+    def __add__(self, other: Fit) -> Fit:
+        """Return both together, which are fitted apart from each other."""
+        return Fit(
+            self.chi_square + other.chi_square,
+            self.dof + other.dof,
+            {**self.details, **other.details},
+        )
+
+
+@dataclass(frozen=True)
+class AdjustedCurve:
+    """Deviations (N,) in rad from the first position, covariance (N, N), and how all fits."""
+
+    deviations: Floats
+    covariance: Floats
+    fit: Fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,9 +127,13 @@ class Prepared(ABC):
         """
         return self.deviations(self.drift.corrected(points))
 
-    @abstractmethod
     def deviations(self, points: Floats) -> Floats:
         """Return the deviations (..., N) of points (..., n, 3) that have no drift."""
+        return np.asarray(self.readings(points) @ self.joining.T, dtype=np.float64)
+
+    @abstractmethod
+    def readings(self, points: Floats) -> Floats:
+        """Return the readings of angles (..., m) that points (..., n, 3) make, see ``sets``."""
 
     @abstractmethod
     def curve(self, residuals: Residuals) -> AdjustedCurve:
@@ -158,11 +165,12 @@ class PreparedPoints(Prepared):
 
     reflectors: Reflectors
 
-    def deviations(self, points: Floats) -> Floats:
-        """Return the deviations about the circles of the reflectors."""
+    def readings(self, points: Floats) -> Floats:
+        """Return the readings about the circles of the reflectors."""
         own = points[..., self.reflectors.row, :]
-        placed = self.stations_of(points).placed(own, self.reflectors.station)
-        return np.asarray(direct_readings(placed, self.sets) @ self.joining.T, dtype=np.float64)
+        return direct_readings(
+            self.stations_of(points).placed(own, self.reflectors.station), self.sets
+        )
 
     def curve(self, residuals: Residuals) -> AdjustedCurve:
         """Return the curve of the readings about the circles, joined."""
@@ -176,16 +184,11 @@ class PreparedPoints(Prepared):
         m = len(radii)
         circles = _circles(self, residuals, off_circle, covariance[m:, m:])
         gain = self.joining @ direct_response(sets, radii)
+        details = {"axis": axes[0, 2], "radii_m": [float(r) for r in dict.fromkeys(radii)]}
         return AdjustedCurve(
             deviations=self.joining @ direct_readings(placed, sets),
             covariance=gain @ covariance[: 2 * m, : 2 * m] @ gain.T,
-            chi_square=circles.chi_square + nests.chi_square,
-            dof=circles.dof + nests.dof,
-            details={
-                "axis": axes[0, 2],
-                "radii_m": [float(r) for r in dict.fromkeys(radii)],
-                **nests.details,
-            },
+            fit=Fit(details=details) + circles + nests,
         )
 
 
@@ -203,10 +206,10 @@ class PreparedNormals(Prepared):
         """Return the mirror's planes that points (..., n, 3) show."""
         return fit_normals(points, self.pairs, self.pair_weight)
 
-    def deviations(self, points: Floats) -> Floats:
-        """Return the deviations of the normals, each in its station or all in the first one's."""
-        placed = self.stations_of(points).turned(self.normals(points).normal, self.pairs.station)
-        return np.asarray(cone_readings(placed, self.sets) @ self.joining.T, dtype=np.float64)
+    def readings(self, points: Floats) -> Floats:
+        """Return the readings about the cones of the normals."""
+        normal, station = self.normals(points).normal, self.pairs.station
+        return cone_readings(self.stations_of(points).turned(normal, station), self.sets)
 
     def curve(self, residuals: Residuals) -> AdjustedCurve:
         """Return the curve of the readings about the cones, joined."""
@@ -224,14 +227,13 @@ class PreparedNormals(Prepared):
         reading_covariance = response @ covariance @ response.T
         about_cones = _about_cones(placed, axes, sets, covariance[len(placed) :, len(placed) :])
         design = reading_design(pairs.position, sets.number, n)
-        fits = groups, about_cones, _misfit(readings, design, reading_covariance), nests
-        common = {} if problem.way == STITCHING else {"axis": axes[0]}
+        overlaps = _misfit(readings, design, reading_covariance)
+        details = {} if problem.way == STITCHING else {"axis": axes[0]}
+        details |= {"lean_rad": float(np.arcsin(height))}
         return AdjustedCurve(
             deviations=gain @ readings,
             covariance=gain @ reading_covariance @ gain.T + tilt_crosstalk(problem, lean, n),
-            chi_square=sum(fit.chi_square for fit in fits),
-            dof=sum(fit.dof for fit in fits),
-            details={**common, "lean_rad": float(np.arcsin(height)), **nests.details},
+            fit=Fit(details=details) + groups + about_cones + overlaps + nests,
         )
 
     @property
@@ -265,9 +267,7 @@ class PreparedJoint(PreparedNormals):
         # Three equations of each pair and each reading of a nest, less three for the place of a
         # nest, and less three for psi, eps and d of a position, of which eps is observed itself.
         n_known = len(pairs.direct) + len(self.nests.row) - self.nests.n_points
-        return AdjustedCurve(
-            deviations=angle_deviation(mirror.psi, self.angles),
-            covariance=covariance + tilt_crosstalk(problem, float(np.sin(mirror.beta)), n),
+        fit = Fit(
             chi_square=float(equations.chi_square) + groups.chi_square,
             dof=3 * n_known - equations.shared.shape[0] - 2 * n - taken,
             details={
@@ -277,6 +277,11 @@ class PreparedJoint(PreparedNormals):
                 **nests.details,
             },
         )
+        return AdjustedCurve(
+            deviations=angle_deviation(mirror.psi, self.angles),
+            covariance=covariance + tilt_crosstalk(problem, float(np.sin(mirror.beta)), n),
+            fit=fit,
+        )
 
 
 PreparedWay = PreparedPoints | PreparedNormals
@@ -285,7 +290,7 @@ PreparedWay = PreparedPoints | PreparedNormals
 
 def _circles(
     prepared: PreparedPoints, residuals: Residuals, off_circle: Floats, covariance: Floats
-) -> _Fit:
+) -> Fit:
     """Fit of the points about their circles, radially and axially; enters the residuals.
 
     ``covariance`` (2 M, 2 M): of all radial, then all axial movements, m^2.
@@ -303,26 +308,26 @@ def _circles(
     return _misfit(off_circle.T.ravel(), both, covariance)
 
 
-def _groups(prepared: PreparedNormals, residuals: Residuals) -> tuple[Normals, _Fit]:
+def _groups(prepared: PreparedNormals, residuals: Residuals) -> tuple[Normals, Fit]:
     """Return the normals, and the fit of the pairs about the plane of their group."""
     pairs, weight = prepared.pairs, prepared.pair_weight
     normals = prepared.normals(prepared.problem.xyz)
     _enter_pairs(residuals, prepared, normals)
     e = normals.misclosure
     chi_square = float(np.einsum("pi,pij,pj->", e, weight, e))
-    return normals, _Fit(chi_square, 3 * (len(pairs.direct) - pairs.n_groups))
+    return normals, Fit(chi_square, 3 * (len(pairs.direct) - pairs.n_groups))
 
 
-def _nests(prepared: Prepared, residuals: Residuals) -> _Fit:
+def _nests(prepared: Prepared, residuals: Residuals) -> Fit:
     """Return the fit of the fixed nests, if there are any; enters the residuals."""
     nests, problem = prepared.nests, prepared.problem
     if not len(nests.row):
-        return _Fit()
+        return Fit()
     taken = prepared.drift.size
     fit = nest_fit(problem.xyz, nests, prepared.nest_weight, prepared.poses, taken)
     length = np.linalg.norm(fit.residual, axis=1)
     _enter(residuals, nests.row, length, fit.redundancy, fit.test_value)
-    return _Fit(fit.chi_square, fit.dof, {"nests": _nest_entries(prepared, fit)})
+    return Fit(fit.chi_square, fit.dof, {"nests": _nest_entries(prepared, fit)})
 
 
 def _nest_entries(prepared: Prepared, fit: NestFit) -> list[dict[str, Any]]:
@@ -387,7 +392,7 @@ def _enter_pairs(residuals: Residuals, prepared: PreparedNormals, normals: Norma
         _enter(residuals, rows, length, own, test)
 
 
-def _about_cones(normals: Floats, axes: Floats, sets: Sets, covariance: Floats) -> _Fit:
+def _about_cones(normals: Floats, axes: Floats, sets: Sets, covariance: Floats) -> Fit:
     """Return the fit of normals (G, 3) about their cones; ``covariance`` (G, G): of all eta."""
     # Fewer than three normals have no plane of their own that they could leave.
     known = np.isin(sets.number, np.flatnonzero(np.bincount(sets.number) >= 3))
@@ -397,7 +402,7 @@ def _about_cones(normals: Floats, axes: Floats, sets: Sets, covariance: Floats) 
     return _misfit(values, design, covariance[np.ix_(known, known)])
 
 
-def _misfit(values: Floats, design: Floats, covariance: Floats) -> _Fit:
+def _misfit(values: Floats, design: Floats, covariance: Floats) -> Fit:
     """Return the fit of ``values`` (m,).
 
     ``design`` (m, k) spans what the unweighted fit takes away, ``covariance`` (m, m) is that of
@@ -408,7 +413,7 @@ def _misfit(values: Floats, design: Floats, covariance: Floats) -> _Fit:
     rank = int((size > 1e-9 * size.max()).sum())
     rest = basis[:, rank:]  # combinations of the values that the fit leaves alone
     if rest.shape[1] == 0:
-        return _Fit()
+        return Fit()
     part = rest.T @ values
     chi_square = part @ np.linalg.solve(rest.T @ covariance @ rest, part)
-    return _Fit(float(chi_square), rest.shape[1])
+    return Fit(float(chi_square), rest.shape[1])
