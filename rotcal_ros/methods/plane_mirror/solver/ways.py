@@ -228,8 +228,8 @@ class PreparedNormals(Prepared):
         about_cones = _about_cones(placed, axes, sets, covariance[len(placed) :, len(placed) :])
         design = reading_design(pairs.position, sets.number, n)
         overlaps = _misfit(readings, design, reading_covariance)
-        details = {} if problem.way == STITCHING else {"axis": axes[0]}
-        details |= {"lean_rad": float(np.arcsin(height))}
+        details: dict[str, Any] = {} if problem.way == STITCHING else {"axis": axes[0]}
+        details["lean_rad"] = float(np.arcsin(height))
         return AdjustedCurve(
             deviations=gain @ readings,
             covariance=gain @ reading_covariance @ gain.T + tilt_crosstalk(problem, lean, n),
