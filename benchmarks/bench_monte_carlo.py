@@ -16,6 +16,7 @@ from racing import Row
 from rotcal_ros.methods.ball_plate import solver as ball_plate
 from rotcal_ros.methods.tracer import solver as tracer
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "test" / "evaluation"))
 import one_table
 

@@ -9,9 +9,11 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import json
+import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
+from pathlib import Path
 
 import numpy as np
 from racing import Row, race
@@ -19,8 +21,10 @@ from scipy.optimize import least_squares
 from scipy.sparse import csr_array
 from scipy_plane_mirror import deviations_of, joint_residual
 
-from rotcal_ros.methods.plane_mirror.mirror_physics import measure, ring_cell
 from rotcal_ros.methods.plane_mirror.solver import PlaneMirrorProblem, mirror_trials, solve
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "test"))
+from mirror_cell import measure, ring_cell
 
 TRIALS, LOOPS = 1000, 20
 

@@ -13,7 +13,7 @@ from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.calibration import prepare
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.simulation import SimulatedCell
+from rotcal_ros.methods.simulation.cell import SimulatedCell
 from rotcal_ros.methods.simulation.table import true_deviations
 
 _SLICE_S = 0.2

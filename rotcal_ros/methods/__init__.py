@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Final
 if TYPE_CHECKING:
     from rotcal_ros.methods.calibration import (
         Calibration,
-        final_observations,
         last_accepted,
         prepare,
         prepare_to_measure,
@@ -33,7 +32,6 @@ __all__ = [
     "Configuration",
     "Method",
     "changed",
-    "final_observations",
     "find_method",
     "last_accepted",
     "method_names",

@@ -11,6 +11,7 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
+from mirror_cell import measure, ring_cell, table_pose
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.curves.interpolation import TURN
@@ -20,7 +21,6 @@ from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.ball_plate import solver as ball_plate
 from rotcal_ros.methods.ball_plate.solver import BallPlateProblem
 from rotcal_ros.methods.plane_mirror import solver as plane_mirror
-from rotcal_ros.methods.plane_mirror.mirror_physics import measure, ring_cell, table_pose
 from rotcal_ros.methods.plane_mirror.solver import PlaneMirrorProblem
 from rotcal_ros.methods.tracer import solver as tracer
 from rotcal_ros.methods.tracer.plan import block_of_targets

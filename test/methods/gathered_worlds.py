@@ -114,6 +114,13 @@ def mirror_and_glass(turned, leaning):
     return np.append(np.cos(leaning) * around, np.sin(leaning)), np.append(0.05 * around, 0.15)
 
 
+def nests_around(count):
+    """Places (count, 3), m, of nests: of different heights and distances, as nests should be."""
+    k = np.arange(count)
+    reach, turn = 1.6 + 0.17 * (k % 4), 2.0 * np.pi * k / count + 0.3
+    return np.column_stack([reach * np.cos(turn), reach * np.sin(turn), 0.1 + 0.45 * (k % 3)])
+
+
 def places_at(station, visit, head, nests, mirrors, spread, rounds):
     """Rows (position, station, kind, number) and places, m, in the order of a station."""
     look = [((-1, station, NEST, k), nest) for k, nest in enumerate(nests)]
@@ -144,10 +151,7 @@ def mirror_world(seed, pattern="half", size=0.0, *, place="position", reflectors
     rng = np.random.default_rng([seed, reflectors, 77])
     angles = np.arange(17) * np.pi / 8
     ecc = 4 * ARCSEC * np.sin(angles + rng.uniform(0, 6)) + ARCSEC * np.cos(3 * angles)
-    reach, turn = 1.6 + 0.17 * (np.arange(6) % 4), np.arange(6) * np.pi / 3 + 0.3
-    nests = np.column_stack(
-        [reach * np.cos(turn), reach * np.sin(turn), 0.1 + 0.45 * (np.arange(6) % 3)]
-    )
+    nests = nests_around(6)
     tilt = rng.normal(scale=0.2 * ARCSEC, size=(17, 2))
     leaning = np.radians(1.4) + tilt[:, 0]
     mirrors = [mirror_and_glass(*pose) for pose in zip(angles + ecc, leaning, strict=True)]

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mirror_cell import measure, paper_cell
 from mirror_points import points_table
 
 from rotcal_ros.foundation.errors import BagError, DataError
@@ -22,7 +23,6 @@ from rotcal_ros.methods.configuration import (
     read_setup,
 )
 from rotcal_ros.methods.measurements import read_measurements
-from rotcal_ros.methods.plane_mirror.mirror_physics import measure, paper_cell
 from rotcal_ros.methods.tracer.table import read_targets
 
 EXAMPLES = Path(__file__).parents[2] / "examples/data"

@@ -183,7 +183,7 @@ def test_exchanged_direct_and_mirrored_is_refused(short):
         replace(o, kind=swap[o.kind]) if o.table_position == 2 and o.kind in swap else o
         for o in observations
     ]
-    with pytest.raises(DataError, match="exchange direct and mirrored"):
+    with pytest.raises(DataError, match="direct and mirrored exchanged"):
         calibration.solve(wrong)
 
 

@@ -2,12 +2,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mirror_cell import measure, paper_cell
 from mirror_points import points_table
 
 from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.tables import read_table, require_header
-from rotcal_ros.methods.plane_mirror.mirror_physics import measure, paper_cell
 from rotcal_ros.methods.plane_mirror.solver import (
     PlaneMirrorProblem,
     problem_from_observations,

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mirror_cell import measure, measure_direct, paper_cell
 from plate_data import simulated
 from six_scene import scene
 
 from rotcal_ros.methods.ball_plate import solver as ball_plate
 from rotcal_ros.methods.plane_mirror import solver as plane_mirror
-from rotcal_ros.methods.plane_mirror.mirror_physics import measure, measure_direct, paper_cell
 from rotcal_ros.methods.tracer_six import solver as tracer_six
 
 PAGE = Path(__file__).parents[2] / "docs" / "conventions.md"

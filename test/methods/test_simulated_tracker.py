@@ -8,7 +8,7 @@ import pytest
 from rotcal_ros.foundation.observations import Approach, Command, PointKind
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods.plane_mirror.method import METHOD
-from rotcal_ros.methods.plane_mirror.simulation_settings import (
+from rotcal_ros.methods.plane_mirror.settings import (
     MirrorSimulationSettings,
     SimulatedMirrorSettings,
     TrackerSettings,

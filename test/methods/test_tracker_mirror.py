@@ -2,29 +2,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mirror_cell import measure, paper_cell, ring_cell
 
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.observations import PointKind
-from rotcal_ros.methods.plane_mirror.mirror_physics import (
-    add_noise,
-    measure,
-    paper_cell,
-    ring_cell,
-    table_pose,
-)
-from rotcal_ros.methods.plane_mirror.solver import TrackerNoise
 
 
 def still(n):
     return np.zeros((n, 6))
-
-
-def test_layout_of_the_paper():
-    problem = measure(paper_cell(), still(17))
-    assert np.bincount(problem.station[problem.kind == PointKind.DIRECT]).tolist() == [
-        4, 4, 4, 4, 4, 2,
-    ]  # fmt: skip
-    assert np.bincount(problem.station[problem.kind == PointKind.NEST]).tolist() == [6] * 6
 
 
 def test_folded_beam_obeys_the_law_of_reflection():
@@ -43,21 +28,6 @@ def test_folded_beam_obeys_the_law_of_reflection():
     seen = station.seen(np.array(mirror.centre) + local @ frame.T)
     best = np.min(np.linalg.norm(seen, axis=1) + np.linalg.norm(place - seen, axis=1))
     assert np.linalg.norm(mirrored[0]) == pytest.approx(best, abs=2e-7)
-
-
-def test_table_pose_is_command_then_deviation():
-    rotation, shift = table_pose(np.pi / 2, np.array([1e-6, 2e-6, 3e-6, 1e-5, 2e-5, 3e-5]))
-    np.testing.assert_allclose(rotation @ [1.0, 0.0, 0.0], [-3e-5, 1.0, 1e-5], atol=1e-9)
-    np.testing.assert_allclose(shift, [1e-6, 2e-6, 3e-6])
-
-
-def test_noise_has_the_stated_covariance():
-    noise = TrackerNoise()
-    points = np.array([[2.0, 1.0, 0.5], [-1.0, 4.0, 0.2]])
-    scattered = add_noise(points, noise, np.random.default_rng(1), 20000) - points
-    for k in range(2):
-        whitener = np.linalg.inv(np.linalg.cholesky(noise.covariance(points[k])))
-        np.testing.assert_allclose(np.cov(whitener @ scattered[:, k].T), np.eye(3), atol=0.04)
 
 
 def test_mirror_turned_away_is_refused():

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.methods import changed, prepare, read_configuration
 from rotcal_ros.methods.plane_mirror.mirror_physics import incidence
 from rotcal_ros.methods.plane_mirror.plan import mirror_plan, station_visits
 from rotcal_ros.methods.plane_mirror.settings import MirrorPlanSettings
@@ -71,6 +73,14 @@ def test_without_closing_nests_each_station_measures_them_once() -> None:
     once = mirror_plan(replace(PAPER, reflectors=2, closing_nests=False))
     assert len(once.steps) == 6 * 5 + 22 * 2 * 2
     assert [p.first for p in once.pauses] == [0, 21, 42, 63, 84, 105]
+
+
+def test_the_tracker_stands_where_it_is_put_in_plans_of_both_directions_too() -> None:
+    demo = read_configuration(Path(__file__).parents[2] / "config" / "plane_mirror_demo.yaml")
+    calibration = prepare(changed(demo, ["plan.bidirectional=true"]))
+    plan = calibration.plan
+    put = [pause.move.position for pause in plan.pauses if pause.move is not None]
+    assert list(dict.fromkeys(calibration.stand_at(step) for step in plan.steps)) == put
 
 
 def test_the_instruction_names_place_nests_and_positions() -> None:

@@ -4,10 +4,10 @@ import json
 
 import numpy as np
 import pytest
+from mirror_cell import measure, paper_cell
 
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.plane_mirror import figures as mirror_figures
-from rotcal_ros.methods.plane_mirror.mirror_physics import measure, paper_cell
 from rotcal_ros.methods.plane_mirror.solver import solve
 from rotcal_ros.report.page import ReportInput, render_report
 

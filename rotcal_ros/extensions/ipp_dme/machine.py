@@ -19,7 +19,7 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ConfigurationError, ControllerError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import DEGREE, NANOSECOND
-from rotcal_ros.methods.simulation import SimulatedCell
+from rotcal_ros.methods.simulation.cell import SimulatedCell
 
 VOLUME_M: Final = 2.0
 """Farthest coordinate that the machine reaches, either way."""

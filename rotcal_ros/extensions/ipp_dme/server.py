@@ -40,7 +40,7 @@ from rotcal_ros.extensions.ipp_dme.machine import MethodError, SimulatedMachine
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ControllerError
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
-from rotcal_ros.methods.simulation import SimulatedCell
+from rotcal_ros.methods.simulation.cell import SimulatedCell
 
 VERSION: Final = "1.4.3"
 RECEIVED: Final = 65_536

@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
@@ -83,13 +84,20 @@ def _draw_band(
     style.band_about(ax, angles, np.zeros_like(band), band, style.BLUE, valid=valid)
     ax.axhline(0.0, color=style.GREY, linewidth=0.8)
     ax.set_ylabel(f"±U / {unit}")
-    if truth is None or name not in truth.get("deviations", {}):
+    known = injected(truth, name, result.angles)
+    if known is None:
         return
-    injected_at, first = np.unique(np.asarray(truth["angles_rad"]), return_index=True)
-    injected = np.interp(result.angles, injected_at, np.asarray(truth["deviations"][name])[first])
-    error = (result.deviations[name] - injected) / factor
+    error = (result.deviations[name] - known) / factor
     ax.plot(angles, error, "s:", color=style.ORANGE, ms=3, lw=0.9, label="measured − injected")
     ax.set_ylabel(f"error, ±U / {unit}")
+
+
+def injected(truth: Mapping[str, Any] | None, name: str, angles: Floats) -> Floats | None:
+    """Return what a simulation injected at ``angles`` (n,), rad; None where it does not tell."""
+    if truth is None or name not in truth.get("deviations", {}):
+        return None
+    known_at, first = np.unique(np.asarray(truth["angles_rad"]), return_index=True)
+    return np.interp(angles, known_at, np.asarray(truth["deviations"][name])[first])
 
 
 def _draw_truth(ax: style.Axes, name: str, truth: Mapping[str, Any] | None) -> None:

@@ -15,7 +15,6 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.escapes import printable_lines, shortened
-from rotcal_ros.methods.figures import style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes as Axes
@@ -185,14 +184,12 @@ COVERED_MM: Final = 20.0
 """Places nearer to each other than that in a view share a name there."""
 
 
-def name_places(
-    ax: style.Axes, numbers: Sequence[int], points: Floats, covered: float = COVERED_MM
-) -> None:
-    """Write names beside ``points`` (p, 2); those within ``covered`` of each other share one."""
+def name_places(ax: Axes, numbers: Sequence[int], points: Floats) -> None:
+    """Write names beside ``points`` (p, 2), mm; those that cover each other share one."""
     left = list(zip(numbers, points.tolist(), strict=True))
     while left:
         x, y = left[0][1]
-        near = [number for number, at in left if np.hypot(at[0] - x, at[1] - y) < covered]
+        near = [number for number, at in left if np.hypot(at[0] - x, at[1] - y) < COVERED_MM]
         left = [pair for pair in left if pair[0] not in near]
         names = ", ".join(map(str, near))
         ax.annotate(names, (x, y), xytext=(4, 4), textcoords="offset points", fontsize=7)

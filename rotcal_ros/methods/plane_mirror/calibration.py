@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import dist, hypot
+from math import dist
 from typing import Any
 
 import numpy as np
@@ -21,11 +21,16 @@ from rotcal_ros.methods.arrivals import Arrivals, RepeatedTrials, arrivals_of, m
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Trials
 from rotcal_ros.methods.plane_mirror import solver as plane_mirror
-from rotcal_ros.methods.plane_mirror.settings import MirrorPlanSettings
+from rotcal_ros.methods.plane_mirror.settings import (
+    DIRECT,
+    WAYS,
+    MirrorPlanSettings,
+    MirrorSolverSettings,
+    Way,
+)
+from rotcal_ros.methods.plane_mirror.solver.prepare import not_an_image
 from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem, noise_of
 from rotcal_ros.methods.plane_mirror.solver.registration import MIN_APART
-from rotcal_ros.methods.plane_mirror.solver.screening import MIN_SEPARATION
-from rotcal_ros.methods.plane_mirror.solver_settings import DIRECT, WAYS, MirrorSolverSettings, Way
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.table_angles import table_angles
 
@@ -189,7 +194,7 @@ class TrackerCheck:
         if observation.kind == PointKind.DIRECT:
             self._direct[key] = observation.mean
         elif observation.kind == PointKind.MIRRORED and key in self._direct:
-            reason = _not_an_image(self._direct[key], observation.mean)
+            reason = not_an_image(self._direct[key], observation.mean)
         elif observation.kind == PointKind.NEST:
             reason = self._on_another_nest(observation)
         return replace(observation, accepted=False, reason=reason) if reason else observation
@@ -205,20 +210,3 @@ class TrackerCheck:
                 )
         nests[observation.target] = observation.mean
         return ""
-
-
-def _not_an_image(direct: tuple[float, ...], mirrored: tuple[float, ...]) -> str:
-    """Say why a point is not the image of the reflector at ``direct``; empty: it may be."""
-    apart = dist(direct, mirrored)
-    if apart < MIN_SEPARATION:
-        return (
-            f"the mirrored point is {apart / MILLIMETRE:.3f} mm from the direct one: the same "
-            "point was measured twice; measure the image through the mirror"
-        )
-    near, far = hypot(*direct), hypot(*mirrored)
-    if near >= far:
-        return (
-            f"the mirrored point is {far:.4f} m away, the direct one {near:.4f} m, but an image "
-            "is always the farther one: direct and mirrored exchanged"
-        )
-    return ""

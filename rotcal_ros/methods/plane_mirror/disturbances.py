@@ -31,7 +31,6 @@ from rotcal_ros.methods.plane_mirror.plan import nominal_mirror, tracker_stands
 from rotcal_ros.methods.plane_mirror.settings import MirrorPlanSettings
 from rotcal_ros.methods.plane_mirror.solver.problem import noise_of
 from rotcal_ros.planning.plan import Plan
-from rotcal_ros.planning.table_angles import table_angles
 
 
 def _tilt(configuration: Configuration) -> float:
@@ -95,8 +94,7 @@ def measure(
     The table has no ECC; the true ECC are zero.
     """
     noise, other = streams(seed)
-    angles = table_angles(configuration.plan)
-    stations = [TrackerStation(s.place) for s in tracker_stands(configuration.plan, angles)]
+    stations = [TrackerStation(stand.place) for stand in tracker_stands(configuration.plan)]
     station = np.array([step.station for step in plan.steps])
     head = np.array([stations[s].place for s in station.tolist()])
     seen = _places(configuration, plan, stations, sizes, (noise, other)) - head
@@ -110,7 +108,7 @@ def measure(
     observations = tuple(
         step.observed((x, y, z)) for step, (x, y, z) in zip(plan.steps, seen.tolist(), strict=True)
     )
-    return DisturbedMeasurement(observations, {"ECC": np.zeros(len(angles))})
+    return DisturbedMeasurement(observations, {"ECC": np.zeros(len(plan.distinct_angles))})
 
 
 def _places(

@@ -16,6 +16,7 @@ from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 from rotcal_ros.methods.figures import Figure, style
+from rotcal_ros.methods.figures.curves import injected
 from rotcal_ros.methods.figures.residuals import residual_figures
 
 _TURNS = ((2, style.BLUE, "azimuth"), (0, style.ORANGE, "tilt x"), (1, style.GREEN, "tilt y"))
@@ -72,20 +73,19 @@ def ways(result: Result, truth: Mapping[str, Any] | None = None) -> str:
     own = (result.angles, result.deviations["ECC"], result.std["ECC"])
     curves = {str(result.details["way"]): own}
     curves |= {str(way["way"]): _curve(way) for way in others}
-    reference = own[:2]
-    if truth is not None and "ECC" in truth.get("deviations", {}):
-        known_at, first = np.unique(_array(truth["angles_rad"]), return_index=True)
-        reference = (known_at, _array(truth["deviations"]["ECC"])[first])
     panels = style.grid(2, len(curves), height=2.5, sharex=True, sharey="row")
     for number, (name, (angles, ecc, std)) in enumerate(curves.items()):
         top, bottom = panels[number], panels[number + len(curves)]
         band = COVERAGE_FACTOR * std / ARCSEC
-        known = np.interp(angles, *reference)
+        known = injected(truth, "ECC", angles)
+        reference = np.interp(angles, *own[:2]) if known is None else known
         style.curve_with_band(top, angles / DEGREE, ecc / ARCSEC, band, "measured")
-        if truth is not None:
+        if known is not None:
             top.plot(angles / DEGREE, known / ARCSEC, "--", color=style.ORANGE, linewidth=1.2,
                      label="injected")  # fmt: skip
-        style.curve_with_band(bottom, angles / DEGREE, (ecc - known) / ARCSEC, band, "difference")
+        style.curve_with_band(
+            bottom, angles / DEGREE, (ecc - reference) / ARCSEC, band, "difference"
+        )
         top.set_title(name, fontsize=10)
         style.angle_axis(bottom, angles / DEGREE, "table angle / °")
     panels[0].set_ylabel("ECC / arcsec")

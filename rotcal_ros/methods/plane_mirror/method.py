@@ -24,15 +24,15 @@ from rotcal_ros.methods.plane_mirror.plan import (
     check_plan,
     nominal_mirror,
     plan,
-    position_angles,
     tracker_stands,
 )
-from rotcal_ros.methods.plane_mirror.settings import MirrorPlanSettings
-from rotcal_ros.methods.plane_mirror.simulation_settings import MirrorSimulationSettings
+from rotcal_ros.methods.plane_mirror.settings import (
+    MirrorPlanSettings,
+    MirrorSimulationSettings,
+    MirrorSolverSettings,
+)
 from rotcal_ros.methods.plane_mirror.solver.solve import METHOD as NAME
-from rotcal_ros.methods.plane_mirror.solver_settings import MirrorSolverSettings
 from rotcal_ros.planning.plan import Plan, Step
-from rotcal_ros.planning.table_angles import table_angles
 
 if TYPE_CHECKING:
     from rotcal_ros.methods.simulation.air import SimulatedTemperature
@@ -53,7 +53,7 @@ def zero(result: Result) -> tuple[str, ...]:
 def nominal(configuration: Configuration, _plan: Plan) -> See:
     """Return what a tracker sees that looks along +x at every station; the mirror is flat."""
     settings: MirrorPlanSettings = configuration.plan
-    stations = [TrackerStation(s.place) for s in tracker_stands(settings, table_angles(settings))]
+    stations = [TrackerStation(stand.place) for stand in tracker_stands(settings)]
     mirror = nominal_mirror(settings)
 
     def see(step: Step) -> tuple[float, ...]:
@@ -68,9 +68,7 @@ def nominal(configuration: Configuration, _plan: Plan) -> See:
 
 def stations(configuration: Configuration) -> Stations:
     """Return where the tracker stands."""
-    settings: MirrorPlanSettings = configuration.plan
-    stands = tracker_stands(settings, position_angles(settings))
-    return Stations(tuple(stand.place for stand in stands))
+    return Stations(tuple(stand.place for stand in tracker_stands(configuration.plan)))
 
 
 def simulated_instrument(

@@ -8,19 +8,16 @@ are radians, lengths metres.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import PlanError
-from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.geometry.rotations import rotation_from_vector
-from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem, TrackerNoise
 
 SPREAD: Final = 0.3
 """The reflectors of a position spread over this share of the mirror's shorter edge."""
@@ -127,165 +124,3 @@ def reflector_places(
 def on_circle(radius: float, azimuth: float, height: float) -> tuple[float, float, float]:
     """Return the place (m) at ``radius`` from the axis."""
     return float(radius * np.cos(azimuth)), float(radius * np.sin(azimuth)), height
-
-
-@dataclass(frozen=True)
-class MirrorCell:
-    """Table positions, mirror, tracker stations and nests: all that stands in the room.
-
-    ``angles`` (N,) commanded, ``visits`` the positions measured from each station, ``nests``
-    (K, 3) the fixed nests in metres. At each visit ``reflectors`` reflectors are put up so that
-    the tracker sees them in the mirror, ``reach`` metres from the glass.
-    """
-
-    angles: Floats
-    stations: tuple[TrackerStation, ...]
-    visits: tuple[tuple[int, ...], ...]
-    nests: Floats
-    mirror: FlatMirror = field(default_factory=FlatMirror)
-    reflectors: int = 1
-    reach: float = 1.5
-
-
-def paper_cell(reflectors: int = 1, **mirror: Any) -> MirrorCell:
-    """Return the experiment of Muralikrishnan et al.: 17 positions, 6 stations, 6 nests.
-
-    Stations see the positions 1-4, 4-7, 7-10, 10-13, 13-16 and 16-17 (counted from one).
-    """
-    visits = (*(tuple(range(s, s + 4)) for s in range(0, 15, 3)), (15, 16))
-    angles = np.arange(17) * 2.0 * np.pi / 16
-    return ring_cell(angles, visits, 6, reflectors, **mirror)
-
-
-def ring_cell(
-    angles: Floats,
-    visits: tuple[tuple[int, ...], ...],
-    n_nests: int = 6,
-    reflectors: int = 1,
-    **mirror: Any,
-) -> MirrorCell:
-    """Return a cell whose stations stand 2 m from the axis, each facing the middle of its visits.
-
-    ``mirror`` are fields of :class:`FlatMirror`.
-    """
-    middle = [float(np.mean(angles[list(visit)])) for visit in visits]
-    stations = tuple(
-        TrackerStation((2.0 * np.cos(a), 2.0 * np.sin(a), 0.35), heading=2.3 * a + 0.4)
-        for a in middle
-    )
-    around = np.arange(n_nests) * 2.0 * np.pi / n_nests + 0.3
-    # Different heights and distances: no symmetry that would let exchanged nests go unnoticed.
-    reach = 1.6 + 0.17 * (np.arange(n_nests) % 4)
-    height = 0.1 + 0.45 * (np.arange(n_nests) % 3)
-    nests = np.column_stack([reach * np.cos(around), reach * np.sin(around), height])
-    return MirrorCell(angles, stations, visits, nests, FlatMirror(**mirror), reflectors)
-
-
-def measure(
-    cell: MirrorCell,
-    deviations: Floats,
-    noise: TrackerNoise | None = None,
-    rng: np.random.Generator | None = None,
-    **settings: Any,
-) -> PlaneMirrorProblem:
-    """Let the tracker measure the whole cell and return the problem.
-
-    ``deviations`` (N, 6) are EXC, EYC, EZC (m), EAC, EBC, ECC (rad) of the table at each position.
-    Without ``rng`` the points are exact. ``settings`` go to the problem.
-    """
-
-    def see(s: int, i: int) -> Iterator[Seen]:
-        for k in range(1, cell.reflectors + 1):
-            for kind in (PointKind.DIRECT, PointKind.MIRRORED):
-                yield kind, k, look(cell, s, kind, k, cell.angles[i], deviations[i])
-
-    return _problem(cell, see, cell.nests, noise, rng, settings)
-
-
-def look(
-    cell: MirrorCell, station: int, kind: PointKind, number: int, angle: float, deviation: Floats
-) -> Floats:
-    """Return where the tracker sees reflector ``number`` (from 1), in its own frame, no noise.
-
-    The reflector was put up for the commanded table ``angle`` (rad), the table having its
-    ``deviation`` (6,). Raises PlanError when the beam misses the mirror.
-    """
-    stand = cell.stations[station]
-    mirror = cell.mirror
-    there = mirror.pose(*table_pose(angle, np.zeros(6)))
-    edge = min(mirror.width, mirror.height)
-    place = reflector_places(stand.place, *there, cell.reflectors, cell.reach, edge)[number - 1]
-    if kind is PointKind.DIRECT:
-        return stand.seen(place)
-    where = f"table at {angle / DEGREE:g} deg, tracker station {station}"
-    return stand.seen(
-        mirror.image(mirror.pose(*table_pose(angle, deviation)), stand, place, where)
-    )
-
-
-def measure_direct(
-    cell: MirrorCell,
-    deviations: Floats,
-    reflectors: Floats,
-    noise: TrackerNoise | None = None,
-    rng: np.random.Generator | None = None,
-    **settings: Any,
-) -> PlaneMirrorProblem:
-    """Let the tracker measure reflectors (K, 3) on the table, given in its frame at angle 0.
-
-    Every station measures its visits; for a full circle one station visits all positions.
-    """
-
-    def see(s: int, i: int) -> Iterator[Seen]:
-        rotation, shift = table_pose(cell.angles[i], deviations[i])
-        for k, reflector in enumerate(reflectors, start=1):
-            yield PointKind.DIRECT, k, cell.stations[s].seen(rotation @ reflector + shift)
-
-    nests = cell.nests if len(cell.stations) > 1 else cell.nests[:0]
-    return _problem(cell, see, nests, noise, rng, {"way": "direct", **settings})
-
-
-def add_noise(
-    points: Floats, noise: TrackerNoise, rng: np.random.Generator, trials: int
-) -> Floats:
-    """Return points (trials, n, 3) scattered about ``points`` (n, 3) as the tracker would."""
-    factor = np.linalg.cholesky(noise.covariance(points))
-    scatter = rng.standard_normal((trials, *points.shape))
-    scattered: Floats = points + np.einsum("nij,tnj->tni", factor, scatter)
-    return scattered
-
-
-def table_pose(angle: float, deviation: Floats) -> tuple[Floats, Floats]:
-    """Return rotation and shift of the table: the commanded angle, then deviations (6,)."""
-    turn = rotation_from_vector([0.0, 0.0, angle + deviation[5]])
-    return rotation_from_vector([deviation[3], deviation[4], 0.0]) @ turn, deviation[:3]
-
-
-Seen = tuple[PointKind, int, Floats]
-"""Kind and number of a point, and where the tracker sees it (3,)."""
-
-
-def _problem(
-    cell: MirrorCell,
-    see: Callable[[int, int], Iterable[Seen]],
-    nests: Floats,
-    noise: TrackerNoise | None,
-    rng: np.random.Generator | None,
-    settings: dict[str, Any],
-) -> PlaneMirrorProblem:
-    """Return all points: of each station the ``nests``, then what it sees at each position."""
-    noise = noise if noise is not None else TrackerNoise()
-    rows, points = [], []
-    for s, station in enumerate(cell.stations):
-        for k, nest in enumerate(nests, start=1):
-            rows.append((-1, s, PointKind.NEST, k))
-            points.append(station.seen(nest))
-        for i in cell.visits[s]:
-            for kind, k, point in see(s, i):
-                rows.append((i, s, kind, k))
-                points.append(point)
-    xyz = np.array(points)
-    if rng is not None:
-        xyz = add_noise(xyz, noise, rng, 1)[0]
-    position, station, kind, nest = np.array(rows, dtype=np.int64).T
-    return PlaneMirrorProblem(cell.angles, position, station, kind, nest, xyz, noise, **settings)

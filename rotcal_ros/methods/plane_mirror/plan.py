@@ -24,9 +24,8 @@ from rotcal_ros.methods.plane_mirror.mirror_physics import (
     on_circle,
     reflector_places,
 )
-from rotcal_ros.methods.plane_mirror.settings import MIRROR, MirrorPlanSettings
+from rotcal_ros.methods.plane_mirror.settings import DIRECT, MIRROR, STITCHING, MirrorPlanSettings
 from rotcal_ros.methods.plane_mirror.solver.solve import METHOD
-from rotcal_ros.methods.plane_mirror.solver_settings import DIRECT, STITCHING
 from rotcal_ros.planning.plan import Move, Pause, Plan, Point, Step
 from rotcal_ros.planning.points import triples
 from rotcal_ros.planning.table_angles import table_angles
@@ -53,7 +52,7 @@ def plan(configuration: Configuration) -> Plan:
             "mirror"
         )
     result = mirror_plan(settings)
-    n_stations = len(tracker_stands(settings, table_angles(settings)))
+    n_stations = len(tracker_stands(settings))
     if way == STITCHING and n_stations > 1 and not settings.shared_positions:
         raise PlanError(
             f"{configuration.source}: stitching carries the zero on through shared positions; "
@@ -95,8 +94,7 @@ def mirror_plan(settings: MirrorPlanSettings) -> Plan:
     when a station sees the mirror beyond the incidence limit, or when nests, stations and
     positions do not fit together.
     """
-    angles = table_angles(settings)
-    stands = tracker_stands(settings, angles)
+    angles, stands = table_angles(settings), tracker_stands(settings)
     again = settings.closing_nests
     nests = triples(settings.nests_m, "nests_m") if len(stands) > 1 or again else ()
     _check_nests(nests)
@@ -125,8 +123,9 @@ def position_angles(settings: MirrorPlanSettings) -> tuple[float, ...]:
     return angles + angles[::-1] * settings.bidirectional
 
 
-def tracker_stands(settings: MirrorPlanSettings, angles: tuple[float, ...]) -> tuple[Stand, ...]:
+def tracker_stands(settings: MirrorPlanSettings) -> tuple[Stand, ...]:
     """Return the stations of the tracker; raises PlanError for one that is not possible."""
+    angles = table_angles(settings)
     if settings.shared_positions >= settings.positions_per_station:
         raise PlanError(
             f"plan: shared_positions = {settings.shared_positions} must be less than "

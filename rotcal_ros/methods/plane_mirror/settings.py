@@ -1,18 +1,174 @@
-"""The settings of the plane-mirror method, without what makes and solves a plan."""
+"""The settings of the plane-mirror method, without what makes and solves a plan.
+
+The solver, the simulated tracker and mirror, the plan.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, Literal, get_args
 
-from rotcal_ros.foundation.settings import setting
-from rotcal_ros.methods.plane_mirror.simulation_settings import MirrorSimulationSettings
-from rotcal_ros.methods.plane_mirror.solver_settings import (
-    INCIDENCE_LIMIT_DEG,
-    MirrorSolverSettings,
-)
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.settings import group, setting
+from rotcal_ros.methods.simulation.settings import SimulationSettings
 from rotcal_ros.planning.table_angles import TableAngleSettings
+
+Way = Literal["direct", "stitching", "registration", "joint"]
+WAYS: Final[tuple[Way, ...]] = get_args(Way)
+DIRECT: Final = "direct"
+STITCHING: Final = "stitching"
+JOINT: Final = "joint"
+INCIDENCE_LIMIT_DEG: Final = 50.0
+"""Usual limit of the angle between beam and mirror normal; a tracker sees little beyond."""
+
+
+@dataclass(frozen=True)
+class MirrorSolverSettings:
+    """How the plane-mirror method is solved, and how well the tracker measures."""
+
+    way: Way = setting(
+        "joint",
+        doc="reflectors on the table (direct), or how the stations with a mirror are joined",
+    )
+    range_std_m: float = setting(
+        2.5e-6,
+        doc="m, standard deviation of a tracker point along the beam, at distance 0",
+        minimum=0.0,
+        maximum=1e-2,
+        first=True,
+    )
+    range_std_relative: float = setting(
+        0.25e-6,
+        doc="m/m, growth of the standard deviation along the beam with the distance",
+        minimum=0.0,
+        maximum=1e-2,
+    )
+    transverse_std_m: float = setting(
+        3.75e-6,
+        doc="m, standard deviation of a tracker point across the beam, at distance 0",
+        minimum=0.0,
+        maximum=1e-2,
+        first=True,
+    )
+    transverse_std_relative: float = setting(
+        1.5e-6,
+        doc="m/m, growth of the standard deviation across the beam with the distance",
+        minimum=0.0,
+        maximum=1e-2,
+    )
+    mirror_slope_std_arcsec: float = setting(
+        0.0,
+        doc="arcsec, flatness of the mirror, as standard deviation of its slope from spot to spot",
+        minimum=0.0,
+        maximum=3600.0,
+        first=True,
+    )
+    tilt_std_arcsec: float = setting(
+        1.0,
+        doc="arcsec, standard deviation of the table's tilts (EAC, EBC) that is assumed",
+        minimum=1e-6,
+        maximum=3600.0,
+    )
+    uneven_drift_std_arcsec: float = setting(
+        0.5,
+        doc="arcsec, standard deviation (k = 1) of the tracker's azimuth about the straight line "
+        "between two rounds of nests that are a station apart; it is part of the uncertainty",
+        minimum=0.0,
+        maximum=3600.0,
+    )
+    significance: float = setting(
+        1e-3, doc="probability of a false alarm of each test", minimum=1e-9, maximum=0.5
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse a tracker without noise along or across the beam: its weight has no end."""
+        for name in ("range_std", "transverse_std"):
+            if getattr(self, f"{name}_m") + getattr(self, f"{name}_relative") <= 0.0:
+                raise ConfigurationError(
+                    f"{name}_m and {name}_relative are both 0: state the tracker's noise"
+                )
+
+
+TRACKER: Final = "tracker"
+
+
+@dataclass(frozen=True)
+class SimulatedMirrorSettings:
+    """The mirror on the table as it really is, not as the plan has it."""
+
+    centre_m: tuple[float, float, float] = setting(
+        (0.05, 0.0, 0.15), doc="m, middle of the glass in the table frame at angle 0"
+    )
+    azimuth_deg: float = setting(0.0, doc="deg, direction of the normal with the table at angle 0")
+    lean_deg: float = setting(
+        1.4, doc="deg, the normal above the plane of rotation", minimum=-45.0, maximum=45.0
+    )
+    size_m: tuple[float, float] = setting(
+        (0.1, 0.1), doc="m, width and height of the glass", minimum=0.001, maximum=10.0
+    )
+    sag_um: float = setting(0.0, doc="um, how far the edges are above the middle of the glass")
+    twist_um: float = setting(0.0, doc="um, how far two opposite corners are above the others")
+
+
+@dataclass(frozen=True)
+class TrackerSettings:
+    """The laser tracker, and the person who moves it and puts up its reflectors."""
+
+    station_azimuths_deg: tuple[float, ...] = setting(
+        (0.0,), doc="deg, direction of each station from the table axis"
+    )
+    station_radius_m: float = setting(2.0, doc="m, distance from the axis", minimum=0.1)
+    station_height_m: float = setting(0.35, doc="m, height of the tracker's head")
+    station_placing_mm: float = setting(
+        30.0, doc="mm, by which the person misses the place of a station", minimum=0.0
+    )
+    nest_placing_mm: float = setting(
+        5.0, doc="mm, by which a nest stands beside its planned place", minimum=0.0
+    )
+    reflector_placing_mm: float = setting(
+        2.0, doc="mm, by which a reflector is put up beside its place", minimum=0.0
+    )
+    reflectors_on_table: bool = setting(
+        False, doc="the reflectors ride on the table instead of standing before a mirror"
+    )
+    range_std_um: float = setting(2.5, doc="um, noise along the beam at distance 0", minimum=0.0)
+    range_std_um_per_m: float = setting(
+        0.25, doc="um/m, growth of the noise along the beam with the distance", minimum=0.0
+    )
+    transverse_std_um: float = setting(
+        3.75, doc="um, noise across the beam at distance 0", minimum=0.0
+    )
+    transverse_std_um_per_m: float = setting(
+        1.5, doc="um/m, growth of the noise across the beam with the distance", minimum=0.0
+    )
+    measure_time_s: float = setting(
+        1.0, doc="s, from the table at rest to the point", minimum=1e-3
+    )
+    azimuth_drift_arcsec_per_h: float = setting(
+        0.0, doc="arcsec/h, drift of the tracker's azimuth, at all stations"
+    )
+    range_drift_um_per_h: float = setting(0.0, doc="um/h, drift of the tracker's range")
+    displaced_nest: int = setting(
+        0, doc="number of a nest that is displaced or badly seated; 0: none", minimum=0
+    )
+    displaced_at_stations: tuple[int, ...] = setting(
+        (0,), doc="stations at which that nest is displaced", minimum=0
+    )
+    displaced_attempts: int = setting(
+        1, doc="so many attempts at that nest find it displaced", minimum=1
+    )
+    displaced_mm: float = setting(1.0, doc="mm, by which that nest is displaced")
+
+
+@dataclass(frozen=True)
+class MirrorSimulationSettings(SimulationSettings):
+    """The simulated cell of the plane-mirror method."""
+
+    instrument: str = setting(TRACKER, doc="a laser tracker with a mirror", choices=(TRACKER,))
+    tracker: TrackerSettings = group(TrackerSettings)
+    mirror: SimulatedMirrorSettings = group(SimulatedMirrorSettings)
+
 
 MIRROR: Final = "mirror"
 REFLECTORS: Final = "reflectors"

@@ -17,7 +17,7 @@ from rotcal_ros.methods.plane_mirror.mirror_physics import (
     TrackerStation,
     on_circle,
 )
-from rotcal_ros.methods.plane_mirror.simulation_settings import (
+from rotcal_ros.methods.plane_mirror.settings import (
     SimulatedMirrorSettings,
     TrackerSettings,
 )

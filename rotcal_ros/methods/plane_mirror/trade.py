@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from math import ceil
 from typing import Final
 
-import numpy as np
-
-from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.observations import PointKind
-from rotcal_ros.methods.calibration import prepare
+from rotcal_ros.methods.calibration import Calibration, prepare
 from rotcal_ros.methods.configuration import Configuration, changed
+from rotcal_ros.methods.goal import expanded_about_mean
 
 USUAL: Final = """
 /**:
@@ -61,10 +59,8 @@ def mirror_trade(
     stations that see the mirror beyond the limit of incidence, or that no share of the positions
     gives, are left out. Raises PlanError when none is left.
     """
-    rows = [
-        _measured(changed(configuration, changes), move_s, pair_s, nest_s)
-        for changes in _plans(configuration, stations, reflectors)
-    ]
+    plans = _plans(configuration, stations, reflectors)
+    rows = [_measured(calibration, move_s, pair_s, nest_s) for calibration in plans]
     if not rows:
         raise PlanError(
             f"{configuration.source}: none of {list(stations)} tracker stations can share the "
@@ -75,8 +71,8 @@ def mirror_trade(
 
 def _plans(
     configuration: Configuration, stations: Sequence[int], reflectors: Sequence[int]
-) -> Iterator[list[str]]:
-    """Yield the settings of the plans that are possible."""
+) -> Iterator[Calibration]:
+    """Yield the plans that are possible."""
     positions, shared = configuration.plan.table_positions, configuration.plan.shared_positions
     for count in stations:
         own = ceil((positions - shared) / count)
@@ -87,28 +83,25 @@ def _plans(
                 f"plan.positions_per_station={own + shared}", f"plan.reflectors={number}"
             ]  # fmt: skip
             try:
-                prepare(changed(configuration, changes))
+                calibration = prepare(changed(configuration, changes))
             except PlanError:
                 break
-            yield changes
+            yield calibration.of_distances
 
 
 def _measured(
-    configuration: Configuration, move_s: float, pair_s: float, nest_s: float
+    calibration: Calibration, move_s: float, pair_s: float, nest_s: float
 ) -> MirrorTrade:
-    calibration = prepare(configuration).of_distances
     steps = calibration.plan.steps
     covariance = calibration.solve(calibration.nominal_observations()).covariance["ECC"]
-    centred = covariance - covariance.mean(axis=0)
-    variance = np.diagonal(centred - centred.mean(axis=1)[:, None])
     stations = len({step.station for step in steps})
     pairs = sum(step.kind == PointKind.MIRRORED for step in steps)
     nests = len(steps) - 2 * pairs
     return MirrorTrade(
         stations=stations,
-        reflectors=configuration.plan.reflectors,
+        reflectors=calibration.configuration.plan.reflectors,
         pairs=pairs,
         nests=nests,
         seconds=stations * move_s + pairs * pair_s + nests * nest_s,
-        expanded=COVERAGE_FACTOR * float(np.sqrt(variance.mean())),
+        expanded=expanded_about_mean(covariance),
     )

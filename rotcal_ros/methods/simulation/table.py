@@ -102,14 +102,12 @@ def correction(settings: TableSettings, angles: Floats, approach: Approach) -> F
     return table.correction(angles, approach)
 
 
-def true_deviations(
-    settings: TableSettings, angles: Floats, approach: Approach = Approach.POSITIVE
-) -> Mapping[str, Floats]:
+def true_deviations(settings: TableSettings, angles: Floats) -> Mapping[str, Floats]:
     """Return the true deviations at commanded ``angles`` (n,) as a result states them.
 
-    They include what the control corrects. ECC is relative to the first angle.
+    With increasing angle, and with what the control corrects. ECC is relative to the first angle.
     """
-    corrected = correction(settings, angles, approach)
+    corrected = correction(settings, angles, Approach.POSITIVE)
     true = deviations(settings, angles + corrected)
     true["ECC"] = true["ECC"] + corrected
     true["ECC"] = true["ECC"] - true["ECC"][0]

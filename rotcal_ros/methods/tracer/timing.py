@@ -15,7 +15,7 @@ from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
 from rotcal_ros.methods.calibration import Calibration
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.simulation import SimulatedCell
+from rotcal_ros.methods.simulation.cell import SimulatedCell
 from rotcal_ros.planning.plan import Step
 from rotcal_ros.planning.sequence_time import Drive, TimeModel
 

@@ -17,7 +17,7 @@ from rotcal_ros.foundation.node_state import NodeState, Reason, State, Why
 from rotcal_ros.foundation.observations import Command, HumiditySample, PressureSample
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.methods.method import DEFAULT, find_method
-from rotcal_ros.methods.simulation import CellOutput
+from rotcal_ros.methods.simulation.cell import CellOutput
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.emergency_stop import EmergencyStop

@@ -7,17 +7,24 @@ the table axis as z; stations stand outside, nests around, one mirror on the tab
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass, field
 
 import numpy as np
+from gathered_worlds import (
+    ARCSEC,
+    DIRECT,
+    MIRROR_STATIONS,
+    MIRRORED,
+    NEST,
+    mirror_and_glass,
+    nests_around,
+    places_at,
+)
 
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.methods.plane_mirror.solver import PlaneMirrorProblem, TrackerNoise
 
-ARCSEC = np.pi / 648000.0
-STATIONS = [range(s, min(s + 4, 17)) for s in range(0, 16, 3)]
-"""Positions seen from each station: those of the paper, 22.5 degrees apart."""
+KINDS = {DIRECT: PointKind.DIRECT, MIRRORED: PointKind.MIRRORED, NEST: PointKind.NEST}
 
 
 @dataclass(frozen=True)
@@ -79,58 +86,39 @@ def campaign(
     closing: bool = True,
     every: int = 0,
     n_nests: int = 6,
-    reflectors: int = 3,
-    lean: float = np.radians(1.4),
     moved: tuple[int, int, tuple[float, float, float]] = (0, 0, (0.0, 0.0, 0.0)),
-    seed: int = 5,
 ) -> Campaign:
     """Return one calibration; ``every`` positions the nests are measured in between.
 
     ``moved`` is a nest, the round of nests (from 0) before which it was moved, and how (m).
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(5)
     angles = np.arange(17) * np.pi / 8
     ecc = rng.normal(0.0, 4.0 * ARCSEC, 17)
     ecc -= ecc[0]
     ecc[-1] = 0.0  # the closing position is the first one again
-    around = np.arange(n_nests) * 2.0 * np.pi / n_nests + 0.3
-    reach, height = 1.6 + 0.17 * (np.arange(n_nests) % 4), 0.1 + 0.45 * (np.arange(n_nests) % 3)
-    nests = np.column_stack([reach * np.cos(around), reach * np.sin(around), height])
-    rows, points, rounds = [], [], itertools.count()
-    for s, visit in enumerate(STATIONS):
+    mirrors = [mirror_and_glass(angle, np.radians(1.4)) for angle in angles + ecc]
+    nests, spread = nests_around(n_nests), rng.standard_normal((3, 3))
+    between = [visited for visited in range(1, 17) if every and visited % every == 0]
+    rows, points, rounds = [], [], 0
+    for s, visit in enumerate(MIRROR_STATIONS):
         middle = angles[list(visit)].mean()
         head = np.array([2.0 * np.cos(middle), 2.0 * np.sin(middle), 0.35])
-        own_rows, own = [], []
-
-        def nest_round(s=s, own_rows=own_rows, own=own):
-            own_rows.extend((-1, s, PointKind.NEST, k + 1) for k in range(n_nests))
-            places = nests.copy()
-            if moved[0] and next(rounds) >= moved[1]:
-                places[moved[0] - 1] += moved[2]
-            own.extend(places)
-
-        nest_round()
-        for count, i in enumerate(visit):
-            if every and count and count % every == 0:
-                nest_round()
-            turned = angles[i] + ecc[i]
-            normal = np.array([np.cos(lean) * np.cos(turned), np.cos(lean) * np.sin(turned),
-                               np.sin(lean)])  # fmt: skip
-            on_glass = np.array([0.05 * np.cos(turned), 0.05 * np.sin(turned), 0.15])
-            beam = on_glass - head
-            beam /= np.linalg.norm(beam)
-            back = beam - 2.0 * (beam @ normal) * normal
-            for k in range(reflectors):
-                place = on_glass + 1.5 * back + 0.01 * rng.standard_normal(3)
-                image = place - 2.0 * ((place - on_glass) @ normal) * normal
-                own_rows += [(i, s, PointKind.DIRECT, k + 1), (i, s, PointKind.MIRRORED, k + 1)]
-                own += [place, image]
-        if closing:
-            nest_round()
+        own, world = places_at(s, visit, head, nests, mirrors, spread, between)
+        if not closing:
+            own, world = own[:-n_nests], world[:-n_nests]
+        is_nest = own[:, 2] == NEST
+        first = is_nest & (own[:, 3] == 0)
+        beyond = rounds + np.cumsum(first) > moved[1]
+        world[is_nest & beyond & (own[:, 3] == moved[0] - 1)] += moved[2]
+        rounds += int(first.sum())
         one = creep[s] if isinstance(creep, list) else creep or Creep()
-        rows += own_rows
-        points.append(_seen(np.array(own), head, 2.3 * middle + 0.4, one))
-    return Campaign(angles, ecc, np.array(rows, dtype=np.int64), np.concatenate(points))
+        rows.append(own)
+        points.append(_seen(world, head, 2.3 * middle + 0.4, one))
+    measured = np.concatenate(rows)
+    measured[:, 2] = [KINDS[kind] for kind in measured[:, 2].tolist()]
+    measured[:, 3] += 1  # people count nests and reflectors from one
+    return Campaign(angles, ecc, measured, np.concatenate(points))
 
 
 def _seen(world: np.ndarray, head: np.ndarray, heading: float, creep: Creep) -> np.ndarray:

@@ -1,9 +1,11 @@
 """A measured cell with known truth: deviations of a few arcsec, seen the wanted way."""
 
+from dataclasses import replace
+
 import numpy as np
+from mirror_cell import measure, measure_direct, paper_cell
 
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.methods.plane_mirror.mirror_physics import measure, measure_direct, paper_cell
 
 PLACES = np.array([[0.3, 0.1, 0.1], [-0.2, 0.25, 0.15]])
 """Reflectors on the table, for the way "direct"."""
@@ -16,3 +18,19 @@ def measured(way, cell=None, rng=None, reflectors=1, **more):
     if way == "direct":
         return measure_direct(cell, deviations, PLACES, rng=rng, **more)
     return measure(cell, deviations, rng=rng, way=way, **more)
+
+
+def rows_of(problem, **wanted):
+    """The rows whose position, station, kind or nest is the wanted one."""
+    chosen = np.ones(len(problem.xyz), dtype=bool)
+    for name, value in wanted.items():
+        chosen &= getattr(problem, name) == value
+    return np.flatnonzero(chosen)
+
+
+def with_points(problem, changes):
+    """The problem with other points in some rows."""
+    xyz = problem.xyz.copy()
+    for row, point in changes.items():
+        xyz[row] = point
+    return replace(problem, xyz=xyz)

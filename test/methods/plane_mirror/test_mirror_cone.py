@@ -9,14 +9,12 @@ from rotcal_ros.methods.plane_mirror.solver.normals import (
     fit_cone,
     tangent_frame,
 )
-from rotcal_ros.methods.plane_mirror.solver.problem import MirrorPairs
+from rotcal_ros.methods.plane_mirror.solver.problem import Sets
 from rotcal_ros.methods.plane_mirror.solver.readings import (
+    cone_readings,
+    cone_response,
     islands,
     joining_map,
-    registered_readings,
-    registered_response,
-    stitch,
-    stitch_response,
 )
 
 POSE = rotation_from_vector([0.4, -0.9, 1.7])
@@ -26,11 +24,6 @@ AXIS = POSE[:, 2]
 def on_cone(azimuth, lean):
     ca, sa = np.cos(azimuth) * np.cos(lean), np.sin(azimuth) * np.cos(lean)
     return np.stack([ca, sa, np.full_like(azimuth, np.sin(lean))], axis=-1) @ POSE.T
-
-
-def pairs_of(position, station):
-    index = np.arange(len(position))
-    return MirrorPairs(index, index, index, index, np.array(position), np.array(station))
 
 
 @pytest.mark.parametrize("lean", np.radians([0.0, 1.4, 5.0, -3.0]))
@@ -66,33 +59,26 @@ def moved(normals, axes, step):
     return stack / np.linalg.norm(stack, axis=-1, keepdims=True)
 
 
+STITCHED = [0, 1, 2, 3, 3, 4, 5, 4, 5], [0, 0, 0, 0, 1, 1, 1, 2, 2]
+"""Positions of normals and their stations, 22.5 degrees apart; the last has two of them only."""
+REGISTERED = [0, 2, 4, 6, 8, 10, 12, 14, 0], [0] * 9
+
+
 @pytest.mark.parametrize("lean", np.radians([0.0, 5.0]))
-def test_response_of_stitching_is_its_derivative(lean):
-    angles = np.radians(np.arange(6) * 22.5)
-    pairs = pairs_of([0, 1, 2, 3, 3, 4, 5, 4, 5], [0, 0, 0, 0, 1, 1, 1, 2, 2])
-    normals = on_cone(angles[pairs.position], lean)
+@pytest.mark.parametrize("positions_and_sets", [STITCHED, REGISTERED])
+def test_the_response_of_cones_is_their_derivative(positions_and_sets, lean):
+    position, number = map(np.array, positions_and_sets)
+    sets = Sets(number, np.radians(22.5) * position)
+    normals = on_cone(sets.commanded, lean)
     h = 1e-6
-    difference = stitch(moved(normals, AXIS, h), pairs, angles)
-    difference = (difference - stitch(moved(normals, AXIS, -h), pairs, angles)).T / (2.0 * h)
-    response = stitch_response(normals, pairs, angles)
-    # Readings count from the first of their station; the response leaves that zero open.
-    first = np.array([0, 0, 0, 0, 4, 4, 4, 7, 7])
+    difference = cone_readings(moved(normals, AXIS, h), sets)
+    difference = (difference - cone_readings(moved(normals, AXIS, -h), sets)).T / (2.0 * h)
+    response = cone_response(sets, np.sin(lean))
+    # Readings count from the first of their set; the response leaves that zero open.
+    first = np.searchsorted(number, number)
     np.testing.assert_allclose(response - response[first], difference, atol=2e-8)
-    if lean:  # station 2 has two normals: it feels the tilts of all others
+    if lean and number.max():  # station 2 has two normals: it feels the tilts of all others
         assert np.abs(difference[8, 9:13]).max() > 1e-3
-
-
-def test_response_of_registration_is_its_derivative():
-    angles = np.radians(np.arange(8) * 45.0)
-    pairs = pairs_of([*range(8), 0], [0] * 9)
-    lean = np.radians(5.0)
-    normals = on_cone(angles[pairs.position], lean)
-
-    h = 1e-6
-    change = registered_readings(moved(normals, AXIS, h), pairs, angles)
-    change = change - registered_readings(moved(normals, AXIS, -h), pairs, angles)
-    response = registered_response(pairs, angles, np.sin(lean))
-    np.testing.assert_allclose(response - response[0], change.T / (2.0 * h), atol=1e-8)
 
 
 def test_chain_of_sets_is_the_papers_running_sum():

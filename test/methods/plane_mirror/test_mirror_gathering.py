@@ -7,11 +7,10 @@ import gathered_worlds as worlds
 import numpy as np
 import pytest
 from chances import LONG
-from drifting_tracker import campaign
+from drifting_tracker import KINDS, campaign
 from gathered_worlds import ARCSEC, carried_world, mirror_world
 
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.methods.plane_mirror.solver import (
     PlaneMirrorProblem,
     TrackerNoise,
@@ -23,11 +22,6 @@ from rotcal_ros.methods.plane_mirror.solver.linear import linear
 from rotcal_ros.methods.plane_mirror.solver.prepare import prepare
 
 WAYS = ("stitching", "registration", "joint")
-KINDS = {
-    worlds.DIRECT: PointKind.DIRECT,
-    worlds.MIRRORED: PointKind.MIRRORED,
-    worlds.NEST: PointKind.NEST,
-}
 
 
 def problem_of(world, points, **settings):

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mirror_cell import measure, ring_cell
 
-from rotcal_ros.methods.plane_mirror.mirror_physics import measure, ring_cell
 from rotcal_ros.methods.plane_mirror.solver import TrackerNoise, solve
 
 # One opponent for the test and for the benchmark.

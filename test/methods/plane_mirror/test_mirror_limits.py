@@ -4,21 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mirror_scene import measured
+from mirror_cell import measure, measure_direct, paper_cell, ring_cell
+from mirror_scene import measured, rows_of, with_points
 
 from rotcal_ros.foundation.errors import DataError, GeometryError
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
-from rotcal_ros.methods.plane_mirror.mirror_physics import (
-    measure,
-    measure_direct,
-    paper_cell,
-    ring_cell,
-)
 from rotcal_ros.methods.plane_mirror.solver import TrackerNoise, check_nests, mirror_trials, solve
 from rotcal_ros.methods.plane_mirror.solver.normals import fit_normals, pair_weights
+from rotcal_ros.methods.plane_mirror.solver.prepare import check_normals, check_pairs
 from rotcal_ros.methods.plane_mirror.solver.problem import find_nests, find_pairs, find_reflectors
-from rotcal_ros.methods.plane_mirror.solver.screening import check_normals, check_pairs, check_size
+from rotcal_ros.methods.plane_mirror.solver.solve import check_size
 
 DIRECT, MIRRORED, NEST = PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST
 
@@ -28,30 +24,16 @@ def exact(way="joint", cell=None, **more):
     return measure(cell, np.zeros((len(cell.angles), 6)), way=way, **more)
 
 
-def row_of(problem, **wanted):
-    chosen = np.ones(len(problem.xyz), dtype=bool)
-    for name, value in wanted.items():
-        chosen &= getattr(problem, name) == value
-    return np.flatnonzero(chosen)
-
-
-def changed(problem, places):
-    xyz = problem.xyz.copy()
-    for row, place in places.items():
-        xyz[row] = place
-    return replace(problem, xyz=xyz)
-
-
 @pytest.mark.parametrize("apart", [0.99e-3, 1.01e-3])
 def test_a_reflector_and_its_image_are_a_millimetre_apart(apart):
     problem = exact()
-    d, m = (row_of(problem, position=4, station=1, kind=kind)[0] for kind in (DIRECT, MIRRORED))
+    d, m = (rows_of(problem, position=4, station=1, kind=kind)[0] for kind in (DIRECT, MIRRORED))
     beam = problem.xyz[d] / np.linalg.norm(problem.xyz[d])
-    close = changed(problem, {m: problem.xyz[d] + apart * beam})
+    close = with_points(problem, {m: problem.xyz[d] + apart * beam})
     if apart > 1e-3:
         check_pairs(close, find_pairs(close))
         return
-    with pytest.raises(DataError, match=r"its mirrored point are 0.990 mm apart"):
+    with pytest.raises(DataError, match=r"mirrored point is 0.990 mm from the direct.*twice"):
         check_pairs(close, find_pairs(close))
 
 
@@ -59,18 +41,19 @@ def test_a_reflector_and_its_image_are_a_millimetre_apart(apart):
 def test_the_image_is_the_farther_one(further):
     """As far away as the reflector is not farther; a place aside of it."""
     problem = exact()
-    d, m = (row_of(problem, position=4, station=1, kind=kind)[0] for kind in (DIRECT, MIRRORED))
+    d, m = (rows_of(problem, position=4, station=1, kind=kind)[0] for kind in (DIRECT, MIRRORED))
     distance = np.linalg.norm(problem.xyz[d])
     aside = np.cross(problem.xyz[d], [0.0, 0.0, 1.0])
     aside *= (1.0 + further) * distance / np.linalg.norm(aside)
     if further == 0.0:
         x, y, z = problem.xyz[d]
         aside = np.array([-x, y, z])
-    moved = changed(problem, {m: aside})
+    moved = with_points(problem, {m: aside})
     if further > 0.0:
         check_pairs(moved, find_pairs(moved))
         return
-    text = rf"is {distance:.3f} m from the tracker and its mirrored point {distance:.3f} m"
+    text = r"position 4 \(90 deg\), tracker station 1.*"
+    text += rf"point is {distance:.4f} m away, the direct one {distance:.4f} m"
     with pytest.raises(DataError, match=text):
         check_pairs(moved, find_pairs(moved))
 
@@ -137,10 +120,10 @@ def test_pairs_are_left_out_beyond_the_limit(margin):
 @pytest.mark.parametrize("apart", [4.99e-3, 5.01e-3])
 def test_nests_of_one_station_are_five_millimetres_apart(apart):
     problem = exact()
-    problem = changed(problem, {})
-    a = row_of(problem, kind=NEST, nest=2, station=4)[0]
-    b = row_of(problem, kind=NEST, nest=5, station=4)[0]
-    near = changed(problem, {a: problem.xyz[b] + [0.0, 0.0, apart]})
+    problem = with_points(problem, {})
+    a = rows_of(problem, kind=NEST, nest=2, station=4)[0]
+    b = rows_of(problem, kind=NEST, nest=5, station=4)[0]
+    near = with_points(problem, {a: problem.xyz[b] + [0.0, 0.0, apart]})
     if apart < 5e-3:
         text = r"tracker station 4 nests (2 and 5|5 and 2) are 4.990 mm apart"
         with pytest.raises(DataError, match=text):
@@ -152,8 +135,8 @@ def test_nests_of_one_station_are_five_millimetres_apart(apart):
 @pytest.mark.parametrize("station", [1, 3, 5])
 def test_exchanged_nests_are_named_at_any_station(station):
     problem = exact()
-    a, b = (row_of(problem, kind=NEST, nest=k, station=station)[0] for k in (1, 4))
-    swapped = changed(problem, {a: problem.xyz[b], b: problem.xyz[a]})
+    a, b = (rows_of(problem, kind=NEST, nest=k, station=station)[0] for k in (1, 4))
+    swapped = with_points(problem, {a: problem.xyz[b], b: problem.xyz[a]})
     with pytest.raises(
         DataError, match=rf"nests 1 and 4 are exchanged at tracker station {station}"
     ):
@@ -168,11 +151,11 @@ def test_a_nest_that_moved_for_good_is_named_with_its_shift(nest, station):
     problem = exact()
     shift = np.array([3e-4, -2e-4, 4e-4])
     places = {}
-    for row in row_of(problem, kind=NEST, nest=nest):
+    for row in rows_of(problem, kind=NEST, nest=nest):
         s = problem.station[row]
         if s >= station:
             places[row] = cell.stations[s].seen(cell.nests[nest - 1] + shift)
-    (text,) = check_nests(changed(problem, places))
+    (text,) = check_nests(with_points(problem, places))
     assert text.startswith(
         f"nest {nest} moved between tracker stations {station - 1} and {station}"
     )
@@ -280,7 +263,7 @@ def test_rows_are_gathered_whatever_their_order():
 
 def test_a_nest_that_one_station_sees_joins_nothing():
     problem = exact("registration")
-    gone = row_of(problem, kind=NEST, nest=3)
+    gone = rows_of(problem, kind=NEST, nest=3)
     kept = np.setdiff1d(np.arange(len(problem.xyz)), gone[gone != gone[2]])
     columns = {
         name: getattr(problem, name)[kept]
@@ -302,7 +285,7 @@ def test_trials_scatter_the_points_as_tracker_mirror_and_table_do(way, slope):
     np.testing.assert_allclose(std[still], 1e-6, rtol=0.06)
     # A glass that turns by t in the plane of incidence moves the image by 2 t times its distance
     # from the spot, one that turns across it by the distance from the glass.
-    row = row_of(problem, kind=MIRRORED, position=6)[0]
+    row = rows_of(problem, kind=MIRRORED, position=6)[0]
     spread = np.sqrt(np.linalg.eigvalsh(np.cov(drawn[:, row].T)))
     entry = next(
         n for n in solve(problem).details["normals"] if n["angle_rad"] == problem.angles[6]

@@ -6,7 +6,7 @@ from mirror_scene import measured
 from scipy.optimize import least_squares
 
 from rotcal_ros.geometry.rotations import rotation_from_vector
-from rotcal_ros.methods.plane_mirror.solver.problem import Reflectors, find_nests
+from rotcal_ros.methods.plane_mirror.solver.problem import Sets, find_nests
 from rotcal_ros.methods.plane_mirror.solver.readings import (
     direct_readings,
     direct_response,
@@ -112,13 +112,9 @@ def test_a_circle_is_the_algebraic_fit_in_the_plane():
 
 def test_the_response_of_circles_is_their_derivative():
     angles = np.radians([0.0, 37.0, 110.0, 190.0, 260.0, 330.0])
-    index = np.arange(11)
-    reflectors = Reflectors(
-        index, np.array([0, 1, 2, 3, 4, 5, 0, 1, 3, 4, 5]), 0 * index,
-        np.repeat([0, 1], [6, 5]), np.array([1, 2]),
-    )  # fmt: skip
-    azimuth = angles[reflectors.position]
-    radii = np.where(reflectors.reflector == 0, 0.3, 0.2)
+    sets = Sets(np.repeat([0, 1], [6, 5]), angles[[0, 1, 2, 3, 4, 5, 0, 1, 3, 4, 5]])
+    azimuth = sets.commanded
+    radii = np.where(sets.number == 0, 0.3, 0.2)
     out = np.column_stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth])
     along = np.column_stack([-np.sin(azimuth), np.cos(azimuth), 0 * azimuth])
     places = radii[:, None] * out
@@ -127,9 +123,9 @@ def test_the_response_of_circles_is_their_derivative():
         for k in range(11):
             step = np.zeros((11, 3))
             step[k] = 1e-6 * direction[k]
-            ahead = direct_readings(places + step, reflectors, angles)
-            behind = direct_readings(places - step, reflectors, angles)
+            ahead = direct_readings(places + step, sets)
+            behind = direct_readings(places - step, sets)
             columns.append((ahead - behind) / 2e-6)
-    found = direct_response(reflectors, angles, radii)
+    found = direct_response(sets, radii)
     first = [0] * 6 + [6] * 5  # readings count from the first row of each reflector
     np.testing.assert_allclose(found - found[first], np.transpose(columns), atol=1e-6)

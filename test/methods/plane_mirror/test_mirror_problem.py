@@ -9,9 +9,9 @@ from settings_page import rows
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Approach, PointKind
 from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods.plane_mirror.settings import MirrorSolverSettings
 from rotcal_ros.methods.plane_mirror.solver import TrackerNoise, problem_from_observations
 from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem, noise_of
-from rotcal_ros.methods.plane_mirror.solver_settings import MirrorSolverSettings
 from rotcal_ros.planning.plan import Step
 
 DIRECT, MIRRORED, NEST = PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST

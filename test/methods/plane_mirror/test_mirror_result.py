@@ -5,19 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from chances import LONG
+from mirror_cell import measure, paper_cell, ring_cell
 from mirror_scene import PLACES, measured
 from scipy.optimize import least_squares
 
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
-from rotcal_ros.methods.plane_mirror.mirror_physics import (
-    measure,
-    paper_cell,
-    ring_cell,
-)
 from rotcal_ros.methods.plane_mirror.solver import TrackerNoise, solve
 from rotcal_ros.methods.plane_mirror.solver.prepare import prepare
-from rotcal_ros.methods.plane_mirror.solver.screening import repeats
+from rotcal_ros.methods.plane_mirror.solver.solve import repeats
 
 DIRECT, MIRRORED, NEST = PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST
 WAYS = ("direct", "stitching", "registration", "joint")

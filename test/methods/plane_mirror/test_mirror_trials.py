@@ -3,13 +3,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mirror_cell import measure, measure_direct, paper_cell
 
 from rotcal_ros.evaluation.monte_carlo import compare_with_linear, propagate
-from rotcal_ros.methods.plane_mirror.mirror_physics import (
-    measure,
-    measure_direct,
-    paper_cell,
-)
 from rotcal_ros.methods.plane_mirror.solver import mirror_trials, solve
 
 

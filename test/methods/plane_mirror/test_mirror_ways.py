@@ -6,19 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from chances import LONG
+from mirror_cell import add_noise, measure, measure_direct, paper_cell, ring_cell
 from scipy.stats import chi2
 
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
-from rotcal_ros.methods.plane_mirror.mirror_physics import (
-    TrackerStation,
-    add_noise,
-    measure,
-    measure_direct,
-    paper_cell,
-    ring_cell,
-)
+from rotcal_ros.methods.plane_mirror.mirror_physics import TrackerStation
 from rotcal_ros.methods.plane_mirror.solver import TrackerNoise, solve
 from rotcal_ros.methods.plane_mirror.solver.prepare import prepare
 

@@ -1,5 +1,6 @@
 """Laser tracker and plane mirror: direct, by stitching, by registration, or all in one."""
 
+from rotcal_ros.methods.plane_mirror.settings import WAYS
 from rotcal_ros.methods.plane_mirror.solver.problem import (
     PlaneMirrorProblem,
     TrackerNoise,
@@ -7,7 +8,6 @@ from rotcal_ros.methods.plane_mirror.solver.problem import (
 )
 from rotcal_ros.methods.plane_mirror.solver.registration import check_nests
 from rotcal_ros.methods.plane_mirror.solver.solve import METHOD, mirror_trials, solve
-from rotcal_ros.methods.plane_mirror.solver_settings import WAYS
 
 __all__ = [
     "METHOD",

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -30,16 +30,15 @@ from rotcal_ros.foundation.errors import DataError, RotcalError
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.protection import POWER, Protection
 from rotcal_ros.foundation.units import MICROMETRE
+from rotcal_ros.methods.plane_mirror.settings import DIRECT
 from rotcal_ros.methods.plane_mirror.solver.linear import Elements, Linear, linear
-from rotcal_ros.methods.plane_mirror.solver.prepare import (
+from rotcal_ros.methods.plane_mirror.solver.prepare import ScreenedPoints, prepare
+from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem
+from rotcal_ros.methods.plane_mirror.solver.ways import (
     PreparedNormals,
     PreparedPoints,
     PreparedWay,
-    ScreenedPoints,
-    prepare,
 )
-from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem
-from rotcal_ros.methods.plane_mirror.solver_settings import DIRECT
 
 LEAST_OF_GROUP: Final = 2
 """Readings that are a group: of two that disagree, either may be wrong."""
@@ -52,7 +51,7 @@ BELIEF: Final = Belief(disturbed=0.8)
 USUAL_SHARE: Final = 0.03
 """Share of single outliers that is nothing unusual."""
 MOST_UNKNOWNS: Final = 1500
-"""Unknowns up to which groups are judged: the work grows with their third power."""
+"""Unknowns, about, up to which groups are judged: the work grows with their third power."""
 MINORITY: Final = 0.4
 """Share of the pairs of a normal that the others outvote, whatever noise explains."""
 MOST_TIMES: Final = 6
@@ -81,30 +80,21 @@ def settled(problem: PlaneMirrorProblem) -> Settled:
     Groups are judged before single pairs: the pair that fits its group least is often a good one
     there. Raises DataError or GeometryError as :func:`~.prepare.prepare`.
     """
-    screened = _tried(problem)
-    if isinstance(screened, ScreenedPoints) and not screened.lost:
-        sound = _judged(screened, Gathering())
-        if _left_out(screened, sound.gathering) is None:
-            return sound
-    together = _together(problem)
-    found = together is not None and bool(together.gathering.blamed)
-    if isinstance(screened, DataError):
-        if together is None or not found or _largest_share(together) > MINORITY:
-            raise screened
-        return together
-    return together if together is not None and found else _judged(screened, Gathering())
-
-
-def _tried(problem: PlaneMirrorProblem) -> ScreenedPoints | DataError:
-    """Return the problem as single pairs are judged; or why it is refused."""
     try:
-        return prepare(problem)
-    except DataError as error:
-        return error
+        screened = prepare(problem)
+    except DataError:
+        together = _together(problem)
+        if together is None or _largest_share(together) > MINORITY:
+            raise
+        return together
+    alone = None if screened.lost else _judged(screened, Gathering())
+    if alone is not None and _left_out(screened, alone.gathering) is None:
+        return alone
+    return _together(problem) or alone or _judged(screened, Gathering())
 
 
 def _together(problem: PlaneMirrorProblem) -> Settled | None:
-    """Return the problem as groups are judged first; None where it has no solution then."""
+    """Return the problem as groups are judged first; None where that proves or solves nothing."""
     gathering, left = Gathering(), dict[int, str]()
     try:
         screened = prepare(problem, singly=False)
@@ -119,7 +109,7 @@ def _together(problem: PlaneMirrorProblem) -> Settled | None:
         screened = prepare(problem, left)
     except RotcalError:
         return None
-    return _judged(screened, gathering)
+    return _judged(screened, gathering) if gathering.blamed else None
 
 
 def _largest_share(together: Settled) -> float:
@@ -137,7 +127,7 @@ def _largest_share(together: Settled) -> float:
 def _judged(screened: ScreenedPoints, before: Gathering) -> Settled:
     """Return ``before`` with what the groups of a screened problem say."""
     prepared = screened.prepared
-    if _unknowns(prepared) > MOST_UNKNOWNS:
+    if 3 * len(prepared.angles) + prepared.drift.size > MOST_UNKNOWNS:
         return Settled(screened, before, None)
     points = linear(prepared, prepared.deviations(prepared.problem.xyz))
     groups = groups_of(points, prepared.problem, screened.lost)
@@ -147,11 +137,6 @@ def _judged(screened: ScreenedPoints, before: Gathering) -> Settled:
     weighed = [group for group in groups if group.kind in TURNING]
     found = engine.judged(before, groups, rest, weighed, BELIEF)
     return Settled(screened, found, points if isinstance(prepared, PreparedNormals) else None)
-
-
-def _unknowns(prepared: PreparedWay) -> int:
-    """Return about how many unknowns the linear view has."""
-    return 3 * len(prepared.angles) + prepared.drift.size
 
 
 def _left_out(
@@ -283,20 +268,6 @@ def _of_names(count: int) -> Bools:
     # All subsets but the empty one, as the bits of numbers; those of more than half are left out.
     every = (np.arange(1, 2**count)[:, None] >> np.arange(count)) % 2 == 1
     return np.asarray(every[every.sum(axis=1) <= count // 2])
-
-
-def doubts(gathering: Gathering, problem: PlaneMirrorProblem) -> list[str]:
-    """Return a sentence about everything that gathers, and about groups that do not fit."""
-    return engine.doubts(
-        gathering, engine.GatheringLimits(USUAL_SHARE, problem.significance), WORDS
-    )
-
-
-def details(gathering: Gathering) -> dict[str, Any]:
-    """Return what was found for the details of a result; nothing where nothing was judged."""
-    if gathering.judgement is None:
-        return {}
-    return {"gathering": engine.details(gathering, WORDS.elements)}
 
 
 def protection(gathering: Gathering, prepared: PreparedWay, std: Floats) -> tuple[Protection, ...]:

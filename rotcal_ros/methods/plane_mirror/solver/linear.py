@@ -22,10 +22,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from rotcal_ros.adjust.explanations import Hypotheses
 from rotcal_ros.adjust.groups import SolutionView
-from rotcal_ros.adjust.sensitivity import Sensitivity
 from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.methods.plane_mirror.settings import STITCHING
 from rotcal_ros.methods.plane_mirror.solver import joint
 from rotcal_ros.methods.plane_mirror.solver.drift import movement
 from rotcal_ros.methods.plane_mirror.solver.normals import (
@@ -34,27 +33,26 @@ from rotcal_ros.methods.plane_mirror.solver.normals import (
     reflection,
     tangent_frame,
 )
-from rotcal_ros.methods.plane_mirror.solver.prepare import (
-    Prepared,
-    PreparedJoint,
-    PreparedNormals,
-    PreparedPoints,
-    PreparedWay,
-)
 from rotcal_ros.methods.plane_mirror.solver.problem import Nests, nest_rounds
 from rotcal_ros.methods.plane_mirror.solver.readings import (
+    cones,
     direct_readings,
     direct_response,
     from_first,
     local_axes,
-    station_cones,
 )
 from rotcal_ros.methods.plane_mirror.solver.registration import (
     Poses,
     nest_equations,
     pose_jacobian,
 )
-from rotcal_ros.methods.plane_mirror.solver_settings import STITCHING
+from rotcal_ros.methods.plane_mirror.solver.ways import (
+    Prepared,
+    PreparedJoint,
+    PreparedNormals,
+    PreparedPoints,
+    PreparedWay,
+)
 
 _CIRCLE: Final = 7
 """Unknowns of the circle of a reflector on the table: centre, three turns, radius."""
@@ -144,32 +142,10 @@ class Linear:
 
     def response(self, errors: Floats) -> Floats:
         """Return what errors of all points (n, 3, k) do to the deviations, (N, k)."""
-        return np.asarray(self.outputs @ self._solved(self._white(errors)))
-
-    def effect(self, errors: Floats) -> Hypotheses:
-        """Return errors of all points (n, 3, k), each times a number of std 1, as an explanation.
-
-        All of them together, along the axes that the residuals tell apart.
-        """
-        white = self._white(errors)
-        solved = self._solved(white)
-        weight = white.T @ (white - self.design.reshape(len(white), -1) @ solved)
-        values, vectors = np.linalg.eigh(0.5 * (weight + weight.T))  # symmetric but for rounding
-        along = (white.T @ self.residual.ravel()) @ vectors
-        sensitivity = Sensitivity.whole(np.asarray(self.outputs @ solved))
-        return Hypotheses(
-            np.maximum(values, 0.0)[None], along[None], lambda: vectors[:, None], sensitivity
-        )
-
-    def _white(self, errors: Floats) -> Floats:
-        """Return errors of all points (n, 3, k) as whitened ones of the misclosures (3 m, k)."""
         carried = self.root @ self.elements.carried(errors)
-        return carried.reshape(self.misclosure.size, errors.shape[2])
-
-    def _solved(self, white: Floats) -> Floats:
-        """Return what whitened misclosures (3 m, k) do to the unknowns (p, k)."""
+        white = carried.reshape(self.misclosure.size, errors.shape[2])
         flat = self.design.reshape(len(white), -1)
-        return np.asarray(self.view.covariance @ (flat.T @ white))
+        return np.asarray(self.outputs @ (self.view.covariance @ (flat.T @ white)))
 
     @cached_property
     def _solution(self) -> Floats:
@@ -363,8 +339,8 @@ def _circle_rows(prepared: PreparedPoints, deviations: Floats, columns: _Unknown
     xyz = prepared.problem.xyz[seen.row]
     every = np.arange(len(seen.row))
     placed = poses.placed(xyz, seen.station)
-    axes, radii, off_circle = local_axes(placed, seen, prepared.angles)
-    readings = direct_readings(placed, seen, prepared.angles)
+    axes, radii, off_circle = local_axes(placed, prepared.sets)
+    readings = direct_readings(placed, prepared.sets)
     along = radii * (readings - deviations[seen.position])
     arm = radii[:, None] * axes[:, 1]
     first = n + _CIRCLE * seen.reflector
@@ -437,16 +413,16 @@ def _mirror(prepared: PreparedNormals, deviations: Floats) -> joint.Mirror:
         return joint.start_mirror(normals, pairs, prepared.poses, prepared.angles)
     # Each station gets a frame of its own with the table axis as z, turned about it so that the
     # azimuth of its first normal is what the deviations say.
-    axes, height = station_cones(normals.normal, pairs, prepared.angles)
+    axes, height = cones(normals.normal, prepared.sets)
     psi, n = prepared.angles + deviations, len(prepared.angles)
     rotation = np.tile(np.eye(3), (int(pairs.station.max()) + 1, 1, 1))
-    for station, at, _ in pairs.stations(prepared.angles):
+    for at, _ in prepared.sets:
         axis, here = axes[at[0]], psi[pairs.position[at[0]]]
         side = np.cross(axis, normals.normal[at[0]])
         side = side / np.linalg.norm(side)
         front = np.cross(side, axis)
         c, s = np.cos(here), np.sin(here)
-        rotation[station] = [c * front - s * side, s * front + c * side, axis]
+        rotation[pairs.station[at[0]]] = [c * front - s * side, s * front + c * side, axis]
     poses = Poses(rotation, np.zeros((len(rotation), 3)))
     flat = np.zeros(n)  # distances are free in each group, tilts start at none
     return joint.Mirror(poses, np.eye(3), np.asarray(np.arcsin(height)), psi, flat, flat.copy())
@@ -475,8 +451,8 @@ def _sensitivity(prepared: PreparedPoints, elements: Elements, root: Floats) -> 
     seen, poses, m = prepared.reflectors, prepared.poses, elements.pairs
     step = np.swapaxes(np.linalg.inv(root), 1, 2)  # (m, axis, 3): one whitened unit, in m
     placed = poses.placed(prepared.problem.xyz[seen.row], seen.station)
-    axes, radii, _ = local_axes(placed, seen, prepared.angles)
-    gain = prepared.joining @ direct_response(seen, prepared.angles, radii)
+    axes, radii, _ = local_axes(placed, prepared.sets)
+    gain = prepared.joining @ direct_response(prepared.sets, radii)
     moved = np.einsum("mbj,mjk,mak->mab", axes, poses.rotation[seen.station], step[:m])
     found = np.zeros((len(prepared.angles), *root.shape[:2]))
     found[:, :m] = gain[:, :m, None] * moved[:, :, 0] + gain[:, m:, None] * moved[:, :, 1]

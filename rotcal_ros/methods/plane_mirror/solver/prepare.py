@@ -1,173 +1,63 @@
-"""Screening a problem and laying it out, once for one solution or for thousands of trials.
+"""Screening a problem and laying it out for its way.
 
-What depends only on the layout and on the noise is prepared once, in the type that belongs to the
-way; the estimates then take points (..., n, 3) with any leading axes. An estimate frees points of
-the drift, brings the stations together, makes readings of angles, and joins these to deviations.
+Blunders on the shop floor that leave no doubt are refused with DataError. What can be left out
+safely is left out, and the result says which rows and why.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import dist, hypot
 from typing import Final
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import chi2_isf
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.results import Rejection
-from rotcal_ros.methods.plane_mirror.solver import joint, screening
+from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
+from rotcal_ros.geometry.rotations import wrap_angle
+from rotcal_ros.methods.plane_mirror.settings import DIRECT, JOINT, STITCHING
+from rotcal_ros.methods.plane_mirror.solver import joint
 from rotcal_ros.methods.plane_mirror.solver.drift import NestDrift, displaced_nests, find_drift
 from rotcal_ros.methods.plane_mirror.solver.normals import (
     Normals,
-    angle_deviation,
     fit_normals,
+    incidence,
     pair_weights,
 )
 from rotcal_ros.methods.plane_mirror.solver.problem import (
     MirrorPairs,
     Nests,
     PlaneMirrorProblem,
-    Reflectors,
     find_nests,
     find_pairs,
     find_reflectors,
 )
 from rotcal_ros.methods.plane_mirror.solver.readings import (
-    direct_readings,
     fit_circle,
     joining_map,
-    registered_readings,
     require_circles,
     require_cone,
     require_overlap,
-    stitch,
 )
-from rotcal_ros.methods.plane_mirror.solver.registration import (
-    Poses,
-    adjust_stations,
-    register,
+from rotcal_ros.methods.plane_mirror.solver.registration import Poses, register
+from rotcal_ros.methods.plane_mirror.solver.ways import (
+    PreparedJoint,
+    PreparedNormals,
+    PreparedPoints,
+    PreparedWay,
 )
-from rotcal_ros.methods.plane_mirror.solver_settings import DIRECT, JOINT, STITCHING
 
-_DRIFT_STEP: Final = 1e-6
-"""Turn (rad), shift and range (m) that the response to a drift is found with."""
-_TRIAL_STEPS: Final = 2  # Gauss-Newton from the nominal solution: noise squared, then rounding
-
-
-@dataclass(frozen=True, eq=False)
-class Prepared(ABC):
-    """A screened problem with all that does not change from trial to trial.
-
-    ``problem`` has its points without the ``drift`` of the tracker. ``angles`` (N,) are those of
-    the ``positions`` (N,) that were measured; those of pairs and reflectors count in them.
-    ``poses`` are the nominal stations, or all at the origin where the way needs none. ``joining``
-    (N, readings) makes deviations of readings.
-    """
-
-    problem: PlaneMirrorProblem
-    drift: NestDrift
-    positions: Ints
-    angles: Floats
-    nests: Nests
-    poses: Poses
-    joining: Floats
-
-    @property
-    def nest_weight(self) -> Floats:
-        """Inverse covariances (Q, 3, 3) of the nests, along the axes of each station."""
-        return self.problem.noise.weight(self.problem.xyz[self.nests.row])
-
-    def estimate(self, points: Floats) -> Floats:
-        """Return deviations (..., N) in rad, from the first position, of points (..., n, 3).
-
-        The drift of each trial is estimated from its own points.
-        """
-        return self.deviations(self.drift.corrected(points))
-
-    @abstractmethod
-    def deviations(self, points: Floats) -> Floats:
-        """Return the deviations (..., N) of points (..., n, 3) that have no drift."""
-
-    def drift_response(self) -> Floats:
-        """Return the derivative (N, size) of the deviations by the changes that the drift made.
-
-        By central differences of the estimate itself, so that it is the same for every way; a
-        step moves points by micrometres, where the estimate is linear to 1e-6.
-        """
-        if not self.drift.size:
-            return np.zeros((len(self.angles), 0))
-        steps = _DRIFT_STEP * np.eye(self.drift.size)
-        moved = self.drift.displacement(self.problem.xyz, np.concatenate([steps, -steps]))
-        ahead, behind = np.split(self.deviations(self.problem.xyz - moved), 2)
-        return np.asarray((ahead - behind).T / (2.0 * _DRIFT_STEP), dtype=np.float64)
-
-    def stations_of(self, points: Floats) -> Poses:
-        """Return the adjusted stations for points (..., n, 3)."""
-        if self.poses.rotation.shape[-3] == 1:
-            return self.poses
-        return adjust_stations(points, self.nests, self.nest_weight, self.poses, _TRIAL_STEPS)
-
-
-@dataclass(frozen=True, eq=False)
-class PreparedPoints(Prepared):
-    """The way "direct": reflectors that the table carries."""
-
-    reflectors: Reflectors
-
-    def deviations(self, points: Floats) -> Floats:
-        """Return the deviations about the circles of the reflectors."""
-        own = points[..., self.reflectors.row, :]
-        placed = self.stations_of(points).placed(own, self.reflectors.station)
-        readings = direct_readings(placed, self.reflectors, self.angles)
-        return np.asarray(readings @ self.joining.T, dtype=np.float64)
-
-
-@dataclass(frozen=True, eq=False)
-class PreparedNormals(Prepared):
-    """The ways "stitching" and "registration": a mirror, seen in pairs of points."""
-
-    pairs: MirrorPairs
-    pair_weight: Floats
-
-    def normals(self, points: Floats) -> Normals:
-        """Return the mirror's planes that points (..., n, 3) show."""
-        return fit_normals(points, self.pairs, self.pair_weight)
-
-    def deviations(self, points: Floats) -> Floats:
-        """Return the deviations of the normals, each in its station or all in the first one's."""
-        normal = self.normals(points).normal
-        if self.problem.way == STITCHING:
-            readings = stitch(normal, self.pairs, self.angles)
-        else:
-            placed = self.stations_of(points).turned(normal, self.pairs.station)
-            readings = registered_readings(placed, self.pairs, self.angles)
-        return np.asarray(readings @ self.joining.T, dtype=np.float64)
-
-    @property
-    def adjusted_together(self) -> joint.Together:
-        """What the way "joint" adjusts together."""
-        return joint.Together(self.pairs, self.nests, self.nest_weight, self.problem.tilt_std)
-
-
-@dataclass(frozen=True, eq=False)
-class PreparedJoint(PreparedNormals):
-    """The way "joint", with its nominal solution ``mirror``."""
-
-    mirror: joint.Mirror
-
-    def deviations(self, points: Floats) -> Floats:
-        """Return the deviations by the least squares of everything at once."""
-        mirror = joint.adjust_joint(
-            points, self.normals(points), self.adjusted_together, self.mirror, _TRIAL_STEPS
-        )
-        return angle_deviation(mirror.psi, self.angles)
-
-
-PreparedWay = PreparedPoints | PreparedNormals
-"""A prepared problem of any way; that of "joint" is one of normals."""
+MIN_SEPARATION: Final = 1e-3
+"""Two reflectors, or a reflector and its image, are never closer than this (m)."""
+MAX_MISFIT: Final = 2.0 * DEGREE
+"""Normals of one station are closer to the command than this, leaning by up to 8 degrees."""
+GROSS: Final = 25.0
+"""A chi square this many times its limit is a blunder, not noise stated too small."""
 
 
 @dataclass(frozen=True)
@@ -203,36 +93,33 @@ def _prepare_mirror(
     problem: PlaneMirrorProblem, drift: NestDrift, left_out: Mapping[int, str], singly: bool
 ) -> ScreenedPoints:
     pairs = find_pairs(problem)
-    screening.check_pairs(problem, pairs)
+    check_pairs(problem, pairs)
     if left_out:
         pairs = pairs.keep(~np.isin(pairs.direct, list(left_out)))
     weight = pair_weights(problem.xyz, pairs, problem.noise)
-    pairs, rejected = screening.drop_steep(problem, pairs, fit_normals(problem.xyz, pairs, weight))
+    pairs, rejected = drop_steep(problem, pairs, fit_normals(problem.xyz, pairs, weight))
     # Again: the weight rests on the approximate plane of a group, from the pairs that are left.
     weight = pair_weights(problem.xyz, pairs, problem.noise)
     inconsistent = [Rejection(row, why) for row, why in sorted(left_out.items())]
     if singly:
-        pairs, weight, alone = screening.drop_inconsistent(problem, pairs, weight)
+        pairs, weight, alone = drop_inconsistent(problem, pairs, weight)
         inconsistent += alone
     normals = fit_normals(problem.xyz, pairs, weight)
-    screening.check_normals(problem, pairs, normals)
+    check_normals(problem, pairs, normals)
     used, position = np.unique(pairs.position, return_inverse=True)
     warnings = _absent(problem, used)
     pairs = replace(pairs, position=position.astype(np.int64))
-    angles = problem.angles[used]
-    if problem.way == STITCHING:
-        poses, nests = _one_station()
-        warnings += displaced_nests(problem, drift)
+    angles, stitched = problem.angles[used], problem.way == STITCHING
+    poses, nests, moved = _stations(problem, drift)
+    if stitched:
         require_overlap(problem, pairs)
         require_cone(problem, pairs, angles)
-        _, zero = np.unique(pairs.station, return_inverse=True)
     else:
-        poses, nests, moved = _stations(problem, drift)
-        warnings += moved
-        zero = np.zeros_like(pairs.station)
         _require_three(problem, angles)
+    sets = pairs.sets(angles, by_station=stitched)
     # A normal from k pairs weighs k times one from a single pair.
-    joining = joining_map(pairs.position, zero, 1.0 / np.bincount(pairs.group), len(angles))
+    variance = 1.0 / np.bincount(pairs.group)
+    joining = joining_map(pairs.position, sets.number, variance, len(angles))
     prepared = PreparedNormals(
         problem=problem,
         drift=drift,
@@ -240,6 +127,7 @@ def _prepare_mirror(
         angles=angles,
         nests=nests,
         poses=poses,
+        sets=sets,
         joining=joining,
         pairs=pairs,
         pair_weight=weight,
@@ -247,22 +135,23 @@ def _prepare_mirror(
     if problem.way == JOINT:
         prepared = _with_mirror(prepared)
     lost = tuple(r.index for r in inconsistent if problem.kind[r.index] == PointKind.MIRRORED)
-    return ScreenedPoints(prepared, (*rejected, *inconsistent), tuple(warnings), lost)
+    return ScreenedPoints(prepared, (*rejected, *inconsistent), (*warnings, *moved), lost)
 
 
 def _prepare_direct(problem: PlaneMirrorProblem, drift: NestDrift) -> ScreenedPoints:
     reflectors = find_reflectors(problem)
     require_circles(problem, reflectors)
-    poses, nests, warnings = _stations(problem, drift)
+    poses, nests, moved = _stations(problem, drift)
     used, position = np.unique(reflectors.position, return_inverse=True)
-    warnings += _absent(problem, used)
+    warnings = _absent(problem, used)
     reflectors = replace(reflectors, position=position.astype(np.int64))
     angles = problem.angles[used]
+    sets = reflectors.sets(angles)
     placed = poses.placed(problem.xyz[reflectors.row], reflectors.station)
     variance = np.zeros(len(placed))  # of an angle: a place is as exact on a large circle
-    for at, commanded in reflectors.circles(angles):
+    for at, commanded in sets:
         variance[at] = 1.0 / fit_circle(placed[at], commanded)[2] ** 2
-    joining = joining_map(reflectors.position, reflectors.reflector, variance, len(angles))
+    joining = joining_map(reflectors.position, sets.number, variance, len(angles))
     prepared = PreparedPoints(
         problem=problem,
         drift=drift,
@@ -270,23 +159,23 @@ def _prepare_direct(problem: PlaneMirrorProblem, drift: NestDrift) -> ScreenedPo
         angles=angles,
         nests=nests,
         poses=poses,
+        sets=sets,
         joining=joining,
         reflectors=reflectors,
     )
-    return ScreenedPoints(prepared, (), tuple(warnings))
+    return ScreenedPoints(prepared, (), (*moved, *warnings))
 
 
 def _stations(problem: PlaneMirrorProblem, drift: NestDrift) -> tuple[Poses, Nests, list[str]]:
-    """Return the registered stations, the nests of that, and what moved in words."""
-    if problem.station.max() == 0:
-        return *_one_station(), displaced_nests(problem, drift)
+    """Return the registered stations, the nests of that, and what moved in words.
+
+    One station needs no nests, and stitching leaves each as it stands.
+    """
+    count = int(problem.station.max()) + 1
+    if count == 1 or problem.way == STITCHING:
+        return Poses.untied(count), Nests.none(), displaced_nests(problem, drift)
     poses, nests, moved = register(problem, find_nests(problem), drift.size)
     return poses, nests, [m.text for m in moved]
-
-
-def _one_station() -> tuple[Poses, Nests]:
-    """Return what stands for stations that no nests bring together."""
-    return Poses.untied(1), Nests.none()
 
 
 def _with_mirror(prepared: PreparedNormals) -> PreparedJoint:
@@ -311,3 +200,142 @@ def _require_three(problem: PlaneMirrorProblem, angles: Floats) -> None:
             f"{problem.source}: {len(angles)} table positions have a mirror normal, the plane of "
             "rotation needs at least 3"
         )
+
+
+def check_pairs(problem: PlaneMirrorProblem, pairs: MirrorPairs) -> None:
+    """Refuse a reflector measured twice directly, and direct and mirrored points exchanged."""
+    for direct, mirrored in zip(pairs.direct.tolist(), pairs.mirrored.tolist(), strict=True):
+        if why := not_an_image(problem.xyz[direct].tolist(), problem.xyz[mirrored].tolist()):
+            raise DataError(
+                f"{problem.source}: {problem.row_name(direct)}: {why} (points are given in the "
+                "tracker's own frame, not in a common one)"
+            )
+
+
+def not_an_image(direct: Sequence[float], mirrored: Sequence[float]) -> str:
+    """Say why a point is not the image of the reflector at ``direct``; empty: it may be.
+
+    The plane half way between M and M' separates the tracker from the image, so the direct point
+    is always the nearer one.
+    """
+    apart = dist(direct, mirrored)
+    if apart < MIN_SEPARATION:
+        return (
+            f"the mirrored point is {apart / MILLIMETRE:.3f} mm from the direct one: the same "
+            "point was measured twice; measure the image through the mirror"
+        )
+    near, far = hypot(*direct), hypot(*mirrored)
+    if near >= far:
+        return (
+            f"the mirrored point is {far:.4f} m away, the direct one {near:.4f} m, but an image "
+            "is always the farther one: direct and mirrored exchanged"
+        )
+    return ""
+
+
+def drop_steep(
+    problem: PlaneMirrorProblem, pairs: MirrorPairs, normals: Normals
+) -> tuple[MirrorPairs, list[Rejection]]:
+    """Leave out pairs whose beam strikes the mirror beyond the incidence limit."""
+    angle = incidence(problem.xyz, pairs, normals.normal)
+    steep = angle > problem.incidence_limit
+    why = "angle of incidence {:.1f} deg is beyond the limit of {:g} deg"
+    limit = problem.incidence_limit / DEGREE
+    rejected = [
+        Rejection(int(row), why.format(angle[pair] / DEGREE, limit))
+        for pair in np.flatnonzero(steep)
+        for row in (pairs.direct[pair], pairs.mirrored[pair])
+    ]
+    if steep.all():
+        raise DataError(
+            f"{problem.source}: every beam strikes the mirror beyond {limit:g} deg (least "
+            f"{angle.min() / DEGREE:.1f} deg); turn the mirror towards the tracker"
+        )
+    return pairs.keep(~steep) if steep.any() else pairs, rejected
+
+
+def drop_inconsistent(
+    problem: PlaneMirrorProblem, pairs: MirrorPairs, weight: Floats
+) -> tuple[MirrorPairs, Floats, list[Rejection]]:
+    """Leave out the pair that contradicts the others of its group; returns pairs and weights.
+
+    All pairs of a group show the same plane. Of three or more, the one that does not fit is found
+    and left out. Two that disagree cannot say which is wrong: they are refused when no noise
+    explains it, and left to the test of all residuals when more noise than stated would.
+    """
+    rejected: list[Rejection] = []
+    undecided: set[tuple[int, int]] = set()
+    while True:
+        normals = fit_normals(problem.xyz, pairs, weight)
+        # Of k pairs there are 3 k conditions for the three unknowns of a plane.
+        squares = np.einsum("pi,pij,pj->p", normals.misclosure, weight, normals.misclosure)
+        total = np.add.reduceat(squares, pairs.start)
+        count = np.bincount(pairs.group)
+        limit = chi2_isf(problem.significance / pairs.n_groups, np.maximum(3 * count - 3, 1))
+        places = list(zip(pairs.position.tolist(), pairs.station.tolist(), strict=True))
+        known = np.array([place in undecided for place in places])
+        bad = np.flatnonzero((count > 1) & (total > limit) & ~known)
+        if not len(bad):
+            return pairs, weight, rejected
+        group = int(bad[np.argmax(total[bad] / limit[bad])])
+        pair = _culprit(problem, pairs, weight, group)
+        if pair is None:
+            if total[group] > GROSS * limit[group]:
+                raise DataError(_undecided(problem, pairs, group))
+            undecided.add(places[group])
+            continue
+        nest = problem.nest[pairs.direct[pair]]
+        why = f"reflector {nest} shows another mirror plane than the others of its position"
+        rejected += [Rejection(int(rows[pair]), why) for rows in (pairs.direct, pairs.mirrored)]
+        wanted = np.arange(len(pairs.direct)) != pair
+        pairs, weight = pairs.keep(wanted), weight[wanted]
+
+
+def check_normals(problem: PlaneMirrorProblem, pairs: MirrorPairs, normals: Normals) -> None:
+    """Refuse a normal that stands degrees away from where the table was sent."""
+    for at, commanded in pairs.sets(problem.angles, by_station=True):
+        station = int(pairs.station[at[0]])
+        n = normals.normal[at]
+        seen = np.arccos(np.clip(n @ n.T, -1.0, 1.0))
+        turn = commanded[:, None] - commanded[None, :]
+        wrong = np.abs(seen - np.abs(wrap_angle(turn))) > MAX_MISFIT
+        if not wrong.any():
+            continue
+        worst = int(np.argmax(wrong.sum(axis=1)))
+        other = int(np.argmax(wrong[worst]))
+        clear = len(at) > 2 and wrong.sum(axis=1)[worst] > wrong.sum(axis=1)[other]
+        names = problem.position_name(int(pairs.position[at[worst]]))
+        against = problem.position_name(int(pairs.position[at[other]]))
+        raise DataError(
+            f"{problem.source}: from tracker station {problem.station_name(station)} the "
+            f"mirror at {names} stands {seen[worst, other] / DEGREE:.2f} deg from its normal at "
+            f"{against}{'' if clear else ', one of them wrong'}: reflector on the wrong nest, "
+            "wrong position number, or wrong commanded angle"
+        )
+
+
+def _culprit(
+    problem: PlaneMirrorProblem, pairs: MirrorPairs, weight: Floats, group: int
+) -> int | None:
+    """Return the pair of a group without which the others agree; None when that is undecided."""
+    members = np.flatnonzero(pairs.group == group)
+    left = []
+    for pair in members:
+        wanted = (pairs.group == group) & (np.arange(len(pairs.group)) != pair)
+        rest = pairs.keep(wanted)
+        e = fit_normals(problem.xyz, rest, weight[wanted]).misclosure
+        left.append(float(np.einsum("pi,pij,pj->", e, weight[wanted], e)))
+    dof = 3 * len(members) - 6  # of one pair less
+    if dof == 0 or min(left) > chi2_isf(problem.significance / pairs.n_groups, dof):
+        return None
+    return int(members[int(np.argmin(left))])
+
+
+def _undecided(problem: PlaneMirrorProblem, pairs: MirrorPairs, group: int) -> str:
+    names = ", ".join(str(problem.nest[row]) for row in pairs.direct[pairs.group == group])
+    return (
+        f"{problem.source}: {problem.position_name(int(pairs.position[group]))}, tracker "
+        f"station {problem.station_name(int(pairs.station[group]))}: reflectors {names} "
+        "show different mirror planes and nothing tells which is right: reflector on the "
+        "wrong nest, nest or mirror moved in between; measure this position again"
+    )

@@ -19,7 +19,7 @@ from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
-from rotcal_ros.methods.plane_mirror.solver_settings import (
+from rotcal_ros.methods.plane_mirror.settings import (
     INCIDENCE_LIMIT_DEG,
     WAYS,
     MirrorSolverSettings,
@@ -261,6 +261,23 @@ def _require_distinct(problem: PlaneMirrorProblem) -> None:
 
 
 @dataclass(frozen=True)
+class Sets:
+    """Readings (m,) whose angles count about one axis, from one zero: the ``number`` of each.
+
+    ``commanded`` (m,): where the table was sent for each, rad.
+    """
+
+    number: Ints
+    commanded: Floats
+
+    def __iter__(self) -> Iterator[tuple[Ints, Floats]]:
+        """Yield which readings belong to each set, and where the table was sent for them."""
+        for number in range(int(self.number.max()) + 1):
+            at = np.flatnonzero(self.number == number)
+            yield at, self.commanded[at]
+
+
+@dataclass(frozen=True)
 class MirrorPairs:
     """Direct and mirrored rows (P,) of one reflector each, sorted by group.
 
@@ -280,11 +297,10 @@ class MirrorPairs:
         """Number of groups, that is, of normals."""
         return len(self.position)
 
-    def stations(self, angles: Floats) -> Iterator[tuple[int, Ints, Floats]]:
-        """Yield each station, its groups, and where ``angles`` (N,) send the table for them."""
-        for station in np.unique(self.station):
-            at = np.flatnonzero(self.station == station)
-            yield int(station), at, angles[self.position[at]]
+    def sets(self, angles: Floats, *, by_station: bool) -> Sets:
+        """Return the sets of normals: those of each tracker station, or all of them."""
+        number = np.unique(self.station, return_inverse=True)[1] * by_station
+        return Sets(number.astype(np.int64), angles[self.position])
 
     def keep(self, wanted: Bools) -> MirrorPairs:
         """Return the pairs (P,) that are wanted, without the groups that become empty."""
@@ -357,11 +373,9 @@ class Reflectors:
     reflector: Ints
     name: Ints
 
-    def circles(self, angles: Floats) -> Iterator[tuple[Ints, Floats]]:
-        """Yield which entries belong to each reflector, and where ``angles`` (N,) send them."""
-        for reflector in range(len(self.name)):
-            at = np.flatnonzero(self.reflector == reflector)
-            yield at, angles[self.position[at]]
+    def sets(self, angles: Floats) -> Sets:
+        """Return the circles: each reflector goes round one, from a zero of its own."""
+        return Sets(self.reflector, angles[self.position])
 
 
 def find_pairs(problem: PlaneMirrorProblem) -> MirrorPairs:

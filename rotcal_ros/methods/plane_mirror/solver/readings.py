@@ -4,13 +4,15 @@ Every reading is
 
     deviation(position) + zero(set) + error,
 
-where a set is what shares a zero: a tracker station in stitching, a reflector in the direct way,
-everything in registration. Sets are tied by the positions they share, and :func:`joining_map` is
-the least squares of that. With one shared position from set to set it is the running sum of the
-paper (Muralikrishnan et al., equations 7 to 16); with more, all ties are used.
+where a set is what shares a zero (:class:`~.problem.Sets`): a tracker station in stitching, a
+reflector in the direct way, everything in registration. Sets are tied by the positions they share,
+and :func:`joining_map` is the least squares of that. With one shared position from set to set it
+is the running sum of the paper (Muralikrishnan et al., equations 7 to 16); with more, all ties are
+used.
 
 * Stitching: each tracker station finds the table axis and the angles from its own normals.
-* Registration: all normals, brought to common axes by the nests, stand on one cone.
+* Registration: all normals, brought to common axes by the nests, are one set: they stand on one
+  cone.
 * Direct: reflectors carried by the table, angles about the centre of their circle.
 
 For each there is the derivative of the readings by the movements of what is measured, at the
@@ -50,6 +52,7 @@ from rotcal_ros.methods.plane_mirror.solver.problem import (
     MirrorPairs,
     PlaneMirrorProblem,
     Reflectors,
+    Sets,
 )
 from rotcal_ros.methods.plane_mirror.solver.registration import Poses, station_columns
 
@@ -96,63 +99,60 @@ def islands(position: Ints, zero: Ints, n: int) -> tuple[Ints, Ints]:
     return label[:n].astype(np.int64), label[n:].astype(np.int64)
 
 
-def stitch(normals: Floats, pairs: MirrorPairs, angles: Floats) -> Floats:
-    """Return one reading (..., G) per group: deviation in rad from its station's first group.
+def cone_readings(normals: Floats, sets: Sets) -> Floats:
+    """Return one reading (..., G) per normal (..., G, 3): deviation in rad from its set's first.
 
-    ``normals`` (..., G, 3) each in the frame of its station, ``angles`` (N,) commanded.
+    Normals of a set are given along the same axes: those of a station, or the common ones.
     """
-    axes, _ = station_cones(normals, pairs, angles)
+    axes, _ = cones(normals, sets)
     readings = np.zeros(normals.shape[:-1])
-    for _, at, commanded in pairs.stations(angles):
+    for at, commanded in sets:
         if len(at) > 1:
             seen = azimuths(normals[..., at, :], axes[..., at[0], :])
             readings[..., at] = angle_deviation(seen, commanded)
     return readings
 
 
-def stitch_response(normals: Floats, pairs: MirrorPairs, angles: Floats) -> Floats:
-    """Return the derivative (G, 2 G) of :func:`stitch` by (tau, eta) of all normals (G, 3).
+def cone_response(sets: Sets, height: float) -> Floats:
+    """Return the derivative (G, 2 G) of :func:`cone_readings` by (tau, eta) of all normals.
 
-    tau, eta: movement of a normal along t and b of :func:`~.normals.tangent_frame`, in rad.
+    tau, eta: movement of a normal along t and b of :func:`~.normals.tangent_frame`, in rad;
+    ``height``: of the :func:`cones`.
     """
-    n = len(normals)
-    response = np.zeros((n, 2 * n))
-    height_response = np.zeros(n)
-    shares = _shares(pairs, angles)
-    s = float(station_cones(normals, pairs, angles)[1])
-    tan_beta, cos_beta = s / np.sqrt(1.0 - s**2), np.sqrt(1.0 - s**2)
-    for few in (False, True):  # stations of two lean on the height that the others give
-        for station, at, azimuth in pairs.stations(angles):
+    n = len(sets.number)
+    response, height_response, shares = np.zeros((n, 2 * n)), np.zeros(n), _shares(sets)
+    cos_beta = np.sqrt(1.0 - height**2)
+    for few in (False, True):  # sets of two lean on the height that the others give
+        for number, (at, azimuth) in enumerate(sets):
             if len(at) < 2 or (len(at) == 2) is not few:
                 continue
-            turn = azimuth_response(azimuth, tan_beta)
+            turn = azimuth_response(azimuth, height / cos_beta)
             response[at, at] += 1.0 / cos_beta
             if few:
                 tilt, by_height = two_axis_response(azimuth)
                 response[at, n:] += np.outer(turn @ by_height, height_response)
             else:
                 tilt, by_eta = np.split(axis_response(azimuth), [2])
-                height_response[at] += shares[station] * by_eta[0]
+                height_response[at] += shares[number] * by_eta[0]
             response[np.ix_(at, n + at)] += turn @ tilt
     return response
 
 
-def station_cones(normals: Floats, pairs: MirrorPairs, angles: Floats) -> tuple[Floats, Floats]:
-    """Return the table axis (..., G, 3) as each group's station sees it, and the height (...).
+def cones(normals: Floats, sets: Sets) -> tuple[Floats, Floats]:
+    """Return the table axis (..., G, 3) that each normal turns about, and the height (...).
 
-    The height s = sin(elevation of the normals) is the mean over the stations that can tell:
-    those with three or more normals, which have their own plane. Two normals have none: their
-    axis follows from the height that the other stations find.
+    The height s = sin(elevation of the normals) is the mean over the sets that can tell: those of
+    three or more normals, which have their own plane. Two normals have none: their axis follows
+    from the height that the others find.
     """
     axes, height = np.zeros_like(normals), np.zeros(normals.shape[:-2])
-    shares = _shares(pairs, angles)
-    stations = list(pairs.stations(angles))
-    for station, at, commanded in stations:
+    shares = _shares(sets)
+    for number, (at, commanded) in enumerate(sets):
         if len(at) >= 3:
             axis, s = fit_cone(normals[..., at, :], commanded)
             axes[..., at, :] = axis[..., None, :]
-            height += shares[station] * s
-    for _, at, commanded in stations:
+            height += shares[number] * s
+    for at, commanded in sets:
         if len(at) == 2:
             axis = axis_of_two(normals[..., at, :], height, commanded)
             axes[..., at, :] = axis[..., None, :]
@@ -162,19 +162,19 @@ def station_cones(normals: Floats, pairs: MirrorPairs, angles: Floats) -> tuple[
     return axes, height
 
 
-def _shares(pairs: MirrorPairs, angles: Floats) -> dict[int, float]:
-    """Return the weight of each station with three or more normals in the common cone height.
+def _shares(sets: Sets) -> dict[int, float]:
+    """Return the weight of each set of three or more normals in the common height of cones.
 
-    It is the inverse variance of the height that a station finds from normals whose eta scatter
+    It is the inverse variance of the height that a set finds from normals whose eta scatter
     alike; all weights together are 1.
     """
     weights = {}
-    for station, at, azimuth in pairs.stations(angles):
+    for number, (at, azimuth) in enumerate(sets):
         if len(at) >= 3:
             response = axis_response(azimuth)
-            weights[station] = 1.0 / float(response[2] @ response[2])
+            weights[number] = 1.0 / float(response[2] @ response[2])
     total = sum(weights.values())
-    return {station: weight / total for station, weight in weights.items()}
+    return {number: weight / total for number, weight in weights.items()}
 
 
 def require_overlap(problem: PlaneMirrorProblem, pairs: MirrorPairs) -> None:
@@ -212,30 +212,14 @@ def require_cone(problem: PlaneMirrorProblem, pairs: MirrorPairs, angles: Floats
             )
 
 
-def registered_readings(normals: Floats, pairs: MirrorPairs, angles: Floats) -> Floats:
-    """Return one reading (..., G) per normal (..., G, 3) in the common frame."""
-    commanded = angles[pairs.position]
-    axis, _ = fit_cone(normals, commanded)
-    return angle_deviation(azimuths(normals, axis), commanded)
-
-
-def registered_response(pairs: MirrorPairs, angles: Floats, height: float) -> Floats:
-    """Return the derivative (G, 2 G) of angles about one common axis by tau and eta."""
-    azimuth = angles[pairs.position]
-    cos_beta = float(np.sqrt(1.0 - height**2))
-    turn = azimuth_response(azimuth, height / cos_beta)
-    by_eta = turn @ axis_response(azimuth)[:2]
-    return np.hstack([np.eye(len(azimuth)) / cos_beta, by_eta])
-
-
-def direct_readings(placed: Floats, reflectors: Reflectors, angles: Floats) -> Floats:
+def direct_readings(placed: Floats, sets: Sets) -> Floats:
     """Return one reading (..., M) per row: deviation in rad from its reflector's first row.
 
-    ``placed`` (..., M, 3) in the common frame, ``angles`` (N,) commanded. Plane and circle are
-    fitted to all rows of one reflector.
+    ``placed`` (..., M, 3) in the common frame. Plane and circle are fitted to all rows of one
+    reflector.
     """
     readings = np.zeros(placed.shape[:-1])
-    for at, commanded in reflectors.circles(angles):
+    for at, commanded in sets:
         axis, centre, _ = fit_circle(placed[..., at, :], commanded)
         arms = placed[..., at, :] - centre[..., None, :]
         readings[..., at] = angle_deviation(azimuths(arms, axis), commanded)
@@ -265,16 +249,14 @@ def fit_circle(points: Floats, commanded: Floats) -> tuple[Floats, Floats, Float
     return axis, (middle + shift)[..., 0, :], radius * scale[..., 0, 0]
 
 
-def local_axes(
-    placed: Floats, reflectors: Reflectors, angles: Floats
-) -> tuple[Floats, Floats, Floats]:
+def local_axes(placed: Floats, sets: Sets) -> tuple[Floats, Floats, Floats]:
     """Return axes, radii (M,), and distances (M, 2) from the circle, radial and axial, metres.
 
     The axes (M, 3, 3) are unit vectors; rows tangential, radial, axial.
     """
     axes = np.zeros((len(placed), 3, 3))
     radii, off_circle = np.zeros(len(placed)), np.zeros((len(placed), 2))
-    for at, commanded in reflectors.circles(angles):
+    for at, commanded in sets:
         axis, centre, radii[at] = fit_circle(placed[at], commanded)
         arms = placed[at] - centre
         tangent = np.cross(axis, arms)
@@ -287,21 +269,20 @@ def local_axes(
     return axes, radii, off_circle
 
 
-def direct_response(reflectors: Reflectors, angles: Floats, radii: Floats) -> Floats:
+def direct_response(sets: Sets, radii: Floats) -> Floats:
     """Return the derivative (M, 2 M) of the readings by tangential and radial movements (m)."""
-    azimuth = angles[reflectors.position]
+    azimuth, circle, rows = sets.commanded, sets.number, np.arange(len(radii))
+    design = circle_design(azimuth, circle)
     # A centre that moves by (x, y) turns the arm of each place by (x sin - y cos) / r.
-    centre = np.zeros((len(azimuth), 3 * len(reflectors.name)))
-    rows = np.arange(len(azimuth))
-    centre[rows, 3 * reflectors.reflector] = np.sin(azimuth)
-    centre[rows, 3 * reflectors.reflector + 1] = -np.cos(azimuth)
-    radial = centre @ np.linalg.pinv(circle_design(azimuth, reflectors.reflector))
+    centre = np.zeros_like(design)
+    centre[rows, 3 * circle], centre[rows, 3 * circle + 1] = np.sin(azimuth), -np.cos(azimuth)
+    radial = centre @ np.linalg.pinv(design)
     return np.hstack([np.eye(len(azimuth)), radial]) / radii[:, None]
 
 
 def require_circles(problem: PlaneMirrorProblem, reflectors: Reflectors) -> None:
     """Raise unless every reflector has at least three different places on its circle."""
-    circles = reflectors.circles(problem.angles)
+    circles = reflectors.sets(problem.angles)
     for name, (at, azimuth) in zip(reflectors.name, circles, strict=True):
         places = len(np.unique(reflectors.position[at]))
         if places < 3:
@@ -326,8 +307,8 @@ def normal_covariance(
 ) -> Floats:
     """Return the covariance (2 G, 2 G) in rad^2 of all tau, then all eta.
 
-    ``axes`` (3,) or (G, 3) is the table axis along the common axes of ``poses``;
-    ``pose_covariance`` (p, p) is zero where stations are not brought together.
+    ``axes`` (G, 3) are the table axes along the common axes of ``poses``; ``pose_covariance``
+    (p, p) is zero where stations are not brought together.
     """
     n = pairs.n_groups
     t, b = tangent_frame(poses.turned(normals.normal, pairs.station), axes)
@@ -343,16 +324,6 @@ def normal_covariance(
     flat = by_pose.reshape(2 * n, -1)
     covariance: Floats = total.reshape(2 * n, 2 * n) + flat @ pose_covariance @ flat.T
     return covariance
-
-
-def stitched_covariance(
-    normals: Normals, pairs: MirrorPairs, axes: Floats, tilt_std: float
-) -> Floats:
-    """Return the covariance (2 G, 2 G) of normals in their own stations; ``axes`` (G, 3)."""
-    n_stations = int(pairs.station.max()) + 1
-    own = Poses.untied(n_stations)
-    none = np.zeros((6 * (n_stations - 1),) * 2)
-    return normal_covariance(normals, pairs, own, axes, none, tilt_std)
 
 
 def point_covariance(

@@ -6,40 +6,40 @@ about it, of which a thousand are solved in one go.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.adjust.distributions import chi2_isf
-from rotcal_ros.foundation.arrays import Floats
-from rotcal_ros.foundation.protection import ordered
-from rotcal_ros.foundation.results import FreeDirection, Result
-from rotcal_ros.methods.plane_mirror.solver import gathering, screening
+from rotcal_ros.adjust import gathering as engine
+from rotcal_ros.adjust.distributions import chi2_isf, normal_isf
+from rotcal_ros.foundation.arrays import Bools, Floats
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.protection import POWER, Protection, ordered
+from rotcal_ros.foundation.results import FreeDirection, Residuals, Result
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.methods.plane_mirror.solver import gathering
 from rotcal_ros.methods.plane_mirror.solver.drift import DriftCorrection, swings
 from rotcal_ros.methods.plane_mirror.solver.normals import (
-    fit_cone,
     image_response,
     incidence,
     tangent_frame,
 )
-from rotcal_ros.methods.plane_mirror.solver.prepare import (
+from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem
+from rotcal_ros.methods.plane_mirror.solver.readings import cones, islands
+from rotcal_ros.methods.plane_mirror.solver.ways import (
+    AdjustedCurve,
+    Fit,
     PreparedNormals,
     PreparedPoints,
     PreparedWay,
 )
-from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem
-from rotcal_ros.methods.plane_mirror.solver.protections import MirrorEvidence, protections
-from rotcal_ros.methods.plane_mirror.solver.readings import islands, station_cones
-from rotcal_ros.methods.plane_mirror.solver.ways import (
-    AdjustedCurve,
-    adjusted_curve,
-    empty_residuals,
-)
-from rotcal_ros.methods.plane_mirror.solver_settings import STITCHING
 
 METHOD: Final = "plane_mirror"
 UNTIED: Final = "table positions that share no reflector"
+MAX_DEVIATION: Final = 1.0 * DEGREE
+"""No rotary table is this wrong; a commanded angle or a nest is."""
 _CHUNK: Final = 250  # trials at a time keep the arrays small enough for the cache
 
 
@@ -53,14 +53,15 @@ def solve(problem: PlaneMirrorProblem) -> Result:
     Standard deviations follow from the stated noise; when the residuals contradict it they are
     scaled up by ``sigma0``, with a warning.
 
-    Raises DataError, GeometryError (see :mod:`~rotcal_ros.methods.plane_mirror.solver.screening`).
+    Raises DataError, GeometryError (see :mod:`~rotcal_ros.methods.plane_mirror.solver.prepare`).
     """
-    (screened, gathered, points), residuals = gathering.settled(problem), empty_residuals(problem)
+    (screened, gathered, points), residuals = gathering.settled(problem), _no_residuals(problem)
     prepared = screened.prepared
-    curve, correction = _with_drift(prepared, adjusted_curve(prepared, residuals))
+    curve, correction = _with_drift(prepared, prepared.curve(residuals))
     angles, deviations = prepared.angles, curve.deviations
-    screening.check_size(problem, angles, deviations)
-    sigma0 = float(np.sqrt(curve.chi_square / curve.dof)) if curve.dof else 1.0
+    check_size(problem, angles, deviations)
+    fit = curve.fit
+    sigma0 = float(np.sqrt(fit.chi_square / fit.dof)) if fit.dof else 1.0
     covariance, warnings = _judge(problem, curve, sigma0)
     # To the noise come errors that may gather in one place, and drift that the nests cannot show.
     if (added := gathered.covariance()) is not None:
@@ -69,18 +70,18 @@ def solve(problem: PlaneMirrorProblem) -> Result:
         swung = points.response(swings(prepared.problem, prepared.drift))
         covariance = covariance + swung @ swung.T
     side = None if problem.upward is None else problem.upward[prepared.positions]
-    repeats, differing = screening.repeats(
-        angles, deviations, covariance, problem.significance, side
-    )
-    std, closure = _std(covariance), _closure(angles, repeats)
-    gathers = gathering.doubts(gathered, problem)
+    again, differing = repeats(angles, deviations, covariance, problem.significance, side)
+    std, closure = _std(covariance), _closure(angles, again)
+    limits = engine.GatheringLimits(gathering.USUAL_SHARE, problem.significance)
+    gathers = engine.doubts(gathered, limits, gathering.WORDS)
     warnings = [
         *screened.warnings, *gathers, *warnings, *correction.doubts(std), *differing
     ]  # fmt: skip
     closes = closure.get("closure_std_rad")
-    facts = MirrorEvidence(prepared, correction, std, curve.dof, closes, points is not None)
-    details = {**_details(prepared, curve), "repeats": repeats, **closure}
-    details |= gathering.details(gathered)
+    facts = _Evidence(prepared, correction, std, fit.dof, closes, points is not None)
+    details = {**_details(prepared, curve), "repeats": again, **closure}
+    if gathered.judgement is not None:
+        details["gathering"] = engine.details(gathered, gathering.WORDS.elements)
     steps = np.diff(np.eye(len(angles)), axis=0)
     result = Result(
         method=METHOD,
@@ -89,7 +90,7 @@ def solve(problem: PlaneMirrorProblem) -> Result:
         std={"ECC": std},
         covariance={"ECC": covariance},
         sigma0=sigma0,
-        dof=curve.dof,
+        dof=fit.dof,
         n_observations=len(problem.xyz),
         rejected=screened.rejected,
         verdict="suspect" if warnings else "ok",
@@ -98,9 +99,26 @@ def solve(problem: PlaneMirrorProblem) -> Result:
         adjacent_std=_std(steps @ covariance @ steps.T),
         residuals=residuals,
         details={**details, **correction.details(std)},
-        protections=ordered((*protections(facts), *gathering.protection(gathered, prepared, std))),
+        protections=ordered(
+            (*_protections(facts), *gathering.protection(gathered, prepared, std))
+        ),
     )
     return result.counted_from(*_zeros(prepared))
+
+
+def _no_residuals(problem: PlaneMirrorProblem) -> Residuals:
+    """Return residuals in which no row is used yet (all zero)."""
+    n = len(problem.xyz)
+    return Residuals(
+        table_position=problem.position.copy(),
+        target=problem.nest.copy(),
+        residual=np.zeros(n),
+        redundancy=np.zeros(n),
+        test_value=np.zeros(n),
+        used=np.zeros(n, dtype=np.bool_),
+        std=np.sqrt(np.trace(problem.noise.covariance(problem.xyz), axis1=1, axis2=2) / 3.0),
+        coordinates=3,
+    )
 
 
 def _with_drift(
@@ -111,14 +129,10 @@ def _with_drift(
     correction = DriftCorrection.of(prepared.problem, drift, prepared.drift_response())
     if not drift.size:
         return curve, correction
-    curve = replace(curve, covariance=curve.covariance + correction.covariance)
+    fit = curve.fit
     if not len(prepared.nests.row):  # else the nests are in the fit, with what the drift took
-        curve = replace(
-            curve,
-            chi_square=curve.chi_square + sum(s.chi_square for s in drift.stations),
-            dof=curve.dof + sum(s.dof for s in drift.stations),
-        )
-    return curve, correction
+        fit = fit + sum((Fit(s.chi_square, s.dof) for s in drift.stations), Fit())
+    return replace(curve, covariance=curve.covariance + correction.covariance, fit=fit), correction
 
 
 def _zeros(prepared: PreparedWay) -> tuple[str, tuple[FreeDirection, ...]]:
@@ -146,7 +160,7 @@ def _details(prepared: PreparedWay, curve: AdjustedCurve) -> dict[str, Any]:
     """Return the method's own part of the result; SI, plain arrays and numbers."""
     return {
         "way": prepared.problem.way,
-        **curve.details,
+        **curve.fit.details,
         **_stations(prepared),
         **_normals(prepared),
         **({} if prepared.problem.upward is None else {"table_positions": prepared.positions}),
@@ -160,9 +174,9 @@ def _judge(
 
     It is scaled when the residuals are larger than the stated noise allows.
     """
-    if curve.dof == 0:
+    if curve.fit.dof == 0:
         return curve.covariance, ["nothing is measured twice: the noise could not be checked"]
-    if curve.chi_square <= chi2_isf(problem.significance, curve.dof):
+    if curve.fit.chi_square <= chi2_isf(problem.significance, curve.fit.dof):
         return curve.covariance, []
     text = (
         f"the residuals are {sigma0:.2f} times what the stated noise explains; the standard "
@@ -174,7 +188,7 @@ def _judge(
 def _stations(prepared: PreparedWay) -> dict[str, Any]:
     """Return where the tracker stood, if the way brings its stations together."""
     poses = prepared.poses
-    if len(poses.rotation) == 1:
+    if not len(prepared.nests.row):
         return {}
     return {
         "stations": [
@@ -210,6 +224,57 @@ def _normals(prepared: PreparedWay) -> dict[str, Any]:
     }
 
 
+def check_size(problem: PlaneMirrorProblem, angles: Floats, deviations: Floats) -> None:
+    """Refuse deviations that no table has, naming the worst position; ``angles`` (N,) rad."""
+    worst = int(np.argmax(np.abs(deviations)))
+    if not np.all(np.isfinite(deviations)) or abs(deviations[worst]) > MAX_DEVIATION:
+        raise DataError(
+            f"{problem.source}: the table position commanded to {angles[worst] / DEGREE:g} deg "
+            f"comes out {deviations[worst] / DEGREE:.2f} deg off; no table is that wrong: "
+            "reflector on the wrong nest, wrong position number, or wrong commanded angle"
+        )
+
+
+def repeats(
+    angles: Floats,
+    deviations: Floats,
+    covariance: Floats,
+    significance: float,
+    upward: Bools | None = None,
+) -> tuple[list[dict[str, float | int]], list[str]]:
+    """Compare positions commanded to the same angle from the same side, whole turns apart or not.
+
+    Returns one entry per repeat (positions, difference, its std; rad) and a warning for each that
+    differs by more than its uncertainty explains. 0 and 360 degrees are the closure.
+    """
+    entries: list[dict[str, float | int]] = []
+    warnings: list[str] = []
+    for later in range(len(angles)):
+        # What is left of whole turns, on either side of zero.
+        turn = (angles[later] - angles[:later] + 1e-7) % (2.0 * np.pi)
+        same_side = upward is None or upward[:later] == upward[later]
+        for earlier in np.flatnonzero((turn < 2e-7) & same_side)[:1]:
+            difference = float(deviations[later] - deviations[earlier])
+            spread = covariance[later, later] + covariance[earlier, earlier]
+            variance = max(float(spread - 2.0 * covariance[later, earlier]), 1e-300)
+            entries.append(
+                {
+                    "first": int(earlier),
+                    "second": int(later),
+                    "difference_rad": difference,
+                    "std_rad": variance**0.5,
+                }
+            )
+            if difference**2 / variance > chi2_isf(significance, 1):
+                warnings.append(
+                    f"positions commanded to {angles[earlier] / DEGREE:g} and "
+                    f"{angles[later] / DEGREE:g} deg differ by {difference / DEGREE * 3600:.2f} "
+                    f"arcsec, expected within {2 * variance**0.5 / DEGREE * 3600:.2f}: the table "
+                    "does not repeat, or mirror or tracker moved"
+                )
+    return entries, warnings
+
+
 def _closure(angles: Floats, repeats: list[dict[str, float | int]]) -> dict[str, float]:
     """Return how far the table is from its first place after a whole turn, if it was measured."""
     for entry in repeats:
@@ -221,6 +286,165 @@ def _closure(angles: Floats, repeats: list[dict[str, float | int]]) -> dict[str,
                 "closure_std_rad": entry["std_rad"],
             }
     return {}
+
+
+@dataclass(frozen=True, eq=False)
+class _Evidence:
+    """What the statements rest on: the prepared data, what the drift did, and the result.
+
+    ``std`` (N,) in rad; ``dof`` degrees of freedom of the residuals; ``closure_std`` (rad) of the
+    first position measured again after a whole turn, None where it was not. ``swings``: whether
+    the uncertainty holds the stated swings.
+    """
+
+    prepared: PreparedWay
+    correction: DriftCorrection
+    std: Floats
+    dof: int
+    closure_std: float | None
+    swings: bool
+
+    @property
+    def direct(self) -> bool:
+        """Whether the table carried reflectors and no mirror."""
+        return isinstance(self.prepared, PreparedPoints)
+
+
+def _protections(facts: _Evidence) -> Iterator[Protection]:
+    """Yield a statement about every effect but what gathers in one place."""
+    yield _drift(facts)
+    yield _knock(facts)
+    yield _noise(facts)
+    yield from _carried(facts)
+    yield Protection(
+        "repeatability",
+        "not protected",
+        "the table arrives once at each position: its scatter from arrival to arrival is in the "
+        "curve and not in the uncertainty",
+    )
+    yield Protection(
+        "refraction",
+        "not protected",
+        "a gradient of 1 K/m across the beam bends it by about 0.1 arcsec for each metre, and no "
+        "residual need show it",
+    )
+    zero = "no method knows the zero: deviations count from the first position"
+    yield Protection("gauge", "harmless", zero)
+    if not facts.prepared.drift.open_stations:  # else everything is said of the drift
+        yield _uneven_drift(facts)
+
+
+def _carried(facts: _Evidence) -> Iterator[Protection]:
+    """Yield what depends on what the table carries: reflectors, or a mirror."""
+    what = "circles" if facts.direct else "lengths"
+    scale = f"a scale of the range changes all {what} alike and no angle"
+    yield Protection("scale", "harmless", scale)
+    if facts.direct:
+        yield Protection(
+            "error motion",
+            "not protected",
+            "a reflector on the table takes radial error motion for an angle, 0.7 arcsec per "
+            "micrometre at 300 mm; the residuals show only what is along the radius",
+        )
+        lean = "a tilt of the table moves reflectors above its centre like radial error motion"
+        yield Protection("tilt", "not protected", lean)
+        return
+    motion = "a mirror that is moved without turning keeps its normal"
+    yield Protection("error motion", "harmless", motion)
+    limit = facts.prepared.problem.tilt_std / ARCSEC
+    stated = f"by the stated tilts of the table of {limit:g} arcsec (tilt_std_arcsec)"
+    yield Protection("tilt", "bounded", stated)
+
+
+def _drift(facts: _Evidence) -> Protection:
+    drift, problem = facts.prepared.drift, facts.prepared.problem
+    if drift.open_stations:
+        names = ", ".join(problem.station_name(s) for s in drift.open_stations)
+        return Protection(
+            "drift",
+            "not protected",
+            f"the nests were not measured again before the tracker left station {names}, so what "
+            "it turned by while it stood there is in the deviations",
+        )
+    return Protection(
+        "drift",
+        "estimated",
+        "nests measured again show turns, shifts and range of the tracker at each station, linear "
+        "in time between rounds of nests; a part that moves a deviation by more than one standard "
+        "uncertainty makes the result suspect",
+    )
+
+
+def _uneven_drift(facts: _Evidence) -> Protection:
+    """Return the statement about a drift that is no straight line between rounds of nests."""
+    stated = facts.prepared.problem.uneven_drift_std
+    if facts.swings and stated > 0.0:
+        return Protection(
+            "uneven drift",
+            "bounded",
+            f"by the stated swing of the tracker's azimuth of {stated / ARCSEC:g} arcsec "
+            "(uneven_drift_std_arcsec) about the straight line between rounds of nests",
+        )
+    error = float(ARCSEC / facts.std[1:].min())
+    return Protection(
+        "uneven drift",
+        "not protected",
+        "what the tracker turns by between two rounds of nests and back again leaves no "
+        f"trace; 1 arcsec of it moves a deviation by up to {error:.2g} standard "
+        "uncertainties: let it settle, and measure the nests more often (plan.nests_every)",
+    )
+
+
+def _knock(facts: _Evidence) -> Protection:
+    problem = facts.prepared.problem
+    carried = "a reflector" if facts.direct else "a mirror"
+    if facts.closure_std is None:
+        return Protection(
+            "knock",
+            "not protected",
+            f"no position was measured again after a whole turn: {carried} that moved on the "
+            "table turns all positions after it without a trace",
+        )
+    if facts.prepared.drift.open_stations:
+        return Protection(
+            "knock",
+            "not protected",
+            f"the closure tells of {carried} that moved, but only nests that are measured again "
+            "tell of a tracker knocked at its station",
+        )
+    found = normal_isf(problem.significance / 2.0) + normal_isf(1.0 - POWER)
+    on_table = found * facts.closure_std / float(facts.std[1:].min())
+    error = max(on_table, facts.correction.unseen_knock(facts.std))
+    return Protection(
+        "knock",
+        "tested",
+        f"the closure tells of {carried} that moved, nests measured again of the tracker",
+        error,
+    )
+
+
+def _noise(facts: _Evidence) -> Protection:
+    if not facts.dof:
+        return Protection("axis noise", "not protected", "nothing is measured twice")
+    error = _hidden(facts.prepared.problem.significance, facts.dof)
+    return Protection(
+        "axis noise",
+        "tested",
+        "the residuals test the stated noise of the tracker and the slopes of the glass together; "
+        "noise across the beam can hide behind an overstated one along it: the error is that of "
+        "this case",
+        error,
+    )
+
+
+def _hidden(significance: float, dof: int) -> float:
+    """Return the error, in stated standard uncertainties, of noise across the beam once found.
+
+    Found with POWER. The noise along the beam, a third of all coordinates, is taken as none at
+    all, which hides most; the error is what comes on top of the stated noise.
+    """
+    found = float(chi2_isf(significance, dof)) / float(chi2_isf(POWER, dof))
+    return float(np.sqrt(max(1.5 * found - 1.0, 0.0)))
 
 
 @dataclass(frozen=True)
@@ -276,7 +500,10 @@ def mirror_trials(problem: PlaneMirrorProblem) -> MirrorTrials:
     # The glass is not flat: it gives each mirrored point a normal of its own.
     slope = problem.noise.mirror_slope_std * response
     covariance[pairs.mirrored] += slope @ np.swapaxes(slope, 1, 2)
-    axes, height = _axes(prepared, normals.normal)
+    axes, height = cones(prepared.poses.turned(normals.normal, pairs.station), prepared.sets)
+    axes = (axes[:, None] @ prepared.poses.rotation[pairs.station])[
+        :, 0
+    ]  # as each station sees it
     t, b = tangent_frame(normals.normal, axes)
     tilt = np.zeros((len(prepared.angles), 2, *problem.xyz.shape))
     # A tilt of the table across the normal moves it along b; one about the normal's own horizontal
@@ -291,14 +518,3 @@ def mirror_trials(problem: PlaneMirrorProblem) -> MirrorTrials:
 def _factor(covariance: Floats) -> Floats:
     """Return the Cholesky factors of covariances (n, 3, 3)."""
     return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
-
-
-def _axes(prepared: PreparedNormals, normals: Floats) -> tuple[Floats, float]:
-    """Return the table axis (G, 3) as each group's station sees it, and the height of the cone."""
-    angles, pairs = prepared.angles, prepared.pairs
-    if prepared.problem.way == STITCHING:
-        axes, height = station_cones(normals, pairs, angles)
-        return axes, float(height)
-    placed = prepared.poses.turned(normals, pairs.station)
-    axis, common = fit_cone(placed, angles[pairs.position])
-    return axis @ prepared.poses.rotation[pairs.station], float(common)

@@ -1,14 +1,19 @@
-"""What each of the four ways makes of a screened problem: deviations, covariance, fit.
+"""The four ways: what each makes of a problem that is screened and laid out.
 
-Every way takes the same steps: fit what is measured (normals of the mirror, or circles), turn it
-into readings of angles, join these to deviations, and carry the noise along in closed form. The
-chi square is the sum over all that is fitted apart from each other: pairs about the plane of their
+Every way takes the same steps: it frees points of the drift, brings the stations together, fits
+what is measured (normals of the mirror, or circles), makes readings of angles of it, and joins
+these to deviations. What depends only on the layout and on the noise is prepared once, for one
+solution or for thousands of trials: estimates take points (..., n, 3) with any leading axes.
+
+One solution has a curve with its covariance, the noise carried along in closed form. Its chi
+square is the sum over all that is fitted apart from each other: pairs about the plane of their
 group, normals about their cone, readings about the deviations, nests. The joint way has one least
 squares instead. Residuals of single points are entered on the way.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -17,25 +22,29 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.results import Residuals
+from rotcal_ros.methods.plane_mirror.settings import STITCHING
 from rotcal_ros.methods.plane_mirror.solver import joint
+from rotcal_ros.methods.plane_mirror.solver.drift import NestDrift
 from rotcal_ros.methods.plane_mirror.solver.normals import (
     Normals,
     angle_deviation,
     circle_design,
     condition_jacobian,
-    fit_cone,
+    fit_normals,
     reflection,
     tangent_basis,
 )
-from rotcal_ros.methods.plane_mirror.solver.prepare import (
-    Prepared,
-    PreparedJoint,
-    PreparedNormals,
-    PreparedPoints,
-    PreparedWay,
+from rotcal_ros.methods.plane_mirror.solver.problem import (
+    MirrorPairs,
+    Nests,
+    PlaneMirrorProblem,
+    Reflectors,
+    Sets,
 )
-from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.solver.readings import (
+    cone_readings,
+    cone_response,
+    cones,
     direct_readings,
     direct_response,
     from_first,
@@ -43,242 +52,282 @@ from rotcal_ros.methods.plane_mirror.solver.readings import (
     normal_covariance,
     point_covariance,
     reading_design,
-    registered_readings,
-    registered_response,
-    station_cones,
-    stitch,
-    stitch_response,
-    stitched_covariance,
     tilt_crosstalk,
 )
-from rotcal_ros.methods.plane_mirror.solver.registration import NestFit, nest_equations, nest_fit
-from rotcal_ros.methods.plane_mirror.solver_settings import STITCHING
+from rotcal_ros.methods.plane_mirror.solver.registration import (
+    NestFit,
+    Poses,
+    adjust_stations,
+    nest_equations,
+    nest_fit,
+)
 
+_DRIFT_STEP: Final = 1e-6
+"""Turn (rad), shift and range (m) that the response to a drift is found with."""
+_TRIAL_STEPS: Final = 2  # Gauss-Newton from the nominal solution: noise squared, then rounding
 _CERTAIN: Final = 1e-300
 """Smallest variance (m^2) that is divided by: exact points leave rounding over nothing."""
 
 
 @dataclass(frozen=True)
-class AdjustedCurve:
-    """Deviations (N,) in rad from the first position, covariance (N, N), chi square and dof.
-
-    ``details`` are plain values for the result.
-    """
-
-    deviations: Floats
-    covariance: Floats
-    chi_square: float
-    dof: int
-    details: Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class _Fit:
+class Fit:
     """Chi square and degrees of freedom of what was fitted, and plain values for the result."""
 
     chi_square: float = 0.0
     dof: int = 0
     details: Mapping[str, Any] = field(default_factory=dict)
 
+    def __add__(self, other: Fit) -> Fit:
+        """Return both together, which are fitted apart from each other."""
+        return Fit(
+            self.chi_square + other.chi_square,
+            self.dof + other.dof,
+            {**self.details, **other.details},
+        )
+
 
 @dataclass(frozen=True)
-class _Cones:
-    """Normals (G, 3) and the axes (G, 3) of their cones; those of one ``zero`` (G,) share one.
+class AdjustedCurve:
+    """Deviations (N,) in rad from the first position, covariance (N, N), and how all fits."""
 
-    ``covariance`` (2 G, 2 G): of all tau, then all eta. ``height``: of the cones, their sine.
+    deviations: Floats
+    covariance: Floats
+    fit: Fit
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared(ABC):
+    """A screened problem with all that does not change from trial to trial.
+
+    ``problem`` has its points without the ``drift`` of the tracker. ``angles`` (N,) are those of
+    the ``positions`` (N,) that were measured; those of pairs and reflectors count in them.
+    ``poses`` are the nominal stations, or all at the origin where no nests bring them together.
+    ``sets`` says which readings count about one axis, ``joining`` (N, readings) makes deviations
+    of them.
     """
 
-    normals: Floats
-    axes: Floats
-    zero: Ints
-    covariance: Floats
-    height: float
+    problem: PlaneMirrorProblem
+    drift: NestDrift
+    positions: Ints
+    angles: Floats
+    nests: Nests
+    poses: Poses
+    sets: Sets
+    joining: Floats
+
+    @property
+    def nest_weight(self) -> Floats:
+        """Inverse covariances (Q, 3, 3) of the nests, along the axes of each station."""
+        return self.problem.noise.weight(self.problem.xyz[self.nests.row])
+
+    def estimate(self, points: Floats) -> Floats:
+        """Return deviations (..., N) in rad, from the first position, of points (..., n, 3).
+
+        The drift of each trial is estimated from its own points.
+        """
+        return self.deviations(self.drift.corrected(points))
+
+    def deviations(self, points: Floats) -> Floats:
+        """Return the deviations (..., N) of points (..., n, 3) that have no drift."""
+        return np.asarray(self.readings(points) @ self.joining.T, dtype=np.float64)
+
+    @abstractmethod
+    def readings(self, points: Floats) -> Floats:
+        """Return the readings of angles (..., m) that points (..., n, 3) make, see ``sets``."""
+
+    @abstractmethod
+    def curve(self, residuals: Residuals) -> AdjustedCurve:
+        """Return the curve with its covariance and fit; enters the residuals of single points."""
+
+    def drift_response(self) -> Floats:
+        """Return the derivative (N, size) of the deviations by the changes that the drift made.
+
+        By central differences of the estimate itself, so that it is the same for every way; a
+        step moves points by micrometres, where the estimate is linear to 1e-6.
+        """
+        if not self.drift.size:
+            return np.zeros((len(self.angles), 0))
+        steps = _DRIFT_STEP * np.eye(self.drift.size)
+        moved = self.drift.displacement(self.problem.xyz, np.concatenate([steps, -steps]))
+        ahead, behind = np.split(self.deviations(self.problem.xyz - moved), 2)
+        return np.asarray((ahead - behind).T / (2.0 * _DRIFT_STEP), dtype=np.float64)
+
+    def stations_of(self, points: Floats) -> Poses:
+        """Return the adjusted stations for points (..., n, 3)."""
+        if not len(self.nests.row):
+            return self.poses
+        return adjust_stations(points, self.nests, self.nest_weight, self.poses, _TRIAL_STEPS)
 
 
-def empty_residuals(problem: PlaneMirrorProblem) -> Residuals:
-    """Return residuals in which no row is used yet (all zero)."""
-    n = len(problem.xyz)
-    return Residuals(
-        table_position=problem.position.copy(),
-        target=problem.nest.copy(),
-        residual=np.zeros(n),
-        redundancy=np.zeros(n),
-        test_value=np.zeros(n),
-        used=np.zeros(n, dtype=np.bool_),
-        std=np.sqrt(np.trace(problem.noise.covariance(problem.xyz), axis1=1, axis2=2) / 3.0),
-        coordinates=3,
-    )
+@dataclass(frozen=True, eq=False)
+class PreparedPoints(Prepared):
+    """The way "direct": reflectors that the table carries."""
+
+    reflectors: Reflectors
+
+    def readings(self, points: Floats) -> Floats:
+        """Return the readings about the circles of the reflectors."""
+        own = points[..., self.reflectors.row, :]
+        return direct_readings(
+            self.stations_of(points).placed(own, self.reflectors.station), self.sets
+        )
+
+    def curve(self, residuals: Residuals) -> AdjustedCurve:
+        """Return the curve of the readings about the circles, joined."""
+        reflectors, sets, problem = self.reflectors, self.sets, self.problem
+        nests = _nests(self, residuals)
+        placed = self.poses.placed(problem.xyz[reflectors.row], reflectors.station)
+        axes, radii, off_circle = local_axes(placed, sets)
+        covariance = point_covariance(
+            problem, reflectors, self.poses, axes, _pose_covariance(self)
+        )
+        m = len(radii)
+        circles = _circles(self, residuals, off_circle, covariance[m:, m:])
+        gain = self.joining @ direct_response(sets, radii)
+        details = {"axis": axes[0, 2], "radii_m": [float(r) for r in dict.fromkeys(radii)]}
+        return AdjustedCurve(
+            deviations=self.joining @ direct_readings(placed, sets),
+            covariance=gain @ covariance[: 2 * m, : 2 * m] @ gain.T,
+            fit=Fit(details=details) + circles + nests,
+        )
 
 
-def adjusted_curve(prepared: PreparedWay, residuals: Residuals) -> AdjustedCurve:
-    """Return the curve of the way that ``prepared`` belongs to; enters the residuals."""
-    if isinstance(prepared, PreparedPoints):
-        return _direct(prepared, residuals)
-    if isinstance(prepared, PreparedJoint):
-        return _joined(prepared, residuals)
-    if prepared.problem.way == STITCHING:
-        return _stitched(prepared, residuals)
-    return _registered(prepared, residuals)
+@dataclass(frozen=True, eq=False)
+class PreparedNormals(Prepared):
+    """The ways "stitching" and "registration": a mirror, seen in pairs of points.
+
+    Stitching has a set of normals for each station, registration one of all.
+    """
+
+    pairs: MirrorPairs
+    pair_weight: Floats
+
+    def normals(self, points: Floats) -> Normals:
+        """Return the mirror's planes that points (..., n, 3) show."""
+        return fit_normals(points, self.pairs, self.pair_weight)
+
+    def readings(self, points: Floats) -> Floats:
+        """Return the readings about the cones of the normals."""
+        normal, station = self.normals(points).normal, self.pairs.station
+        return cone_readings(self.stations_of(points).turned(normal, station), self.sets)
+
+    def curve(self, residuals: Residuals) -> AdjustedCurve:
+        """Return the curve of the readings about the cones, joined."""
+        problem, pairs, sets = self.problem, self.pairs, self.sets
+        n, gain, poses = len(self.angles), self.joining, self.poses
+        normals, groups = _groups(self, residuals)
+        nests = _nests(self, residuals)
+        placed = poses.turned(normals.normal, pairs.station)
+        axes, height = cones(placed, sets)
+        lean = float(height)
+        covariance = normal_covariance(
+            normals, pairs, poses, axes, _pose_covariance(self), problem.tilt_std
+        )
+        readings, response = cone_readings(placed, sets), cone_response(sets, lean)
+        reading_covariance = response @ covariance @ response.T
+        about_cones = _about_cones(placed, axes, sets, covariance[len(placed) :, len(placed) :])
+        design = reading_design(pairs.position, sets.number, n)
+        overlaps = _misfit(readings, design, reading_covariance)
+        details: dict[str, Any] = {} if problem.way == STITCHING else {"axis": axes[0]}
+        details["lean_rad"] = float(np.arcsin(height))
+        return AdjustedCurve(
+            deviations=gain @ readings,
+            covariance=gain @ reading_covariance @ gain.T + tilt_crosstalk(problem, lean, n),
+            fit=Fit(details=details) + groups + about_cones + overlaps + nests,
+        )
+
+    @property
+    def adjusted_together(self) -> joint.Together:
+        """What the way "joint" adjusts together."""
+        return joint.Together(self.pairs, self.nests, self.nest_weight, self.problem.tilt_std)
 
 
-def _stitched(prepared: PreparedNormals, residuals: Residuals) -> AdjustedCurve:
-    """Stitching: a plane per station, zeros tied by shared positions."""
-    pairs, angles = prepared.pairs, prepared.angles
-    normals, groups = _groups(prepared, residuals)
-    axes, height = station_cones(normals.normal, pairs, angles)
-    covariance = stitched_covariance(normals, pairs, axes, prepared.problem.tilt_std)
-    _, zero = np.unique(pairs.station, return_inverse=True)
-    cones = _Cones(normals.normal, axes, zero, covariance, float(height))
-    readings = stitch(normals.normal, pairs, angles)
-    response = stitch_response(normals.normal, pairs, angles)
-    details = {"lean_rad": float(np.arcsin(height))}
-    return _of_readings(prepared, readings, response, cones, groups, _Fit(details=details))
+@dataclass(frozen=True, eq=False)
+class PreparedJoint(PreparedNormals):
+    """The way "joint", with its nominal solution ``mirror``."""
+
+    mirror: joint.Mirror
+
+    def deviations(self, points: Floats) -> Floats:
+        """Return the deviations by the least squares of everything at once."""
+        mirror = joint.adjust_joint(
+            points, self.normals(points), self.adjusted_together, self.mirror, _TRIAL_STEPS
+        )
+        return angle_deviation(mirror.psi, self.angles)
+
+    def curve(self, residuals: Residuals) -> AdjustedCurve:
+        """Return the curve of the least squares, in whose chi square the nests are."""
+        problem, pairs, mirror = self.problem, self.pairs, self.mirror
+        normals, groups = _groups(self, residuals)
+        nests = _nests(self, residuals)
+        equations = joint.joint_equations(problem.xyz, normals, self.adjusted_together, mirror)
+        n, taken = len(self.angles), self.drift.size if len(self.nests.row) else 0
+        contrast = from_first(n)
+        covariance = contrast @ joint.angle_covariance(equations) @ contrast.T
+        # Three equations of each pair and each reading of a nest, less three for the place of a
+        # nest, and less three for psi, eps and d of a position, of which eps is observed itself.
+        n_known = len(pairs.direct) + len(self.nests.row) - self.nests.n_points
+        fit = Fit(
+            chi_square=float(equations.chi_square) + groups.chi_square,
+            dof=3 * n_known - equations.shared.shape[0] - 2 * n - taken,
+            details={
+                "axis": mirror.frame[:, 2],
+                "lean_rad": float(mirror.beta),
+                "tilts_rad": mirror.eps,
+                **nests.details,
+            },
+        )
+        return AdjustedCurve(
+            deviations=angle_deviation(mirror.psi, self.angles),
+            covariance=covariance + tilt_crosstalk(problem, float(np.sin(mirror.beta)), n),
+            fit=fit,
+        )
 
 
-def _registered(prepared: PreparedNormals, residuals: Residuals) -> AdjustedCurve:
-    """Registration: one plane for all normals in the frame of the first station."""
-    pairs, angles, poses = prepared.pairs, prepared.angles, prepared.poses
-    normals, groups = _groups(prepared, residuals)
-    nests = _nests(prepared, residuals)
-    placed = poses.turned(normals.normal, pairs.station)
-    axis, height = fit_cone(placed, angles[pairs.position])
-    covariance = normal_covariance(
-        normals, pairs, poses, axis, _pose_covariance(prepared), prepared.problem.tilt_std
-    )
-    axes, zero = np.broadcast_to(axis, placed.shape), np.zeros_like(pairs.station)
-    cones = _Cones(placed, axes, zero, covariance, float(height))
-    readings = registered_readings(placed, pairs, angles)
-    response = registered_response(pairs, angles, float(height))
-    details = {"axis": axis, "lean_rad": float(np.arcsin(height)), **nests.details}
-    rest = _Fit(nests.chi_square, nests.dof, details)
-    return _of_readings(prepared, readings, response, cones, groups, rest)
-
-
-def _joined(prepared: PreparedJoint, residuals: Residuals) -> AdjustedCurve:
-    """Joint: the least squares of everything at once; the nests are in its chi square."""
-    problem, pairs, mirror = prepared.problem, prepared.pairs, prepared.mirror
-    normals, groups = _groups(prepared, residuals)
-    nests = _nests(prepared, residuals)
-    equations = joint.joint_equations(problem.xyz, normals, prepared.adjusted_together, mirror)
-    n, taken = len(prepared.angles), prepared.drift.size if len(prepared.nests.row) else 0
-    contrast = from_first(n)
-    covariance = contrast @ joint.angle_covariance(equations) @ contrast.T
-    # Three equations of each pair and each reading of a nest, less three for the place of a nest,
-    # and less three for psi, eps and d of a position, of which eps is observed itself.
-    n_known = len(pairs.direct) + len(prepared.nests.row) - prepared.nests.n_points
-    return AdjustedCurve(
-        deviations=angle_deviation(mirror.psi, prepared.angles),
-        covariance=covariance + tilt_crosstalk(problem, float(np.sin(mirror.beta)), n),
-        chi_square=float(equations.chi_square) + groups.chi_square,
-        dof=3 * n_known - equations.shared.shape[0] - 2 * n - taken,
-        details={
-            "axis": mirror.frame[:, 2],
-            "lean_rad": float(mirror.beta),
-            "tilts_rad": mirror.eps,
-            **nests.details,
-        },
-    )
-
-
-def _direct(prepared: PreparedPoints, residuals: Residuals) -> AdjustedCurve:
-    """Direct: plane and circle through the places of reflectors on the table."""
-    reflectors, angles, problem = prepared.reflectors, prepared.angles, prepared.problem
-    nests = _nests(prepared, residuals)
-    placed = prepared.poses.placed(problem.xyz[reflectors.row], reflectors.station)
-    axes, radii, off_circle = local_axes(placed, reflectors, angles)
-    covariance = point_covariance(
-        problem, reflectors, prepared.poses, axes, _pose_covariance(prepared)
-    )
-    m = len(radii)
-    circles = _circles(prepared, residuals, off_circle, covariance[m:, m:])
-    gain = prepared.joining @ direct_response(reflectors, angles, radii)
-    return AdjustedCurve(
-        deviations=prepared.joining @ direct_readings(placed, reflectors, angles),
-        covariance=gain @ covariance[: 2 * m, : 2 * m] @ gain.T,
-        chi_square=circles.chi_square + nests.chi_square,
-        dof=circles.dof + nests.dof,
-        details={
-            "axis": axes[0, 2],
-            "radii_m": [float(r) for r in dict.fromkeys(radii)],
-            **nests.details,
-        },
-    )
-
-
-def _of_readings(
-    prepared: PreparedNormals,
-    readings: Floats,
-    response: Floats,
-    cones: _Cones,
-    groups: _Fit,
-    rest: _Fit,
-) -> AdjustedCurve:
-    """Join readings; chi square of groups, cones, positions seen repeatedly, and the rest."""
-    pairs, angles = prepared.pairs, prepared.angles
-    n, zero = pairs.n_groups, cones.zero
-    reading_covariance = response @ cones.covariance @ response.T
-    # Fewer than three normals have no plane of their own that they could leave.
-    known = np.isin(zero, np.flatnonzero(np.bincount(zero) >= 3))
-    about_cones = _cone_misfit(
-        cones.normals[known],
-        cones.axes[known],
-        zero[known],
-        angles[pairs.position[known]],
-        cones.covariance[n:, n:][np.ix_(known, known)],
-    )
-    design = reading_design(pairs.position, zero, len(angles))
-    overlaps = _misfit(readings, design, reading_covariance)
-    gain = prepared.joining
-    crosstalk = tilt_crosstalk(prepared.problem, cones.height, len(angles))
-    return AdjustedCurve(
-        deviations=gain @ readings,
-        covariance=gain @ reading_covariance @ gain.T + crosstalk,
-        chi_square=groups.chi_square + about_cones[0] + overlaps[0] + rest.chi_square,
-        dof=groups.dof + about_cones[1] + overlaps[1] + rest.dof,
-        details=rest.details,
-    )
+PreparedWay = PreparedPoints | PreparedNormals
+"""A prepared problem of any way; that of "joint" is one of normals."""
 
 
 def _circles(
     prepared: PreparedPoints, residuals: Residuals, off_circle: Floats, covariance: Floats
-) -> _Fit:
+) -> Fit:
     """Fit of the points about their circles, radially and axially; enters the residuals.
 
     ``covariance`` (2 M, 2 M): of all radial, then all axial movements, m^2.
     """
-    m, reflectors = len(off_circle), prepared.reflectors
-    design = circle_design(prepared.angles[reflectors.position], reflectors.reflector)
+    m, sets = len(off_circle), prepared.sets
+    design = circle_design(sets.commanded, sets.number)
     both = np.asarray(np.kron(np.eye(2), design), dtype=np.float64)
-    chi_square, dof = _misfit(off_circle.T.ravel(), both, covariance)
     leverage: Floats = np.einsum("ij,ji->i", design, np.linalg.pinv(design))
     spread = np.diag(covariance).reshape(2, m).T * (1.0 - leverage)[:, None]
     test = np.sqrt((off_circle**2 / np.maximum(spread, _CERTAIN)).mean(axis=1))
     length = np.linalg.norm(off_circle, axis=1)
     # Two of a point's three coordinates are checked by its circle; the third is the angle.
-    _enter(residuals, reflectors.row, length, 2.0 / 3.0 * (1.0 - leverage), test)
-    return _Fit(chi_square, dof)
+    rows = prepared.reflectors.row
+    _enter(residuals, rows, length, 2.0 / 3.0 * (1.0 - leverage), test)
+    return _misfit(off_circle.T.ravel(), both, covariance)
 
 
-def _groups(prepared: PreparedNormals, residuals: Residuals) -> tuple[Normals, _Fit]:
+def _groups(prepared: PreparedNormals, residuals: Residuals) -> tuple[Normals, Fit]:
     """Return the normals, and the fit of the pairs about the plane of their group."""
     pairs, weight = prepared.pairs, prepared.pair_weight
     normals = prepared.normals(prepared.problem.xyz)
     _enter_pairs(residuals, prepared, normals)
     e = normals.misclosure
     chi_square = float(np.einsum("pi,pij,pj->", e, weight, e))
-    return normals, _Fit(chi_square, 3 * (len(pairs.direct) - pairs.n_groups))
+    return normals, Fit(chi_square, 3 * (len(pairs.direct) - pairs.n_groups))
 
 
-def _nests(prepared: Prepared, residuals: Residuals) -> _Fit:
+def _nests(prepared: Prepared, residuals: Residuals) -> Fit:
     """Return the fit of the fixed nests, if there are any; enters the residuals."""
     nests, problem = prepared.nests, prepared.problem
     if not len(nests.row):
-        return _Fit()
+        return Fit()
     taken = prepared.drift.size
     fit = nest_fit(problem.xyz, nests, prepared.nest_weight, prepared.poses, taken)
     length = np.linalg.norm(fit.residual, axis=1)
     _enter(residuals, nests.row, length, fit.redundancy, fit.test_value)
-    return _Fit(fit.chi_square, fit.dof, {"nests": _nest_entries(prepared, fit)})
+    return Fit(fit.chi_square, fit.dof, {"nests": _nest_entries(prepared, fit)})
 
 
 def _nest_entries(prepared: Prepared, fit: NestFit) -> list[dict[str, Any]]:
@@ -298,9 +347,9 @@ def _nest_entries(prepared: Prepared, fit: NestFit) -> list[dict[str, Any]]:
 
 
 def _pose_covariance(prepared: Prepared) -> Floats:
-    """Return the covariance (p, p) of the registered stations; (0, 0) where there are none."""
+    """Return the covariance (p, p) of the stations; zero where no nests bring them together."""
     if not len(prepared.nests.row):
-        return np.zeros((0, 0))
+        return np.zeros((6 * (len(prepared.poses.rotation) - 1),) * 2)
     normal, _, _ = nest_equations(
         prepared.problem.xyz, prepared.nests, prepared.nest_weight, prepared.poses
     )
@@ -343,17 +392,18 @@ def _enter_pairs(residuals: Residuals, prepared: PreparedNormals, normals: Norma
         _enter(residuals, rows, length, own, test)
 
 
-def _cone_misfit(
-    normals: Floats, axes: Floats, zero: Ints, azimuth: Floats, covariance: Floats
-) -> tuple[float, int]:
-    """Return chi square and dof of the normals (G, 3) about their cones, one per set ``zero``."""
-    values = np.einsum("gi,gi->g", normals, axes)
+def _about_cones(normals: Floats, axes: Floats, sets: Sets, covariance: Floats) -> Fit:
+    """Return the fit of normals (G, 3) about their cones; ``covariance`` (G, G): of all eta."""
+    # Fewer than three normals have no plane of their own that they could leave.
+    known = np.isin(sets.number, np.flatnonzero(np.bincount(sets.number) >= 3))
+    values = np.einsum("gi,gi->g", normals[known], axes[known])
     values = values / np.sqrt(1.0 - values.mean() ** 2)  # of a.n, as an angle: over cos(beta)
-    return _misfit(values, circle_design(azimuth, zero), covariance)
+    design = circle_design(sets.commanded[known], sets.number[known])
+    return _misfit(values, design, covariance[np.ix_(known, known)])
 
 
-def _misfit(values: Floats, design: Floats, covariance: Floats) -> tuple[float, int]:
-    """Return the chi square and its degrees of freedom of ``values`` (m,) about a fit.
+def _misfit(values: Floats, design: Floats, covariance: Floats) -> Fit:
+    """Return the fit of ``values`` (m,).
 
     ``design`` (m, k) spans what the unweighted fit takes away, ``covariance`` (m, m) is that of
     the values before. The statistic weighs the remainder by its own covariance, so that it is
@@ -363,7 +413,7 @@ def _misfit(values: Floats, design: Floats, covariance: Floats) -> tuple[float, 
     rank = int((size > 1e-9 * size.max()).sum())
     rest = basis[:, rank:]  # combinations of the values that the fit leaves alone
     if rest.shape[1] == 0:
-        return 0.0, 0
+        return Fit()
     part = rest.T @ values
     chi_square = part @ np.linalg.solve(rest.T @ covariance @ rest, part)
-    return float(chi_square), rest.shape[1]
+    return Fit(float(chi_square), rest.shape[1])
