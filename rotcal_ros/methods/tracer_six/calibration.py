@@ -25,16 +25,14 @@ from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION
 from rotcal_ros.methods.tracer.solver.adjustment import locate_stations
 from rotcal_ros.methods.tracer.solver.reported import WeighedSolution, with_reported
 from rotcal_ros.methods.tracer_six.plan import LOCATING, described, places_of
-from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
-from rotcal_ros.methods.tracer_six.solver.protections import adjust_at_equal_places
-from rotcal_ros.methods.tracer_six.solver.solution import SixSolution
-from rotcal_ros.methods.tracer_six.solver.solve import result_of
-from rotcal_ros.methods.tracer_six.solver.trials import SixTrials
-from rotcal_ros.methods.tracer_six.solver_settings import (
+from rotcal_ros.methods.tracer_six.settings import (
     TracerSixSolverSettings,
     Zero,
     ZeroSetting,
 )
+from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
+from rotcal_ros.methods.tracer_six.solver.solution import SixSolution, SixTrials
+from rotcal_ros.methods.tracer_six.solver.solve import adjust_at_equal_places, result_of
 from rotcal_ros.planning.plan import Plan, Point
 from rotcal_ros.planning.time_order import time_order
 

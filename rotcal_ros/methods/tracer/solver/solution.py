@@ -64,9 +64,8 @@ from rotcal_ros.methods.tracer.solver.zeros import (
     Jump,
     Shifts,
     Slips,
-    find_jump,
-    find_shifts,
     likely_walk,
+    shift_search,
     slips_among,
     split,
     wandering,
@@ -194,9 +193,7 @@ def _adjusted(problem: TracerProblem, wider: CircleStatement | None = None) -> T
     known = circle_std if problem.error_motion_std is None else problem.error_motion_std
     contradicted = (statement or circle).probability < significance
     error_motion = error_motion_of(motion, covariance, scale, known, contradicted, circle_std)
-    slips = None
-    if shifts is not None:
-        slips = slips_among(shifts, problem.slip, problem.settings.rejection_significance, scale)
+    slips = slips_among(shifts, problem.slip, problem.settings.rejection_significance, scale)
     unseen = None if slips is None else slips.covariance()
     gathered = screened.gathering.covariance()
     angles = angle_uncertainty(motion, fit, covariance, error_motion.used, scale, unseen, gathered)
@@ -304,8 +301,9 @@ def _screened_together(
         nonlocal grid, start, shifts
         if problem.segment is None:
             return False
-        shifts = find_shifts(fit_grid, fit, order)
-        jump = find_jump(fit_grid, fit, shifts, limits.rejection_significance, margin)
+        search = shift_search(fit_grid, fit, order)
+        shifts = search.few()
+        jump = search.jump(shifts, limits.rejection_significance, margin)
         if jump is None or len(jumps) == MOST_JUMPS:
             return False
         jumps.append(replace(jump, segment=int(fit_grid.segment_numbers[jump.segment])))
