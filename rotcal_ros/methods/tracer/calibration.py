@@ -14,11 +14,7 @@ from rotcal_ros.methods.arrivals import Arrivals, RepeatedTrials, arrivals_of, m
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Trials
 from rotcal_ros.methods.tracer.design.scene import on_table
-from rotcal_ros.methods.tracer.lengths import (
-    mean_targets,
-    reported_positions,
-    stated_variance,
-)
+from rotcal_ros.methods.tracer.lengths import length_columns, reported_positions, times_before
 from rotcal_ros.methods.tracer.settings import TracerPlanSettings
 from rotcal_ros.methods.tracer.solver.joined_runs import (
     RepeatedLengths,
@@ -34,7 +30,6 @@ from rotcal_ros.methods.tracer.solver.trials import trials_about
 from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.table_angles import table_angles
-from rotcal_ros.planning.time_order import time_order
 
 
 def solve(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
@@ -148,26 +143,10 @@ def _runs(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     return Runs(posed, run, reported_positions(kept) - place, pairs, position_std)
 
 
-def _again(plan: Plan, observations: Sequence[Observation]) -> Ints | None:
-    """Return how many earlier steps (k,) of the plan have the same pair; None: none has."""
-    earlier: dict[tuple[int, int], int] = {}
-    of_step: dict[int, int] = {}
-    for step in plan.steps:
-        pair = (step.table_position, step.target)
-        of_step[step.index] = earlier.get(pair, 0)
-        earlier[pair] = of_step[step.index] + 1
-    if len(earlier) == len(plan.steps):
-        return None
-    return np.array([of_step[o.step] for o in observations], dtype=np.int64)
-
-
 def problem(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> TracerProblem:
     """Return the problem that observations of a plan pose.
-
-    The coordinates of a target are the mean of what the machine reported there; a target that
-    was never observed keeps its nominal place.
 
     Raises DataError when an observation does not fit the plan.
     """
@@ -178,30 +157,17 @@ def problem(
                 f"step {o.step}: position {o.table_position}, target {o.target} are not in the "
                 f"plan of {len(plan.table_angles)} angles and {len(plan.targets)} targets"
             )
-    target = np.array([o.target for o in observations], dtype=np.int64)
-    reported = reported_positions(observations)
-    targets = mean_targets(np.array(plan.targets), target, reported)
-    distance = np.linalg.norm(targets, axis=1)[target]
-    variance, growing = stated_variance(settings, observations, distance)
+    before = times_before(plan)
     return TracerProblem(
-        position=np.array([o.table_position for o in observations], dtype=np.int64),
-        target=target,
-        length=np.array([o.mean[0] for o in observations]),
-        length_std=np.sqrt(variance),
-        distance_std=growing,
-        order=time_order(observations),
+        **length_columns(settings, plan, observations),
         segment=_segments(observations) if _in_segments(configuration) else None,
-        again=_again(plan, observations),
+        again=before[[o.step for o in observations]] if before.any() else None,
         zero_walk_std=settings.zero_walk_std_m if _in_segments(configuration) else 0.0,
         slip=settings.slip_m,
-        targets=targets,
-        target_std=np.full(targets.shape, settings.target_std_m),
-        table_angles=np.array(plan.table_angles),
         start_stations=_stations(configuration, plan),
         variant=settings.variant,
         datum=settings.datum,
         error_motion_std=settings.error_motion_std_m,
         circle_std=settings.circle_std_m,
-        settings=settings,
         repeated_runs=configuration.plan.repeated,
     )

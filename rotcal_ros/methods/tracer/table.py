@@ -13,15 +13,15 @@ from typing import Final
 
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.files import write_atomically
-from rotcal_ros.foundation.observations import Approach, Observation
-from rotcal_ros.foundation.tables import Header, Row, Table, hashes, read_table, require_header
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.tables import Header, Table, hashes, read_table, require_header
 from rotcal_ros.methods.calibration import Calibration, prepare
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder
 from rotcal_ros.methods.method import PlanFile
 from rotcal_ros.methods.tracer.lengths import LengthCheck
 from rotcal_ros.methods.tracer.plan import explicit_plan, plan_of
-from rotcal_ros.planning.plan import Plan, Point, Step
+from rotcal_ros.planning.plan import Plan, Point
 
 SEGMENT: Final = "segment"
 HEADERS: Final[tuple[Header, ...]] = (
@@ -36,57 +36,55 @@ PAIRS: Final = ("step", "table_position", "target")
 def read(configuration: Configuration, table: Table, targets: Path | None) -> PlannedMeasurements:
     """Return lengths by table position and target; a table tells no scatter, so there is none.
 
-    The targets are those of the file ``targets``, of ``targets.csv`` beside the table, or of the
-    set-up, in this order. Segments that the table names have a zero each, unless the set-up asks
+    Segments that the table names have a zero each, unless the set-up asks
     for one per station.
     """
     in_segments = SEGMENT in table.header
     if in_segments and configuration.solver.zero == "auto":
         solver = replace(configuration.solver, zero="per_segment")
         configuration = replace(configuration, solver=solver)
+
+    def replanned(planned: Plan, targets: tuple[Point, ...]) -> Plan:
+        listed, angles = configuration.plan.listed, planned.table_angles
+        if len(set(listed)) < len(listed):  # only the plan tells which pairs come again
+            return explicit_plan(configuration.plan, targets)
+        return plan_of(angles, targets, [Approach.UNKNOWN] * len(angles))
+
+    return read_lengths(configuration, table, targets, ("position", "target"), replanned)
+
+
+def read_lengths(
+    configuration: Configuration,
+    table: Table,
+    targets: Path | None,
+    columns: Sequence[str],
+    replanned: Callable[[Plan, tuple[Point, ...]], Plan],
+) -> PlannedMeasurements:
+    """Return the lengths of ``table``, each as the one step of the plan that its row tells.
+
+    By its ``columns``: position, target, and place where there are several. ``replanned`` makes
+    the plan to the targets of the file ``targets``, or of ``targets.csv`` beside the table;
+    without either they are the set-up's. Raises DataError for a length that cannot be one in
+    metres.
+    """
     files, calibration = [table.path], prepare(configuration)
-    targets = targets_of_table(table, targets)
+    beside = table.path.with_name(TARGETS_FILE)
+    targets = beside if targets is None and beside.exists() else targets
     if targets is not None:
         files.append(targets)
-        angles = calibration.plan.table_angles
-        unknown = [Approach.UNKNOWN] * len(angles)
-        listed = configuration.plan.listed
-        if len(set(listed)) < len(listed):  # only the plan tells which pairs come again
-            plan = explicit_plan(configuration.plan, read_targets(targets))
-        else:
-            plan = plan_of(angles, read_targets(targets), unknown)
+        plan = replanned(calibration.plan, read_targets(targets))
         calibration = Calibration(configuration, plan)
-    find = RowStepFinder(calibration.plan)
-    observations = observed_rows(
-        table,
-        calibration.plan,
-        lambda row: find(row, row.index("position"), row.index("target")),
-    )
-    return PlannedMeasurements(calibration, observations, hashes(*files))
-
-
-def observed_rows(
-    table: Table, plan: Plan, step_of: Callable[[Row], Step]
-) -> tuple[Observation, ...]:
-    """Return the lengths of ``table``, each as the one step of ``plan`` that its row tells.
-
-    Raises DataError for a length that cannot be one in metres.
-    """
-    in_segments, check = SEGMENT in table.header, LengthCheck(plan)
+    find = RowStepFinder(calibration.plan, stations="place" in columns)
+    in_segments, check = SEGMENT in table.header, LengthCheck(calibration.plan)
     observations = []
     for row in table.rows():
-        step, segment = step_of(row), row.index(SEGMENT) if in_segments else 0
+        step = find(row, *map(row.index, columns))
+        segment = row.index(SEGMENT) if in_segments else 0
         observation = check(replace(step.observed((row.metres("length_m"),)), segment=segment))
         if not observation.accepted:
             raise DataError(f"{row.place}: {observation.reason}")
         observations.append(observation)
-    return tuple(observations)
-
-
-def targets_of_table(table: Table, given: Path | None) -> Path | None:
-    """Return the file of the targets: the ``given`` one, or that beside the table if it exists."""
-    beside = table.path.with_name(TARGETS_FILE)
-    return beside if given is None and beside.exists() else given
+    return PlannedMeasurements(calibration, tuple(observations), hashes(*files))
 
 
 def read_targets(path: Path) -> tuple[Point, ...]:

@@ -80,6 +80,11 @@ class LengthProblem:
         self._store("target_std", require(std >= 0.0, std, "target_std", "zero or more"))
         self._store_numbers("order", "segment")
 
+    def missing(self, positions: Ints) -> tuple[int, ...]:
+        """Return the table positions that are not among those with a result."""
+        every = np.arange(len(self.table_angles))
+        return tuple(np.setdiff1d(every, positions).tolist())
+
     def _store_numbers(self, *names: str) -> None:
         """Check and freeze columns (k,) of whole numbers that may be absent."""
         for name in names:

@@ -22,7 +22,7 @@ import numpy as np
 from rotcal_ros.adjust.distributions import chi2_isf, normal_isf
 from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.noise import LEAST_REDUNDANCY
-from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
 from rotcal_ros.foundation.protection import POWER, Effect, Protection, ordered
 from rotcal_ros.foundation.raw_data import MOST_INFLUENCES, Influence
@@ -138,18 +138,17 @@ def tangential_protection(
 
 def protections(solution: TracerSolution) -> tuple[Protection, ...]:
     """Return a statement about every effect, in the fixed order."""
-    when = timing(solution)
-    moving = _moving(solution, when)
-    worst = _worst(
-        solution,
-        moving | {"scale": scale(solution), "refraction": refraction(solution)},
-    )
+    moving, arrivals = _moving(solution), _arrivals(solution)
+    standing, targets = solution.fit.standing, solution.fit.targets
+    distance, _ = ranges(standing, targets)
+    air = refracted(distance, standing, targets)
+    worst = _worst(solution, moving | {"scale": distance[None], "refraction": air})
     return ordered(
         (
             *_of_the_order(solution, worst),
             noise_protection(float(np.max(_hidden_noise(solution)))),
             _error_motion(solution),
-            _repeatability(solution, int(when.arrivals.min())),
+            _repeatability(solution, arrivals),
             _of_the_air("refraction", "air in layers", worst["refraction"]),
             _of_the_air("scale", "a wrong scale of the lengths", worst["scale"]),
             _tilt(solution),
@@ -160,7 +159,7 @@ def protections(solution: TracerSolution) -> tuple[Protection, ...]:
                 "own plane, whatever its radius and lean",
             ),
             *_slip(solution),
-            _tangential(solution, int(when.arrivals.min())),
+            _tangential(solution, arrivals),
             *gathering.protection(solution.evidence.gathering, solution.angles.std),
         )
     )
@@ -168,16 +167,16 @@ def protections(solution: TracerSolution) -> tuple[Protection, ...]:
 
 def of_the_order(solution: TracerSolution) -> tuple[Protection, Protection]:
     """Return the statements about drift and knock, which depend on the order of measuring."""
-    return _of_the_order(solution, _worst(solution, _moving(solution, timing(solution))))
+    return _of_the_order(solution, _worst(solution, _moving(solution)))
 
 
-def _moving(solution: TracerSolution, when: LengthTiming) -> dict[str, Floats]:
+def _moving(solution: TracerSolution) -> dict[str, Floats]:
     """Return the patterns (p, m, n) of what moves while it is measured."""
     reach = float(np.linalg.norm(solution.fit.targets - solution.motion.centre, axis=1).max())
     return {
-        "drift": drifts(solution, when),
-        "turn": turning(solution, when) / reach,
-        "knock": knocks(solution, when),
+        "drift": drifts(solution),
+        "turn": turning(solution) / reach,
+        "knock": knocks(solution),
     }
 
 
@@ -383,42 +382,37 @@ def _repeatability(solution: TracerSolution, arrivals: int) -> Protection:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class LengthTiming:
-    """When the lengths were taken: ``share`` (m, n) of the run that had gone, 0 to 1.
-
-    ``arrivals`` (m,): how often the table came to each position.
-    """
-
-    share: Floats
-    arrivals: Ints
+def _gone(solution: TracerSolution) -> Floats:
+    """Return which share (p, n), 0 to 1, of the run had gone at each length."""
+    return solution.grid.placed(share_gone(solution.problem.measuring_order))
 
 
-def timing(solution: TracerSolution) -> LengthTiming:
-    """Return when the lengths of ``solution`` were taken; see TracerProblem.order."""
-    problem, order = solution.problem, solution.problem.measuring_order
-    at = problem.position[np.argsort(order, kind="stable")]
+def _arrivals(solution: TracerSolution) -> int:
+    """Return how often the table came to the position that it came to least."""
+    problem = solution.problem
+    at = problem.position[np.argsort(problem.measuring_order, kind="stable")]
     come = np.append(True, np.diff(at) != 0)
     arrivals = np.bincount(at[come], minlength=len(problem.table_angles))
-    share = solution.grid.placed(share_gone(order))
-    return LengthTiming(share, arrivals[solution.positions])
+    return int(arrivals[solution.positions].min())
 
 
-def drifts(solution: TracerSolution, when: LengthTiming) -> Floats:
+def drifts(solution: TracerSolution) -> Floats:
     """Return the frame of the machine drifting linearly by a metre along x, y, z: (3, m, n)."""
     _, unit = ranges(solution.fit.standing, solution.fit.targets)
-    return np.asarray(-when.share * unit.transpose(2, 0, 1), dtype=np.float64)
+    return np.asarray(-_gone(solution) * unit.transpose(2, 0, 1), dtype=np.float64)
 
 
-def turning(solution: TracerSolution, when: LengthTiming) -> Floats:
+def turning(solution: TracerSolution) -> Floats:
     """Return the frame of the machine turning about the table's axis by a radian: (1, m, n)."""
     motion, fit = solution.motion, solution.fit
     _, unit = ranges(fit.standing, fit.targets)
     arms = cross_matrix(motion.plane.normal[None])[0] @ (fit.targets - motion.centre).T
-    return np.asarray(-when.share * np.einsum("jia,ai->ji", unit, arms), dtype=np.float64)[None]
+    return np.asarray(-_gone(solution) * np.einsum("jia,ai->ji", unit, arms), dtype=np.float64)[
+        None
+    ]
 
 
-def knocks(solution: TracerSolution, when: LengthTiming) -> Floats:
+def knocks(solution: TracerSolution) -> Floats:
     """Return the tracer shifted on the table by a metre: out, along, up; (9, m, n)."""
     motion = solution.motion
     _, unit = ranges(solution.fit.standing, solution.fit.targets)
@@ -428,31 +422,18 @@ def knocks(solution: TracerSolution, when: LengthTiming) -> Floats:
     up = np.broadcast_to(motion.plane.normal, (len(out), 3))
     shifts = np.stack([out @ basis, along @ basis, up])
     felt = np.einsum("sja,jia->sji", shifts[:, station], unit)
-    later: list[Bools] = [when.share >= share for share in KNOCKED_AT]
-    return np.concatenate([felt * late for late in later])
-
-
-def scale(solution: TracerSolution) -> Floats:
-    """Return lengths that are too long by their own size: (1, m, n)."""
-    return ranges(solution.fit.standing, solution.fit.targets)[0][None]
-
-
-def refraction(solution: TracerSolution) -> Floats:
-    """Return an index of the air that grows by one per metre of height: (1, m, n)."""
-    standing, targets = solution.fit.standing, solution.fit.targets
-    return refracted(ranges(standing, targets)[0], standing, targets)
+    gone = _gone(solution)
+    return np.concatenate([felt * (gone >= share) for share in KNOCKED_AT])
 
 
 @dataclass(frozen=True, eq=False)
 class Response:
     """What k patterns of unit size do: to the deviations (k, m) in rad, and to the tests.
 
-    ``stations`` (k, m, 3) in m. ``detectable`` (k,): size that is found; infinite when no test
-    feels the pattern.
+    ``detectable`` (k,): size that is found; infinite when no test feels the pattern.
     """
 
     deviations: Floats
-    stations: Floats
     detectable: Floats
 
 
@@ -479,7 +460,7 @@ def respond(solution: TracerSolution, errors: Floats) -> Response:
         first, last = np.searchsorted(solution.positions, [closure.first, closure.last])
         jump = deviations[:, last] - deviations[:, first]
         found.append(_needed(1.0, significance) / ((jump / closure.std) ** 2 + NOTHING))
-    return Response(deviations, moved, np.sqrt(np.min(found, axis=0)))
+    return Response(deviations, np.sqrt(np.min(found, axis=0)))
 
 
 def influence_of(solution: TracerSolution) -> Influence | None:
@@ -532,7 +513,7 @@ def _as_network(solution: TracerSolution, errors: Floats) -> tuple[Floats, Float
 
 
 def _left(solution: TracerSolution, errors: Floats) -> tuple[Network, Floats, Floats, Floats]:
-    """Return the network, the moves (k, p, 4), (k, n, 3) by errors (k, p, n), and what is left."""
+    """Return the network, moves (k, p, 4) and (k, n, 3) by errors (k, p, n), and what is left."""
     network = network_of(solution.grid, solution.fit)
     gain = NetworkGain.of(network)
     rows = network.rows

@@ -212,7 +212,7 @@ def _adjusted(problem: TracerProblem, wider: CircleStatement | None = None) -> T
         ),
         n_lengths=len(problem.length) - len(absent.repeated) - len(absent.spare),
         n_rejected=len(absent.unfit) + len(screened.why),
-        missing=_missing_positions(problem, grid),
+        missing=problem.missing(grid.position_ids),
         spare=tuple(sorted({int(problem.target[row]) for row in absent.spare})),
         unchecked=int((placed.grid.used & (fit.redundancy <= MINIMAL_REDUNDANCY)).sum()),
         mirror_ambiguous=ambiguous,
@@ -236,12 +236,6 @@ def _scatter(screened: ScreenedLengths, fit: Adjustment) -> float:
     known = screened.grid.row >= 0
     ratio = np.abs(fit.residual[known] / fit.std[known])
     return float(screened.noise.factors[0] * np.median(ratio) / NORMAL_QUARTILE)
-
-
-def _missing_positions(problem: TracerProblem, grid: Grid) -> tuple[int, ...]:
-    """Return the table positions without a station."""
-    every = np.arange(len(problem.table_angles))
-    return tuple(np.setdiff1d(every, grid.position_ids).tolist())
 
 
 def _started(

@@ -446,8 +446,7 @@ class SixSolution:
     @property
     def missing(self) -> tuple[int, ...]:
         """The table positions without a result."""
-        every = np.arange(len(self.problem.table_angles))
-        return tuple(np.setdiff1d(every, self.positions).tolist())
+        return self.problem.missing(self.positions)
 
     def deviations(self) -> dict[str, Floats]:
         """Return the six curves (m,), m and rad."""

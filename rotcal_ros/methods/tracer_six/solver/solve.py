@@ -31,7 +31,7 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS, HALF_OF_95_PERCENT, ROTATIONS
 from rotcal_ros.foundation.protection import POWER, Effect, Protection, ordered
 from rotcal_ros.foundation.raw_data import MOST_INFLUENCES, Influence, RawData
-from rotcal_ros.foundation.results import Rejection, Residuals, Result, Verdict, Zeros
+from rotcal_ros.foundation.results import Rejection, Result, Verdict, Zeros
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix
 from rotcal_ros.methods.tracer.solver import gathering
@@ -60,6 +60,7 @@ from rotcal_ros.methods.tracer.solver.reported import (
     weigh,
 )
 from rotcal_ros.methods.tracer.solver.screening import rejection_limit
+from rotcal_ros.methods.tracer.solver.solve import residual_table
 from rotcal_ros.methods.tracer.solver.verdict import (
     doubt_jump,
     doubt_noise,
@@ -108,6 +109,9 @@ def result_of(solution: SixSolution) -> Result:
     numbering = _numbering(solution)
     upward = Upward.of(solution)
     verdict, warnings = upward.judged(*numbering.judged(*judge(solution)))
+    problem, grid, fit = solution.problem, solution.grid, solution.fit
+    residual = np.full(len(problem.length), np.nan)
+    residual[grid.row[grid.row >= 0]] = fit.residual[grid.row >= 0]
     return Result(
         method=METHOD,
         angles=solution.layout.angles,
@@ -115,12 +119,12 @@ def result_of(solution: SixSolution) -> Result:
         std={name: np.sqrt(matrix.diagonal()) for name, matrix in covariance.items()},
         covariance=covariance,
         sigma0=solution.lengths.sigma0,
-        dof=solution.fit.dof,
-        n_observations=len(solution.problem.length),
+        dof=fit.dof,
+        n_observations=len(problem.length),
         rejected=tuple(Rejection(row, why) for row, why in sorted(solution.rejected.items())),
         verdict=verdict,
         warnings=warnings,
-        residuals=_residuals(solution),
+        residuals=residual_table(problem, grid, fit, residual),
         details=_details(solution),
         protections=ordered((*protections(solution), numbering.protection(), upward.protection())),
         raw_data=RawData(influence=influence_of(solution)),
@@ -138,31 +142,6 @@ def _numbering(solution: SixSolution) -> Numbering:
         float(np.abs(found).mean()),
         float(np.angle(np.vdot(stated, found))),
         solution.problem.place_tolerance,
-    )
-
-
-def _residuals(solution: SixSolution) -> Residuals:
-    """Return one row per length; NaN where the position or target was dropped altogether."""
-    problem, grid, fit = solution.problem, solution.grid, solution.fit
-    k = len(problem.length)
-    residual, std = np.full(k, np.nan), problem.length_std.copy()
-    redundancy, test_value = np.zeros(k), np.zeros(k)
-    used = np.zeros(k, dtype=np.bool_)
-    there = grid.row >= 0
-    row = grid.row[there]
-    residual[row], std[row] = fit.residual[there], fit.std[there]
-    used[row] = grid.used[there]
-    checked = there & grid.used
-    row = grid.row[checked]
-    redundancy[row], test_value[row] = fit.redundancy[checked], fit.test_value[checked]
-    return Residuals(
-        table_position=problem.position,
-        target=problem.target,
-        residual=residual,
-        redundancy=redundancy,
-        test_value=test_value,
-        used=used,
-        std=std,
     )
 
 
