@@ -14,7 +14,6 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, RotcalError
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods.tracer.solver.adjustment import (
-    MINIMAL_REDUNDANCY,
     Adjustment,
     StationCovariance,
     adjust_stations,
@@ -214,7 +213,7 @@ def _adjusted(problem: TracerProblem, wider: CircleStatement | None = None) -> T
         n_rejected=len(absent.unfit) + len(screened.why),
         missing=problem.missing(grid.position_ids),
         spare=tuple(sorted({int(problem.target[row]) for row in absent.spare})),
-        unchecked=int((placed.grid.used & (fit.redundancy <= MINIMAL_REDUNDANCY)).sum()),
+        unchecked=fit.unchecked(placed.grid),
         mirror_ambiguous=ambiguous,
         jumps=jumps,
         fringe=problem.slip,

@@ -20,14 +20,13 @@ table turns in space.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
 import numpy as np
 
 from rotcal_ros.adjust.distributions import chi2_sf
-from rotcal_ros.adjust.gathering import Gathering
 from rotcal_ros.adjust.groups import Group
 from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.sensitivity import Sensitivity
@@ -42,7 +41,6 @@ from rotcal_ros.methods.tracer.solver.joint import redundancy_of_targets, target
 from rotcal_ros.methods.tracer.solver.observability import or_prior, told_of_a_turned_sign
 from rotcal_ros.methods.tracer.solver.screening import (
     Grouping,
-    NoiseFactors,
     ScreenedLengths,
     adjust_and_screen,
     reject_gross,
@@ -51,7 +49,7 @@ from rotcal_ros.methods.tracer.solver.screening import (
 from rotcal_ros.methods.tracer.solver.start import start_candidates
 from rotcal_ros.methods.tracer.solver.trials import MOST_STEPS, SETTLED
 from rotcal_ros.methods.tracer.solver.uncertainty import GlobalTest
-from rotcal_ros.methods.tracer.solver.verdict import CircleClosure, closures
+from rotcal_ros.methods.tracer.solver.verdict import CircleClosure, LengthEvidence, closures
 from rotcal_ros.methods.tracer.solver.zeros import (
     MOST_JUMPS,
     Jump,
@@ -385,28 +383,22 @@ class SixSolution:
     in the order of COMPONENTS, what is known of them in the end: enlarged by ``scale`` for what
     the noise leaves unexplained, and for a scatter that few contrasts tell, and with what unseen
     ``slips`` of a fringe add. ``closures`` are tested without these: such a slip may open them.
-    ``lengths``: test of chi-squared with the noise that was used. ``rejected`` says by row why a
-    length was not used; ``n_lengths`` could have been used, ``n_rejected`` of them were not.
-    ``gathering``: what was found of disturbances in one place; what they may do is in the
-    covariance too. ``jumps`` of zeros, whose segment is a zero of the ``layout``.
+    ``rejected`` says by row why a length was not used. ``evidence``: its test is with the noise
+    that was used; what gathers in one place may do is in the covariance too; the segment of a jump
+    is a zero of the ``layout``.
     """
 
     problem: SixProblem
     layout: StationLayout
     grid: Grid
-    noise: NoiseFactors
     fit: RigidAdjustment
     table: CurvePosterior
     covariance: Floats
-    lengths: GlobalTest
     scale: float
     closures: dict[str, tuple[CircleClosure, ...]]
     rejected: dict[int, str]
-    n_lengths: int
-    n_rejected: int
-    jumps: tuple[Jump, ...] = ()
+    evidence: LengthEvidence
     slips: Slips | None = None
-    gathering: Gathering = field(default_factory=Gathering)
 
     @property
     def network(self) -> LengthNetwork:
@@ -464,7 +456,7 @@ def adjust(problem: SixProblem) -> SixSolution:
     return told_of_a_turned_sign(
         problem,
         _adjusted,
-        lambda found: bool((found.scale * found.noise.factors < FITTING).all()),
+        lambda found: bool((found.scale * found.evidence.noise.factors < FITTING).all()),
     )
 
 
@@ -495,19 +487,23 @@ def _adjusted(problem: SixProblem) -> SixSolution:
         problem=problem,
         layout=layout,
         grid=scaled(screened.grid, screened.noise.factors),
-        noise=screened.noise,
         fit=fit,
         table=table,
         covariance=covariance + unseen,
-        lengths=lengths,
         scale=scale,
         closures=_closures(layout, table, covariance, problem.upward),
         rejected=absent | why,
-        n_lengths=len(problem.length) - len(idle),
-        n_rejected=len(absent) - len(idle) + len(why),
-        jumps=jumps,
+        evidence=LengthEvidence(
+            lengths=lengths,
+            noise=screened.noise,
+            unexplained=scale,
+            n_lengths=len(problem.length) - len(idle),
+            n_rejected=len(absent) - len(idle) + len(why),
+            unchecked=fit.unchecked(screened.grid),
+            gathering=screened.gathering,
+            jumps=jumps,
+        ),
         slips=slips,
-        gathering=screened.gathering,
     )
 
 

@@ -35,9 +35,7 @@ from rotcal_ros.foundation.results import Rejection, Result, Verdict, Zeros
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix
 from rotcal_ros.methods.tracer.solver import gathering
-from rotcal_ros.methods.tracer.solver.adjustment import MINIMAL_REDUNDANCY
 from rotcal_ros.methods.tracer.solver.gathering import details as gathering_details
-from rotcal_ros.methods.tracer.solver.gathering import doubts as doubt_gathering
 from rotcal_ros.methods.tracer.solver.observability import Numbering
 from rotcal_ros.methods.tracer.solver.protections import (
     KNOCKED_AT,
@@ -61,15 +59,8 @@ from rotcal_ros.methods.tracer.solver.reported import (
 )
 from rotcal_ros.methods.tracer.solver.screening import rejection_limit
 from rotcal_ros.methods.tracer.solver.solve import residual_table
-from rotcal_ros.methods.tracer.solver.verdict import (
-    doubt_jump,
-    doubt_noise,
-    doubt_rejected,
-    remark_noise,
-    remark_unchecked,
-    verdict_of,
-)
-from rotcal_ros.methods.tracer.solver.zeros import Jump, largest_share, step_between
+from rotcal_ros.methods.tracer.solver.verdict import doubt_jump, judged
+from rotcal_ros.methods.tracer.solver.zeros import largest_share, step_between
 from rotcal_ros.methods.tracer_six.solver.network import pattern_gradient
 from rotcal_ros.methods.tracer_six.solver.problem import NetworkTiming, SixProblem, renamed, timing
 from rotcal_ros.methods.tracer_six.solver.scatter import Kind
@@ -118,7 +109,7 @@ def result_of(solution: SixSolution) -> Result:
         deviations=solution.deviations(),
         std={name: np.sqrt(matrix.diagonal()) for name, matrix in covariance.items()},
         covariance=covariance,
-        sigma0=solution.lengths.sigma0,
+        sigma0=solution.evidence.lengths.sigma0,
         dof=fit.dof,
         n_observations=len(problem.length),
         rejected=tuple(Rejection(row, why) for row, why in sorted(solution.rejected.items())),
@@ -170,10 +161,10 @@ def _details(solution: SixSolution) -> dict[str, Any]:
         "covariance_scale": solution.scale,
         "coverage_factor": HALF_OF_95_PERCENT,
         "scatter": _scatter(solution),
-        "noise": solution.noise.details(),
+        "noise": solution.evidence.noise.details(),
         "slips": None if slips is None else {"size": slips.size, "found": slips.found},
-        "length_test": asdict(solution.lengths),
-        "gathering": gathering_details(solution.gathering),
+        "length_test": asdict(solution.evidence.lengths),
+        "gathering": gathering_details(solution.evidence.gathering),
         "rejection_limit": rejection_limit(solution.grid, problem.settings.rejection_significance),
         "closure": {
             name: [asdict(closure) for closure in found]
@@ -296,29 +287,10 @@ class Upward:
 
 def judge(solution: SixSolution) -> tuple[Verdict, tuple[str, ...]]:
     """Return the verdict and its warnings by the rules in this module's docstring."""
-    doubts = [*_doubt_noise(solution), *_doubt_gathering(solution), *_doubt_motion(solution)]
-    factors = solution.scale * solution.noise.factors
-    verdict = verdict_of(doubts, factors, solution.n_rejected / solution.n_lengths)
-    return verdict, (*doubts, *_remarks(solution))
-
-
-def _doubt_noise(solution: SixSolution) -> list[str]:
-    settings = solution.problem.settings
-    doubts = doubt_noise(solution.noise, settings)
-    if solution.scale > 1.0:
-        doubts.append(
-            f"the residuals are {solution.scale:.2f} times what their standard deviations allow "
-            "(chi-squared test): the uncertainty is enlarged by that factor; look for drift or a "
-            "tracer that slips on the table"
-        )
-    return doubts + doubt_rejected(solution.n_rejected, solution.n_lengths, settings)
-
-
-def _doubt_gathering(solution: SixSolution) -> list[str]:
-    layout = solution.layout
+    layout, settings = solution.layout, solution.problem.settings
     names = {int(s): layout.station_name(j) for j, s in enumerate(layout.grid.position_ids)}
-    found = doubt_gathering(solution.gathering, solution.problem.settings)
-    return [renamed(text, names) for text in found]
+    verdict, warnings = judged(solution.evidence, settings, _doubt_motion(solution))
+    return verdict, tuple(renamed(text, names) for text in warnings)
 
 
 def _doubt_motion(solution: SixSolution) -> list[str]:
@@ -342,8 +314,8 @@ def _doubt_motion(solution: SixSolution) -> list[str]:
             if abs(c.error) > limit * c.std
         ]
     doubts += [
-        doubt_jump(f"place {_place_of(solution, jump)}", jump, solution.problem.slip)
-        for jump in solution.jumps
+        doubt_jump(f"place {solution.problem.place[jump.row]}", jump, solution.problem.slip)
+        for jump in solution.evidence.jumps
     ]
     doubts += _doubt_moves(solution)
     if solution.missing:
@@ -352,10 +324,6 @@ def _doubt_motion(solution: SixSolution) -> list[str]:
             f"no deviations for position(s) {names}: fewer than three places have enough lengths"
         )
     return doubts
-
-
-def _place_of(solution: SixSolution, jump: Jump) -> int:
-    return int(solution.problem.place[jump.row])
 
 
 def _doubt_moves(solution: SixSolution) -> list[str]:
@@ -372,12 +340,6 @@ def _doubt_moves(solution: SixSolution) -> list[str]:
             f"({x:.3g}, {y:.3g}, {z:.3g}) um along x, y, z"
         )
     return doubts
-
-
-def _remarks(solution: SixSolution) -> list[str]:
-    bare = solution.grid.used & (solution.fit.redundancy <= MINIMAL_REDUNDANCY)
-    remarks = remark_noise(solution.noise, solution.problem.settings)
-    return remarks + remark_unchecked(int(bare.sum()))
 
 
 def protections(solution: SixSolution) -> tuple[Protection, ...]:
@@ -417,7 +379,7 @@ def protections(solution: SixSolution) -> tuple[Protection, ...]:
             ),
             *_slip(solution),
             _tangential(solution),
-            *gathering.protection(solution.gathering, _std(solution)),
+            *gathering.protection(solution.evidence.gathering, _std(solution)),
         )
     )
 
@@ -578,7 +540,7 @@ def _slope_along(solution: SixSolution, errors: Floats) -> Slope:
     fit, column = solution.fit, solution.grid.placed(errors)[None]
     _, information = _respond(solution, column)
     score = (pattern_gradient(solution.network, column).weighted[0] * fit.residual).sum()
-    excess = excess_of(solution.noise, solution.problem.settings.test_significance)
+    excess = excess_of(solution.evidence.noise, solution.problem.settings.test_significance)
     return Slope(float(score), float(information[0]), fit.chi2, fit.dof, excess)
 
 
