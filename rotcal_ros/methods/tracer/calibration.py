@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.arrays import Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
@@ -94,15 +94,6 @@ def _segments(observations: Sequence[Observation]) -> Ints:
     return np.unique(both, axis=0, return_inverse=True)[1].ravel()
 
 
-def _stations(configuration: Configuration, plan: Plan) -> Floats | None:
-    """Return where the tracer stands at each table angle (m, 3), None where the plan is silent.
-
-    Few lengths to low targets leave a mirror image of a station, which this rules out.
-    """
-    mount = configuration.plan.tracer_m
-    return on_table(mount, plan.table_angles) if mount else None
-
-
 def _arrivals(configuration: Configuration) -> Arrivals | None:
     """Return the arrivals of all stations of a plan with repeated runs."""
     settings: TracerPlanSettings = configuration.plan
@@ -157,14 +148,15 @@ def problem(
                 f"step {o.step}: position {o.table_position}, target {o.target} are not in the "
                 f"plan of {len(plan.table_angles)} angles and {len(plan.targets)} targets"
             )
-    before = times_before(plan)
+    before, mount = times_before(plan), configuration.plan.tracer_m
     return TracerProblem(
         **length_columns(settings, plan, observations),
         segment=_segments(observations) if _in_segments(configuration) else None,
         again=before[[o.step for o in observations]] if before.any() else None,
         zero_walk_std=settings.zero_walk_std_m if _in_segments(configuration) else 0.0,
         slip=settings.slip_m,
-        start_stations=_stations(configuration, plan),
+        # few lengths to low targets leave a mirror image of a station, which this rules out
+        start_stations=on_table(mount, plan.table_angles) if mount else None,
         variant=settings.variant,
         datum=settings.datum,
         error_motion_std=settings.error_motion_std_m,

@@ -347,7 +347,8 @@ def _placed(problem: TracerProblem, grid: Grid, screened: ScreenedLengths) -> _P
     singly = scaled(screened.grid, screened.noise.factors)
     found = _placed_by(problem, singly, adjust_stations(singly, start))
     wholly, with_them = without_targets(grid, singly)
-    if not with_them or not _enough(wholly):
+    # unless every station keeps what one needs to be found, twice over
+    if not with_them or (wholly.used.sum(axis=1) < 2 * STATION_MINIMUM).any():
         return found
     other = _placed_by(problem, wholly, adjust_stations(wholly, start), with_them)
     return other if other.mean_variance() < found.mean_variance() else found
@@ -361,11 +362,6 @@ def _placed_by(
     check_station_spread(fit.stations, blocks, grid.position_ids, largest)
     motion = table_motion(fit.stations, problem.table_angles[grid.position_ids])
     return _Placed(grid, fit, covariance, motion, with_them or {})
-
-
-def _enough(grid: Grid) -> bool:
-    """Whether every station still has what one needs to be found, twice over."""
-    return bool((grid.used.sum(axis=1) >= 2 * STATION_MINIMUM).all())
 
 
 def _stated_test(

@@ -131,6 +131,7 @@ def _details(solution: TracerSolution) -> dict[str, Any]:
     less than what (m, 95 %) their stations lie apart along the circle.
     """
     problem, motion = solution.problem, solution.motion
+    stated = solution.evidence.circle_statement
     return {
         "variant": problem.variant,
         "datum": problem.datum if problem.variant == "joint" else "targets",
@@ -146,7 +147,7 @@ def _details(solution: TracerSolution) -> dict[str, Any]:
         "covariance_scale": solution.scale * float(solution.noise.factors[0]),
         "coverage_factor": HALF_OF_95_PERCENT,
         **_tests(solution),
-        **_circle(solution),
+        **({} if stated is None else {"circle_prior": asdict(stated)}),
         **_zeros(solution),
         "closure": [asdict(closure) for closure in solution.evidence.closures],
         "returned": [asdict(closing) for closing in returned(solution)],
@@ -192,12 +193,6 @@ def _tests(solution: TracerSolution) -> dict[str, Any]:
         "gathering": gathering_details(evidence.gathering),
         "rejection_limit": rejection_limit(grid, solution.problem.settings.rejection_significance),
     }
-
-
-def _circle(solution: TracerSolution) -> dict[str, Any]:
-    """Return what was stated of the stations' circle, and its test."""
-    stated = solution.evidence.circle_statement
-    return {} if stated is None else {"circle_prior": asdict(stated)}
 
 
 def _zeros(solution: TracerSolution) -> dict[str, Any]:

@@ -19,9 +19,9 @@ standard deviation ``tilt_std``; in a trial it is one of what chance has drawn.
 About the minimum follow the covariances of all unknowns, stations and lengths, and to first order
 what a pattern of errors of the lengths does.
 
-The six curves follow from the poses in the gauge that all methods share:
-R_i = U R(c_i) Rz(theta_i) Q' and R_i o + t_i = v + U d_i: the axis stands at v, turned by U, in
-the machine; the table's own frame lies at o, turned by Q. U has no turn about z, v no height: x
+The six curves follow from the poses in the gauge that all methods share. With
+R_i = U R(c_i) Rz(theta_i) Q' and R_i o + t_i = v + U d_i the axis stands at v, turned by U, in the
+machine; the table's own frame lies at o, turned by Q. U has no turn about z, v no height: x
 points to the machine's x, heights count from its z = 0. The other ten are chosen so that nothing
 of a motion of either frame is left in the curves: sum c = sum d = 0, and in x and y also
 sum Rz' c = sum Rz' d = 0.

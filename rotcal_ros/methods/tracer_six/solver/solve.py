@@ -14,9 +14,9 @@ failed
     a fifth of the lengths were rejected.
 
 What protects the curves against each effect that could spoil them is said to first order about a
-solution: a pattern of errors of the lengths moves the curves, and what the
-network cannot take up of it is left in chi-squared. Closures and the tests of movement find some
-of what chi-squared does not.
+solution: a pattern of errors of the lengths moves the curves, and what the network cannot take up
+of it is left in chi-squared. Closures and the tests of movement find some of what chi-squared does
+not.
 """
 
 from __future__ import annotations
@@ -35,7 +35,6 @@ from rotcal_ros.foundation.results import Rejection, Result, Verdict, Zeros
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix
 from rotcal_ros.methods.tracer.solver import gathering
-from rotcal_ros.methods.tracer.solver.gathering import details as gathering_details
 from rotcal_ros.methods.tracer.solver.observability import Numbering
 from rotcal_ros.methods.tracer.solver.protections import (
     KNOCKED_AT,
@@ -164,7 +163,7 @@ def _details(solution: SixSolution) -> dict[str, Any]:
         "noise": solution.evidence.noise.details(),
         "slips": None if slips is None else {"size": slips.size, "found": slips.found},
         "length_test": asdict(solution.evidence.lengths),
-        "gathering": gathering_details(solution.evidence.gathering),
+        "gathering": gathering.details(solution.evidence.gathering),
         "rejection_limit": rejection_limit(solution.grid, problem.settings.rejection_significance),
         "closure": {
             name: [asdict(closure) for closure in found]
