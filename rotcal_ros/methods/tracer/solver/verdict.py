@@ -285,7 +285,7 @@ def _cause(jump: Jump, fringe: float) -> str:
 
 
 def _remarks(evidence: Evidence) -> list[str]:
-    remarks = []
+    remarks: list[str] = []
     if evidence.spare:
         names = ", ".join(str(i) for i in evidence.spare)
         remarks.append(
