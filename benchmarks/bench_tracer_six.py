@@ -15,10 +15,9 @@ from scipy_tracer_six import SparseSix
 from six_scene import LENGTH_STD, TARGET_STD, scene
 
 from rotcal_ros.methods.tracer_six.solver import SixProblem
-from rotcal_ros.methods.tracer_six.solver.adjustment import find_start
-from rotcal_ros.methods.tracer_six.solver.curves import rotation_vector
-from rotcal_ros.methods.tracer_six.solver.layout import lay_out
-from rotcal_ros.methods.tracer_six.solver.network import relax
+from rotcal_ros.methods.tracer_six.solver.network import relax, rotation_vector
+from rotcal_ros.methods.tracer_six.solver.problem import lay_out
+from rotcal_ros.methods.tracer_six.solver.solution import find_start
 
 FORCING = {"tr_options": {"atol": 1e-14, "btol": 1e-14, "maxiter": 2000}}
 """With its own tolerance lsmr stops early, and least_squares takes four times as long."""

@@ -64,7 +64,7 @@ def coverage(
         inside.append((np.abs(error) < HALF_OF_95_PERCENT * std).mean(axis=1))
         errors.append((error**2).mean(axis=1))
         stds.append((std**2).mean(axis=1))
-        jumped += len(solution.jumps) > 0
+        jumped += len(solution.evidence.jumps) > 0
     return Coverage(
         np.mean(inside, axis=0), np.sqrt(np.mean(errors, axis=0)), np.mean(np.sqrt(stds), axis=0),
         jumped / runs,

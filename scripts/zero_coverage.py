@@ -30,7 +30,7 @@ from rotcal_ros.methods.tracer.solver.circle import bearing_jacobian
 from rotcal_ros.methods.tracer.solver.network import NetworkGain
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
 from rotcal_ros.methods.tracer.solver.verdict import judge
-from rotcal_ros.methods.tracer.solver.zeros import Shifts, TimedLengths, shifts_at
+from rotcal_ros.methods.tracer.solver.zeros import Shifts, shift_search
 
 LENGTH_STD, TARGET_STD = 0.2e-6, 1e-6
 FRINGE = 632.8e-9 / 2
@@ -141,8 +141,8 @@ def best(order: str, where: Places, runs: int) -> str:
     slips of a fringe: no test finds more of them (Neyman and Pearson). Their scores are drawn.
     """
     solution = adjust(measured(CASES[1], order, where, 0)[0])
-    moments = TimedLengths.of(solution.grid, solution.problem.measuring_order)
-    shifts = shifts_at(solution.grid, solution.fit, moments, np.flatnonzero(moments.side > 0))
+    search = shift_search(solution.grid, solution.fit, solution.problem.measuring_order)
+    shifts = search.at(np.flatnonzero(search.moments.side > 0))
     apart = FRINGE * np.sqrt(shifts.information)
     alike = correlation(solution, shifts)
     values, axes = np.linalg.eigh(alike)

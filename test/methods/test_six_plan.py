@@ -8,7 +8,7 @@ import pytest
 
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.methods import changed, prepare_to_measure, read_configuration
-from rotcal_ros.methods.tracer_six.calibration import arrivals
+from rotcal_ros.methods.tracer.lengths import times_before
 from rotcal_ros.methods.tracer_six.plan import places_of, six_plan
 from rotcal_ros.methods.tracer_six.settings import SixPlanSettings
 
@@ -50,7 +50,7 @@ def test_from_each_place_all_targets_at_each_angle():
     assert [step.target for step in first[:16]] == [*range(8), *range(8)]
     assert first[9].command(0).station == 0
     assert plan.steps[80].command(0).station == 1
-    assert arrivals(plan)[:72:8].tolist() == [0, 0, 0, 0, 1, 1, 1, 1, 2]
+    assert times_before(plan)[:72:8].tolist() == [0, 0, 0, 0, 1, 1, 1, 1, 2]
 
 
 def test_or_all_angles_at_each_target_and_again_the_first():
@@ -58,7 +58,7 @@ def test_or_all_angles_at_each_target_and_again_the_first():
     first = plan.steps[:40]
     assert [step.table_position for step in first[:10]] == [0, 1, 2, 3, 0] * 2
     assert [step.target for step in first[::5]] == [*range(8)]
-    assert arrivals(plan)[:10].tolist() == [0, 0, 0, 0, 1] * 2
+    assert times_before(plan)[:10].tolist() == [0, 0, 0, 0, 1] * 2
 
 
 def test_a_person_fixes_the_tracer_at_every_place_and_the_first_lengths_show_it():

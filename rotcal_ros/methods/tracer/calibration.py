@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.arrays import Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
@@ -14,11 +14,7 @@ from rotcal_ros.methods.arrivals import Arrivals, RepeatedTrials, arrivals_of, m
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Trials
 from rotcal_ros.methods.tracer.design.scene import on_table
-from rotcal_ros.methods.tracer.lengths import (
-    mean_targets,
-    reported_positions,
-    stated_variance,
-)
+from rotcal_ros.methods.tracer.lengths import length_columns, reported_positions, times_before
 from rotcal_ros.methods.tracer.settings import TracerPlanSettings
 from rotcal_ros.methods.tracer.solver.joined_runs import (
     RepeatedLengths,
@@ -33,7 +29,6 @@ from rotcal_ros.methods.tracer.solver.solve import result_of
 from rotcal_ros.methods.tracer.solver.trials import trials_about
 from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
 from rotcal_ros.planning.plan import Plan
-from rotcal_ros.planning.readings import Readings
 from rotcal_ros.planning.table_angles import table_angles
 
 
@@ -99,15 +94,6 @@ def _segments(observations: Sequence[Observation]) -> Ints:
     return np.unique(both, axis=0, return_inverse=True)[1].ravel()
 
 
-def _stations(configuration: Configuration, plan: Plan) -> Floats | None:
-    """Return where the tracer stands at each table angle (m, 3), None where the plan is silent.
-
-    Few lengths to low targets leave a mirror image of a station, which this rules out.
-    """
-    mount = configuration.plan.tracer_m
-    return on_table(mount, plan.table_angles) if mount else None
-
-
 def _arrivals(configuration: Configuration) -> Arrivals | None:
     """Return the arrivals of all stations of a plan with repeated runs."""
     settings: TracerPlanSettings = configuration.plan
@@ -148,26 +134,10 @@ def _runs(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     return Runs(posed, run, reported_positions(kept) - place, pairs, position_std)
 
 
-def _again(plan: Plan, observations: Sequence[Observation]) -> Ints | None:
-    """Return how many earlier steps (k,) of the plan have the same pair; None: none has."""
-    earlier: dict[tuple[int, int], int] = {}
-    of_step: dict[int, int] = {}
-    for step in plan.steps:
-        pair = (step.table_position, step.target)
-        of_step[step.index] = earlier.get(pair, 0)
-        earlier[pair] = of_step[step.index] + 1
-    if len(earlier) == len(plan.steps):
-        return None
-    return np.array([of_step[o.step] for o in observations], dtype=np.int64)
-
-
 def problem(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> TracerProblem:
     """Return the problem that observations of a plan pose.
-
-    The coordinates of a target are the mean of what the machine reported there; a target that
-    was never observed keeps its nominal place.
 
     Raises DataError when an observation does not fit the plan.
     """
@@ -178,29 +148,18 @@ def problem(
                 f"step {o.step}: position {o.table_position}, target {o.target} are not in the "
                 f"plan of {len(plan.table_angles)} angles and {len(plan.targets)} targets"
             )
-    read, reported = Readings.of(observations), reported_positions(observations)
-    targets = mean_targets(np.array(plan.targets), read.target, reported)
-    distance = np.linalg.norm(targets, axis=1)[read.target]
-    variance, growing = stated_variance(settings, observations, distance)
+    before, mount = times_before(plan), configuration.plan.tracer_m
     return TracerProblem(
-        position=read.position,
-        target=read.target,
-        length=read.value,
-        length_std=np.sqrt(variance),
-        distance_std=growing,
-        order=read.order,
+        **length_columns(settings, plan, observations),
         segment=_segments(observations) if _in_segments(configuration) else None,
-        again=_again(plan, observations),
+        again=before[[o.step for o in observations]] if before.any() else None,
         zero_walk_std=settings.zero_walk_std_m if _in_segments(configuration) else 0.0,
         slip=settings.slip_m,
-        targets=targets,
-        target_std=np.full(targets.shape, settings.target_std_m),
-        table_angles=np.array(plan.table_angles),
-        start_stations=_stations(configuration, plan),
+        # few lengths to low targets leave a mirror image of a station, which this rules out
+        start_stations=on_table(mount, plan.table_angles) if mount else None,
         variant=settings.variant,
         datum=settings.datum,
         error_motion_std=settings.error_motion_std_m,
         circle_std=settings.circle_std_m,
-        settings=settings,
         repeated_runs=configuration.plan.repeated,
     )

@@ -1,11 +1,12 @@
-"""Observed lengths: as arrays with their noise, as planned, and whether they can be true."""
+"""Observed lengths: as columns with their noise, as planned, and whether they can be true."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from math import dist
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.method import See
 from rotcal_ros.methods.tracer.solver_settings import LengthNoiseSettings
 from rotcal_ros.planning.plan import Plan, Point, Step
+from rotcal_ros.planning.readings import Readings
 
 _FACTOR: Final = 10.0
 """Times the distance of two targets beyond which a change of the length is no measuring error."""
@@ -29,28 +31,52 @@ def reported_positions(observations: Sequence[Observation]) -> Floats:
     return np.array([o.probe_position for o in observations]).reshape(-1, 3)
 
 
-def mean_targets(nominal: Floats, target: Ints, reported: Floats) -> Floats:
-    """Return the mean reported position of each target, shape (n, 3)."""
-    count = np.bincount(target, minlength=len(nominal))
-    total = np.zeros_like(nominal)
-    np.add.at(total, target, reported)
-    seen = count > 0
-    total[seen] /= count[seen, None]
-    total[~seen] = nominal[~seen]
-    return total
+def times_before(plan: Plan) -> Ints:
+    """Return how often the plan has measured the same before each of its steps (n,)."""
+    count: Counter[tuple[int, int, int]] = Counter()
+    numbers = []
+    for step in plan.steps:
+        key = (step.station, step.table_position, step.target)
+        numbers.append(count[key])
+        count[key] += 1
+    return np.array(numbers, dtype=np.int64)
 
 
-def stated_variance(
-    settings: LengthNoiseSettings, observations: Sequence[Observation], distance: Floats
-) -> tuple[Floats, Floats]:
-    """Return the variances (k,) of observed lengths, m^2, and the part that grows, a std in m.
+def length_columns(
+    settings: LengthNoiseSettings,
+    plan: Plan,
+    observations: Sequence[Observation],
+    beside: float = 0.0,
+) -> dict[str, Any]:
+    """Return the columns that every problem of lengths has, from accepted ``observations``.
 
-    They join the scatter of the window with the instrument's constant and distance-dependent
-    parts; for the latter the ``distance`` (k,) from the table's frame is near enough.
+    The coordinates of a target are the mean of what the machine reported there; a target that
+    was never observed keeps its nominal place. The noise of a length joins the scatter of its
+    window with the instrument's constant and distance-dependent parts, for the latter the distance
+    from the table's frame is near enough, and with what is ``beside``, m.
     """
-    growing = settings.length_std_relative * distance
+    read = Readings.of(observations)
+    target, nominal = read.target, np.array(plan.targets)
+    count = np.bincount(target, minlength=len(nominal))
+    targets, seen = np.zeros_like(nominal), count > 0
+    np.add.at(targets, target, reported_positions(observations))
+    targets[seen] /= count[seen, None]
+    targets[~seen] = nominal[~seen]
+    growing = settings.length_std_relative * np.linalg.norm(targets, axis=1)[target]
     window_std = np.array([o.std[0] for o in observations])
-    return settings.length_std_m**2 + growing**2 + window_std**2, growing
+    variance = settings.length_std_m**2 + growing**2 + window_std**2
+    return {
+        "position": read.position,
+        "target": target,
+        "length": read.value,
+        "length_std": np.sqrt(variance + beside**2),
+        "distance_std": growing,
+        "order": read.order,
+        "targets": targets,
+        "target_std": np.full(targets.shape, settings.target_std_m),
+        "table_angles": np.array(plan.table_angles),
+        "settings": settings,
+    }
 
 
 def read_from(places: Sequence[Point], dead_distance: float) -> See:

@@ -6,14 +6,14 @@ A fourth column ``segment`` numbers the unbroken beams. Beside a table of length
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.files import write_atomically
-from rotcal_ros.foundation.observations import Approach, Observation
+from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.tables import Header, Table, hashes, read_table, require_header
 from rotcal_ros.methods.calibration import Calibration, prepare
 from rotcal_ros.methods.configuration import Configuration
@@ -36,38 +36,45 @@ PAIRS: Final = ("step", "table_position", "target")
 def read(configuration: Configuration, table: Table, targets: Path | None) -> PlannedMeasurements:
     """Return lengths by table position and target; a table tells no scatter, so there is none.
 
-    The targets are those of the file ``targets``, of ``targets.csv`` beside the table, or of the
-    set-up, in this order. Segments that the table names have a zero each, unless the set-up asks
+    Segments that the table names have a zero each, unless the set-up asks
     for one per station.
     """
     in_segments = SEGMENT in table.header
     if in_segments and configuration.solver.zero == "auto":
         solver = replace(configuration.solver, zero="per_segment")
         configuration = replace(configuration, solver=solver)
-    files, calibration = [table.path], prepare(configuration)
-    targets = targets_of_table(table, targets)
-    if targets is not None:
-        files.append(targets)
-        angles = calibration.plan.table_angles
-        unknown = [Approach.UNKNOWN] * len(angles)
-        listed = configuration.plan.listed
+
+    def replanned(planned: Plan, targets: tuple[Point, ...]) -> Plan:
+        listed, angles = configuration.plan.listed, planned.table_angles
         if len(set(listed)) < len(listed):  # only the plan tells which pairs come again
-            plan = explicit_plan(configuration.plan, read_targets(targets))
-        else:
-            plan = plan_of(angles, read_targets(targets), unknown)
-        calibration = Calibration(configuration, plan)
+            return explicit_plan(configuration.plan, targets)
+        return plan_of(angles, targets, [Approach.UNKNOWN] * len(angles))
+
     columns = {"position": "table_position", "target": "target"}
-    observations = observed_rows(table, calibration.plan, columns)
-    return PlannedMeasurements(calibration, observations, hashes(*files))
+    return read_lengths(configuration, table, targets, columns, replanned)
 
 
-def observed_rows(table: Table, plan: Plan, columns: Mapping[str, str]) -> tuple[Observation, ...]:
-    """Return the lengths of ``table``, each as the one step of ``plan`` that its row tells.
+def read_lengths(
+    configuration: Configuration,
+    table: Table,
+    targets: Path | None,
+    columns: Mapping[str, str],
+    replanned: Callable[[Plan, tuple[Point, ...]], Plan],
+) -> PlannedMeasurements:
+    """Return the lengths of ``table``, each as the one step of the plan that its row tells.
 
-    ``columns`` as of a :class:`RowStepFinder`. Raises DataError for a length that cannot be one in
+    By its ``columns`` as of a :class:`RowStepFinder`. ``replanned`` makes the plan to the targets of the file ``targets``, or of ``targets.csv`` beside the table;
+    without either they are the set-up's. Raises DataError for a length that cannot be one in
     metres.
     """
-    find, check = RowStepFinder(plan, columns), LengthCheck(plan)
+    files, calibration = [table.path], prepare(configuration)
+    beside = table.path.with_name(TARGETS_FILE)
+    targets = beside if targets is None and beside.exists() else targets
+    if targets is not None:
+        files.append(targets)
+        plan = replanned(calibration.plan, read_targets(targets))
+        calibration = Calibration(configuration, plan)
+    find, check = RowStepFinder(calibration.plan, columns), LengthCheck(calibration.plan)
     in_segments = SEGMENT in table.header
     observations = []
     for row in table.rows():
@@ -76,13 +83,7 @@ def observed_rows(table: Table, plan: Plan, columns: Mapping[str, str]) -> tuple
         if not observation.accepted:
             raise DataError(f"{row.place}: {observation.reason}")
         observations.append(observation)
-    return tuple(observations)
-
-
-def targets_of_table(table: Table, given: Path | None) -> Path | None:
-    """Return the file of the targets: the ``given`` one, or that beside the table if it exists."""
-    beside = table.path.with_name(TARGETS_FILE)
-    return beside if given is None and beside.exists() else given
+    return PlannedMeasurements(calibration, tuple(observations), hashes(*files))
 
 
 def read_targets(path: Path) -> tuple[Point, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -16,27 +15,20 @@ from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.arrivals import Arrivals, RepeatedTrials, arrivals_of, mean_of_runs
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Trials
-from rotcal_ros.methods.tracer.lengths import (
-    mean_targets,
-    reported_positions,
-    stated_variance,
-)
+from rotcal_ros.methods.tracer.lengths import length_columns, reported_positions, times_before
 from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION
 from rotcal_ros.methods.tracer.solver.adjustment import locate_stations
 from rotcal_ros.methods.tracer.solver.reported import WeighedSolution, with_reported
 from rotcal_ros.methods.tracer_six.plan import LOCATING, described, places_of
-from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
-from rotcal_ros.methods.tracer_six.solver.protections import adjust_at_equal_places
-from rotcal_ros.methods.tracer_six.solver.solution import SixSolution
-from rotcal_ros.methods.tracer_six.solver.solve import result_of
-from rotcal_ros.methods.tracer_six.solver.trials import SixTrials
-from rotcal_ros.methods.tracer_six.solver_settings import (
+from rotcal_ros.methods.tracer_six.settings import (
     TracerSixSolverSettings,
     Zero,
     ZeroSetting,
 )
+from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
+from rotcal_ros.methods.tracer_six.solver.solution import SixSolution, SixTrials
+from rotcal_ros.methods.tracer_six.solver.solve import adjust_at_equal_places, result_of
 from rotcal_ros.planning.plan import Plan, Point
-from rotcal_ros.planning.readings import Readings
 
 
 def solve(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
@@ -95,7 +87,6 @@ def problem(
 ) -> SixProblem:
     """Return the problem that observations of a plan pose.
 
-    The coordinates of a target are the mean of what the machine reported there, from all places.
     Where all targets are measured at one arrival, they share its scatter; else every length has
     an arrival of its own. A run that was interrupted and taken up again may count from another
     zero, which its lengths share.
@@ -105,23 +96,12 @@ def problem(
     settings: TracerSixSolverSettings = configuration.solver
     places = np.array(places_of(configuration.plan))
     _require_planned(plan, places, observations)
-    read = Readings.of(observations)
-    targets = mean_targets(np.array(plan.targets), read.target, reported_positions(observations))
-    distance = np.linalg.norm(targets, axis=1)[read.target]
-    variance, growing = stated_variance(settings, observations, distance)
     zero, segment = _zeros(settings.zero, observations)
-    arrival = arrivals(plan)
+    arrival = times_before(plan)
     shift, turn, own_std = _scatter(configuration)
     return SixProblem(
-        position=read.position,
-        place=read.station,
-        target=read.target,
-        length=read.value,
-        length_std=np.sqrt(variance + own_std**2),
-        distance_std=growing,
-        targets=targets,
-        target_std=np.full(targets.shape, settings.target_std_m),
-        table_angles=np.array(plan.table_angles),
+        **length_columns(settings, plan, observations, own_std),
+        place=np.array([o.station for o in observations], dtype=np.int64),
         upward=_every(plan).upward if configuration.plan.bidirectional else None,
         places=places,
         place_tolerance=configuration.plan.place_tolerance_m,
@@ -135,23 +115,7 @@ def problem(
         ),
         tilt_std=settings.tilt_std_rad,
         slip=settings.slip_m,
-        order=read.order,
-        settings=settings,
     )
-
-
-def arrivals(plan: Plan) -> Ints:
-    """Return at which arrival (n,) of the table at its angle each step is measured, from 0 on.
-
-    From each place on its own: it is how often the plan has measured the same before.
-    """
-    count: Counter[tuple[int, int, int]] = Counter()
-    numbers = []
-    for step in plan.steps:
-        key = (step.station, step.table_position, step.target)
-        numbers.append(count[key])
-        count[key] += 1
-    return np.array(numbers, dtype=np.int64)
 
 
 def _scatter(configuration: Configuration) -> tuple[float | None, float | None, float]:

@@ -21,7 +21,7 @@ from rotcal_ros.methods.tracer.plan import targets_of
 from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION
 from rotcal_ros.methods.tracer_six.settings import SixPlanSettings
 from rotcal_ros.methods.tracer_six.solver import METHOD
-from rotcal_ros.methods.tracer_six.solver.layout import lost_direction
+from rotcal_ros.methods.tracer_six.solver.problem import lost_direction
 from rotcal_ros.planning.plan import (
     TABLE_FRAME,
     Move,

@@ -13,11 +13,10 @@ from typing import Any, Final
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.plugins import nearest
 from rotcal_ros.foundation.settings import declarations
-from rotcal_ros.foundation.tables import Header, Table, hashes
-from rotcal_ros.methods.calibration import Calibration, prepare
+from rotcal_ros.foundation.tables import Header, Table
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements
-from rotcal_ros.methods.tracer.table import SEGMENT, observed_rows, read_targets, targets_of_table
+from rotcal_ros.methods.tracer.table import SEGMENT, read_lengths
 from rotcal_ros.methods.tracer_six.plan import plan_of
 from rotcal_ros.methods.tracer_six.settings import SixPlanSettings
 from rotcal_ros.methods.tracer_six.solver import TracerSixSolverSettings
@@ -32,18 +31,14 @@ def read(configuration: Configuration, table: Table, targets: Path | None) -> Pl
     """Return lengths by place, table position and target; a table tells no scatter.
 
     What the plan measures several times may stand in the table as often, in the order of time.
-    The targets are those of the file ``targets``, of ``targets.csv`` beside the table, or of the
-    set-up, in this order.
     """
-    files, calibration = [table.path], prepare(configuration)
-    targets = targets_of_table(table, targets)
-    if targets is not None:
-        files.append(targets)
-        plan = plan_of(configuration.plan, read_targets(targets))
-        calibration = Calibration(configuration, plan)
-    columns = {"place": "station", "position": "table_position", "target": "target"}
-    observations = observed_rows(table, calibration.plan, columns)
-    return PlannedMeasurements(calibration, observations, hashes(*files))
+    return read_lengths(
+        configuration,
+        table,
+        targets,
+        {"place": "station", "position": "table_position", "target": "target"},
+        lambda _, listed: plan_of(configuration.plan, listed),
+    )
 
 
 def short_setup(document: Mapping[str, Any], where: str) -> Mapping[str, Any]:

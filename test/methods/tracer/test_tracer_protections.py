@@ -113,13 +113,12 @@ def test_what_the_plan_and_the_settings_change():
 def test_response_is_what_the_solver_does(interleaved):
     quiet = measured(2, interleaved=interleaved)
     solution = adjust(quiet)
-    when = patterns.timing(solution)
-    slow, size = patterns.drifts(solution, when)[1:2], 2e-7
+    slow, size = patterns.drifts(solution)[1:2], 2e-7
     moved = solve(measured(2, interleaved=interleaved, effect=drifting(size)))
     found = moved.deviations["ECC"] - solution.motion.cumulative
     said = respond(solution, slow).deviations[0] * size
     assert found == pytest.approx(said, abs=2e-2 * np.abs(said).max() + 1e-12)
-    out = respond(solution, patterns.knocks(solution, when)[3:4]).deviations[0] * size
+    out = respond(solution, patterns.knocks(solution)[3:4]).deviations[0] * size
     moved = solve(measured(2, interleaved=interleaved, effect=knocked(size)))
     found = moved.deviations["ECC"] - solution.motion.cumulative
     assert found == pytest.approx(out, abs=2e-2 * np.abs(out).max() + 1e-12)
@@ -129,13 +128,13 @@ def test_response_is_what_the_solver_does(interleaved):
 @pytest.mark.parametrize("interleaved", [False, True])
 @pytest.mark.parametrize(
     ("effect", "pattern"),
-    [(drifting, lambda s, w: patterns.drifts(s, w)[1:2]),
-     (knocked, lambda s, w: patterns.knocks(s, w)[3:4])],
+    [(drifting, lambda s: patterns.drifts(s)[1:2]),
+     (knocked, lambda s: patterns.knocks(s)[3:4])],
     ids=["drift", "knock"],
 )  # fmt: skip
 def test_what_is_called_detectable_turns_the_verdict(effect, pattern, interleaved):
     solution = adjust(measured(3, interleaved=interleaved))
-    size = float(respond(solution, pattern(solution, patterns.timing(solution))).detectable[0])
+    size = float(respond(solution, pattern(solution)).detectable[0])
     assert size < 1e-4
     verdicts = [
         solve(measured(100 + k, interleaved=interleaved, effect=effect(size))).verdict

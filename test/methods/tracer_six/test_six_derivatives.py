@@ -7,15 +7,16 @@ import pytest
 from six_scene import good_targets, scene
 
 from rotcal_ros.methods.tracer_six.solver import SixProblem
-from rotcal_ros.methods.tracer_six.solver.adjustment import find_start
-from rotcal_ros.methods.tracer_six.solver.curves import (
+from rotcal_ros.methods.tracer_six.solver.network import (
     curve_jacobian,
     log_slope,
+    relax,
     rotation_vector,
+    slopes,
     table_curves,
 )
-from rotcal_ros.methods.tracer_six.solver.layout import lay_out
-from rotcal_ros.methods.tracer_six.solver.network import relax, slopes
+from rotcal_ros.methods.tracer_six.solver.problem import lay_out
+from rotcal_ros.methods.tracer_six.solver.solution import find_start
 
 
 def turn(vectors):

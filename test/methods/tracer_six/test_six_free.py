@@ -6,10 +6,9 @@ from six_scene import good_targets, on_circle, scene
 
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.methods.tracer_six.solver import SixProblem
-from rotcal_ros.methods.tracer_six.solver.adjustment import find_start
-from rotcal_ros.methods.tracer_six.solver.layout import lay_out
 from rotcal_ros.methods.tracer_six.solver.network import relax
-from rotcal_ros.methods.tracer_six.solver.solution import adjust
+from rotcal_ros.methods.tracer_six.solver.problem import lay_out
+from rotcal_ros.methods.tracer_six.solver.solution import adjust, find_start
 
 
 def free(rng, places, **options):

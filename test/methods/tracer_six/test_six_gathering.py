@@ -9,8 +9,7 @@ from six_scene import scene
 
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.methods.tracer_six.solver import SixProblem, solve
-from rotcal_ros.methods.tracer_six.solver.adjustment import groups_of
-from rotcal_ros.methods.tracer_six.solver.solution import PLACE, adjust
+from rotcal_ros.methods.tracer_six.solver.solution import PLACE, adjust, groups_of
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from gathered_worlds import chosen

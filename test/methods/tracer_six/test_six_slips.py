@@ -69,7 +69,7 @@ def test_slips_are_found_as_often_as_is_stated():
         solution = adjust(problem)
         curves = np.array(list(solution.deviations().values()))
         std = np.sqrt(np.einsum("ajaj->aj", solution.covariance))
-        found.append(len(solution.jumps) > 0)
+        found.append(len(solution.evidence.jumps) > 0)
         stated.append(solution.slips.found)
         inside.append((np.abs(curves - truth) < 1.96 * std).mean())
     expected, error = np.mean(stated), np.sqrt(np.mean(stated) * (1.0 - np.mean(stated)) / runs)
@@ -79,7 +79,7 @@ def test_slips_are_found_as_often_as_is_stated():
 
 
 def test_no_jump_is_seen_where_there_is_none():
-    assert sum(len(adjust(measured(seed)[1]).jumps) for seed in range(8)) <= 1
+    assert sum(len(adjust(measured(seed)[1]).evidence.jumps) for seed in range(8)) <= 1
 
 
 def test_one_round_shows_little_and_the_verdict_says_so():

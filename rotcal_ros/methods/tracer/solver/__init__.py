@@ -10,7 +10,7 @@ From the problem to the result, each module knowing those before it:
 * :mod:`.gathering`, :mod:`.screening`: disturbances in one place; noise and outliers;
 * :mod:`.uncertainty`, :mod:`.verdict`: of the angles, and whether they are to be believed;
 * :mod:`.solution`: all of that for one problem;
-* :mod:`.effects`, :mod:`.reported`, :mod:`.protections`: what could spoil the result;
+* :mod:`.reported`, :mod:`.protections`: what could spoil the result;
 * :mod:`.solve`, :mod:`.trials`, :mod:`.joined_runs`: the result, Monte Carlo, several runs as one.
 """
 

@@ -105,6 +105,10 @@ class Adjustment:
         spread = self.std * np.sqrt(np.where(checked, self.redundancy, 1.0))
         return np.where(checked, self.residual / spread, 0.0)
 
+    def unchecked(self, grid: Grid) -> int:
+        """Return how many lengths of ``grid`` are used that no other checks."""
+        return int((grid.used & (self.redundancy <= MINIMAL_REDUNDANCY)).sum())
+
 
 class Adjuster(Protocol):
     """An adjustment of a grid from stations and distances of its strips (p, 4)."""

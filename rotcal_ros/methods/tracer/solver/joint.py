@@ -66,7 +66,8 @@ def adjust_network(grid: Grid, start: Floats, targets: Floats | None = None) -> 
     corrections, redundancy, coupling = _felt_by_targets(network, grid, spread)
     leverage = grid.weights * _leverage(network, spread)
     unknowns = network.layout.size + network.targets.size
-    n_lengths = int(grid.used.sum())
+    walked = 0 if grid.walk is None else int(np.isfinite(grid.walk).sum())
+    observed = int(grid.used.sum()) + walked + grid.contrasts
     return Adjustment(
         stations=state[grid.first_strip, :3],
         distances=state[:, 3],
@@ -75,7 +76,7 @@ def adjust_network(grid: Grid, start: Floats, targets: Floats | None = None) -> 
         std=grid.length_std,
         redundancy=grid.used - leverage,
         chi2=network.chi2,
-        dof=n_lengths - (rank if grid.free else network.layout.size) + _others(grid),
+        dof=observed - (rank if grid.free else network.layout.size),
         unknowns=unknowns,
         rank=rank,
         target_test=target_test(corrections, redundancy),
@@ -95,12 +96,6 @@ def _settled(grid: Grid, start: Floats, targets: Floats) -> Network:
     except ObservabilityError:
         _rank(linearise(grid, start, targets), grid)
         raise
-
-
-def _others(grid: Grid) -> int:
-    """Return how many observations of stations and zeros there are beside the lengths."""
-    walked = 0 if grid.walk is None else int(np.isfinite(grid.walk).sum())
-    return walked + grid.contrasts
 
 
 def network_covariance(grid: Grid, fit: Adjustment) -> StationCovariance:

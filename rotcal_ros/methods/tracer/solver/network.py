@@ -142,29 +142,12 @@ class SchurComplement:
 def eliminate(
     kept: Floats, other: Floats, cross: Floats, constraints: Floats | None = None
 ) -> SchurComplement:
-    """Eliminate the side ``other`` (q, t, t) from ``kept`` (p, s, s), ``cross`` (p s, q t).
+    """Eliminate the side ``other`` (q, t, t), with ``cross`` (y, q t).
 
-    ``constraints`` (p s, c): x has to be orthogonal to these columns, which stand in for what the
-    data leave open.
-    """
-    p, s, _ = kept.shape
-    inverse, transfer, matrix = _schur(other, cross)
-    matrix.reshape(p, s, p, s)[np.arange(p), :, np.arange(p)] += kept
-    return _reduced(matrix, inverse, transfer, constraints)
-
-
-def _eliminate_from(
-    kept: Floats, other: Floats, cross: Floats, constraints: Floats | None = None
-) -> SchurComplement:
-    """Do as :func:`eliminate` for a kept side that is one matrix (y, y), ``cross`` (y, q t)."""
-    inverse, transfer, matrix = _schur(other, cross)
-    return _reduced(matrix + kept, inverse, transfer, constraints)
-
-
-def _schur(other: Floats, cross: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return B^-1, C B^-1 and -C B^-1 C'; raises ObservabilityError where a block is singular.
-
-    Such is a station from which all targets stand in one line.
+    ``kept``: blocks (p, s, s) with y = p s, or one matrix (y, y). ``constraints`` (y, c): x has to
+    be orthogonal to these columns, which stand in for what the data leave open. Raises
+    ObservabilityError where a block of the other side is singular: such is a station from which
+    all targets stand in one line.
     """
     q, t, _ = other.shape
     try:
@@ -175,16 +158,15 @@ def _schur(other: Floats, cross: Floats) -> tuple[Floats, Floats, Floats]:
     by_block = cross.reshape(-1, q, t).swapaxes(0, 1) @ inverse
     transfer.reshape(-1, q, t)[...] = by_block.swapaxes(0, 1)
     matrix = -transfer @ cross.T
-    return inverse, transfer, 0.5 * (matrix + matrix.T)  # rounding leaves it a little askew
-
-
-def _reduced(
-    matrix: Floats, inverse: Floats, transfer: Floats, constraints: Floats | None
-) -> SchurComplement:
-    scale = 1.0 / np.sqrt(np.maximum(matrix.diagonal(), np.finfo(np.float64).tiny))
-    if constraints is None:
-        columns = np.empty((len(matrix), 0))
+    matrix = 0.5 * (matrix + matrix.T)  # rounding leaves it a little askew
+    if kept.ndim == 2:
+        matrix = matrix + kept
     else:
+        p, s, _ = kept.shape
+        matrix.reshape(p, s, p, s)[np.arange(p), :, np.arange(p)] += kept
+    scale = 1.0 / np.sqrt(np.maximum(matrix.diagonal(), np.finfo(np.float64).tiny))
+    columns = np.empty((len(matrix), 0))
+    if constraints is not None:
         columns = np.linalg.qr(constraints * scale[:, None])[0]
     return SchurComplement(matrix, inverse, transfer, scale, np.asarray(columns))
 
@@ -355,7 +337,7 @@ class Network:
             constraints = _constraints(self.state[layout.first_strip, :3], layout)
         if layout.shared:
             gathered = layout.gather(stations, targets, cross, self.circle)
-            return _eliminate_from(*gathered, constraints)
+            return eliminate(*gathered, constraints)
         if self.stations_kept:
             return eliminate(stations, targets, cross, constraints)
         return eliminate(targets, stations, np.ascontiguousarray(cross.T))

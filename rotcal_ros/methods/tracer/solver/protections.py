@@ -5,40 +5,32 @@ its solution. Each is a *pattern*: errors (p, n) of the lengths per unit of its 
 deviations, and it shows in what the fit cannot take up, in the circle of the stations, and in
 closures. The size at which one of these turns the verdict with a probability of POWER is the
 *detectable* one.
+
+What does not depend on how a method works this out comes first, for one place of the tracer and
+for several: the sizes up to which an effect is looked for, the largest error that stays unseen,
+effects of the air, and the statements that both methods make.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from math import sqrt
+from typing import Final
 
 import numpy as np
 
 from rotcal_ros.adjust.distributions import chi2_isf, normal_isf
 from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.noise import LEAST_REDUNDANCY
-from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
 from rotcal_ros.foundation.protection import POWER, Effect, Protection, ordered
 from rotcal_ros.foundation.raw_data import MOST_INFLUENCES, Influence
-from rotcal_ros.foundation.units import MICROMETRE
+from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix
 from rotcal_ros.methods.tracer.solver import gathering
 from rotcal_ros.methods.tracer.solver.adjustment import ranges, station_gain
 from rotcal_ros.methods.tracer.solver.circle import bearing_slopes
-from rotcal_ros.methods.tracer.solver.effects import (
-    KNOCKED_AT,
-    LARGEST_MOVE,
-    LARGEST_RATIO,
-    MOST_PATTERNS,
-    NOTHING,
-    Worst,
-    found_growth,
-    noise_protection,
-    refracted,
-    share_gone,
-    tangential_protection,
-)
 from rotcal_ros.methods.tracer.solver.network import (
     KNOWN,
     Network,
@@ -46,26 +38,117 @@ from rotcal_ros.methods.tracer.solver.network import (
     network_of,
     view_of,
 )
+from rotcal_ros.methods.tracer.solver.problem import share_gone
 from rotcal_ros.methods.tracer.solver.reported import Slope, excess_of
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution
 from rotcal_ros.methods.tracer.solver.uncertainty import circle_tested, error_motion_spread
 from rotcal_ros.methods.tracer.solver.verdict import FAILED_FACTORS, closures
+from rotcal_ros.methods.tracer.solver.zeros import largest_share
+
+LARGEST_MOVE: Final = 1e-4
+"""Drift or knock (m, or rad times the largest reach) that nobody would overlook."""
+LARGEST_RATIO: Final = 1e-3
+"""Error of the scale, or of the air's index per metre of height, that nobody would overlook."""
+HARMLESS: Final = 0.1
+"""Error, in standard uncertainties, of what cannot be told from nothing."""
+KNOCKED_AT: Final = (0.25, 0.5, 0.75)
+"""Shares of a run after which a knock is tried."""
+NOTHING: Final = 1e-150
+"""Keeps divisions by what a test does not feel finite; far below any square of a length."""
+MOST_PATTERNS: Final = 4_000_000
+"""Lengths of all patterns together, 32 MB, up to which each length's influence is told."""
+
+
+@dataclass(frozen=True, slots=True)
+class Worst:
+    """The largest error that may stay unseen, in standard uncertainties; ``seen``: no larger."""
+
+    error: float
+    seen: bool
+
+    @classmethod
+    def of(cls, detectable: Floats, share: Floats, largest: float) -> Worst:
+        """Return the worst of k patterns, none of which is larger than ``largest``.
+
+        ``detectable`` (k,): size that a test finds; ``share`` (k,): error per unit of size, in
+        standard uncertainties.
+        """
+        error = np.minimum(detectable, largest) * share
+        k = int(np.argmax(error))
+        return cls(float(error[k]), bool(detectable[k] <= largest))
+
+    def stated(self, effect: Effect, harmless: str, unseen: str, seen: str) -> Protection:
+        """Return the statement about ``effect``, in one of three wordings."""
+        if self.error <= HARMLESS:
+            return Protection(effect, "harmless", harmless)
+        if not self.seen:
+            return Protection(effect, "not protected", unseen)
+        return Protection(effect, "tested", seen, self.error)
+
+
+def refracted(distance: Floats, stations: Floats, targets: Floats) -> Floats:
+    """Return lengths (1, p, n) by an index of the air that grows by one per metre of height.
+
+    ``distance`` (p, n) between ``stations`` (p, 3) and ``targets`` (n, 3). The index at the mean
+    height of a beam is that along it, for it grows linearly.
+    """
+    height = 0.5 * (stations[:, None, 2] + targets[:, 2])
+    return np.asarray(distance * (height - height.mean()))[None]
+
+
+def found_growth(significance: float, dof: int) -> float:
+    """Return how many times its variance noise has to be for chi-squared to show it with POWER."""
+    return float(chi2_isf(significance, dof) / chi2_isf(POWER, dof))
+
+
+def noise_protection(error: float) -> Protection:
+    """Return the statement about components of the noise that are larger than stated."""
+    return Protection(
+        "axis noise",
+        "tested",
+        "the noise of lengths and of the targets' x, y and z is tested apart, and estimated where "
+        "the statement does not hold",
+        error,
+    )
+
+
+def tangential_protection(
+    radius: float, *, alike: str, beside: str, within: float | None, shown: str, untested: str
+) -> Protection:
+    """Return the statement about a tracer that moves along its circle between the angles.
+
+    All its lengths are those of a table that turned further: none can show it, and an angle that
+    was measured again bounds only what does not come back with the angle. ``radius`` (m) of the
+    circle; ``alike``: what else looks like it, ``beside``: what is said beside. ``within`` (m):
+    how near the tracer came back, 95 %, as ``shown``; None: that is ``untested``.
+    """
+    why = (
+        f"a tracer that mount or cable shift along its circle between the angles{alike} leaves no "
+        f"trace in any length: 1 um of it is {MICROMETRE / radius / ARCSEC:.2f} arcsec{beside}"
+    )
+    bound = "no angle was measured again, which would bound what of it does not come back with "
+    bound += untested
+    if within is not None:
+        bound = (
+            f"what of it does not come back with the angle is less than {within / MICROMETRE:.2g} "
+            f"um, {within / radius / ARCSEC:.2g} arcsec (95 %, {shown})"
+        )
+    return Protection("tangential motion", "not protected", f"{why}; {bound}")
 
 
 def protections(solution: TracerSolution) -> tuple[Protection, ...]:
     """Return a statement about every effect, in the fixed order."""
-    when = timing(solution)
-    moving = _moving(solution, when)
-    worst = _worst(
-        solution,
-        moving | {"scale": scale(solution), "refraction": refraction(solution)},
-    )
+    moving, arrivals = _moving(solution), _arrivals(solution)
+    standing, targets = solution.fit.standing, solution.fit.targets
+    distance, _ = ranges(standing, targets)
+    air = refracted(distance, standing, targets)
+    worst = _worst(solution, moving | {"scale": distance[None], "refraction": air})
     return ordered(
         (
             *_of_the_order(solution, worst),
             noise_protection(float(np.max(_hidden_noise(solution)))),
             _error_motion(solution),
-            _repeatability(solution, int(when.arrivals.min())),
+            _repeatability(solution, arrivals),
             _of_the_air("refraction", "air in layers", worst["refraction"]),
             _of_the_air("scale", "a wrong scale of the lengths", worst["scale"]),
             _tilt(solution),
@@ -76,7 +159,7 @@ def protections(solution: TracerSolution) -> tuple[Protection, ...]:
                 "own plane, whatever its radius and lean",
             ),
             *_slip(solution),
-            _tangential(solution, int(when.arrivals.min())),
+            _tangential(solution, arrivals),
             *gathering.protection(solution.evidence.gathering, solution.angles.std),
         )
     )
@@ -84,31 +167,30 @@ def protections(solution: TracerSolution) -> tuple[Protection, ...]:
 
 def of_the_order(solution: TracerSolution) -> tuple[Protection, Protection]:
     """Return the statements about drift and knock, which depend on the order of measuring."""
-    return _of_the_order(solution, _worst(solution, _moving(solution, timing(solution))))
+    return _of_the_order(solution, _worst(solution, _moving(solution)))
 
 
-def _moving(solution: TracerSolution, when: LengthTiming) -> dict[str, Floats]:
+def _moving(solution: TracerSolution) -> dict[str, Floats]:
     """Return the patterns (p, m, n) of what moves while it is measured."""
     reach = float(np.linalg.norm(solution.fit.targets - solution.motion.centre, axis=1).max())
     return {
-        "drift": drifts(solution, when),
-        "turn": turning(solution, when) / reach,
-        "knock": knocks(solution, when),
+        "drift": drifts(solution),
+        "turn": turning(solution) / reach,
+        "knock": knocks(solution),
     }
 
 
 def _worst(solution: TracerSolution, patterns: dict[str, Floats]) -> dict[str, Worst]:
     """Return the largest error of each kind of pattern that may stay unseen."""
-    answer, std = respond(solution, np.concatenate(list(patterns.values()))), solution.angles.std
-    ends = np.cumsum([len(pattern) for pattern in patterns.values()])
-    part = {
-        name: answer.take(slice(end - len(patterns[name]), end))
-        for name, end in zip(patterns, ends.tolist(), strict=True)
-    }
-    return {
-        name: found.worst(std, LARGEST_RATIO if name in ("scale", "refraction") else LARGEST_MOVE)
-        for name, found in part.items()
-    }
+    answer = respond(solution, np.concatenate(list(patterns.values())))
+    share, first = largest_share(answer.deviations, solution.angles.std), 0
+    found: dict[str, Worst] = {}
+    for name, pattern in patterns.items():
+        part = slice(first, first + len(pattern))
+        largest = LARGEST_RATIO if name in ("scale", "refraction") else LARGEST_MOVE
+        found[name] = Worst.of(answer.detectable[part], share[part], largest)
+        first = part.stop
+    return found
 
 
 def _of_the_order(
@@ -127,10 +209,8 @@ def _slip(solution: TracerSolution) -> tuple[Protection, ...]:
     if slips is None:
         return ()
     cumulative = bearing_slopes(solution.fit.stations, solution.motion).from_first
-    moved = slips.size * cumulative.times(slips.shifts.moved.T).T
-    std = solution.angles.std
-    share = np.abs(moved[:, std > 0.0]) / std[std > 0.0]
-    return (slips.protection(share.max(axis=1, initial=0.0)),)
+    moved = cumulative.times(slips.shifts.moved.T).T
+    return (slips.protection(moved, solution.angles.std),)
 
 
 def _moved(effect: Effect, worst: Worst, solution: TracerSolution, what: str) -> Protection:
@@ -302,42 +382,37 @@ def _repeatability(solution: TracerSolution, arrivals: int) -> Protection:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class LengthTiming:
-    """When the lengths were taken: ``share`` (m, n) of the run that had gone, 0 to 1.
-
-    ``arrivals`` (m,): how often the table came to each position.
-    """
-
-    share: Floats
-    arrivals: Ints
+def _gone(solution: TracerSolution) -> Floats:
+    """Return which share (p, n), 0 to 1, of the run had gone at each length."""
+    return solution.grid.placed(share_gone(solution.problem.measuring_order))
 
 
-def timing(solution: TracerSolution) -> LengthTiming:
-    """Return when the lengths of ``solution`` were taken; see TracerProblem.order."""
-    problem, order = solution.problem, solution.problem.measuring_order
-    at = problem.position[np.argsort(order, kind="stable")]
+def _arrivals(solution: TracerSolution) -> int:
+    """Return how often the table came to the position that it came to least."""
+    problem = solution.problem
+    at = problem.position[np.argsort(problem.measuring_order, kind="stable")]
     come = np.append(True, np.diff(at) != 0)
     arrivals = np.bincount(at[come], minlength=len(problem.table_angles))
-    share = solution.grid.placed(share_gone(order))
-    return LengthTiming(share, arrivals[solution.positions])
+    return int(arrivals[solution.positions].min())
 
 
-def drifts(solution: TracerSolution, when: LengthTiming) -> Floats:
+def drifts(solution: TracerSolution) -> Floats:
     """Return the frame of the machine drifting linearly by a metre along x, y, z: (3, m, n)."""
     _, unit = ranges(solution.fit.standing, solution.fit.targets)
-    return np.asarray(-when.share * unit.transpose(2, 0, 1), dtype=np.float64)
+    return np.asarray(-_gone(solution) * unit.transpose(2, 0, 1), dtype=np.float64)
 
 
-def turning(solution: TracerSolution, when: LengthTiming) -> Floats:
+def turning(solution: TracerSolution) -> Floats:
     """Return the frame of the machine turning about the table's axis by a radian: (1, m, n)."""
     motion, fit = solution.motion, solution.fit
     _, unit = ranges(fit.standing, fit.targets)
     arms = cross_matrix(motion.plane.normal[None])[0] @ (fit.targets - motion.centre).T
-    return np.asarray(-when.share * np.einsum("jia,ai->ji", unit, arms), dtype=np.float64)[None]
+    return np.asarray(-_gone(solution) * np.einsum("jia,ai->ji", unit, arms), dtype=np.float64)[
+        None
+    ]
 
 
-def knocks(solution: TracerSolution, when: LengthTiming) -> Floats:
+def knocks(solution: TracerSolution) -> Floats:
     """Return the tracer shifted on the table by a metre: out, along, up; (9, m, n)."""
     motion = solution.motion
     _, unit = ranges(solution.fit.standing, solution.fit.targets)
@@ -347,45 +422,19 @@ def knocks(solution: TracerSolution, when: LengthTiming) -> Floats:
     up = np.broadcast_to(motion.plane.normal, (len(out), 3))
     shifts = np.stack([out @ basis, along @ basis, up])
     felt = np.einsum("sja,jia->sji", shifts[:, station], unit)
-    later: list[Bools] = [when.share >= share for share in KNOCKED_AT]
-    return np.concatenate([felt * late for late in later])
-
-
-def scale(solution: TracerSolution) -> Floats:
-    """Return lengths that are too long by their own size: (1, m, n)."""
-    return ranges(solution.fit.standing, solution.fit.targets)[0][None]
-
-
-def refraction(solution: TracerSolution) -> Floats:
-    """Return an index of the air that grows by one per metre of height: (1, m, n)."""
-    standing, targets = solution.fit.standing, solution.fit.targets
-    return refracted(ranges(standing, targets)[0], standing, targets)
+    gone = _gone(solution)
+    return np.concatenate([felt * (gone >= share) for share in KNOCKED_AT])
 
 
 @dataclass(frozen=True, eq=False)
 class Response:
     """What k patterns of unit size do: to the deviations (k, m) in rad, and to the tests.
 
-    ``stations`` (k, m, 3) in m. ``detectable`` (k,): size that is found; infinite when no test
-    feels the pattern.
+    ``detectable`` (k,): size that is found; infinite when no test feels the pattern.
     """
 
     deviations: Floats
-    stations: Floats
     detectable: Floats
-
-    def worst(self, std: Floats, largest: float) -> Worst:
-        """Return the largest error that may stay unseen; no pattern is larger than ``largest``.
-
-        ``std`` (m,): stated standard uncertainties, rad.
-        """
-        uncertain = std > 0.0
-        share = np.abs(self.deviations[:, uncertain]) / std[uncertain]
-        return Worst.of(self.detectable, share.max(axis=1), largest)
-
-    def take(self, which: slice) -> Response:
-        """Return some of the patterns."""
-        return Response(self.deviations[which], self.stations[which], self.detectable[which])
 
 
 def respond(solution: TracerSolution, errors: Floats) -> Response:
@@ -411,7 +460,7 @@ def respond(solution: TracerSolution, errors: Floats) -> Response:
         first, last = np.searchsorted(solution.positions, [closure.first, closure.last])
         jump = deviations[:, last] - deviations[:, first]
         found.append(_needed(1.0, significance) / ((jump / closure.std) ** 2 + NOTHING))
-    return Response(deviations, moved, np.sqrt(np.min(found, axis=0)))
+    return Response(deviations, np.sqrt(np.min(found, axis=0)))
 
 
 def influence_of(solution: TracerSolution) -> Influence | None:
@@ -464,7 +513,7 @@ def _as_network(solution: TracerSolution, errors: Floats) -> tuple[Floats, Float
 
 
 def _left(solution: TracerSolution, errors: Floats) -> tuple[Network, Floats, Floats, Floats]:
-    """Return the network, the moves (k, p, 4), (k, n, 3) by errors (k, p, n), and what is left."""
+    """Return the network, moves (k, p, 4) and (k, n, 3) by errors (k, p, n), and what is left."""
     network = network_of(solution.grid, solution.fit)
     gain = NetworkGain.of(network)
     rows = network.rows

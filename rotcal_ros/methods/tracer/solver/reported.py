@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from math import sqrt
-from typing import Any, Final, Generic, TypeVar
+from typing import Final, Generic, TypeVar
 
 import numpy as np
 
@@ -130,10 +130,6 @@ class Reported:
             "with what the machine reports while it stands still"
         )
 
-    def details(self) -> dict[str, Any]:
-        """Return all of it for the details of a result, SI."""
-        return asdict(self)
-
 
 @dataclass(frozen=True)
 class WeighedSolution(Generic[S]):
@@ -218,5 +214,5 @@ def with_reported(result: Result, reported: Reported | None) -> Result:
     return replace(
         result,
         warnings=(*result.warnings, *warnings),
-        details={**result.details, "reported_places": reported.details()},
+        details={**result.details, "reported_places": asdict(reported)},
     )

@@ -14,7 +14,6 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, RotcalError
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods.tracer.solver.adjustment import (
-    MINIMAL_REDUNDANCY,
     Adjustment,
     StationCovariance,
     adjust_stations,
@@ -64,9 +63,8 @@ from rotcal_ros.methods.tracer.solver.zeros import (
     Jump,
     Shifts,
     Slips,
-    find_jump,
-    find_shifts,
     likely_walk,
+    shift_search,
     slips_among,
     split,
     wandering,
@@ -194,9 +192,7 @@ def _adjusted(problem: TracerProblem, wider: CircleStatement | None = None) -> T
     known = circle_std if problem.error_motion_std is None else problem.error_motion_std
     contradicted = (statement or circle).probability < significance
     error_motion = error_motion_of(motion, covariance, scale, known, contradicted, circle_std)
-    slips = None
-    if shifts is not None:
-        slips = slips_among(shifts, problem.slip, problem.settings.rejection_significance, scale)
+    slips = slips_among(shifts, problem.slip, problem.settings.rejection_significance, scale)
     unseen = None if slips is None else slips.covariance()
     gathered = screened.gathering.covariance()
     angles = angle_uncertainty(motion, fit, covariance, error_motion.used, scale, unseen, gathered)
@@ -215,9 +211,9 @@ def _adjusted(problem: TracerProblem, wider: CircleStatement | None = None) -> T
         ),
         n_lengths=len(problem.length) - len(absent.repeated) - len(absent.spare),
         n_rejected=len(absent.unfit) + len(screened.why),
-        missing=_missing_positions(problem, grid),
+        missing=problem.missing(grid.position_ids),
         spare=tuple(sorted({int(problem.target[row]) for row in absent.spare})),
-        unchecked=int((placed.grid.used & (fit.redundancy <= MINIMAL_REDUNDANCY)).sum()),
+        unchecked=fit.unchecked(placed.grid),
         mirror_ambiguous=ambiguous,
         jumps=jumps,
         fringe=problem.slip,
@@ -239,12 +235,6 @@ def _scatter(screened: ScreenedLengths, fit: Adjustment) -> float:
     known = screened.grid.row >= 0
     ratio = np.abs(fit.residual[known] / fit.std[known])
     return float(screened.noise.factors[0] * np.median(ratio) / NORMAL_QUARTILE)
-
-
-def _missing_positions(problem: TracerProblem, grid: Grid) -> tuple[int, ...]:
-    """Return the table positions without a station."""
-    every = np.arange(len(problem.table_angles))
-    return tuple(np.setdiff1d(every, grid.position_ids).tolist())
 
 
 def _started(
@@ -304,8 +294,9 @@ def _screened_together(
         nonlocal grid, start, shifts
         if problem.segment is None:
             return False
-        shifts = find_shifts(fit_grid, fit, order)
-        jump = find_jump(fit_grid, fit, shifts, limits.rejection_significance, margin)
+        search = shift_search(fit_grid, fit, order)
+        shifts = search.few()
+        jump = search.jump(shifts, limits.rejection_significance, margin)
         if jump is None or len(jumps) == MOST_JUMPS:
             return False
         jumps.append(replace(jump, segment=int(fit_grid.segment_numbers[jump.segment])))
@@ -356,7 +347,8 @@ def _placed(problem: TracerProblem, grid: Grid, screened: ScreenedLengths) -> _P
     singly = scaled(screened.grid, screened.noise.factors)
     found = _placed_by(problem, singly, adjust_stations(singly, start))
     wholly, with_them = without_targets(grid, singly)
-    if not with_them or not _enough(wholly):
+    # unless every station keeps what one needs to be found, twice over
+    if not with_them or (wholly.used.sum(axis=1) < 2 * STATION_MINIMUM).any():
         return found
     other = _placed_by(problem, wholly, adjust_stations(wholly, start), with_them)
     return other if other.mean_variance() < found.mean_variance() else found
@@ -370,11 +362,6 @@ def _placed_by(
     check_station_spread(fit.stations, blocks, grid.position_ids, largest)
     motion = table_motion(fit.stations, problem.table_angles[grid.position_ids])
     return _Placed(grid, fit, covariance, motion, with_them or {})
-
-
-def _enough(grid: Grid) -> bool:
-    """Whether every station still has what one needs to be found, twice over."""
-    return bool((grid.used.sum(axis=1) >= 2 * STATION_MINIMUM).all())
 
 
 def _stated_test(

@@ -7,14 +7,17 @@ from typing import Any
 
 import numpy as np
 
+from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
 from rotcal_ros.foundation.protection import ordered
 from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.results import Rejection, Residuals, Result, Zeros
+from rotcal_ros.methods.tracer.solver.adjustment import Adjustment
 from rotcal_ros.methods.tracer.solver.circle import algorithm_error, scatter
 from rotcal_ros.methods.tracer.solver.gathering import details as gathering_details
+from rotcal_ros.methods.tracer.solver.grid import Grid
 from rotcal_ros.methods.tracer.solver.observability import Numbering, turned_by, weakest_direction
-from rotcal_ros.methods.tracer.solver.problem import TracerProblem
+from rotcal_ros.methods.tracer.solver.problem import LengthProblem, TracerProblem
 from rotcal_ros.methods.tracer.solver.protections import influence_of, protections, returned
 from rotcal_ros.methods.tracer.solver.screening import rejection_limit
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
@@ -91,15 +94,28 @@ def _residuals(solution: TracerSolution) -> Residuals:
         j[grid.row[at, filled]] = at
         known = j >= 0
     distance = np.linalg.norm(fit.standing[j] - fit.targets[i], axis=1) - fit.distances[j]
-    placed = known & (grid.row[j, i] == np.arange(len(j)))
+    return residual_table(problem, grid, fit, np.where(known, problem.length - distance, np.nan))
+
+
+def residual_table(
+    problem: LengthProblem, grid: Grid, fit: Adjustment, residual: Floats
+) -> Residuals:
+    """Return one row per length (k,) with its ``residual``, and a test of what is on the grid."""
+    there = grid.row >= 0
+
+    def of_rows(values: Floats | Bools, otherwise: Floats | float) -> Floats:
+        column = np.full(len(problem.length), otherwise, dtype=np.float64)
+        column[grid.row[there]] = values[there]
+        return column
+
     return Residuals(
         table_position=problem.position,
         target=problem.target,
-        residual=np.where(known, problem.length - distance, np.nan),
-        redundancy=np.where(placed, fit.redundancy[j, i], 0.0),
-        test_value=np.where(placed, fit.test_value[j, i], 0.0),
-        used=placed & grid.used[j, i],
-        std=np.where(placed, fit.std[j, i], problem.length_std),
+        residual=residual,
+        redundancy=of_rows(fit.redundancy, 0.0),
+        test_value=of_rows(fit.test_value, 0.0),
+        used=of_rows(grid.used, 0.0).astype(np.bool_),
+        std=of_rows(fit.std, problem.length_std),
     )
 
 
@@ -115,6 +131,7 @@ def _details(solution: TracerSolution) -> dict[str, Any]:
     less than what (m, 95 %) their stations lie apart along the circle.
     """
     problem, motion = solution.problem, solution.motion
+    stated = solution.evidence.circle_statement
     return {
         "variant": problem.variant,
         "datum": problem.datum if problem.variant == "joint" else "targets",
@@ -130,7 +147,7 @@ def _details(solution: TracerSolution) -> dict[str, Any]:
         "covariance_scale": solution.scale * float(solution.noise.factors[0]),
         "coverage_factor": HALF_OF_95_PERCENT,
         **_tests(solution),
-        **_circle(solution),
+        **({} if stated is None else {"circle_prior": asdict(stated)}),
         **_zeros(solution),
         "closure": [asdict(closure) for closure in solution.evidence.closures],
         "returned": [asdict(closing) for closing in returned(solution)],
@@ -176,12 +193,6 @@ def _tests(solution: TracerSolution) -> dict[str, Any]:
         "gathering": gathering_details(evidence.gathering),
         "rejection_limit": rejection_limit(grid, solution.problem.settings.rejection_significance),
     }
-
-
-def _circle(solution: TracerSolution) -> dict[str, Any]:
-    """Return what was stated of the stations' circle, and its test."""
-    stated = solution.evidence.circle_statement
-    return {} if stated is None else {"circle_prior": asdict(stated)}
 
 
 def _zeros(solution: TracerSolution) -> dict[str, Any]:

@@ -37,7 +37,7 @@ from rotcal_ros.methods.tracer.solver.observability import check_counts
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 from rotcal_ros.methods.tracer.solver.solution import TracerSolution, adjust
 from rotcal_ros.methods.tracer.solver.uncertainty import AngleUncertainty, angle_uncertainty
-from rotcal_ros.methods.tracer.solver.zeros import Slips, find_shifts, slips_among
+from rotcal_ros.methods.tracer.solver.zeros import Slips, shift_search, slips_among
 
 STEPS: Final = 3
 """Each step leaves 1e-5 of the error before it: from noise of 1e-6 m, two reach rounding."""
@@ -87,10 +87,9 @@ def predicted(problem: TracerProblem, stations: Floats) -> Prediction:
         covariance = stations_covariance(grid, fit)
     motion = table_motion(fit.stations, problem.table_angles[grid.position_ids])
     error_motion = problem.error_motion_std or 0.0
-    slips = None
-    if grid.zero is not None:
-        shifts = find_shifts(grid, fit, problem.measuring_order)
-        slips = slips_among(shifts, problem.slip, problem.settings.rejection_significance)
+    shared = grid.zero is not None
+    shifts = shift_search(grid, fit, problem.measuring_order).few() if shared else None
+    slips = slips_among(shifts, problem.slip, problem.settings.rejection_significance)
     unseen = None if slips is None else slips.covariance()
     angles = angle_uncertainty(motion, fit, covariance, error_motion, 1.0, unseen)
     redundancy = np.full(len(problem.position), np.nan)

@@ -17,6 +17,7 @@ failed
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -103,69 +104,90 @@ def closures(
     return tuple(found)
 
 
-@dataclass(frozen=True, slots=True)
-class Evidence:
-    """What the verdict rests on.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LengthEvidence:
+    """What the verdict on any network of lengths rests on.
 
     ``lengths``: test against the noise as stated, ``unexplained``: what the estimated ``noise``
-    leaves, as a factor. ``missing`` are positions without a result, ``spare`` targets of a free
-    network that too few lengths reach, ``fringe`` (m) is what a counter slips by, ``scatter`` by
-    how much all residuals, those of rejected lengths too, exceed what is stated.
+    leaves, as a factor. ``scatter``: by how much all residuals, those of rejected lengths too,
+    exceed what is stated. ``n_lengths`` could have been used, ``n_rejected`` of them were not;
+    ``unchecked`` are without redundancy. ``gathering``: what was found in one place; ``jumps`` of
+    zeros.
     """
 
     lengths: GlobalTest
     noise: NoiseFactors
     unexplained: float
+    n_lengths: int
+    n_rejected: int
+    unchecked: int
+    scatter: float = 1.0
+    gathering: Gathering = field(default_factory=Gathering)
+    jumps: tuple[Jump, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evidence(LengthEvidence):
+    """What the verdict on stations of one circle rests on.
+
+    ``missing`` are positions without a result, ``spare`` targets of a free network that too few
+    lengths reach, ``fringe`` (m) is what a counter slips by.
+    """
+
     circle: GlobalTest
     error_motion: ErrorMotion
     radial_rms: float
     closures: tuple[CircleClosure, ...]
-    n_lengths: int
-    n_rejected: int
     missing: tuple[int, ...]
     spare: tuple[int, ...]
-    unchecked: int
     mirror_ambiguous: bool
-    jumps: tuple[Jump, ...] = ()
     circle_statement: CircleStatement | None = None
     fringe: float = 0.0
-    scatter: float = 1.0
-    gathering: Gathering = field(default_factory=Gathering)
 
 
 def judge(evidence: Evidence, settings: TracerLimits) -> tuple[Verdict, tuple[str, ...]]:
     """Return the verdict and its warnings by the rules in this module's docstring."""
+    return judged(evidence, settings, _doubt_stations(evidence, settings), _remarks(evidence))
+
+
+def judged(
+    evidence: LengthEvidence,
+    settings: TracerLimits,
+    doubts: Sequence[str],
+    remarks: Sequence[str] = (),
+) -> tuple[Verdict, tuple[str, ...]]:
+    """Return verdict and warnings of any network of lengths, with a method's own doubts."""
     doubts = [
-        *_doubt_lengths(evidence, settings),
+        *_doubt_noise(evidence.noise, settings),
+        *_doubt_residuals(evidence.unexplained),
+        *_doubt_rejected(evidence, settings),
         *doubt_gathering(evidence.gathering, settings),
-        *_doubt_stations(evidence, settings),
+        *doubts,
     ]
     factors = evidence.unexplained * evidence.noise.factors
-    verdict = verdict_of(doubts, factors, evidence.n_rejected / evidence.n_lengths)
-    return verdict, (*doubts, *_remarks(evidence, settings))
+    verdict: Verdict = "suspect" if doubts else "ok"
+    if (factors > FAILED_FACTORS).any() or evidence.n_rejected / evidence.n_lengths > FAILED_SHARE:
+        verdict = "failed"
+    unchecked = evidence.unchecked
+    if unchecked:
+        remarks = [
+            *remarks,
+            f"{unchecked} lengths are checked by no other: an error in them stays unseen",
+        ]
+    return verdict, (*doubts, *_remark_noise(evidence.noise, settings), *remarks)
 
 
-def verdict_of(doubts: list[str], factors: Floats, rejected_share: float) -> Verdict:
-    """Return the verdict where there are ``doubts``; ``factors`` (5,): times the stated noise."""
-    if (factors > FAILED_FACTORS).any() or rejected_share > FAILED_SHARE:
-        return "failed"
-    return "suspect" if doubts else "ok"
+def _doubt_residuals(unexplained: float) -> list[str]:
+    if unexplained <= 1.0:
+        return []
+    return [
+        f"the residuals of the lengths are {unexplained:.2f} times what their standard deviations "
+        "allow (chi-squared test): the uncertainty is enlarged by that factor; look for drift or "
+        "a tracer that slips on the table, or state larger standard deviations"
+    ]
 
 
-def _doubt_lengths(evidence: Evidence, settings: TracerLimits) -> list[str]:
-    doubts = doubt_noise(evidence.noise, settings)
-    if evidence.unexplained > 1.0:
-        doubts.append(
-            f"the residuals of the lengths are {evidence.unexplained:.2f} times what their "
-            "standard deviations allow (chi-squared test): the uncertainty is enlarged by "
-            "that factor; look for drift, or state larger standard deviations"
-        )
-    return doubts + doubt_rejected(
-        evidence.n_rejected, evidence.n_lengths, settings, evidence.scatter
-    )
-
-
-def doubt_noise(noise: NoiseFactors, settings: TracerLimits) -> list[str]:
+def _doubt_noise(noise: NoiseFactors, settings: TracerLimits) -> list[str]:
     """Return a sentence for every component of the noise that is larger than stated."""
     larger = noise.contradicted(settings.test_significance) & (noise.factors > 1.0)
     return [
@@ -184,23 +206,21 @@ def _advice(noise: NoiseFactors, k: int) -> str:
     )
 
 
-def doubt_rejected(
-    n_rejected: int, n_lengths: int, settings: TracerLimits, scatter: float = 1.0
-) -> list[str]:
+def _doubt_rejected(evidence: LengthEvidence, settings: TracerLimits) -> list[str]:
     """Return a sentence when more lengths were rejected than the settings allow.
 
-    ``scatter``: residuals of all lengths over what is stated; where it is large the noise is
-    named, not single targets.
+    Where all residuals scatter the noise is named, not single targets.
     """
+    n_rejected, n_lengths = evidence.n_rejected, evidence.n_lengths
     share = n_rejected / n_lengths
     if share <= settings.max_rejected_share:
         return []
     cause = "look for a target with wrong coordinates, or an unstable beam"
-    if scatter > NOISY:
+    if evidence.scatter > NOISY:
         cause = (
-            f"the residuals of all lengths, the rejected ones too, scatter {scatter:.2g} times as "
-            "stated: that is noise and no outliers; raise solver.length_std_m (for single "
-            "readings all of their noise)"
+            f"the residuals of all lengths, the rejected ones too, scatter {evidence.scatter:.2g} "
+            "times as stated: that is noise and no outliers; raise solver.length_std_m (for "
+            "single readings all of their noise)"
         )
     return [
         f"{n_rejected} of {n_lengths} lengths ({100 * share:.1f} %) were rejected, more than "
@@ -264,8 +284,8 @@ def _cause(jump: Jump, fringe: float) -> str:
     return "a beam that was broken, or a tracer that was knocked"
 
 
-def _remarks(evidence: Evidence, settings: TracerLimits) -> list[str]:
-    remarks = remark_noise(evidence.noise, settings)
+def _remarks(evidence: Evidence) -> list[str]:
+    remarks: list[str] = []
     if evidence.spare:
         names = ", ".join(str(i) for i in evidence.spare)
         remarks.append(
@@ -278,7 +298,6 @@ def _remarks(evidence: Evidence, settings: TracerLimits) -> list[str]:
             f"the lengths check {100 * circle.redundancy:.2g} % of the stated circle: that the "
             "stations stand on it is believed, not measured"
         )
-    remarks += remark_unchecked(evidence.unchecked)
     if evidence.mirror_ambiguous:
         remarks.append(
             "all targets lie in one plane, so the tracer could stand on either side of it: the "
@@ -287,7 +306,7 @@ def _remarks(evidence: Evidence, settings: TracerLimits) -> list[str]:
     return remarks
 
 
-def remark_noise(noise: NoiseFactors, settings: TracerLimits) -> list[str]:
+def _remark_noise(noise: NoiseFactors, settings: TracerLimits) -> list[str]:
     """Return a sentence for every component whose estimate is used, and is no reason to doubt."""
     doubted = noise.contradicted(settings.test_significance)
     return [
@@ -295,13 +314,6 @@ def remark_noise(noise: NoiseFactors, settings: TracerLimits) -> list[str]:
         for k in np.flatnonzero(noise.contradicted(settings.noise_significance)).tolist()
         if noise.factors[k] < 1.0 or not doubted[k]
     ]
-
-
-def remark_unchecked(count: int) -> list[str]:
-    """Return a sentence about so many lengths without redundancy; none where there are none."""
-    if not count:
-        return []
-    return [f"{count} lengths are checked by no other: an error in them stays unseen"]
 
 
 def _times_stated(noise: NoiseFactors, k: int) -> str:

@@ -154,15 +154,6 @@ class Shifts:
         return limit_of_family(significance, self.alike[self.enough][1:])
 
 
-def find_shifts(grid: Grid, fit: Adjustment, order: Ints) -> Shifts:
-    """Return shifts at up to CANDIDATES moments, evenly among those that one can begin at.
-
-    ``order`` (k,): when each row of the problem was taken.
-    """
-    moments = TimedLengths.of(grid, order)
-    return shifts_at(grid, fit, moments, moments.few())
-
-
 class ShiftResponse(NamedTuple):
     """What shifts of one metre (t) do in a network.
 
@@ -175,56 +166,6 @@ class ShiftResponse(NamedTuple):
     taken: Floats
     both: Floats
     moved: Floats
-
-
-def shifts_at(grid: Grid, fit: Adjustment, moments: TimedLengths, at: Ints) -> Shifts:
-    """Return the shifts that begin ``at`` (t,) some of the ``moments`` of ``grid``."""
-    network = network_of(grid, fit)
-    gain, weights, rows = NetworkGain.of(network), grid.weights, network.rows
-
-    def respond(later: Bools) -> ShiftResponse:
-        pull = weights * later
-        by_strip = np.einsum("tpi,pia->tpa", pull, rows)
-        by_target = -np.einsum("tpi,pia->tia", pull, rows[:, :, :3])
-        x, y = gain.step(by_strip, by_target)
-        taken = (by_strip * x).sum(axis=(1, 2)) + (by_target * y).sum(axis=(1, 2))
-        both = (pull[1:] * later[:-1]).sum(axis=(1, 2)) - (by_strip[:-1] * x[1:]).sum(axis=(1, 2))
-        both -= (by_target[:-1] * y[1:]).sum(axis=(1, 2))
-        moved = x[:, grid.first_strip, :3].reshape(len(x), -1)
-        return ShiftResponse(pull.sum(axis=(1, 2)), taken, both, moved)
-
-    return shifts_felt(grid, fit, moments, at, respond, 3 * grid.n_stations)
-
-
-def shifts_felt(
-    grid: Grid,
-    fit: Adjustment,
-    moments: TimedLengths,
-    at: Ints,
-    respond: Callable[[Bools], ShiftResponse],
-    width: int,
-    overlap: int = 0,
-) -> Shifts:
-    """Return the shifts that begin ``at`` (t,), chunk by chunk.
-
-    ``respond`` says what their network makes of shifts, from the lengths (t, p, n) that each makes
-    longer; ``width``: q. ``overlap``: moments that a chunk has in common with the next, whose
-    correlation is then told too.
-    """
-    score, information, alike = np.zeros(len(at)), np.zeros(len(at)), np.ones(len(at))
-    moved = np.zeros((len(at), width))
-    size = max(1 + overlap, PLACES // grid.used.size)
-    for begin in range(0, len(at), size - overlap):
-        part = slice(begin, begin + size)
-        later = moments.later(grid, at[part])
-        felt = respond(later)
-        score[part] = (later * (grid.weights * fit.residual)).sum(axis=(1, 2))
-        # what the unknowns take up entirely leaves rounding, which is no information
-        left = np.maximum(felt.total - felt.taken, 1e-9 * felt.total)
-        information[part], root = left, np.sqrt(left)
-        alike[part][1:] = felt.both / (root[1:] * root[:-1])
-        moved[part] = felt.moved
-    return Shifts(moments, at, score, information, alike, moved)
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,40 +188,89 @@ class Jump:
         return number if agrees and abs(number) <= MOST_FRINGES else 0
 
 
-def find_jump(
-    grid: Grid,
-    fit: Adjustment,
-    shifts: Shifts,
-    significance: float,
-    margin: float = 1.0,
-    at: Callable[[Ints], Shifts] | None = None,
-) -> Jump | None:
-    """Return the jump that stands out most; None if none does.
+@dataclass(frozen=True, eq=False)
+class ShiftSearch:
+    """Shifts of the zeros of ``grid`` about its adjustment ``fit``, at any of the ``moments``.
 
-    ``shifts``: those of ``grid`` and ``fit`` at some moments. ``significance``: of the largest of
-    all moments, two-sided; the limit is ``margin`` times its quantile. ``at`` gives the shifts at
-    other moments; None: of the tracer's network. The jump's segment is a number of the moments'.
+    ``respond`` says what their network makes of shifts, from the lengths (t, p, n) that each makes
+    longer; ``width``: q. ``overlap``: moments that a chunk has in common with the next, whose
+    correlation is then told too.
     """
-    if not shifts.enough.any():
-        return None
-    limit = margin * shifts.limit(significance)
-    best = int(np.argmax(np.where(shifts.enough, shifts.squared, 0.0)))
-    about = shifts.about(best)
-    near = shifts_at(grid, fit, shifts.moments, about) if at is None else at(about)
-    k = int(np.argmax(near.squared))
-    squared = float(near.squared[k])
-    left = max(1.0, (fit.chi2 - squared) / max(fit.dof - 1, 1))
-    value = float(np.sqrt(squared / left))
-    if value < max(limit, float(np.abs(np.where(grid.used, fit.test_value, 0.0)).max())):
-        return None
-    begins, moments = near.at[k], near.moments
-    return Jump(
-        segment=int(moments.segment[begins]),
-        row=int(grid.row[moments.strip[begins], moments.target[begins]]),
-        size=float(near.score[k] / near.information[k]),
-        std=float(np.sqrt(left / near.information[k])),
-        value=value,
-    )
+
+    grid: Grid
+    fit: Adjustment
+    moments: TimedLengths
+    respond: Callable[[Bools], ShiftResponse]
+    width: int
+    overlap: int = 0
+
+    def few(self) -> Shifts:
+        """Return shifts at up to CANDIDATES moments, evenly among those that one can begin at."""
+        return self.at(self.moments.few())
+
+    def at(self, begins: Ints) -> Shifts:
+        """Return the shifts that begin at some of the moments (t,), chunk by chunk."""
+        grid, count = self.grid, len(begins)
+        score, information, alike = np.zeros(count), np.zeros(count), np.ones(count)
+        moved = np.zeros((count, self.width))
+        size = max(1 + self.overlap, PLACES // grid.used.size)
+        for begin in range(0, count, size - self.overlap):
+            part = slice(begin, begin + size)
+            later = self.moments.later(grid, begins[part])
+            felt = self.respond(later)
+            score[part] = (later * (grid.weights * self.fit.residual)).sum(axis=(1, 2))
+            # what the unknowns take up entirely leaves rounding, which is no information
+            left = np.maximum(felt.total - felt.taken, 1e-9 * felt.total)
+            information[part], root = left, np.sqrt(left)
+            alike[part][1:] = felt.both / (root[1:] * root[:-1])
+            moved[part] = felt.moved
+        return Shifts(self.moments, begins, score, information, alike, moved)
+
+    def jump(self, shifts: Shifts, significance: float, margin: float = 1.0) -> Jump | None:
+        """Return the jump that stands out most among and about ``shifts``; None if none does.
+
+        ``significance``: of the largest of all moments, two-sided; the limit is ``margin`` times
+        its quantile. The jump's segment is a number of the moments'.
+        """
+        if not shifts.enough.any():
+            return None
+        grid, fit, moments = self.grid, self.fit, self.moments
+        limit = margin * shifts.limit(significance)
+        best = int(np.argmax(np.where(shifts.enough, shifts.squared, 0.0)))
+        near = self.at(shifts.about(best))
+        k = int(np.argmax(near.squared))
+        squared = float(near.squared[k])
+        left = max(1.0, (fit.chi2 - squared) / max(fit.dof - 1, 1))
+        value = float(np.sqrt(squared / left))
+        if value < max(limit, float(np.abs(np.where(grid.used, fit.test_value, 0.0)).max())):
+            return None
+        begins = near.at[k]
+        return Jump(
+            segment=int(moments.segment[begins]),
+            row=int(grid.row[moments.strip[begins], moments.target[begins]]),
+            size=float(near.score[k] / near.information[k]),
+            std=float(np.sqrt(left / near.information[k])),
+            value=value,
+        )
+
+
+def shift_search(grid: Grid, fit: Adjustment, order: Ints) -> ShiftSearch:
+    """Return the search in the network of one place; ``order`` (k,): when each row was taken."""
+    network = network_of(grid, fit)
+    gain, weights, rows = NetworkGain.of(network), grid.weights, network.rows
+
+    def respond(later: Bools) -> ShiftResponse:
+        pull = weights * later
+        by_strip = np.einsum("tpi,pia->tpa", pull, rows)
+        by_target = -np.einsum("tpi,pia->tia", pull, rows[:, :, :3])
+        x, y = gain.step(by_strip, by_target)
+        taken = (by_strip * x).sum(axis=(1, 2)) + (by_target * y).sum(axis=(1, 2))
+        both = (pull[1:] * later[:-1]).sum(axis=(1, 2)) - (by_strip[:-1] * x[1:]).sum(axis=(1, 2))
+        both -= (by_target[:-1] * y[1:]).sum(axis=(1, 2))
+        moved = x[:, grid.first_strip, :3].reshape(len(x), -1)
+        return ShiftResponse(pull.sum(axis=(1, 2)), taken, both, moved)
+
+    return ShiftSearch(grid, fit, TimedLengths.of(grid, order), respond, 3 * grid.n_stations)
 
 
 def split(grid: Grid, jump: Jump, order: Ints) -> tuple[Grid, Ints]:
@@ -331,13 +321,15 @@ class Slips:
         moved = self.size * self.shifts.moved
         return np.asarray((moved.T * self.chance) @ moved, dtype=np.float64)
 
-    def protection(self, share: Floats, cure: str = "") -> Protection:
+    def protection(self, moved: Floats, std: Floats, cure: str = "") -> Protection:
         """Return the statement about slips.
 
-        ``share`` (t,): the worst that a slip at each moment does, in standard uncertainties. One
-        that may do more than TOLERABLE at a moment where it is not found with POWER is named,
-        although the uncertainty holds it on average; ``cure`` is added then.
+        ``moved`` (t, o): what a shift of a metre at each moment does to the outputs, which have
+        the standard uncertainties ``std`` (o,). A slip that may do more than TOLERABLE where it
+        is not found with POWER is named, although the uncertainty holds it on average; ``cure`` is
+        added then.
         """
+        share = largest_share(self.size * moved, std)
         hidden = share[self.missed > 1.0 - POWER]
         worst = float(hidden.max()) if hidden.size else 0.0
         what = f"a counter that slips a fringe of {self.size:.3g} m"
@@ -365,14 +357,25 @@ class Slips:
         return shift
 
 
+def largest_share(moved: Floats, std: Floats) -> Floats:
+    """Return the largest of moves (k, o) of the outputs in their uncertainties (o,): (k,).
+
+    Outputs without uncertainty do not count.
+    """
+    uncertain = std > 0.0
+    return np.asarray((np.abs(moved[:, uncertain]) / std[uncertain]).max(axis=1, initial=0.0))
+
+
 def slips_among(
-    shifts: Shifts, size: float, significance: float, scale: float = 1.0
+    shifts: Shifts | None, size: float, significance: float, scale: float = 1.0
 ) -> Slips | None:
-    """Return slips of ``size`` (m) that a test of ``significance`` may miss; None of size 0.
+    """Return slips of ``size`` (m) that a test of ``significance`` may miss.
+
+    None without ``shifts``, or of size 0.
 
     ``scale``: how much larger the noise of all lengths is than their network has it.
     """
-    if not size or not len(shifts.at):
+    if shifts is None or not size or not len(shifts.at):
         return None
     apart = size * np.sqrt(shifts.information) / scale
     found = ndtr(apart - shifts.limit(significance))

@@ -4,18 +4,17 @@
 zeros and verdict of lengths are those of :mod:`rotcal_ros.methods.tracer.solver`; here is what a
 rigid table with several places adds, each module knowing those before it:
 
-* :mod:`.problem`, :mod:`.layout`: lengths as they are given, and in their places;
-* :mod:`.curves`: from poses of the table to its six curves;
-* :mod:`.network`: table, places and targets together, and their covariance;
+* :mod:`.problem`: lengths as they are given, and in their places;
+* :mod:`.network`: table, places and targets together, their covariance, and the six curves;
 * :mod:`.scatter`: how differently the table arrives, and what has moved;
-* :mod:`.adjustment`, :mod:`.solution`: all of that for one problem;
-* :mod:`.protections`, :mod:`.solve`, :mod:`.trials`: what could spoil it; the result; Monte Carlo.
+* :mod:`.solution`: all of that for one problem, and Monte Carlo about it;
+* :mod:`.solve`: what could spoil it, and the result.
 """
 
+from rotcal_ros.methods.tracer_six.settings import TracerSixSolverSettings
 from rotcal_ros.methods.tracer_six.solver.problem import SixProblem
+from rotcal_ros.methods.tracer_six.solver.solution import SixTrials, six_trials
 from rotcal_ros.methods.tracer_six.solver.solve import METHOD, solve
-from rotcal_ros.methods.tracer_six.solver.trials import SixTrials, six_trials
-from rotcal_ros.methods.tracer_six.solver_settings import TracerSixSolverSettings
 
 __all__ = [
     "METHOD",

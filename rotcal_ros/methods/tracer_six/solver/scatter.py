@@ -55,7 +55,6 @@ from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.protection import POWER
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix
-from rotcal_ros.methods.tracer_six.solver.layout import StationLayout
 from rotcal_ros.methods.tracer_six.solver.network import (
     LengthNetwork,
     full_covariance,
@@ -63,6 +62,7 @@ from rotcal_ros.methods.tracer_six.solver.network import (
     pulled,
     relax,
 )
+from rotcal_ros.methods.tracer_six.solver.problem import StationLayout
 
 OUTSIDE: Final = 0.05
 """Probability that the interval misses what is predicted."""
