@@ -10,7 +10,8 @@ import numpy as np
 
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.options import rule_of, rule_options, set_option
-from rotcal_ros.extensions.design.settings import LEAST_REDUNDANCY, goal_settings
+from rotcal_ros.extensions.design.goal import goal_settings
+from rotcal_ros.extensions.design.settings import LEAST_REDUNDANCY
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.report.terminal.columns import Column, print_table, print_words

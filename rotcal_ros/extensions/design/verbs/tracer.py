@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rotcal_ros.cli.console import json_option, path_type, print_json
-from rotcal_ros.extensions.design.settings import SHARED, goal_settings
+from rotcal_ros.extensions.design.goal import goal_settings
+from rotcal_ros.extensions.design.settings import SHARED
 from rotcal_ros.foundation.errors import ConfigurationError, PlanError
 from rotcal_ros.foundation.units import DEGREE, MICROMETRE
 from rotcal_ros.report.terminal.console import progress, say
