@@ -24,6 +24,15 @@ MODULES = {
 }
 """Node -> its module."""
 VERBS_OF_EXTENSIONS = {"dme": "ipp_dme", "replay": "replay", "reprocess": "fleet"}
+PLANS = {
+    "check": "check",
+    "effort": "plates",
+    "plate": "plates",
+    "sequence": "sequence",
+    "tracer": "tracer",
+    "trade": "trade",
+}
+"""Command below ``rotcal plan`` -> its module."""
 METHODS = {
     "tracer_multistation": "tracer",
     "ball_plate": "ball_plate",
@@ -183,6 +192,14 @@ setup(
         "rotcal_ros.verbs": [
             f"{verb} = {NAME}.extensions.{extension}:VERB"
             for verb, extension in VERBS_OF_EXTENSIONS.items()
+        ],
+        "rotcal_ros.plans": [
+            f"{plan} = {NAME}.extensions.design.verbs.{module}:{plan}"
+            for plan, module in PLANS.items()
+        ],
+        "rotcal_ros.goals": [f"tracer = {NAME}.extensions.design.settings:TracerDesignSettings"],
+        "rotcal_ros.functions": [
+            f"plan_plate = {NAME}.extensions.design.ball_plate.ball_layout:plan_plate"
         ],
         "rotcal_ros.certificates": [
             f"dcc = {NAME}.extensions.certificate.verbs:write_certificate"

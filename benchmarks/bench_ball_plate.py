@@ -18,8 +18,8 @@ import numpy as np
 from dense_ball_plate import solve_dense
 from scipy.optimize import least_squares
 
+from rotcal_ros.extensions.design.ball_plate.ball_layout import mean_variances, plan_plate
 from rotcal_ros.geometry.sphere import fit_spheres
-from rotcal_ros.methods.ball_plate.design.ball_layout import best_layout, mean_variances
 from rotcal_ros.methods.ball_plate.solver import spectral
 from rotcal_ros.methods.ball_plate.solver.model import FIELDS, Solution
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
@@ -149,7 +149,7 @@ def bench_layouts() -> list[Row]:
 def layouts_per_second() -> float:
     """Layouts per second of an exhaustive search (4 of 60 steps and up to symmetry)."""
     start = time.process_time()
-    found = best_layout(60, 5)
+    found = plan_plate(60, 5)
     return found.evaluated / (time.process_time() - start)
 
 

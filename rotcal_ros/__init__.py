@@ -17,7 +17,7 @@ _NAMES = {
         "capture_records", "simulate_observations", "simulate_records", "simulated_truth", "solve",
     ),
     "api.evaluating": (
-        "check", "combine", "compare", "iso230", "plan_plate", "uncertainty", "write_report",
+        "check", "combine", "compare", "iso230", "uncertainty", "write_report",
     ),
     "api.compensating": ("correction", "make_table", "write_controller_files"),
     "methods.configuration": ("Configuration",),
@@ -41,9 +41,11 @@ _MODULES = {
     "tracer_six": "api.tracer_six",
 }
 """Name -> the module that it is."""
+_OF_EXTENSIONS = ("plan_plate",)
+"""Names that extensions bring, where they are installed."""
 _PLACES = {name: module for module, names in _NAMES.items() for name in names}
 
-__all__ = sorted([*_PLACES, *_MODULES])
+__all__ = sorted([*_PLACES, *_MODULES, *_OF_EXTENSIONS])
 
 
 def __getattr__(name):
@@ -58,10 +60,23 @@ def __getattr__(name):
                 f"{__name__}.{name} needs ROS 2 with rclpy and rotcal_msgs ({error}): source a "
                 "workspace that holds them, or use the .venv of the repository"
             ) from error
+    elif name in _OF_EXTENSIONS:
+        value = _of_extension(name)
     else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     globals()[name] = value
     return value
+
+
+def _of_extension(name):
+    """Return the function ``name`` of an extension; AttributeError says what to install."""
+    from rotcal_ros.foundation import plugins
+    from rotcal_ros.foundation.errors import ConfigurationError
+
+    try:
+        return plugins.load(plugins.FUNCTIONS, name, "function")
+    except ConfigurationError as error:
+        raise AttributeError(f"{__name__}.{name}: {error}") from error
 
 
 def __dir__():

@@ -12,7 +12,6 @@ from rotcal_ros.api.evaluating import check as check
 from rotcal_ros.api.evaluating import combine as combine
 from rotcal_ros.api.evaluating import compare as compare
 from rotcal_ros.api.evaluating import iso230 as iso230
-from rotcal_ros.api.evaluating import plan_plate as plan_plate
 from rotcal_ros.api.evaluating import uncertainty as uncertainty
 from rotcal_ros.api.evaluating import write_report as write_report
 from rotcal_ros.api.measuring import capture_records as capture_records
@@ -28,6 +27,7 @@ from rotcal_ros.api.reading import read_table as read_table
 from rotcal_ros.compensation.controllers import controller_names as controller_names
 from rotcal_ros.compensation.table import CompensationTable as CompensationTable
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns as BidirectionalRuns
+from rotcal_ros.extensions.design.ball_plate.ball_layout import plan_plate as plan_plate
 from rotcal_ros.foundation.components import unit_of as unit_of
 from rotcal_ros.foundation.errors import RotcalError as RotcalError
 from rotcal_ros.foundation.observations import Observation as Observation

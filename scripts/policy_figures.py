@@ -24,14 +24,15 @@ from typing import Any
 
 import numpy as np
 
+from rotcal_ros.extensions.design.tracer.optimum import ideal_plan
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.observations import Approach, Observation, PointKind
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
-from rotcal_ros.methods.tracer.design.optimum import ideal_plan
-from rotcal_ros.methods.tracer.design.scene import Scene, on_table
-from rotcal_ros.methods.tracer.design.sequence import SequenceForecast
+from rotcal_ros.geometry.rotations import on_table
 from rotcal_ros.methods.tracer.policy.experiment import Costs, LengthExperiment, Stated
+from rotcal_ros.methods.tracer.policy.scene import Scene
+from rotcal_ros.methods.tracer.policy.sequence import SequenceForecast
 from rotcal_ros.methods.tracer.policy.until_goal import (
     RESERVE,
     RESERVE_PER_SEGMENT,

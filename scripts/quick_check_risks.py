@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 
 from rotcal_ros.evaluation.quick_check import quick_check
+from rotcal_ros.extensions.design.check_plan import CheckPlan, plan_check
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.curves.interpolation import without_harmonics
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.geometry.rotations import on_table
 from rotcal_ros.methods import changed, read_configuration
-from rotcal_ros.methods.tracer.check_plan import CheckPlan, plan_check
-from rotcal_ros.methods.tracer.design.scene import on_table
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
 from rotcal_ros.planning.check_rule import CheckRule
 from rotcal_ros.recordings.result_sources import read_curve

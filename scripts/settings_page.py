@@ -16,7 +16,7 @@ from rotcal_ros.methods.settings_reference import (
     Section,
     default_in_words,
     first_settings,
-    goal_section,
+    goal_sections,
     kind_in_words,
     method_sections,
     own_sections,
@@ -67,7 +67,7 @@ def page() -> str:
         parts.append(f"## {method.title}: `method: {name}`\n\nSee [{method.page}]"
                      f"({method.page}.md).\n")  # fmt: skip
         parts += [_section(f"### {own.group} of {name}", own) for own in own_sections(name)]
-    parts.append(_section(GOAL, goal_section()))
+    parts += [_section(GOAL, goal) for goal in goal_sections()]
     parts.append(_section(READING, reading_section()))
     return "\n".join(parts)
 

@@ -21,10 +21,10 @@ import numpy as np
 from numpy import logaddexp
 from scipy.special import logsumexp
 
+from rotcal_ros.extensions.design.settings import TracerDesignSettings
+from rotcal_ros.extensions.design.tracer.ordering import ordered_design
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.methods.tracer.design.ordering import ordered_design
-from rotcal_ros.methods.tracer.design.settings import TracerDesignSettings
 from rotcal_ros.methods.tracer.solver import TracerProblem
 from rotcal_ros.methods.tracer.solver.circle import bearing_jacobian
 from rotcal_ros.methods.tracer.solver.network import NetworkGain

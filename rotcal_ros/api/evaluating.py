@@ -1,8 +1,8 @@
-"""Is it true, how sure is it, and what another plate would give."""
+"""Is it true, and how sure is it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,6 @@ from rotcal_ros.evaluation.quick_check import QuickCheck, quick_check
 from rotcal_ros.foundation.components import unit_of
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.methods.ball_plate.design.ball_layout import WEIGHTS, BallLayout, best_layout
 from rotcal_ros.methods.calibration import prepare_whole
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements
@@ -151,34 +150,6 @@ def uncertainty(
     (12,)
     """
     return propagated(_measured(source), trials=trials, digits=digits, seed=seed, workers=workers)
-
-
-def plan_plate(
-    grid: int,
-    balls: int,
-    *,
-    min_gap: int = 1,
-    subset_of: Sequence[int] | None = None,
-    weights: tuple[float, ...] = WEIGHTS,
-    seed: int = 0,
-    starts: int = 40,
-) -> BallLayout:
-    """Find the ball steps on a grid of table positions that give the smallest uncertainty.
-
-    ``min_gap`` grid steps lie between neighbours, ``subset_of`` are the steps of an existing
-    plate, ``weights`` those of ECC, EXC and EYC, EAC and EBC, EZC. ``steps`` is the layout,
-    ``predicted_std(sigma, radius)`` (m) its standard deviations (m, rad), ``optimal`` tells that
-    none is better. Raises PlanError when no layout separates table, plate and machine.
-
-    >>> import rotcal_ros as rc
-    >>> layout = rc.plan_plate(12, 6)
-    >>> layout.steps, layout.optimal
-    ((0, 1, 3, 5, 8, 9), True)
-    """
-    steps = None if subset_of is None else list(subset_of)
-    return best_layout(
-        grid, balls, min_gap=min_gap, subset_of=steps, weights=weights, seed=seed, starts=starts
-    )
 
 
 def write_report(recording: Recording, path: Name, truth: Mapping[str, Any] | None = None) -> Path:

@@ -17,7 +17,6 @@ from click.shell_completion import CompletionItem
 from rotcal_ros.cli.console import path_type
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.components import COMPONENTS
-from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.units import ARCSEC
 
 if TYPE_CHECKING:
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 shown_option = partial(click.option, show_default=True)
-positive: Final = click.FloatRange(min=0.0, min_open=True)
 set_option = click.option(
     "--set", "changes", multiple=True, metavar="GROUP.NAME=VALUE", help="Change a setting."
 )
@@ -44,22 +42,6 @@ def setup_options(function: Function) -> Function:
         shell_complete=configurations,
         help="Configuration; a table needs it, a bag brings its own.",
     )(function)
-
-
-def numbers(text: str, option: str) -> tuple[float, ...]:
-    """Return the numbers in the text of an option, which commas separate; raises PlanError."""
-    try:
-        return tuple(float(part) for part in text.replace(",", " ").split())
-    except ValueError:
-        raise PlanError(f"{option} {text}: expected numbers separated by commas") from None
-
-
-def whole_numbers(text: str, option: str) -> list[int]:
-    """Return the whole numbers in the text of an option; raises PlanError."""
-    found = numbers(text, option)
-    if not all(map(float.is_integer, found)):
-        raise PlanError(f"{option} {text}: expected whole numbers")
-    return [int(number) for number in found]
 
 
 component_option: Final = click.option(

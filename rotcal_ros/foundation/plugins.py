@@ -31,6 +31,12 @@ DRIVER_CHECKS: Final = "rotcal_ros.driver_checks"
 """Group of a configuration -> what a check of a cell reports about its driver."""
 VERBS: Final = "rotcal_ros.verbs"
 """A :class:`Verb` each, which describes a command without loading it."""
+PLANS: Final = "rotcal_ros.plans"
+"""Commands of click below ``rotcal plan``."""
+GOALS: Final = "rotcal_ros.goals"
+"""The settings of what a plan is designed for, which stand in a file of their own."""
+FUNCTIONS: Final = "rotcal_ros.functions"
+"""Names that extensions of this package add to ``import rotcal_ros``."""
 CERTIFICATES: Final = "rotcal_ros.certificates"
 """What writes certificates for ``rotcal report``."""
 KINDS: Final = {
@@ -39,6 +45,7 @@ KINDS: Final = {
     STORES: "transport",
     INSTRUMENTS: "instrument",
     VERBS: "verb",
+    PLANS: "plan",
 }
 OF_EXTENSIONS: Final = {
     CONTROLLERS: (
@@ -46,6 +53,8 @@ OF_EXTENSIONS: Final = {
         "twincat_nc",
     ),
     STORES: ("opcua", "ads"),
+    PLANS: ("check", "effort", "plate", "sequence", "tracer", "trade"),
+    FUNCTIONS: ("plan_plate",),
 }  # fmt: skip
 """Names that extensions of this package bring; without them it is said what to install."""
 _OWN: Final = "rotcal_ros"
@@ -89,7 +98,7 @@ def load(group: str, name: str, what: str) -> Any:
     """
     found = _found(group)
     if name not in found:
-        raise ConfigurationError(f"unknown {what} {name!r:.80}{nearest(name, found)}")
+        raise ConfigurationError(f"unknown {what} {name!r:.80}{nearest(name, found, group)}")
     try:
         return found[name].load()
     except Exception as error:  # code of another package may raise anything
@@ -182,10 +191,14 @@ def _package(point: EntryPoint) -> str:
     return f"{point.dist.metadata['Name']} {point.dist.version}"
 
 
-def nearest(name: str, known: Any) -> str:
-    """Return a hint at a missing extension, at the name that was meant, or the list of all."""
-    if any(name in own and name not in _found(group) for group, own in OF_EXTENSIONS.items()):
-        return NOT_INSTALLED
+def nearest(name: str, known: Any, *groups: str) -> str:
+    """Return a hint at a missing extension, at the name that was meant, or the list of all.
+
+    ``groups``: of which the name may be; where none is given, what a setting may name.
+    """
+    for group in groups or (CONTROLLERS, STORES):
+        if name in OF_EXTENSIONS.get(group, ()) and name not in _found(group):
+            return NOT_INSTALLED
     near = difflib.get_close_matches(name[:_LONGEST], list(known), n=1)
     if near:
         return f"; did you mean {near[0]!r}?"

@@ -49,6 +49,18 @@ def carried(place: tuple[float, float, float], angle: float) -> tuple[float, flo
     return c * x - s * y, s * x + c * y, z
 
 
+def on_table(mount: ArrayLike, table_angles: ArrayLike, centre: ArrayLike = (0.0, 0.0)) -> Floats:
+    """Return the places (m, 3), m, of what the table carries from ``mount`` (3,), at each angle.
+
+    ``table_angles`` (m,), rad; ``centre`` (2,), m: where the table's axis meets the xy-plane.
+    """
+    angle, (x, y, z), (x0, y0) = (
+        np.asarray(values, dtype=np.float64) for values in (table_angles, mount, centre)
+    )
+    c, s = np.cos(angle), np.sin(angle)
+    return np.column_stack([x0 + c * x - s * y, y0 + s * x + c * y, np.full_like(angle, z)])
+
+
 def rotation_from_vector(vectors: ArrayLike) -> Floats:
     """Return the matrices (..., 3, 3) that turn by ``|v|`` (rad) about each v (..., 3)."""
     v = np.asarray(vectors, dtype=np.float64)

@@ -11,10 +11,10 @@ from dataclasses import MISSING, dataclass
 from typing import Any, Final
 
 from rotcal_ros.bags.settings import ReadingLimits
+from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.settings import Declaration, declarations
 from rotcal_ros.methods.configuration import GROUPS, SHARED_GROUPS
 from rotcal_ros.methods.method import method_names, own_settings
-from rotcal_ros.methods.tracer.design.settings import TracerDesignSettings
 
 OWN_GROUPS: Final = tuple(name for name in GROUPS if name not in SHARED_GROUPS)
 """Groups that every method declares for itself."""
@@ -76,9 +76,10 @@ def method_sections(name: str) -> tuple[Section, ...]:
     return tuple(sections[group] for group in GROUPS)
 
 
-def goal_section() -> Section:
-    """Return the settings of a tracer plan's goal, which have a file of their own."""
-    return Section("", "", TracerDesignSettings)
+def goal_sections() -> tuple[Section, ...]:
+    """Return the settings of what plans are designed for, which have a file of their own."""
+    goals = (plugins.load(plugins.GOALS, name, "goal") for name in plugins.names(plugins.GOALS))
+    return tuple(Section("", "", goal) for goal in goals)
 
 
 def reading_section() -> Section:
@@ -89,7 +90,7 @@ def reading_section() -> Section:
 def all_sections() -> tuple[Section, ...]:
     """Return every group: the shared ones, those of each method, what stands elsewhere."""
     own = (section for name in method_names() for section in own_sections(name))
-    return (*shared_sections(), *own, goal_section(), reading_section())
+    return (*shared_sections(), *own, *goal_sections(), reading_section())
 
 
 def first_settings(sections: Iterable[Section]) -> tuple[tuple[str, Declaration], ...]:

@@ -91,9 +91,6 @@ def duration(costs: Floats, order: Ints) -> float:
 AT_ONCE: Final = 1e12
 """A speed, and acceleration, that leaves only the settling."""
 
-
-PAPER: Final = TimeModel(Drive(AT_ONCE, AT_ONCE, settle=10.0), Drive(AT_ONCE, AT_ONCE), dwell=5.0)
-"""What the paper's experiment takes: 10 s for a rotation, 5 s for a length, its move included."""
 HARDLY: Final = Drive(1e5, AT_ONCE)
 """A machine whose ways are in the time of a length: of equal orders the shorter way is taken."""
 

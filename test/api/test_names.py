@@ -6,11 +6,13 @@ import pydoc
 import re
 import subprocess
 import sys
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
 
 import rotcal_ros as rc
+from rotcal_ros.foundation.plugins import FUNCTIONS
 
 ROOT = Path(__file__).parents[2]
 HEAVY = ("numpy", "scipy", "yaml", "matplotlib", "rosbags", "rclpy")
@@ -61,6 +63,8 @@ def test_a_type_checker_sees_the_same_names_at_the_same_places():
     }
     places = {name: f"rotcal_ros.{module}.{name}" for name, module in rc._PLACES.items()}
     places |= {name: f"rotcal_ros.{module}" for name, module in rc._MODULES.items()}
+    brought = entry_points(group=FUNCTIONS)
+    places |= {point.name: point.value.replace(":", ".") for point in brought}
     assert seen == places
     declared = {node.target.id for node in tree.body if isinstance(node, ast.AnnAssign)}
     assert declared == {"__all__", "__version__"}

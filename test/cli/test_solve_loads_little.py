@@ -15,7 +15,7 @@ NEVER = (
     "rosbags.rosbag2",
     "rotcal_ros.compensation.controller",
     "rotcal_ros.methods.tracer.policy.experiment",
-    "rotcal_ros.methods.tracer.design.information",
+    "rotcal_ros.methods.tracer.policy.information",
     "rotcal_ros.methods.simulation.cell",
     "scipy.interpolate",
     "scipy.optimize",

@@ -2,12 +2,15 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
+
+from rotcal_ros.foundation.plugins import OF_EXTENSIONS, PLANS
 
 pytestmark = pytest.mark.slow
 
@@ -24,6 +27,15 @@ import sys
 from pathlib import Path
 from rotcal_ros.methods.configuration import changed, read_configuration
 changed(read_configuration(Path(sys.argv[1])), sys.argv[2:])
+"""
+
+
+FIRST_STEP = """
+import sys
+from pathlib import Path
+from rotcal_ros.methods import prepare, read_configuration
+calibration = prepare(read_configuration(Path(sys.argv[1])))
+print(calibration.policy(calibration.from_the_start()).choose().reason)
 """
 
 
@@ -65,6 +77,26 @@ def test_the_core_alone_solves_propagates_and_reports(without, tmp_path):
     assert report.returncode == 0, report.stderr
     missing = without(EXTENSIONS, *ROTCAL, "reprocess", BAG)
     assert (missing.returncode, "no verb 'reprocess'" in missing.stderr) == (2, True)
+
+
+def test_the_core_alone_plans_and_measures_until_its_goal_is_reached(without):
+    ordered = without(EXTENSIONS, *ROTCAL, "plan", "order", ROOT / "config" / "ball_plate.yaml")
+    assert "order interleaved: 876 balls" in ordered.stderr
+    listed = without(EXTENSIONS, *ROTCAL, "plan", "--help").stdout
+    assert re.findall(r"^  ([a-z]+)  ", listed, re.M) == ["order", "reliability"]
+    chosen = without(EXTENSIONS, "-c", FIRST_STEP, ROOT / "config" / "tracer_demo.yaml")
+    assert (chosen.stdout, chosen.stderr) == ("first sweep\n", "")
+
+
+def test_without_its_extension_a_plan_is_told_with_what_to_install(without):
+    """So is the one name of Python's front door that is not in the core."""
+    for plan in OF_EXTENSIONS[PLANS]:
+        refused = without(["design"], *ROTCAL, "plan", plan, "--need", "ECC=1", "GOAL.yaml")
+        assert refused.stderr.splitlines()[-1] == f"Error: no plan {plan!r}; {INSTALL}"
+        assert refused.returncode == 2
+    called = without(["design"], "-c", "import rotcal_ros as rc; rc.plan_plate(12, 6)")
+    told = called.stderr.splitlines()[-1].removeprefix("AttributeError: ")
+    assert told == f"rotcal_ros.plan_plate: unknown function 'plan_plate'; {INSTALL}"
 
 
 def test_without_its_extension_a_controller_is_told_with_what_to_install(without, tmp_path):

@@ -6,8 +6,8 @@ import pytest
 
 from rotcal_ros.bags.rosbag2_metadata import parse_description
 from rotcal_ros.bags.settings import changed_limits
-from rotcal_ros.cli.plan_tracer import goal_settings
 from rotcal_ros.compensation.controllers import parse_options
+from rotcal_ros.extensions.design.goal import goal_settings
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.untrusted import load_yaml
 from rotcal_ros.methods.configuration import node_parameters, parse_configuration, read_setup

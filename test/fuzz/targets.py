@@ -93,7 +93,7 @@ def _short_setups() -> Iterable[bytes]:
 
 
 def _read_goal(path: Path) -> None:
-    from rotcal_ros.cli.plan_tracer import goal_settings
+    from rotcal_ros.extensions.design.goal import goal_settings
 
     goal_settings(None, path, ["need_arcsec=1.0"])
 

@@ -5,7 +5,7 @@ from plate_data import RADIUS, grid_rows, in_cmm_order, make_truth, measure, rot
 
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
-from rotcal_ros.methods.ball_plate.design.ball_plan import plan_measurement
+from rotcal_ros.methods.ball_plate.measuring_order import plan_measurement
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 
 DEMO_PLATE = [0, 2, 5, 9, 11, 15, 17, 21, 24, 26, 29, 33]

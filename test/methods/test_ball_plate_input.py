@@ -7,7 +7,6 @@ import pytest
 from plate_data import PAPER_PLATE, RADIUS
 
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
-from rotcal_ros.methods.ball_plate.design.ball_layout import best_layout
 from rotcal_ros.methods.ball_plate.plate import Plate, parse_plate
 from rotcal_ros.methods.ball_plate.solver.separability import separability
 from rotcal_ros.methods.ball_plate.solver_settings import BallPlateSolverSettings
@@ -36,12 +35,6 @@ def test_all_six_plates_are_shipped():
     paper = read_plate(PLATES / "ball_plate_12_of_72.yaml")
     degrees = [step * 5 for step in paper.ball_steps]
     assert degrees == [0, 40, 60, 90, 105, 140, 160, 185, 210, 250, 290, 310]
-
-
-@pytest.mark.parametrize("count", [6, 8, 10])
-def test_shipped_subsets_are_the_best_ones(count):
-    plate = read_plate(PLATES / f"ball_plate_{count}_of_72.yaml")
-    assert plate.ball_steps == best_layout(72, count, subset_of=PAPER_PLATE).steps
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ from plate_disturbed import (
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.protection import EFFECTS
-from rotcal_ros.methods.ball_plate.design.ball_plan import plan_measurement
+from rotcal_ros.methods.ball_plate.measuring_order import plan_measurement
 from rotcal_ros.methods.ball_plate.solver import solve
 from rotcal_ros.methods.ball_plate.solver.estimate import least_squares
 from rotcal_ros.methods.ball_plate.solver.order_effects import (

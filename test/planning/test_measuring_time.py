@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rotcal_ros.foundation.errors import PlanError
-from rotcal_ros.methods.ball_plate.design.ball_plan import Kinematics, plan_measurement, spread_out
+from rotcal_ros.methods.ball_plate.measuring_order import Kinematics, plan_measurement, spread_out
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAPER_PLATE = [0, 8, 12, 18, 21, 28, 32, 37, 42, 50, 58, 62]

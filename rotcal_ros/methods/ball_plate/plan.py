@@ -9,7 +9,7 @@ import numpy as np
 from rotcal_ros.foundation.errors import ConfigurationError, PlanError
 from rotcal_ros.foundation.observations import Approach, PointKind
 from rotcal_ros.foundation.units import DEGREE
-from rotcal_ros.methods.ball_plate.design.ball_plan import (
+from rotcal_ros.methods.ball_plate.measuring_order import (
     BallPlan,
     Kinematics,
     Order,

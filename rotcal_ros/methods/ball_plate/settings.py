@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final, get_args
 
 from rotcal_ros.foundation.settings import setting
-from rotcal_ros.methods.ball_plate.design.ball_plan import DEFAULT_ORDER, Order
+from rotcal_ros.methods.ball_plate.measuring_order import DEFAULT_ORDER, Order
 from rotcal_ros.methods.ball_plate.plate import Plate, points_setting
 from rotcal_ros.methods.ball_plate.simulation_settings import PlateSimulationSettings
 from rotcal_ros.methods.ball_plate.solver_settings import BallPlateSolverSettings

@@ -10,10 +10,10 @@ from rotcal_ros.foundation.arrays import Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
+from rotcal_ros.geometry.rotations import on_table
 from rotcal_ros.methods.arrivals import Arrivals, RepeatedTrials, arrivals_of, mean_of_runs
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Trials
-from rotcal_ros.methods.tracer.design.scene import on_table
 from rotcal_ros.methods.tracer.lengths import length_columns, reported_positions, times_before
 from rotcal_ros.methods.tracer.settings import TracerPlanSettings
 from rotcal_ros.methods.tracer.solver.joined_runs import (

@@ -11,10 +11,10 @@ import numpy as np
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.tracer.design.information import Information
-from rotcal_ros.methods.tracer.design.scene import Lengths, Scene
 from rotcal_ros.methods.tracer.goal_policy import length_experiment
 from rotcal_ros.methods.tracer.plan import tracer_plan
+from rotcal_ros.methods.tracer.policy.information import Information
+from rotcal_ros.methods.tracer.policy.scene import Lengths, Scene
 from rotcal_ros.methods.tracer.settings import STATIONS_PER_TARGET, TracerPlanSettings
 from rotcal_ros.methods.tracer.timing import cell_time, plan_seconds
 from rotcal_ros.planning.plan import Compared, Plan, PlanFigures, Step

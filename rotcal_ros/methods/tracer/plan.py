@@ -10,13 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import product
+from itertools import compress, product
 from typing import Protocol
 
 import numpy as np
 
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.observations import Approach, PointKind
+from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.geometry.rotations import on_table
 from rotcal_ros.methods.tracer.settings import TARGETS_PER_STATION, TracerPlanSettings
 from rotcal_ros.methods.tracer.solver.circle import contrast_count
 from rotcal_ros.methods.tracer.solver.grid import station_minimum
@@ -27,6 +30,8 @@ from rotcal_ros.planning.plan import Plan, Point, Step, numbered_steps
 from rotcal_ros.planning.points import block, in_a_line, in_a_plane, triples
 from rotcal_ros.planning.table_angles import table_angles, visits
 
+LEAST_BEAMS = 4
+"""Targets with a free beam that a station has to see."""
 LEAST_ANGLES = 3
 """Different table angles below which the stations show no axis, however often they return."""
 
@@ -130,27 +135,43 @@ def tracer_plan(settings: TracerPlanSettings) -> Plan:
 
 def _with_free_beams(plan: Plan, settings: TracerPlanSettings) -> Plan:
     """Return the plan without the pairs whose beam is too low or too short."""
-    from rotcal_ros.methods.tracer.design.scene import Scene, candidates, on_table
-    from rotcal_ros.methods.tracer.design.settings import TracerDesignSettings
-
     if len(settings.tracer_m) != 3:
         raise PlanError(
             "min_elevation_deg and min_distance_m need to know where the tracer stands on the "
             "table: give tracer_m: [x, y, z]"
         )
     angles = np.array(plan.table_angles)
-    targets = np.array(plan.targets)
-    scene = Scene(on_table(settings.tracer_m, angles), angles, targets, np.zeros(3), 1.0)
-    lowest = settings.min_elevation_deg
-    limits = TracerDesignSettings(
-        min_elevation_deg=-90.0 if lowest is None else lowest,
-        min_distance_m=settings.min_distance_m,
-        max_distance_m=np.inf,
-    )
-    free = candidates(scene, limits)
-    pairs = set(zip(free.position.tolist(), free.target.tolist(), strict=True))
-    kept = [step for step in plan.steps if (step.table_position, step.target) in pairs]
-    return _renumbered(plan, kept)
+    lowest = -90.0 if settings.min_elevation_deg is None else settings.min_elevation_deg
+    position = np.array([step.table_position for step in plan.steps])
+    targets = np.array([step.position for step in plan.steps])
+    beams = targets - on_table(settings.tracer_m, angles)[position]
+    free = within(beams, (settings.min_distance_m, np.inf), (lowest, 90.0))
+    require_beams(position[free], angles, "min_elevation_deg, min_distance_m")
+    return _renumbered(plan, compress(plan.steps, free))
+
+
+def within(
+    beams: Floats, distances_m: tuple[float, float], elevations_deg: tuple[float, float]
+) -> Bools:
+    """Return which of the ``beams`` (k, 3), m, from tracer to target, keep both limits."""
+    distance = np.linalg.norm(beams, axis=1)
+    elevation = np.arcsin(np.clip(beams[:, 2] / np.maximum(distance, 1e-9), -1.0, 1.0)) / DEGREE
+    (nearest, farthest), (lowest, highest) = distances_m, elevations_deg
+    free = (distance >= nearest) & (distance <= farthest)
+    return np.asarray(free & (elevation >= lowest) & (elevation <= highest), dtype=np.bool_)
+
+
+def require_beams(position: Ints, table_angles: Floats, settings: str) -> None:
+    """Raise PlanError for a station without enough free beams, with the ``settings`` to see.
+
+    ``position`` (k,): the table position of each beam.
+    """
+    few = np.flatnonzero(np.bincount(position, minlength=len(table_angles)) < LEAST_BEAMS)
+    if len(few):
+        raise PlanError(
+            f"station {few[0]} at {table_angles[few[0]] / DEGREE:g} deg has fewer than "
+            f"{LEAST_BEAMS} targets with a free beam: see {settings}"
+        )
 
 
 def _renumbered(plan: Plan, steps: Iterable[Step]) -> Plan:

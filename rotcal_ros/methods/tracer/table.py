@@ -63,9 +63,9 @@ def read_lengths(
 ) -> PlannedMeasurements:
     """Return the lengths of ``table``, each as the one step of the plan that its row tells.
 
-    By its ``columns`` as of a :class:`RowStepFinder`. ``replanned`` makes the plan to the targets of the file ``targets``, or of ``targets.csv`` beside the table;
-    without either they are the set-up's. Raises DataError for a length that cannot be one in
-    metres.
+    By its ``columns`` as of a :class:`RowStepFinder`. ``replanned`` makes the plan to the targets
+    of the file ``targets``, or of ``targets.csv`` beside the table; without either they are the
+    set-up's. Raises DataError for a length that cannot be one in metres.
     """
     files, calibration = [table.path], prepare(configuration)
     beside = table.path.with_name(TARGETS_FILE)

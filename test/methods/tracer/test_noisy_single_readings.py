@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rotcal_ros.geometry.rotations import on_table
 from rotcal_ros.methods import changed, prepare, read_configuration
 from rotcal_ros.methods.measurements import read_measurements
-from rotcal_ros.methods.tracer.design.scene import on_table
 
 SETUP = Path(__file__).parents[3] / "examples" / "data" / "tracer.yaml"
 NOISE = 2e-7

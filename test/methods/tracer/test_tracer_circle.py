@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from chances import LONG
+from tracer_scenes import counted_from_first
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.geometry.rotations import rotation_from_vector
-from rotcal_ros.methods.tracer.design.information import Information
-from rotcal_ros.methods.tracer.design.scene import Lengths, Scene, on_table
+from rotcal_ros.geometry.rotations import on_table, rotation_from_vector
+from rotcal_ros.methods.tracer.policy.information import Information
+from rotcal_ros.methods.tracer.policy.scene import Lengths, Scene
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve, tracer_trials
 from rotcal_ros.methods.tracer.solver.circle import circle_contrasts, contrast_count
 from rotcal_ros.methods.tracer.solver.trials import predicted
@@ -48,7 +49,7 @@ def planned(one_zero, circle_std=7e-8, each=4):
 def test_what_is_planned_is_what_is_stated(one_zero, each):
     scene, lengths, problem = planned(one_zero, each=each)
     known = Information(scene, lengths, 1 if one_zero else 11)
-    wanted = known.cumulative_covariance()
+    wanted = counted_from_first(known)
     exact = predicted(problem, STATIONS)
     assert np.abs(exact.angles.covariance - wanted).max() < 1e-6 * np.abs(wanted).max()
     beams = known.beams(lengths)

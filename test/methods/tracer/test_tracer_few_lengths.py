@@ -7,7 +7,7 @@ import pytest
 from chances import LONG, most
 
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
-from rotcal_ros.methods.tracer.design.scene import on_table
+from rotcal_ros.geometry.rotations import on_table
 from rotcal_ros.methods.tracer.solver import TracerProblem, solve
 from rotcal_ros.methods.tracer.solver.grid import station_minimum
 from rotcal_ros.methods.tracer.solver_settings import TracerLimits

@@ -19,9 +19,7 @@ from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.observations import Observation
-from rotcal_ros.methods.tracer.design.information import Information
-from rotcal_ros.methods.tracer.design.ordering import noisy_problem
-from rotcal_ros.methods.tracer.design.scene import Lengths, Scene
+from rotcal_ros.methods.tracer.policy.information import Information
 from rotcal_ros.methods.tracer.policy.noise import (
     LengthContrasts,
     LengthNoise,
@@ -29,6 +27,7 @@ from rotcal_ros.methods.tracer.policy.noise import (
     judged_lengths,
     suspect_length,
 )
+from rotcal_ros.methods.tracer.policy.scene import Lengths, Scene, noisy_problem
 from rotcal_ros.methods.tracer.solver.grid import station_minimum
 from rotcal_ros.methods.tracer.solver.problem import TracerProblem
 from rotcal_ros.methods.tracer.solver.trials import predicted

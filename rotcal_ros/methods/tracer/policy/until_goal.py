@@ -19,7 +19,7 @@ lengths would lead to nothing (:class:`Reach`).
 With known noise the first sweep is all that there is to plan. The fewest steps are found by
 exchange; they are then shared among sweeps there and back, so that neither a drift of the machine
 nor a knock of the tracer is mistaken for a deviation
-(:mod:`rotcal_ros.methods.tracer.design.sequence`). Further steps are those with the best gain per
+(:mod:`rotcal_ros.methods.tracer.policy.sequence`). Further steps are those with the best gain per
 second, spread over the stations (:func:`pick`).
 """
 
@@ -39,14 +39,7 @@ from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.protection import TOLERABLE
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
-from rotcal_ros.methods.tracer.design.exchange import Demands, fewest_lengths
-from rotcal_ros.methods.tracer.design.information import Information
-from rotcal_ros.methods.tracer.design.scene import Lengths
-from rotcal_ros.methods.tracer.design.sequence import (
-    SequenceForecast,
-    least_hidden,
-    measuring_orders,
-)
+from rotcal_ros.methods.tracer.policy.exchange import Demands, fewest_lengths
 from rotcal_ros.methods.tracer.policy.experiment import (
     Allowance,
     LengthExperiment,
@@ -54,7 +47,14 @@ from rotcal_ros.methods.tracer.policy.experiment import (
     Stated,
     rms,
 )
+from rotcal_ros.methods.tracer.policy.information import Information
 from rotcal_ros.methods.tracer.policy.noise import LengthNoise, student_factor
+from rotcal_ros.methods.tracer.policy.scene import Lengths
+from rotcal_ros.methods.tracer.policy.sequence import (
+    SequenceForecast,
+    least_hidden,
+    measuring_orders,
+)
 from rotcal_ros.planning.choices import Choice, Standing, StepOutcome
 from rotcal_ros.planning.sequence_time import stated_time
 

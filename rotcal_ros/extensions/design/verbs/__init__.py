@@ -1,0 +1,1 @@
+"""The verbs below ``rotcal plan`` that design and trade."""

@@ -1,0 +1,147 @@
+"""``rotcal plan check``: the fewest lengths with which a tracer checks an earlier result."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+
+from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.cli.options import rule_of, rule_options, set_option
+from rotcal_ros.extensions.design.goal import goal_settings
+from rotcal_ros.extensions.design.settings import LEAST_REDUNDANCY
+from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.report.terminal.columns import Column, print_table, print_words
+from rotcal_ros.report.terminal.console import progress, say
+
+if TYPE_CHECKING:
+    from rotcal_ros.extensions.design.check_plan import CheckPlan
+
+
+@click.command("check")
+@click.argument("earlier", type=path_type)
+@click.option(
+    "--setup", type=path_type, required=True, help="Configuration of the laser tracer (.yaml)."
+)
+@rule_options
+@click.option(
+    "--every",
+    type=click.IntRange(min=1),
+    metavar="N",
+    default=1,
+    show_default=True,
+    help="Check only every N-th angle; nothing is known of the others.",
+)
+@click.option(
+    "--candidates",
+    type=path_type,
+    help="Places for the reflector: target,x_m,y_m,z_m. Else --volume, or the block.",
+)
+@click.option(
+    "--volume",
+    type=path_type,
+    metavar="GOAL.yaml",
+    help="Where the reflector may go and what is in the way, as for 'rotcal plan tracer'.",
+)
+@click.option(
+    "--volume-set", "limits", multiple=True, metavar="NAME=VALUE", help="The same, by name."
+)
+@click.option(
+    "--least-redundancy",
+    type=click.FloatRange(0.0, 0.9),
+    default=LEAST_REDUNDANCY,
+    show_default=True,
+    help="Of each length; 0 checks nothing.",
+)
+@set_option
+@click.option("-o", "--output", type=path_type, help="Folder for configuration and its tables.")
+@json_option
+def check(earlier: Path, output: Path | None, as_json: bool, **asked: Any) -> int:
+    """Plan the fewest lengths of a laser tracer that check the EARLIER result (ECC).
+
+    A table that has only aged as stated will be found still valid with a probability of 1 less
+    the risk of a false alarm. The folder of -o is ready for 'rotcal run FOLDER/check.yaml', and
+    what it measures for 'rotcal check EARLIER NEW' with the same options.
+    """
+    plan = _check_plan(earlier, **asked)
+    if as_json:
+        print_json(plan.to_dict())
+    else:
+        _print_angles(plan)
+        _print_checks(plan, asked["every"], asked["least_redundancy"])
+    if output is not None:
+        say(f"written: {plan.write(output).absolute()}")
+    return 0
+
+
+def _check_plan(
+    earlier: Path,
+    *,
+    setup: Path,
+    candidates: Path | None,
+    volume: Path | None,
+    limits: tuple[str, ...],
+    changes: tuple[str, ...],
+    every: int,
+    least_redundancy: float,
+    **rule: Any,
+) -> CheckPlan:
+    """Return the plan that the options ask for; ``rule`` are those of :func:`rule_options`."""
+    from rotcal_ros.extensions.design.check_plan import plan_check
+    from rotcal_ros.methods import changed, read_configuration
+    from rotcal_ros.methods.tracer.table import read_targets
+    from rotcal_ros.recordings.result_sources import read_curve
+
+    configuration = changed(read_configuration(setup), changes)
+    room = goal_settings(configuration, volume, limits) if volume or limits else None
+    with progress("targets") as shown:
+        return plan_check(
+            configuration,
+            read_curve(earlier, "ECC", None),
+            rule_of(ARCSEC, **rule),
+            every=every,
+            offered=() if candidates is None else read_targets(candidates),
+            room=room,
+            least_redundancy=least_redundancy,
+            progress=shown,
+        )
+
+
+def _print_angles(plan: CheckPlan) -> None:
+    lengths = np.bincount(plan.pairs[:, 0], minlength=len(plan.angles))
+    print_table(
+        [
+            Column("angle/deg", plan.angles / DEGREE, ".4f"),
+            Column("lengths", lengths),
+            Column(
+                f"U (k = {COVERAGE_FACTOR:g})/arcsec", COVERAGE_FACTOR * plan.std / ARCSEC, ".3f"
+            ),
+            Column("valid up to/arcsec", plan.acceptance / ARCSEC, ".3f"),
+        ]
+    )
+
+
+def _print_checks(plan: CheckPlan, every: int, least_redundancy: float) -> None:
+    print_words(
+        f"{len(plan.pairs)} lengths to {len(plan.targets)} targets (offered: {plan.offered}), "
+        f"smallest redundancy {plan.least_redundancy:.2f}"
+    )
+    print_words(
+        f"{plan.seconds / 60.0:.1f} min by the simulated cell's clock; unseen drift at most "
+        f"{plan.unseen.drift:.2g}, unseen knock {plan.unseen.knock:.2g} standard uncertainties"
+    )
+    if every > 1:
+        unknown = f"{every - 1} of {every} angles"
+        print_words(f"nothing will be known of {unknown} of the earlier result")
+    if least_redundancy < LEAST_REDUNDANCY:
+        print_words(
+            "warning: some lengths are hardly checked: an error in one of them may turn "
+            "the verdict"
+        )
+    print_words(
+        f"a table that has only aged as stated is found within {plan.rule.limit / ARCSEC:.4g} "
+        f"arcsec with a probability of at least {100 * plan.assurance:.3g} %"
+    )
