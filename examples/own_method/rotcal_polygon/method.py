@@ -13,7 +13,7 @@ from rotcal_polygon.model import PolygonReadings, face_errors, model_of, separab
 from rotcal_polygon.simulation import PolygonSimulationSettings, SimulatedAutocollimator
 from rotcal_ros.adjust.engine import adjust
 from rotcal_ros.capture import CaptureRules
-from rotcal_ros.capture.points import mean_point, points
+from rotcal_ros.capture.decisions import mean_point, points
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import ConfigurationError, DataError, PlanError
 from rotcal_ros.foundation.observations import Approach, Observation, PointKind
