@@ -11,7 +11,7 @@ import tempfile
 import threading
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from io import BytesIO
 from pathlib import Path, PurePath
@@ -24,7 +24,7 @@ import zstandard
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.mcap_records import ChunkRecord, DamagedRecord
 from rotcal_ros.bags.rosbag2_metadata import METADATA_FILE
-from rotcal_ros.bags.settings import LARGEST_MESSAGE, ReadingLimits, refusal
+from rotcal_ros.bags.settings import ReadingLimits, refusal
 from rotcal_ros.bags.storage_scan import Damage
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.untrusted import open_plain
@@ -41,28 +41,13 @@ def plain_name(path: PurePath) -> PurePath:
 
 
 @contextmanager
-def open_storage_file(path: Path, limits: ReadingLimits) -> Iterator[BinaryIO]:
-    """Open a storage file; one that is compressed as a whole is unpacked into a temporary file.
-
-    Of a file that is cut off, what can be unpacked is given. Raises OSError, and BagError where
-    nothing can be unpacked or where it would become too large.
-    """
-    with open_plain(path) as file:
-        if plain_name(path) == path:
-            yield file
-            return
-        with tempfile.TemporaryFile() as plain:
-            _unpack_file(file, plain, path, limits)
-            yield plain
-
-
-@contextmanager
 def unpacked_storage_file(
     path: Path, limits: ReadingLimits
 ) -> Iterator[tuple[Path, Damage | None]]:
     """Yield where the plain storage file is, and the damage that ended its unpacking early.
 
-    It is ``path`` itself or a temporary file. Raises what :func:`open_storage_file` does.
+    It is ``path`` itself; of one that is compressed as a whole, a temporary file with what can be
+    unpacked. Raises OSError, and BagError where that is nothing, or would become too large.
     """
     if plain_name(path) == path:
         yield path, None
@@ -96,28 +81,25 @@ def _unpack_file(
     return None
 
 
-Unpack = Callable[[bytes], bytes]
-"""Returns the message in compressed bytes; raises DamagedRecord."""
-
 _MAX_METADATA: Final = 16 << 20
 _STATED: Final = re.compile(rb"^\s*compression_(mode|format):[ \t]*[\"']?(\w+)", re.MULTILINE)
 _BLOCK_BYTES: Final = 4 << 20
 
 
-def decompressor(mode: str, compression: str) -> Unpack | None:
-    """Return what unpacks the messages of a bag; None where they are as they were published.
+def packed_one_by_one(mode: str, compression: str) -> bool:
+    """Return whether the messages of a bag are compressed, each by itself.
 
     ``mode`` and ``compression`` are rosbag2's ``compression_mode`` and ``compression_format``.
     Raises BagError for a format that cannot be unpacked.
     """
     if mode.lower() != "message":
-        return None
+        return False
     if compression != "zstd":
         raise BagError(
             f"its messages are compressed one by one as {compression!r}, which cannot be read "
             "(zstd can); let 'ros2 bag convert' write it with compression_mode none"
         )
-    return _unpack_message
+    return True
 
 
 def declared_compression(file: Path) -> tuple[str, str]:
@@ -146,45 +128,11 @@ def looks_packed(message: bytes) -> bool:
     return message.startswith(zstandard.FRAME_HEADER) or bool(SKIPPABLE.match(message))
 
 
-def unpacked_messages(block: Block, unpack: Unpack, lost: Counter[int]) -> Iterator[Block]:
-    """Yield the messages of ``block`` unpacked, a few megabytes at a time.
-
-    Those that cannot be unpacked are left out and counted in ``lost``, by channel id.
-    """
-    rows: list[int] = []
-    payloads: list[bytes] = []
-    room = _BLOCK_BYTES
-    for row, channel in enumerate(block.headers["channel"].tolist()):
-        try:
-            payloads.append(unpack(block.payload(row)))
-        except DamagedRecord:
-            lost[channel] += 1
-            continue
-        rows.append(row)
-        room -= len(payloads[-1])
-        if room <= 0:
-            yield _with_payloads(block, rows, payloads)
-            rows, payloads, room = [], [], _BLOCK_BYTES
-    if rows:
-        yield _with_payloads(block, rows, payloads)
-
-
-def _with_payloads(block: Block, rows: list[int], payloads: list[bytes]) -> Block:
-    """Return the messages ``rows`` of ``block`` with other payloads."""
-    sizes = np.array([len(payload) for payload in payloads], np.int64)
-    return Block(b"".join(payloads), np.cumsum(sizes) - sizes, sizes, block.headers[rows])
-
-
-def _unpack_message(data: bytes) -> bytes:
-    beyond = f"a message unpacks to more than {LARGEST_MESSAGE} bytes"
-    return zstd_message(data, LARGEST_MESSAGE, beyond)
-
-
 _LZ4_STEP: Final = 1 << 16
 _ZSTD_STEP: Final = 512
 SKIPPABLE: Final = re.compile(rb"[\x50-\x5f]\x2a\x4d\x18")
 """Begins a frame that is to be skipped."""
-_CUT_OFF: Final = "a compressed message is cut off"
+_CUT_OFF: Final = "a compressed frame is cut off"
 
 
 class Unpacker:
@@ -212,18 +160,43 @@ class Unpacker:
         """Return a message that was compressed by itself (zstd); raises DamagedRecord."""
         more = f"a message unpacks to more than {self._largest} bytes"
         beyond = refusal(more, "chunk_bytes", 2 * self._largest)
-        plain = zstd_message(data, self._largest, beyond)
+        try:
+            plain = _zstd(data, self._largest, beyond)
+        except (zstandard.ZstdError, MemoryError) as error:
+            raise DamagedRecord(f"a compressed message cannot be unpacked: {error}") from None
         self._grant(len(plain), "message")
         return plain
+
+    def messages(self, block: Block, lost: Counter[int]) -> Iterator[Block]:
+        """Yield the messages of ``block`` unpacked, a few megabytes at a time.
+
+        Those that cannot be unpacked are left out and counted in ``lost``, by channel id.
+        """
+        rows: list[int] = []
+        payloads: list[bytes] = []
+        room = _BLOCK_BYTES
+        for row, channel in enumerate(block.headers["channel"].tolist()):
+            try:
+                payloads.append(self.message(block.payload(row)))
+            except DamagedRecord:
+                lost[channel] += 1
+                continue
+            rows.append(row)
+            room -= len(payloads[-1])
+            if room <= 0:
+                yield _with_payloads(block, rows, payloads)
+                rows, payloads, room = [], [], _BLOCK_BYTES
+        if rows:
+            yield _with_payloads(block, rows, payloads)
 
     def _plain(self, chunk: ChunkRecord) -> bytes:
         if chunk.compression == "":
             return bytes(chunk.packed)
         self._grant(chunk.size, "chunk")
+        beyond = f"a chunk unpacks to more than its {chunk.size} bytes"
         try:
-            if chunk.compression == "zstd":
-                return _zstd(chunk.packed, chunk.size)
-            return _lz4(chunk.packed, chunk.size)
+            unpack = _zstd if chunk.compression == "zstd" else _lz4
+            return unpack(chunk.packed, chunk.size, beyond)
         except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:
             raise DamagedRecord(f"a chunk cannot be unpacked: {error}") from None
 
@@ -239,28 +212,29 @@ class Unpacker:
             )
 
 
-def zstd_message(data: bytes, largest: int, beyond: str) -> bytes:
+def _with_payloads(block: Block, rows: list[int], payloads: list[bytes]) -> Block:
+    """Return the messages ``rows`` of ``block`` with other payloads."""
+    sizes = np.array([len(payload) for payload in payloads], np.int64)
+    return Block(b"".join(payloads), np.cumsum(sizes) - sizes, sizes, block.headers[rows])
+
+
+def _zstd(data: bytes | memoryview, largest: int, beyond: str) -> bytes:
     """Return what all frames of ``data`` hold (RFC 8878, 3.1); some are to be skipped.
 
-    Raises DamagedRecord, with the words ``beyond`` above ``largest`` bytes.
+    Raises ZstdError, and DamagedRecord with the words ``beyond`` above ``largest`` bytes.
     """
-    try:
-        size = zstandard.frame_content_size(data)  # -1: not stated
-        if size > largest:
-            raise DamagedRecord(beyond)
-        if size > 0:
-            with suppress(zstandard.ZstdError):  # there is more than this frame
-                return bytes(
-                    _decompressors.zstd.decompress(
-                        data, max_output_size=size, allow_extra_data=False
-                    )
-                )
-        return b"".join(_frames(data, largest, beyond))
-    except (zstandard.ZstdError, MemoryError) as error:
-        raise DamagedRecord(f"a compressed message cannot be unpacked: {error}") from None
+    size = zstandard.frame_content_size(data)  # -1: not stated
+    if size > largest:
+        raise DamagedRecord(beyond)
+    if size > 0:
+        with suppress(zstandard.ZstdError):  # there is more than this frame
+            return _decompressors.zstd.decompress(
+                data, max_output_size=size, allow_extra_data=False
+            )
+    return b"".join(_frames(data, largest, beyond))
 
 
-def _frames(data: bytes, room: int, beyond: str) -> Iterator[bytes]:
+def _frames(data: bytes | memoryview, room: int, beyond: str) -> Iterator[bytes]:
     """Yield what the frames of ``data`` hold, in steps; a step gives 32,768 times as much."""
     position = 0
     while position < len(data) or not data:
@@ -292,25 +266,7 @@ class _Decompressors(threading.local):
 _decompressors: Final = _Decompressors()
 
 
-def _zstd(packed: memoryview, size: int) -> bytes:
-    """Return what is packed, hardly more than ``size`` bytes; one frame in one step."""
-    claimed = zstandard.frame_content_size(packed)
-    if claimed > size:
-        raise DamagedRecord(f"a frame claims {claimed} bytes instead of {size}")
-    data = b""
-    with suppress(zstandard.ZstdError):
-        data = _decompressors.zstd.decompress(packed, max_output_size=max(1, size))
-    if len(data) == size:
-        return data
-    with _decompressors.zstd.stream_reader(packed, read_across_frames=True) as reader:
-        parts = []  # several frames, or some that are to be skipped
-        while size >= 0 and (part := reader.read(size + 1)):
-            parts.append(part)
-            size -= len(part)
-    return b"".join(parts)
-
-
-def _lz4(packed: memoryview, size: int) -> bytes:
+def _lz4(packed: memoryview, size: int, beyond: str) -> bytes:
     """Return what is packed; a step of the input gives 255 times as much at most."""
     decompressor, data = lz4.frame.LZ4FrameDecompressor(), BytesIO()
     for begin in range(0, len(packed), _LZ4_STEP):
@@ -318,5 +274,5 @@ def _lz4(packed: memoryview, size: int) -> bytes:
         if decompressor.eof:
             break
         if data.tell() > size:
-            raise DamagedRecord(f"a chunk unpacks to more than its {size} bytes")
+            raise DamagedRecord(beyond)
     return data.getvalue()

@@ -131,20 +131,15 @@ class DropoutReader:
 
     def _decoded(self, block: Block, channel: ChannelDefinition) -> Iterator[Dropout]:
         if channel not in self._decoders:
-            self._decoders[channel] = _decoder(channel)
-        decoder = self._decoders[channel]
-        for row in range(len(block) if decoder else 0):
-            assert decoder is not None
+            self._decoders[channel] = None
+            with suppress(BagError):
+                self._decoders[channel] = Decoder(channel)
+        if (decoder := self._decoders[channel]) is None:
+            return
+        for row in range(len(block)):
             message = decoder.message(block.payload(row))
             with suppress(AttributeError, TypeError):  # the bag may define its type otherwise
                 for status in () if message is None else message.status:
                     dropout = of_status({value.key: value.value for value in status.values})
                     if dropout is not None:
                         yield dropout
-
-
-def _decoder(channel: ChannelDefinition) -> Decoder | None:
-    try:
-        return Decoder(channel)
-    except BagError:
-        return None

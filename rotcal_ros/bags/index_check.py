@@ -29,6 +29,14 @@ from rotcal_ros.bags.framing import Record
 from rotcal_ros.bags.mcap_records import ChunkRecord
 from rotcal_ros.foundation.arrays import Ints
 
+Index = ChunkIndex | AttachmentIndex | MetadataIndex | SummaryOffset
+INDEXES: Final[dict[int, type[Index]]] = {
+    mcap.CHUNK_INDEX: ChunkIndex,
+    mcap.ATTACHMENT_INDEX: AttachmentIndex,
+    mcap.METADATA_INDEX: MetadataIndex,
+    mcap.SUMMARY_OFFSET: SummaryOffset,
+}
+"""The records of an index, by their opcodes."""
 Report = Callable[[int, str], None]
 """Called with the offset and the words of each fault."""
 
@@ -92,37 +100,34 @@ class IndexCheck:
         """Add a metadata record."""
         self._notes.add(record.offset, (record.end - record.offset, found.name))
 
-    def chunk_index(self, record: Record, index: ChunkIndex, *, data_sound: bool) -> None:
-        """Compare an index of a chunk; ``data_sound``: all data could be read."""
-        described = (
-            index.chunk_length,
-            index.message_start_time,
-            index.message_end_time,
-            index.compression,
-            index.compressed_size,
-            index.uncompressed_size,
-        )
-        offset = index.chunk_start_offset
-        self._compare(self._chunks, record, "chunk", offset, described, data_sound)
+    def compare(self, record: Record, index: Index, *, data_sound: bool) -> None:
+        """Compare a record of the index; ``data_sound``: all data could be read."""
+        match index:
+            case SummaryOffset():
+                self._summary_offset(record, index)
+            case ChunkIndex():
+                known, what, offset = self._chunks, "chunk", index.chunk_start_offset
+                self._compare(known, record, what, offset, _described(index), data_sound)
+                self._places(record, index)
+            case AttachmentIndex():
+                times = (index.log_time, index.create_time)
+                facts = (index.length, *times, index.data_size, index.name, index.media_type)
+                known, what = self._attachments, "attachment"
+                self._compare(known, record, what, index.offset, facts, data_sound)
+            case MetadataIndex():
+                named = (index.length, index.name)
+                known, what = self._notes, "metadata record"
+                self._compare(known, record, what, index.offset, named, data_sound)
+
+    def _places(self, record: Record, index: ChunkIndex) -> None:
+        """Compare where the indexes behind a chunk stand, if that is said."""
         if index.message_index_offsets or index.message_index_length:
             places = (index.message_index_length, frozenset(index.message_index_offsets.items()))
+            offset = index.chunk_start_offset
             if self._indexes.differs(offset, places):
                 self._report(
                     record.offset, f"the places of the indexes behind chunk {offset} are wrong"
                 )
-
-    def attachment_index(
-        self, record: Record, index: AttachmentIndex, *, data_sound: bool
-    ) -> None:
-        """Compare an index of an attachment."""
-        times = (index.log_time, index.create_time)
-        facts = (index.length, *times, index.data_size, index.name, index.media_type)
-        self._compare(self._attachments, record, "attachment", index.offset, facts, data_sound)
-
-    def metadata_index(self, record: Record, index: MetadataIndex, *, data_sound: bool) -> None:
-        """Compare an index of a metadata record."""
-        facts = (index.length, index.name)
-        self._compare(self._notes, record, "metadata record", index.offset, facts, data_sound)
 
     def in_summary(self, record: Record) -> None:
         """Note where a record of the summary stands."""
@@ -137,7 +142,7 @@ class IndexCheck:
             self._report(record.offset, "the records of the summary are not grouped by kind")
         group[1], self._last_kind = record.end, record.opcode
 
-    def summary_offset(self, record: Record, place: SummaryOffset) -> None:
+    def _summary_offset(self, record: Record, place: SummaryOffset) -> None:
         """Compare the place of a group of records; writers also name groups without any."""
         begin, end = self._groups.get(place.group_opcode, [0, 0])
         if place.group_length and (place.group_start, place.group_length) != (begin, end - begin):
@@ -210,6 +215,13 @@ class IndexCheck:
             self._report(record.offset, f"the index of the {what} at byte {offset} is wrong")
         elif not known.name(offset) and data_sound:
             self._report(record.offset, f"an index points to byte {offset}, where no {what} is")
+
+
+def _described(index: ChunkIndex) -> tuple[object, ...]:
+    """Return what an index says of a chunk, as :class:`_ChunkFacts` does."""
+    times = (index.message_start_time, index.message_end_time)
+    sizes = (index.compressed_size, index.uncompressed_size)
+    return (index.chunk_length, *times, index.compression, *sizes)
 
 
 class _Facts:

@@ -20,25 +20,9 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 import zstandard
+from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    Chunk,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    MessageIndex,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.mcap_records import (
@@ -141,8 +125,8 @@ class OpenEnd:
         replace_tail(self.path, self.end, tail)
         remove_durably(journal)
 
-    def _note(self, continued_in: str) -> Metadata:
-        return Metadata(
+    def _note(self, continued_in: str) -> records.Metadata:
+        return records.Metadata(
             name=names.CONTINUED,
             metadata={
                 **({"in": continued_in} if continued_in else {}),
@@ -212,11 +196,11 @@ class SummarySection:
     ``like_ours`` is False for any other file.
     """
 
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
-    chunks: list[ChunkIndex] = field(default_factory=list)
-    attachments: list[AttachmentIndex] = field(default_factory=list)
-    metadata: list[MetadataIndex] = field(default_factory=list)
+    schemas: dict[int, records.Schema] = field(default_factory=dict)
+    channels: dict[int, records.Channel] = field(default_factory=dict)
+    chunks: list[records.ChunkIndex] = field(default_factory=list)
+    attachments: list[records.AttachmentIndex] = field(default_factory=list)
+    metadata: list[records.MetadataIndex] = field(default_factory=list)
     counts: Counter[int] = field(default_factory=Counter)
     end: int = 0
     header: bool = False
@@ -246,44 +230,46 @@ class SummarySection:
         """Add one record of the data section, which begins at ``end``."""
         length = HEADER_SIZE + len(content)
         if opcode == Opcode.CHUNK:
-            self._chunk(parse(Chunk, content)[0], length)
+            self._chunk(parse(records.Chunk, content)[0], length)
         elif opcode == Opcode.MESSAGE_INDEX and self.chunks:
             channel, entries, _ = parse_message_index(content)
             self.counts[channel] += len(entries) // INDEX_ENTRY
             self.chunks[-1].message_index_offsets[channel] = self.end
             self.chunks[-1].message_index_length += length
         elif opcode == Opcode.ATTACHMENT:
-            self._attachment(self.end, length, parse(Attachment, content)[0])
+            self._attachment(self.end, length, parse(records.Attachment, content)[0])
         elif opcode == Opcode.METADATA:
-            name = parse(Metadata, content)[0].name
-            self.metadata.append(MetadataIndex(self.end, length, name))
+            name = parse(records.Metadata, content)[0].name
+            self.metadata.append(records.MetadataIndex(self.end, length, name))
         elif opcode == Opcode.HEADER:
             self.header = True
         else:
             self.like_ours = False
 
-    def tail(self, note: Metadata, torn: bytes, library: str) -> bytes:
+    def tail(self, note: records.Metadata, torn: bytes, library: str) -> bytes:
         """Return all that stands behind byte ``end`` of the closed file; call it once."""
         end, data = self.end, RecordBuilder()
         if end < len(MAGIC):
             data.write(MAGIC)
         if not self.header:
-            Header(PROFILE, library).write(data)
+            records.Header(PROFILE, library).write(data)
         self._missing_indexes(data)
         begin = end + data.count
         note.write(data)
-        self.metadata.append(MetadataIndex(begin, end + data.count - begin, note.name))
+        self.metadata.append(records.MetadataIndex(begin, end + data.count - begin, note.name))
         if torn:
             now_ns = time.time_ns()
-            attachment = Attachment(now_ns, now_ns, names.TORN, "application/octet-stream", torn)
+            attachment = records.Attachment(
+                now_ns, now_ns, names.TORN, "application/octet-stream", torn
+            )
             begin = end + data.count
             attachment.write(data)
             self._attachment(begin, end + data.count - begin, attachment)
         written = _built(data)
-        DataEnd(zlib.crc32(written, self._crc)).write(data)
+        records.DataEnd(zlib.crc32(written, self._crc)).write(data)
         return written + (ended := _built(data)) + self._summary(end + len(written) + len(ended))
 
-    def _chunk(self, chunk: Chunk, length: int) -> None:
+    def _chunk(self, chunk: records.Chunk, length: int) -> None:
         packed = chunk.compression == "zstd"
         self.like_ours &= packed or not chunk.compression
         self._last_chunk = chunk.data
@@ -291,13 +277,13 @@ class SummarySection:
             self._last_chunk = zstandard.decompress(chunk.data, chunk.uncompressed_size)
         for opcode, begin, size in _records_in(self._last_chunk):
             if opcode == Opcode.SCHEMA:
-                schema = parse(Schema, self._last_chunk[begin : begin + size])[0]
+                schema = parse(records.Schema, self._last_chunk[begin : begin + size])[0]
                 self.schemas.setdefault(schema.id, schema)
             elif opcode == Opcode.CHANNEL:
-                channel = parse(Channel, self._last_chunk[begin : begin + size])[0]
+                channel = parse(records.Channel, self._last_chunk[begin : begin + size])[0]
                 self.channels.setdefault(channel.id, channel)
         self.chunks.append(
-            ChunkIndex(
+            records.ChunkIndex(
                 message_start_time=chunk.message_start_time,
                 message_end_time=chunk.message_end_time,
                 chunk_start_offset=self.end,
@@ -310,9 +296,9 @@ class SummarySection:
             )
         )
 
-    def _attachment(self, offset: int, length: int, attachment: Attachment) -> None:
+    def _attachment(self, offset: int, length: int, attachment: records.Attachment) -> None:
         self.attachments.append(
-            AttachmentIndex(
+            records.AttachmentIndex(
                 offset=offset,
                 length=length,
                 create_time=attachment.create_time,
@@ -338,13 +324,13 @@ class SummarySection:
                     missing.setdefault(channel, []).append((log_time, begin - HEADER_SIZE))
         for channel, entries in missing.items():
             index.message_index_offsets[channel] = self.end + data.count
-            MessageIndex(channel, entries).write(data)
+            records.MessageIndex(channel, entries).write(data)
             self.counts[channel] += len(entries)
         index.message_index_length += data.count
 
     def _summary(self, start: int) -> bytes:
         """Return summary, summary offsets, footer and magic of a file whose data end at start."""
-        groups: tuple[tuple[Opcode, list[McapRecord]], ...] = (
+        groups: tuple[tuple[Opcode, list[records.McapRecord]], ...] = (
             (Opcode.SCHEMA, [*self.schemas.values()]),
             (Opcode.CHANNEL, [*self.channels.values()]),
             (Opcode.STATISTICS, [self._statistics()]),
@@ -353,24 +339,24 @@ class SummarySection:
             (Opcode.METADATA_INDEX, [*self.metadata]),
         )
         summary, offsets = RecordBuilder(), []
-        for opcode, records in groups:
+        for opcode, group in groups:
             begin = summary.count
-            for record in records:
+            for record in group:
                 record.write(summary)
-            if records:
-                offsets.append(SummaryOffset(opcode, start + begin, summary.count - begin))
+            if group:
+                offsets.append(records.SummaryOffset(opcode, start + begin, summary.count - begin))
         offsets_start = start + summary.count
         for offset in offsets:
             offset.write(summary)
         text = _built(summary)
-        Footer(start, offsets_start, 0).write(summary)
+        records.Footer(start, offsets_start, 0).write(summary)
         # The CRC is the footer's last field and covers the summary and the footer up to there.
         footer = _built(summary)[:-4]
         crc = zlib.crc32(footer, zlib.crc32(text))
         return text + footer + crc.to_bytes(4, "little") + MAGIC
 
-    def _statistics(self) -> Statistics:
-        return Statistics(
+    def _statistics(self) -> records.Statistics:
+        return records.Statistics(
             attachment_count=len(self.attachments),
             channel_count=len(self.channels),
             channel_message_counts=dict(self.counts),

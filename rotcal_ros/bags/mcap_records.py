@@ -15,7 +15,7 @@ from io import BytesIO
 from typing import Any, Final, Protocol, TypeVar
 
 from mcap.data_stream import ReadDataStream
-from mcap.records import Attachment, Channel, Metadata
+from mcap.records import Attachment, Channel, ChunkIndex, Metadata, Statistics
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 HEADER_SIZE: Final = 9
@@ -35,7 +35,7 @@ _index_header = struct.Struct("<HI")
 _chunk_fixed = struct.Struct("<QQQI")
 _MAP_ENTRY: Final = 10
 """Bytes of an entry of such a map: channel and number."""
-_MAP_PLACE: Final = {CHUNK_INDEX: 32, STATISTICS: 42}
+_MAP_PLACE: Final[dict[type, int]] = {ChunkIndex: 32, Statistics: 42}
 """Where records that map channels to numbers say how many bytes the map has."""
 _CHANNEL_IDS: Final = 1 << 16
 """There are no more: a channel id has two bytes."""
@@ -92,7 +92,14 @@ class _Fields(ReadDataStream):
 
 
 def parse(kind: type[R], content: bytes) -> tuple[R, int]:
-    """Return a record of a class of the mcap package, and how many bytes its fields take."""
+    """Return a record of a class of the mcap package, and how many bytes its fields take.
+
+    A map of channels to numbers has an entry for each channel at most.
+    """
+    if place := _MAP_PLACE.get(kind):
+        size = int.from_bytes(content[place : place + 4], "little")
+        if size % _MAP_ENTRY or size > _CHANNEL_IDS * _MAP_ENTRY:
+            raise DamagedRecord("a map of channels has a broken size")
     fields = _Fields(content)
     record: R = kind.read(fields)
     return record, fields.count
@@ -114,15 +121,6 @@ def parse_attachment(content: bytes) -> tuple[Attachment, int]:
     if crc and crc != zlib.crc32(memoryview(content)[: end - 4]):
         raise DamagedRecord(f"the checksum of attachment {attachment.name!r} is wrong")
     return attachment, end
-
-
-def parse_mapping(kind: type[R], opcode: int, content: bytes) -> tuple[R, int]:
-    """Parse statistics or a chunk index, whose map has an entry for each channel at most."""
-    place = _MAP_PLACE[opcode]
-    size = int.from_bytes(content[place : place + 4], "little")
-    if size % _MAP_ENTRY or size > _CHANNEL_IDS * _MAP_ENTRY:
-        raise DamagedRecord("a map of channels has a broken size")
-    return parse(kind, content)
 
 
 def parse_message_index(content: bytes) -> tuple[int, memoryview, int]:

@@ -15,18 +15,7 @@ from pathlib import Path
 from typing import BinaryIO, Final, TypeVar
 
 import numpy as np
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    ChunkIndex,
-    Header,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
+from mcap.records import Attachment, Channel, Header, Metadata, Schema, Statistics
 
 from rotcal_ros.bags import mcap_records as mcap
 from rotcal_ros.bags import names
@@ -34,18 +23,18 @@ from rotcal_ros.bags.blocks import Block, Others, block_of_contents, joined, spl
 from rotcal_ros.bags.compression import (
     Unpacker,
     declared_compression,
-    decompressor,
     looks_packed,
-    open_storage_file,
-    unpacked_messages,
+    packed_one_by_one,
+    unpacked_storage_file,
 )
 from rotcal_ros.bags.definitions import ChannelDefinition, parse_definitions, schema_text
 from rotcal_ros.bags.framing import Framing, Record
-from rotcal_ros.bags.index_check import IndexCheck
-from rotcal_ros.bags.mcap_records import DamagedRecord
+from rotcal_ros.bags.index_check import INDEXES, IndexCheck
+from rotcal_ros.bags.mcap_records import DamagedRecord, R
 from rotcal_ros.bags.settings import DEFAULT_LIMITS, ReadingLimits, refusal
 from rotcal_ros.bags.storage_scan import Damage, FileVerdict, Item, Scan, State
 from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.untrusted import open_plain
 
 _UNCHUNKED_BYTES: Final = 1 << 20
 """Messages outside chunks are put together to blocks of this size."""
@@ -91,7 +80,10 @@ class McapScan(Scan):
         """Yield messages, attachments and metadata in file order; raises as :meth:`blocks`."""
         self._require_known_compression()
         try:
-            with open_storage_file(self.path, self._limits) as file:
+            with (
+                unpacked_storage_file(self.path, self._limits) as (plain, _),
+                open_plain(plain) as file,
+            ):
                 self._size = self.path.stat().st_size
                 size = file.seek(0, 2)
                 self._unpacker = Unpacker(self._limits, self._size)
@@ -131,7 +123,7 @@ class McapScan(Scan):
 
     def _require_known_compression(self) -> None:
         try:
-            decompressor(*declared_compression(self.path))
+            packed_one_by_one(*declared_compression(self.path))
         except BagError as error:
             raise BagError(f"cannot read {self.path}: {error}") from None
 
@@ -185,7 +177,7 @@ class McapScan(Scan):
             trust = None if self._framing.in_summary else Trust.PLAIN_DATA
             self._framing.note_fields_end(record, self._define(record, opcode, content, trust))
         elif opcode == mcap.HEADER:
-            self._framing.note_fields_end(record, mcap.parse(Header, content)[1])
+            self._parsed(Header, record)
         else:
             self._summary_record(record)
 
@@ -263,34 +255,23 @@ class McapScan(Scan):
 
     def _summary_record(self, record: Record) -> None:
         """Read a record of the summary, or one of an unknown kind."""
-        opcode, content, index = record.opcode, record.content, self._index
-        data_sound = self._framing.data_sound
+        opcode, index = record.opcode, self._index
         if opcode == mcap.STATISTICS:
-            statistics, end = mcap.parse_mapping(Statistics, opcode, content)
-            self._framing.note_fields_end(record, end)
+            statistics = self._parsed(Statistics, record)
             if self._statistics is not None:
                 raise mcap.DamagedRecord("there are two statistics")
             self._statistics = record.offset, statistics
-        elif index is None:
-            return
-        elif opcode == mcap.CHUNK_INDEX:
-            chunk, end = mcap.parse_mapping(ChunkIndex, opcode, content)
-            self._framing.note_fields_end(record, end)
-            index.chunk_index(record, chunk, data_sound=data_sound)
-        elif opcode == mcap.ATTACHMENT_INDEX:
-            attachment, end = mcap.parse(AttachmentIndex, content)
-            self._framing.note_fields_end(record, end)
-            index.attachment_index(record, attachment, data_sound=data_sound)
-        elif opcode == mcap.METADATA_INDEX:
-            metadata, end = mcap.parse(MetadataIndex, content)
-            self._framing.note_fields_end(record, end)
-            index.metadata_index(record, metadata, data_sound=data_sound)
-        elif opcode == mcap.SUMMARY_OFFSET:
-            place, end = mcap.parse(SummaryOffset, content)
-            self._framing.note_fields_end(record, end)
-            index.summary_offset(record, place)
-        elif opcode == mcap.FOOTER:
+        elif index is not None and opcode in INDEXES:
+            found = self._parsed(INDEXES[opcode], record)
+            index.compare(record, found, data_sound=self._framing.data_sound)
+        elif index is not None and opcode == mcap.FOOTER:
             index.footer(record)
+
+    def _parsed(self, kind: type[R], record: Record) -> R:
+        """Return the fields of a record, and note where they end."""
+        parsed, end = mcap.parse(kind, record.content)
+        self._framing.note_fields_end(record, end)
+        return parsed
 
     def _attachment(self, record: Record) -> Attachment:
         attachment, end = mcap.parse_attachment(record.content)
@@ -357,7 +338,7 @@ class McapScan(Scan):
             yield block
             return
         broken = Counter[int]()
-        yield from unpacked_messages(block, self._unpacker.message, broken)
+        yield from self._unpacker.messages(block, broken)
         if broken:
             self._broken += broken
             self._counts -= broken

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
@@ -66,7 +67,8 @@ def write_topics(
                 channel = scan.channels[number]
                 key = (channel.topic, channel.type_name)
                 if key not in streams:
-                    target = folder / _file_name(channel.topic, {s.path for s in streams.values()})
+                    taken = {stream.path.name for stream in streams.values()}
+                    target = folder / _file_name(channel.topic, taken)
                     streams[key] = open_files.enter_context(_Stream(channel, target))
                 streams[key].add(block.select(block.headers["channel"] == number))
     judge_session(path, verdicts)  # notes files that are missing
@@ -187,16 +189,11 @@ def _value(value: Any, kind: Nodetype, detail: Any, definitions: Mapping[str, An
     return [_value(element, kind, detail, definitions) for element in value]
 
 
-def _file_name(topic: str, taken: set[Path]) -> str:
+def _file_name(topic: str, taken: set[str]) -> str:
     """Return a name for the file of a topic; two topics never share one."""
     stem = re.sub(r"[^A-Za-z0-9_-]+", "_", topic.strip("/"))[:100] or "topic"
-    names = {path.name for path in taken}
-    number = next(n for n in range(len(names) + 1) if f"{_numbered(stem, n)}.parquet" not in names)
-    return f"{_numbered(stem, number)}.parquet"
-
-
-def _numbered(stem: str, number: int) -> str:
-    return f"{stem}_{number}" if number else stem
+    names = (f"{stem}_{n}.parquet" if n else f"{stem}.parquet" for n in count())
+    return next(name for name in names if name not in taken)
 
 
 def arrow() -> tuple[Any, Any]:

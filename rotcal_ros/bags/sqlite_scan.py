@@ -24,12 +24,11 @@ import numpy as np
 
 from rotcal_ros.bags.blocks import HEADER_TYPE, Block
 from rotcal_ros.bags.compression import (
-    Unpack,
+    Unpacker,
     declared_compression,
-    decompressor,
     looks_packed,
+    packed_one_by_one,
     stated_compression,
-    unpacked_messages,
     unpacked_storage_file,
 )
 from rotcal_ros.bags.definitions import ChannelDefinition
@@ -43,8 +42,6 @@ _LEAST_ROW: Final = 16
 """Bytes of a row of messages, at least."""
 _NEEDED: Final = {"topics": ("id", "name", "type"), "messages": ("topic_id", "timestamp", "data")}
 _UNKNOWN: Final = "(unknown topic)"
-_UNNAMED: Final = "/unknown_topic_"
-_NO_TYPE: Final = "unknown/msg/Unknown"
 _LEFT_BESIDE: Final = ("-wal", "-journal")
 """Endings of the files in which sqlite3 has changes that are not in the database yet."""
 _MAX_FAULTS: Final = 20
@@ -250,13 +247,14 @@ class SqliteScan(Scan):
         self._lost: Counter[int] = Counter()
         self._unreadable = 0
         self._oddities: Counter[str] = Counter()
-        self._unpack: Unpack | None = None
+        self._packed = False
 
     def blocks(self) -> Iterator[Block]:
         """Yield the messages in the order of their log times, of a damaged file of their ids."""
         with opened(self.path, self._limits) as database:
             self._size = self.path.stat().st_size
             self._plain_size = database.file.stat().st_size
+            self._unpacker = Unpacker(self._limits, self._size)
             database.check()
             self._damages = database.damages
             damaged = bool(self._damages)
@@ -308,7 +306,7 @@ class SqliteScan(Scan):
             self._numbers[topic_id] = number
             self.channels[number] = replace(channel, channel_id=number)
         try:
-            self._unpack = decompressor(*self._compression(database))
+            self._packed = packed_one_by_one(*self._compression(database))
         except BagError as error:
             raise BagError(f"cannot read {self.path}: {error}") from None
         for block in self._batches(database):
@@ -324,9 +322,7 @@ class SqliteScan(Scan):
     def _batches(self, database: Database) -> Iterator[Block]:
         batch: list[tuple[int, int, bytes]] = []
         size, room = 0, 4 * self._plain_size + LARGEST_MESSAGE
-        odd = not self._damages and database.connection.execute(_ODD_TIMES).fetchone() is not None
-        by = "CAST(timestamp AS INTEGER)" if odd else "timestamp"
-        for topic_id, time_ns, data, length in database.select("messages", _MESSAGE, by):
+        for topic_id, time_ns, data, length in database.select("messages", _MESSAGE, "timestamp"):
             if (message := self._message(topic_id, time_ns, data, length)) is None:
                 continue
             batch.append(message)
@@ -347,14 +343,10 @@ class SqliteScan(Scan):
     ) -> tuple[int, int, bytes] | None:
         """Return channel, log time and message of a row; what is wrong with it is counted."""
         number = self._numbers.get(topic_id) if isinstance(topic_id, int) else None
-        if number is None and isinstance(topic_id, int):
-            number = self._unnamed_channel(topic_id)
         if number is None:
             self._oddities["messages of no topic"] += 1
             self._unreadable += 1
             return None
-        if not isinstance(time_ns, int) and (time_ns := _whole(time_ns)) is not None:
-            self._oddities["messages whose time is a text or a fraction, read as a whole one"] += 1
         if not isinstance(time_ns, int) or not isinstance(data, bytes):
             large = size and not isinstance(data, bytes)
             what = "whose size is out of range" if large else "without content or time"
@@ -365,25 +357,11 @@ class SqliteScan(Scan):
             self._oddities["messages with a time before 1970, read as 1970"] += 1
         return number, max(0, time_ns), data
 
-    def _unnamed_channel(self, topic_id: int) -> int | None:
-        """Return a new channel for a topic whose row is missing; None when there are too many."""
-        number = len(self.channels)
-        if number >= _MAX_CHANNELS:
-            return None
-        self._numbers[topic_id] = number
-        name = f"{_UNNAMED}{topic_id}".replace("-", "minus_")
-        self.channels[number] = ChannelDefinition(number, name, _NO_TYPE, "", "")
-        self._oddities["topics without name and type; their messages are kept as they are"] += 1
-        return number
-
     def _plain(self, block: Block) -> Iterator[Block]:
         """Count and yield the messages of ``block`` as they were published."""
-        if self._unpack is None and looks_packed(block.payload(0)):
-            self._unpack = decompressor("message", "zstd")
+        self._packed |= looks_packed(block.payload(0))
         broken = Counter[int]()
-        for plain in (
-            (block,) if self._unpack is None else unpacked_messages(block, self._unpack, broken)
-        ):
+        for plain in self._unpacker.messages(block, broken) if self._packed else (block,):
             self._count(plain)
             yield plain
         if broken:
@@ -403,19 +381,6 @@ _MESSAGE: Final = (
     "topic_id", "timestamp", f"CASE WHEN length(data) <= {LARGEST_MESSAGE} THEN data END",
     "length(data)",
 )  # fmt: skip
-_ODD_TIMES: Final = "SELECT 1 FROM messages WHERE typeof(timestamp) != 'integer' LIMIT 1"
-_TIME: Final = re.compile(rb"\s*([+-]?[0-9]{1,19})(\.[0-9]*)?([eE][+-]?[0-9]{1,3})?\s*")
-_LARGEST_TIME: Final = float(1 << 62)
-
-
-def _whole(time_ns: object) -> int | None:
-    """Return a time that stands there as a text or a fraction; None for what is none."""
-    found = _TIME.fullmatch(time_ns) if isinstance(time_ns, bytes) else None
-    if found is not None:  # a double does not hold all digits of a time of today
-        time_ns = float(found[0]) if found[3] else int(found[1])
-    if isinstance(time_ns, float | int) and abs(time_ns) < _LARGEST_TIME:
-        return int(time_ns)
-    return None
 
 
 def _block(batch: list[tuple[int, int, bytes]]) -> Block:

@@ -218,8 +218,8 @@ class CaptureRules:
     """How the streams of a method are understood.
 
     ``decide`` has one entry for every kind of step in the method's plans; see
-    :mod:`~rotcal_ros.capture.length` and :mod:`~rotcal_ros.capture.points` for the two ways
-    there are. ``checks`` makes the checks of one run; they see the observations in their order.
+    :mod:`~rotcal_ros.capture.decisions` for the two ways there are. ``checks`` makes the checks
+    of one run; they see the observations in their order.
     """
 
     decide: Mapping[PointKind, Decide]

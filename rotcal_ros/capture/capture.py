@@ -25,12 +25,11 @@ from rotcal_ros.capture.attempt import (
     nanoseconds,
     seconds,
 )
-from rotcal_ros.capture.beam import Beam
-from rotcal_ros.capture.length import single_shot_missing
+from rotcal_ros.capture.decisions import single_shot_missing
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import NEVER, Stream, StreamCounts
 from rotcal_ros.capture.table import VELOCITY, lasting_feedback_fault, why_not_at_rest
-from rotcal_ros.capture.window import TracerStream
+from rotcal_ros.capture.window import Beam, TracerStream
 from rotcal_ros.foundation.arrays import Stamps
 from rotcal_ros.foundation.observations import (
     Command,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final, Generic, TypeVar
 
@@ -80,15 +80,10 @@ def started_anew(began: Offers, now: Offers) -> dict[str, list[str]]:
 
 @dataclass(frozen=True, slots=True)
 class Intruder:
-    """A publisher that is not accepted on a ``topic``, and how many of its messages were ignored.
-
-    ``since_s`` is the time of the first one; ``publisher`` is empty where that is not known.
-    """
+    """A publisher that is not accepted on a ``topic``; empty where it is not known."""
 
     topic: str
     publisher: str
-    since_s: float
-    count: int = 1
 
     def in_words(self, node: str | None, *, anew: bool = False) -> str:
         """Return it for people; ``node`` published the messages, None: it is gone or not known.
@@ -110,10 +105,10 @@ class Intruder:
 
 @dataclass
 class WhoIsHeard:
-    """Decides for one listener; ``intruders`` are those it has met since the run began."""
+    """Decides for one listener; ``intruders`` are those met since the run began."""
 
     believed: Believed = field(default_factory=Believed)
-    intruders: dict[tuple[str, str], Intruder] = field(default_factory=dict)
+    intruders: list[Intruder] = field(default_factory=list)
     _last: dict[str, int] = field(default_factory=dict)
 
     def believe(self, believed: Believed) -> None:
@@ -123,7 +118,7 @@ class WhoIsHeard:
             self.intruders.clear()
             self._last.clear()
 
-    def hears(self, topic: str, origin: Origin, now_s: float) -> bool:
+    def hears(self, topic: str, origin: Origin) -> bool:
         """Return whether a message counts; the publisher of one that does not is noted.
 
         Without identities the numbers decide: those of one publisher ascend, and a publisher that
@@ -136,14 +131,9 @@ class WhoIsHeard:
             believed = origin.publisher in accepted
         else:
             believed = self._follows(topic, origin.number)
-        if not believed:
-            key = (topic, origin.publisher)
-            met = self.intruders.get(key)
-            self.intruders[key] = (
-                Intruder(topic, origin.publisher, now_s)
-                if met is None
-                else replace(met, count=met.count + 1)
-            )
+        intruder = Intruder(topic, origin.publisher)
+        if not believed and intruder not in self.intruders:
+            self.intruders.append(intruder)
         return believed
 
     def _follows(self, topic: str, number: int | None) -> bool:
@@ -152,10 +142,6 @@ class WhoIsHeard:
         if follows and number is not None:
             self._last[topic] = number
         return follows
-
-    def met(self) -> Iterator[Intruder]:
-        """Yield the intruders in the order in which they came."""
-        yield from sorted(self.intruders.values(), key=lambda intruder: intruder.since_s)
 
 
 class Whose(Enum):

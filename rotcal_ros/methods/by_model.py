@@ -16,7 +16,7 @@ import numpy as np
 from rotcal_ros.adjust.engine import Adjusted, adjust
 from rotcal_ros.adjust.model import Model
 from rotcal_ros.capture.attempt import CaptureRules
-from rotcal_ros.capture.points import mean_point, points
+from rotcal_ros.capture.decisions import mean_point, points
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Observation, PointKind

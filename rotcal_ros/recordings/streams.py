@@ -15,7 +15,7 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Columns
 from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.capture import messages as records
-from rotcal_ros.capture.instruments.forms import STAMP, Form, form_of
+from rotcal_ros.capture.instruments.conventions import STAMP, Form, form_of
 from rotcal_ros.capture.instruments.interpreter import (
     FEEDBACK,
     READING,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rotcal_ros.capture.beam import Beam
+from rotcal_ros.capture.window import Beam
 
 MS = 1_000_000
 

@@ -47,25 +47,23 @@ def judge(**publishers):
 )  # fmt: skip
 def test_a_run_hears_those_with_whom_it_began(believed, events, expected):
     heard = judge(points=believed)
-    found = [heard.hears(POINTS, Origin(*event), float(t)) for t, event in enumerate(events)]
-    assert found == expected
-    assert sum(i.count for i in heard.met()) == expected.count(False)
+    assert [heard.hears(POINTS, Origin(*event)) for event in events] == expected
+    assert bool(heard.intruders) == (False in expected)
 
 
 def test_topics_are_judged_each_for_itself():
     heard = judge(points=(OURS,), lengths=(THIRD,))
-    assert not heard.hears(LENGTHS, Origin(OURS, 1), 0.0)
-    assert heard.hears(POINTS, Origin(OURS, 1), 0.0)
-    assert heard.hears("/cell/heartbeat", Origin(STRAY, 1), 0.0)
+    assert not heard.hears(LENGTHS, Origin(OURS, 1))
+    assert heard.hears(POINTS, Origin(OURS, 1))
+    assert heard.hears("/cell/heartbeat", Origin(STRAY, 1))
 
 
 def test_an_intruder_is_named_with_its_topic_and_what_to_do():
     heard = judge(points=(OURS,))
-    for t in (3.0, 4.0):
-        heard.hears(POINTS, Origin(STRAY, 1), t)
-    heard.hears(POINTS, Origin(THIRD, 1), 2.0)
-    first, second = heard.met()
-    assert (first.publisher, second) == (THIRD, Intruder(POINTS, STRAY, 3.0, 2))
+    for publisher in (THIRD, STRAY, THIRD):
+        heard.hears(POINTS, Origin(publisher, 1))
+    first, second = heard.intruders
+    assert (first.publisher, second) == (THIRD, Intruder(POINTS, STRAY))
     text = second.in_words("second_probe")
     assert "/cell/probe_point: node second_probe publishes there too" in text
     assert "left alone" in text
@@ -73,7 +71,7 @@ def test_an_intruder_is_named_with_its_topic_and_what_to_do():
 
 
 def test_an_instrument_that_was_started_anew_is_not_told_to_go_away():
-    text = Intruder(POINTS, STRAY, 3.0, 2).in_words("probe", anew=True)
+    text = Intruder(POINTS, STRAY).in_words("probe", anew=True)
     assert "/cell/probe_point: node probe was restarted" in text
     assert "left alone until another run begins" in text
     assert "end that node" not in text
@@ -100,14 +98,14 @@ def test_a_topic_that_nobody_publishes_any_more_has_nobody_who_was_started_anew(
 
 def test_the_next_run_begins_without_intruders_and_the_same_words_change_nothing():
     heard = judge(points=(OURS,))
-    heard.hears(POINTS, Origin(STRAY, 1), 0.0)
+    heard.hears(POINTS, Origin(STRAY, 1))
     heard.believe(Believed({POINTS: (OURS,)}))
     assert len(heard.intruders) == 1
     heard.believe(Believed({POINTS: (STRAY,)}))
     assert not heard.intruders
-    assert heard.hears(POINTS, Origin(STRAY, 2), 1.0)
+    assert heard.hears(POINTS, Origin(STRAY, 2))
     heard.believe(Believed())
-    assert heard.hears(POINTS, Origin(OURS, 1), 2.0)
+    assert heard.hears(POINTS, Origin(OURS, 1))
 
 
 def test_all_listeners_read_the_same_words():

@@ -10,7 +10,7 @@ import pytest
 from capture_scenes import MS, SETTINGS, make_plan, make_scene, probe_sample, replay, table_off
 
 from rotcal_ros.capture import Capture, CaptureRules
-from rotcal_ros.capture.points import points
+from rotcal_ros.capture.decisions import points
 from rotcal_ros.capture.window import ReducedWindow
 from rotcal_ros.foundation.observations import PointKind
 

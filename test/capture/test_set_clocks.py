@@ -7,8 +7,8 @@ import pytest
 from capture_scenes import MS, RULES, SECOND, SETTINGS, make_plan, make_scene
 
 from rotcal_ros.capture import Capture
-from rotcal_ros.capture.beam import Beam
 from rotcal_ros.capture.streams import Stream
+from rotcal_ros.capture.window import Beam
 from rotcal_ros.foundation.observations import (
     ProbeSample,
     TableSample,

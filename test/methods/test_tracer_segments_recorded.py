@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotcal_ros.capture.beam import Beam
+from rotcal_ros.capture.window import Beam
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.observations import LengthStatus
 from rotcal_ros.foundation.units import MICROMETRE

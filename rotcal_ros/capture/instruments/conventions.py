@@ -1,14 +1,20 @@
-"""The units of an instrument and the clock of its stamps: its numbers become SI."""
+"""The messages of an instrument: which fields hold its numbers, their units, and its clock.
+
+Its numbers become SI. Fields are named by their dotted path, which is an attribute of a live
+message and a column of a bag alike.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Any, Final
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import LENGTH_UNITS, TopicSettings
-from rotcal_ros.capture.instruments.forms import form_of
+from rotcal_ros.capture.messages import stamp_ns
+from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.observations import (
     HumiditySample,
     PressureSample,
@@ -136,3 +142,72 @@ class Conventions:
             "length_trigger": "",
         }
         return replace(self.nameless, **irrelevant) == TopicSettings()
+
+
+STAMP: Final = ("header.stamp.sec", "header.stamp.nanosec")
+
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """The fields of a message type: its ``numbers``, and the ``limits`` of their valid range."""
+
+    numbers: tuple[str, ...]
+    stamped: bool = True
+    limits: tuple[str, ...] = ()
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """All fields that are read: numbers, limits, and the stamp where there is one."""
+        return (*self.numbers, *self.limits, *(STAMP if self.stamped else ()))
+
+    def row(self, message: Any) -> tuple[float, ...]:
+        """Return numbers and limits of a live message."""
+        return tuple(float(attrgetter(name)(message)) for name in (*self.numbers, *self.limits))
+
+    def stamp_ns(self, message: Any, sent_ns: int) -> int:
+        """Return the stamp of a live message; the time of sending where it has none."""
+        return stamp_ns(message.header.stamp) if self.stamped else sent_ns
+
+
+_SCALARS: Final = {
+    "std_msgs/msg/Float64": Form(("data",), stamped=False),
+    "std_msgs/msg/Float32": Form(("data",), stamped=False),
+    "sensor_msgs/msg/Range": Form(("range",), limits=("min_range", "max_range")),
+}
+_POINTS: Final = {
+    "geometry_msgs/msg/PointStamped": Form(("point.x", "point.y", "point.z")),
+    "geometry_msgs/msg/PoseStamped": Form(
+        ("pose.position.x", "pose.position.y", "pose.position.z")
+    ),
+    "geometry_msgs/msg/Vector3Stamped": Form(("vector.x", "vector.y", "vector.z")),
+}
+FORMS: Final[Mapping[str, Mapping[str, Form]]] = {
+    names.TRACER_LENGTH: _SCALARS,
+    names.JOINT_STATES: _SCALARS,
+    names.PROBE_POINT: _POINTS,
+    names.TEMPERATURE: _SCALARS,
+    names.AIR_PRESSURE: _SCALARS,
+    names.RELATIVE_HUMIDITY: _SCALARS,
+}
+"""The types that each role accepts beside its own, by name."""
+OWN: Final[Mapping[str, str]] = {
+    names.TRACER_LENGTH: "rotcal_msgs/msg/TracerLength",
+    names.JOINT_STATES: "sensor_msgs/msg/JointState",
+    names.PROBE_POINT: "rotcal_msgs/msg/ProbePoint",
+    names.TEMPERATURE: "sensor_msgs/msg/Temperature",
+    names.AIR_PRESSURE: "sensor_msgs/msg/FluidPressure",
+    names.RELATIVE_HUMIDITY: "sensor_msgs/msg/RelativeHumidity",
+}
+"""The type made for each role: with numbers, status, step."""
+
+
+def form_of(role: str, type_name: str) -> Form | None:
+    """Return the form of a foreign type that the role accepts; None for any other type."""
+    return FORMS.get(role, {}).get(type_name)
+
+
+def check_type(role: str, type_name: str) -> None:
+    """Raise ConfigurationError unless messages of a type can be used in a role."""
+    if type_name != OWN.get(role) and form_of(role, type_name) is None:
+        usable = ", ".join([OWN[role], *FORMS[role]])
+        raise ConfigurationError(f"{role}: {type_name} is no message for it; it may be {usable}")

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.capture import messages
-from rotcal_ros.capture.instruments.conventions import Conventions
-from rotcal_ros.capture.instruments.forms import Form, form_of
+from rotcal_ros.capture.instruments.conventions import Conventions, Form, form_of
 from rotcal_ros.capture.instruments.steps import Position
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.observations import (

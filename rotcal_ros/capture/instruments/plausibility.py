@@ -1,16 +1,18 @@
-"""Which unit the numbers of an instrument seem to have, when it is not the stated one.
+"""Which unit the numbers of an instrument seem to have, and how often it sends.
 
 Each function returns what is implausible in words that follow the name of a topic, or None.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator, Mapping
 from math import isfinite, pi
 from typing import Final
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import ANGLE_UNITS, LENGTH_UNITS, TopicSettings
+from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.planning.plan import Plan
 
 _FULL_TURN: Final = 2.0 * pi
@@ -118,3 +120,38 @@ def implausible_air(values: Mapping[str, float]) -> Iterator[tuple[str, str]]:
 def _instead(setting: str, unit: str | None) -> str:
     """Return a clause that asks for another unit, if there is one that fits."""
     return f": is it in {unit}? Then set {setting}: {unit}" if unit else ""
+
+
+_REMEMBERED: Final = 500
+"""Stamps of a stream over which its rate is taken."""
+_LEAST: Final = 5
+"""Messages from which on there is a rate."""
+_LONGEST_NS: Final = 60_000_000_000
+"""After a longer pause, or a clock that was set, the rate is counted anew."""
+
+
+class Rates:
+    """The mean rate (Hz) of each stream over its latest messages, pauses of bursts included."""
+
+    def __init__(self) -> None:
+        self._stamps: dict[str, deque[int]] = {}
+
+    def note(self, role: str, stamp_ns: int) -> None:
+        """Take the stamp of a message."""
+        stamps = self._stamps.setdefault(role, deque(maxlen=_REMEMBERED))
+        if stamps and not 0 <= stamp_ns - stamps[-1] < _LONGEST_NS:
+            stamps.clear()
+        stamps.append(stamp_ns)
+
+    def forget(self, role: str) -> None:
+        """Count a stream anew."""
+        self._stamps.pop(role, None)
+
+    def hertz(self) -> dict[str, float]:
+        """Return the rates of the streams with enough messages; 0 where the stamps stand still."""
+        rates = {}
+        for role, stamps in self._stamps.items():
+            span_ns = stamps[-1] - stamps[0]
+            if len(stamps) >= _LEAST:
+                rates[role] = (len(stamps) - 1) / (span_ns * NANOSECOND) if span_ns > 0 else 0.0
+        return rates

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from rotcal_ros.capture.attempt import CaptureRules
-from rotcal_ros.capture.points import points
+from rotcal_ros.capture.decisions import points
 from rotcal_ros.foundation.curves import gauge
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.methods.ball_plate import calibration, table

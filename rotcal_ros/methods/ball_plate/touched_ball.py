@@ -8,7 +8,7 @@ from math import dist
 
 import numpy as np
 
-from rotcal_ros.capture.points import mean_point
+from rotcal_ros.capture.decisions import mean_point
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.window import ReducedWindow
 from rotcal_ros.foundation.arrays import Floats

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from rotcal_ros.capture.attempt import CaptureRules
-from rotcal_ros.capture.points import mean_point, points
+from rotcal_ros.capture.decisions import mean_point, points
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.gum_numbers import value_with_uncertainty
 from rotcal_ros.foundation.observations import PointKind

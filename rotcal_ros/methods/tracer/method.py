@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Final
 
 from rotcal_ros.capture.attempt import CaptureRules
-from rotcal_ros.capture.length import decide_length
+from rotcal_ros.capture.decisions import decide_length
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Adaptive, Method, See, Stations, TableReader

@@ -6,7 +6,7 @@ import time
 from typing import Any, Final
 
 from rclpy.qos import QoSProfile
-from rotcal_msgs.msg import ProbePoint, TableInForce, TracerLength
+from rotcal_msgs import msg
 from sensor_msgs.msg import FluidPressure, JointState, RelativeHumidity, Temperature
 
 from rotcal_ros.bags import names
@@ -60,7 +60,7 @@ class SimulatedCellNode(CellNode):
             self, self.settings("safety", SafetySettings), "the machine stands still", self._halt
         )
         if self._cell.instrument.streams_lengths:
-            self._tracer = self._instrument(TracerLength, names.TRACER_LENGTH, STREAM)
+            self._tracer = self._instrument(msg.TracerLength, names.TRACER_LENGTH, STREAM)
         self._probe_frame = self._cell.instrument.frame
         if settings.table.external:
             self.listen(JointState, "table_actual", self._follow, STREAM)
@@ -70,10 +70,10 @@ class SimulatedCellNode(CellNode):
         controlled = self.given.get("bridge", {}).get("controller_folder")
         if not settings.table.external and not controlled:
             self._table_in_force = self.create_publisher(
-                TableInForce, names.TABLE_IN_FORCE, LATCHED
+                msg.TableInForce, names.TABLE_IN_FORCE, LATCHED
             )
             self.every(ANNOUNCING_PERIOD_S, self._announce)
-        self._probe = self._instrument(ProbePoint, names.PROBE_POINT, EVENT)
+        self._probe = self._instrument(msg.ProbePoint, names.PROBE_POINT, EVENT)
         self._temperature = self._instrument(Temperature, names.TEMPERATURE, EVENT)
         self._air = {
             kind: self._instrument(message, name, EVENT)

@@ -15,8 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
-from rotcal_msgs.msg import TableInForce
+from rotcal_msgs import msg
 from rotcal_msgs.srv import ApplyTable, GetCorrection, RestoreTable
 
 from rotcal_ros.bags import names
@@ -64,7 +63,7 @@ class BridgeNode(CellNode):
         self._state = NodeState.of(State.WAITING, Why.NO_TABLE)
         self._own: dict[str, Any] = {"controller": settings.controller, "axis": cell.axis}
         self._facts: dict[str, Any] = {}
-        self.listen(CompensationTableMsg, "compensation_table", self._take, LATCHED)
+        self.listen(msg.CompensationTable, "compensation_table", self._take, LATCHED)
         self.offer(GetCorrection, "get_correction", self._look_up)
         self._access = ControllerAccess(self, self._feed, self._note)
 
@@ -72,7 +71,7 @@ class BridgeNode(CellNode):
         """Release the controller; what is being written is finished first."""
         self._access.close()
 
-    def _take(self, message: CompensationTableMsg) -> None:
+    def _take(self, message: msg.CompensationTable) -> None:
         """Check a table against the configuration and write its files; a bad one is refused."""
         self._correction = None
         self._feed.forget()
@@ -140,7 +139,7 @@ class Announcer:
     ) -> None:
         self._node, self._feed, self._worker, self._tell = node, feed, worker, tell
         self._looking: Future[tuple[str, str | None]] | None = None
-        self._publisher = node.create_publisher(TableInForce, names.TABLE_IN_FORCE, LATCHED)
+        self._publisher = node.create_publisher(msg.TableInForce, names.TABLE_IN_FORCE, LATCHED)
         node.every(PERIOD_S, self._announce)
 
     def _announce(self) -> None:

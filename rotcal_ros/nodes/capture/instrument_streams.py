@@ -14,10 +14,9 @@ from sensor_msgs.msg import JointState
 from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.capture import CaptureSettings
-from rotcal_ros.capture.instruments.conventions import Conventions, single_shots
-from rotcal_ros.capture.instruments.forms import OWN, check_type
+from rotcal_ros.capture.instruments.conventions import OWN, Conventions, check_type, single_shots
 from rotcal_ros.capture.instruments.interpreter import FAST, Interpreter
-from rotcal_ros.capture.instruments.rates import Rates
+from rotcal_ros.capture.instruments.plausibility import Rates
 from rotcal_ros.capture.instruments.steps import Position
 from rotcal_ros.capture.stamp_offsets import OffsetLimits, StampOffsets
 from rotcal_ros.foundation.errors import BagError, ConfigurationError

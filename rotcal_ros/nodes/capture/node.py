@@ -6,8 +6,7 @@ import time
 from collections import Counter
 from typing import Any, Final
 
-from rotcal_msgs.msg import CalibrationPlan
-from rotcal_msgs.msg import Observation as ObservationMsg
+from rotcal_msgs import msg
 from std_srvs.srv import Trigger
 
 from rotcal_ros.bags import names
@@ -102,7 +101,7 @@ class CaptureNode(CellNode):
         self._verdicts: Counter[str] = Counter()
         self._trigger = LengthTrigger(self)
         self._warnings = CaptureWarnings(self.health, self.get_logger())
-        self._observations = self.create_publisher(ObservationMsg, names.OBSERVATION, EVENT)
+        self._observations = self.create_publisher(msg.Observation, names.OBSERVATION, EVENT)
         PlanSubscription(self, self._take_plan)
         self._instruments = InstrumentStreams(self, self._hear)
         self._orders = self.take_orders(self._take_order)
@@ -140,7 +139,7 @@ class CaptureNode(CellNode):
             self._warnings.observed(observation)
             self._observations.publish(conversions.observation_message(observation))
 
-    def _take_plan(self, message: CalibrationPlan) -> None:
+    def _take_plan(self, message: msg.CalibrationPlan) -> None:
         self._capture, self._finder, self._run = None, None, ""
         self._orders.clear()
         self._warnings.begin()

@@ -4,9 +4,10 @@ Prints what was found as JSON, see :class:`~rotcal_ros.methods.check_lines.CellR
 own capture listens, under a hidden name and without publishing, and the planner's preflight
 judges: what passes here passes there.
 
-Lines on streams, drivers and other nodes are made in ``check`` beside it; here are those on the
-frames (what headers name, what /tf_static says), on who may stop the cell, and on the machine: the
-joint of its table, and who obeys the two orders.
+Lines on drivers and other nodes are made in ``snapshot`` beside it; here are those on the frames
+(what headers name, what /tf_static says), on who may stop the cell, on the machine (the joint of
+its table, and who obeys the two orders), and on the streams: who publishes, how often, and what is
+wrong.
 """
 
 from __future__ import annotations
@@ -15,13 +16,13 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
 from math import isfinite
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -32,8 +33,9 @@ from rotcal_msgs.msg import CalibrationPlan
 from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.bags.topic_roles import TOPIC
-from rotcal_ros.capture.instruments.conventions import Conventions
-from rotcal_ros.capture.stamp_offsets import OffsetLimits, StampOffsets
+from rotcal_ros.capture.instruments.conventions import OWN, Conventions, single_shots
+from rotcal_ros.capture.instruments.interpreter import FAST
+from rotcal_ros.capture.stamp_offsets import DOUBT_S, OffsetLimits, StampOffsets
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.middleware import discovery_in_words
@@ -41,7 +43,7 @@ from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.geometry.frames import FrameTree, Pose
 from rotcal_ros.methods import Calibration, Configuration
 from rotcal_ros.methods.calibration import prepare_to_measure
-from rotcal_ros.methods.check_lines import CellReport, CheckLine
+from rotcal_ros.methods.check_lines import CellReport, CheckLine, State
 from rotcal_ros.methods.configuration import changed, parse_configuration, read_configuration
 from rotcal_ros.methods.dry_run import DryRun
 from rotcal_ros.methods.method import DEFAULT
@@ -49,23 +51,18 @@ from rotcal_ros.nodes.capture.instrument_streams import TIMED
 from rotcal_ros.nodes.capture.node import CaptureNode
 from rotcal_ros.nodes.check.snapshot import (
     CellSnapshot,
+    Finding,
     HeaderWatch,
     TableBehindDriver,
     brought_line,
     cell_lines,
     driver_lines,
+    namesakes,
     table_behind_driver,
     watch_headers,
 )
-from rotcal_ros.nodes.check.stream_lines import clock_line, stream_lines
-from rotcal_ros.nodes.planner.preflight import (
-    chosen_joint,
-    frame_doubts,
-    joint_doubts,
-    joints,
-    table_angle,
-)
-from rotcal_ros.nodes.runtime.beat_values import OFFSET
+from rotcal_ros.nodes.planner import preflight
+from rotcal_ros.nodes.runtime.beat_values import CLOCK_DOUBT, NOW, OFFSET, REFUSED
 from rotcal_ros.nodes.runtime.cell_graph import ORDERS, CellGraph
 from rotcal_ros.nodes.runtime.message_types import message_type
 from rotcal_ros.nodes.runtime.qos import LATCHED
@@ -78,10 +75,11 @@ from rotcal_ros.sessions.domains import domains_in_use
 NAME: Final = "cell_check"
 EARS: Final = "_cell_check_ears"
 """Name of the capture that listens here; ROS hides names that begin with an underscore."""
-STREAMS: Final = (
-    names.JOINT_STATES, names.PROBE_POINT, names.TRACER_LENGTH, names.TEMPERATURE,
-    names.AIR_PRESSURE, names.RELATIVE_HUMIDITY,
-)  # fmt: skip
+STREAMS: Final[Mapping[str, str]] = {
+    names.JOINT_STATES: "table", names.PROBE_POINT: "probe", names.TRACER_LENGTH: "tracer",
+    names.TEMPERATURE: "air", names.AIR_PRESSURE: "air", names.RELATIVE_HUMIDITY: "air",
+}  # fmt: skip
+"""The streams: topic -> part of the cell."""
 _OWN_TOPICS: Final = (
     names.HEARTBEAT, "/diagnostics", names.PLAN, names.OBSERVATION, names.TABLE_ANGLE,
     names.PROBE_TARGET,
@@ -232,7 +230,7 @@ class FramesHeard:
         if named:
             words = (f"{frame or 'no frame_id'} in {', '.join(t)}" for frame, t in named.items())
             yield CheckLine("frames", "headers", "note", "; ".join(words))
-        for doubt in frame_doubts(snapshot.values, snapshot.configuration):
+        for doubt in preflight.frame_doubts(snapshot.values, snapshot.configuration):
             yield CheckLine("frames", "probe_point", "doubt", doubt, _TODO)
         if not self._static.heard:
             found = "not heard: tf2_msgs is not installed here (a ROS installation has it)"
@@ -305,7 +303,7 @@ def machine_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
     """Yield a line for the joint and for every order."""
     if snapshot.adapter is not None:
         yield from _adapter_lines(snapshot)
-    elif joints(snapshot.values):
+    elif preflight.joints(snapshot.values):
         yield _joint_line(snapshot)
     for order in ORDERS:
         yield from _order_lines(snapshot, order)
@@ -313,24 +311,24 @@ def machine_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
 
 def table_start(snapshot: CellSnapshot) -> float:
     """Return where the table stands (rad), as far as it was heard."""
-    angle = table_angle(snapshot.values, snapshot.configuration)
+    angle = preflight.table_angle(snapshot.values, snapshot.configuration)
     return angle if isfinite(angle) and not next(_doubts(snapshot), "") else 0.0
 
 
 def _doubts(snapshot: CellSnapshot) -> Iterator[str]:
-    return joint_doubts(snapshot.values, snapshot.configuration)
+    return preflight.joint_doubts(snapshot.values, snapshot.configuration)
 
 
 def _joint_line(snapshot: CellSnapshot) -> CheckLine:
     joint = snapshot.configuration.cell.joint
-    chosen = chosen_joint(snapshot.values, joint)
+    chosen = preflight.chosen_joint(snapshot.values, joint)
     if fault := next(snapshot.joint_faults(), ""):
-        there = ", ".join(map(printable, joints(snapshot.values)))
+        there = ", ".join(map(printable, preflight.joints(snapshot.values)))
         todo = f"cell.joint: one of {there}"
-        if chosen in joints(snapshot.values):
+        if chosen in preflight.joints(snapshot.values):
             todo = f"velocity of the joint: {PUBLISH_VELOCITY}"
         return CheckLine("table", "joint", "missing", fault, todo)
-    angle, speed = joints(snapshot.values)[chosen]
+    angle, speed = preflight.joints(snapshot.values)[chosen]
     found = f"{chosen} at {angle:.6g} rad = {angle / DEGREE:.4f}°, {speed / DEGREE:.3g}°/s"
     if doubt := next(_doubts(snapshot), ""):
         return CheckLine("table", "joint", "doubt", doubt, "publish the feedback in radians")
@@ -365,10 +363,166 @@ def _adapter_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
     elif outside := snapshot.adapter.outside():
         todo = "publish the joint in rad, or correct table_adapter.lower_deg and upper_deg"
         yield CheckLine("table", "joint", "doubt", outside, todo)
-    elif joints(snapshot.values):
+    elif preflight.joints(snapshot.values):
         yield _joint_line(snapshot)
     if not snapshot.started_by_us:
         yield from snapshot.adapter.controller_lines()
+
+
+_CLOCKS: Final = (
+    "set the clocks of all machines alike (chrony, ptp), and stamp when it is measured"
+)
+_UNITS: Final[Mapping[str, str]] = {
+    names.PROBE_POINT: "m", names.TRACER_LENGTH: "m", names.TEMPERATURE: "°C",
+    names.AIR_PRESSURE: "Pa", names.RELATIVE_HUMIDITY: "of 1",
+}  # fmt: skip
+
+_IN_WORDS: Final[Mapping[str, str]] = {
+    names.TEMPERATURE: "degrees Celsius", names.AIR_PRESSURE: "pascal",
+    names.RELATIVE_HUMIDITY: "shares from 0 to 1",
+}  # fmt: skip
+
+
+def stream_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
+    """Yield a line for every stream."""
+    for topic in STREAMS:
+        yield _line(snapshot, topic)
+
+
+def clock_line(snapshot: CellSnapshot) -> CheckLine:
+    """Say whether the clocks of the streams agree, by the times of arrival."""
+    if OFFSET in snapshot.values:
+        return CheckLine("clocks", "stamps", "missing", snapshot.values[OFFSET], _CLOCKS)
+    if doubt := snapshot.values.get(CLOCK_DOUBT):
+        return CheckLine("clocks", "stamps", "doubt", doubt, _CLOCKS)
+    if not snapshot.compared:
+        return CheckLine("clocks", "stamps", "note", "too few stamped streams to compare")
+    found = f"{', '.join(snapshot.compared)} and joint_states agree within {DOUBT_S:g} s"
+    return CheckLine("clocks", "stamps", "good", found)
+
+
+def _line(snapshot: CellSnapshot, topic: str) -> CheckLine:
+    part = STREAMS[topic]
+    offers, watch = (
+        snapshot.graph.offers(snapshot.name(topic)),
+        snapshot.headers.get(topic, HeaderWatch()),
+    )
+    if not offers:
+        return _absent(snapshot, topic)
+    problem = _problem(snapshot, topic, offers, watch)
+    wrong = [w for w in (problem, _doubt(snapshot, topic, watch)) if w is not None]
+    state: State = "doubt" if wrong else "good"
+    if problem is not None and topic in snapshot.topics:
+        state = "missing"
+    found = "; ".join([*(w.found for w in wrong), _seen(snapshot, topic, offers)])
+    todo = wrong[0].todo if wrong else ""
+    return CheckLine(part, topic, state, found, todo, watch.rate_hz, watch.ahead_s)
+
+
+def _absent(snapshot: CellSnapshot, topic: str) -> CheckLine:
+    """Return the line of a stream that nobody publishes."""
+    part, kind = STREAMS[topic], OWN[topic]
+    name = snapshot.name(topic)
+    if snapshot.started_by_us:
+        return CheckLine(part, topic, "note", "simulated: rotcal run starts it")
+    if line := brought_line(snapshot, part, topic, "tells it"):
+        return line
+    planned = snapshot.calibration
+    required, wished = preflight.expected_air(planned) if planned else ([], [])
+    if topic in snapshot.topics or topic in required:
+        why = snapshot.unusable(topic) or ""
+        todo = namesakes(snapshot.graph, topic, name, kind) or f"publish {kind} on {name}"
+        return CheckLine(part, topic, "missing", why, todo)
+    if topic in wished:
+        why = preflight.without_air(topic, name, snapshot.configuration)
+        return CheckLine(part, topic, "doubt", f"nobody publishes {name}", why)
+    return CheckLine(part, topic, "note", "nobody publishes it, and nobody needs it")
+
+
+def _problem(
+    snapshot: CellSnapshot, topic: str, offers: list[Any], watch: HeaderWatch
+) -> Finding | None:
+    """Return why nothing can be measured with a stream; None: it can be."""
+    kind, name = OWN[topic], snapshot.name(topic)
+    limit_s = snapshot.configuration.planner.stream_timeout_s
+    if text := snapshot.values.get(REFUSED + topic):
+        return Finding(text, f"publish {kind} on {name}")
+    bad_joint = topic == names.JOINT_STATES and any(snapshot.joint_faults())  # its line tells it
+    if not bad_joint and (why := snapshot.unusable(topic)):
+        if topic == names.JOINT_STATES and snapshot.adapter is not None:
+            return snapshot.adapter.wrong()
+        many = f"stop all publishers of {name} but one"
+        return Finding(why, many if len(offers) > 1 else _silent(watch, name))
+    if wrong := next(_faults(snapshot, topic), None):
+        return Finding(wrong, f"publish {name} as expected, or set what its line names")
+    if watch.unstamped and watch.unstamped == watch.count:
+        todo = f"fill header.stamp of {name}: when it was measured"
+        return Finding("its messages have no stamp", todo)
+    silence_s = time.monotonic() - watch.heard_s
+    steady = topic in FAST and topic not in single_shots(snapshot.configuration.topics)
+    if steady and silence_s > limit_s:
+        todo = f"let {name} stream without a pause, or raise planner.stream_timeout_s"
+        found = f"silent for {silence_s:.1f} s (planner.stream_timeout_s {limit_s:g})"
+        return Finding(found, todo)
+    return None
+
+
+def _faults(snapshot: CellSnapshot, topic: str) -> Iterator[str]:
+    """Yield what the preflight finds wrong with the numbers of a stream."""
+    values, configuration = snapshot.values, snapshot.configuration
+    if topic == names.TRACER_LENGTH:
+        yield from preflight.length_faults(values, configuration)
+    if topic == names.PROBE_POINT and snapshot.calibration is not None:
+        yield from preflight.probe_faults(values, configuration, snapshot.calibration.plan)
+    rates = preflight.rate_faults(values, configuration)
+    yield from (text for role, text in rates if role == topic)
+
+
+def _silent(watch: HeaderWatch, name: str) -> str:
+    if not watch.count:
+        return f"let its node publish on {name} before it is asked, at least once a second"
+    return f"{name} delivers nothing usable: see its status, and whether its numbers are finite"
+
+
+def _doubt(snapshot: CellSnapshot, topic: str, watch: HeaderWatch) -> Finding | None:
+    """Return what looks wrong about a stream though it can be measured with."""
+    limit_s, name = snapshot.configuration.capture.stamp_offset_s, snapshot.name(topic)
+    planned, is_table, values = snapshot.calibration, topic == names.JOINT_STATES, snapshot.values
+    if planned and (small := next(preflight.size_doubts(values, planned, topic), None)):
+        return Finding(small, f"publish {name} in the unit that the group topics states")
+    if is_table and (slow := next(preflight.slow_table(values, snapshot.configuration), None)):
+        return Finding(slow, f"publish {name} more often")
+    if topic in _IN_WORDS and (odd := next(preflight.air_doubts(values, topic), None)):
+        return Finding(odd, f"publish {name} in {_IN_WORDS[topic]}")
+    fast = snapshot.configuration.simulated  # a simulation may run on a time of its own
+    if watch.ahead_s is not None and abs(watch.ahead_s) > limit_s and not fast:
+        way = "ahead of" if watch.ahead_s > 0 else "behind"
+        return Finding(f"stamps {abs(watch.ahead_s):.2f} s {way} this machine's clock", _CLOCKS)
+    if watch.set_back:
+        return Finding(f"{watch.set_back} stamps go back", f"let the stamps of {name} ascend")
+    return None
+
+
+def _seen(snapshot: CellSnapshot, topic: str, offers: list[Any]) -> str:
+    """Return what can be seen of a stream that is published."""
+    nodes = ", ".join(sorted({info.node_name for info in offers}))
+    profile = offers[0].qos_profile
+    words = [f"node {nodes}"]
+    now = snapshot.values.get(NOW + topic, "")
+    if topic in _UNITS and now:
+        words.append(_reading(now, topic))
+    words.append(profile.reliability.name.lower().replace("_", " "))
+    if profile.durability.name == "TRANSIENT_LOCAL":
+        words.append("latched")
+    return " · ".join(words)
+
+
+def _reading(now: str, topic: str) -> str:
+    """Return a reading of the capture's beat with its unit."""
+    if topic == names.PROBE_POINT:
+        return f"({', '.join(f'{float(x):.4f}' for x in now.split())}) m"
+    value, *rest = now.split()
+    return " ".join([value, _UNITS[topic], *rest])
 
 
 def main() -> None:

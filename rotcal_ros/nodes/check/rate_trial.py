@@ -22,7 +22,7 @@ from rotcal_msgs.msg import TracerLength
 from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import TopicSettings
 from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.capture.instruments.forms import OWN
+from rotcal_ros.capture.instruments.conventions import OWN
 from rotcal_ros.capture.instruments.interpreter import Interpreter
 from rotcal_ros.foundation import machine_load
 from rotcal_ros.foundation.machine_load import Patience

@@ -11,16 +11,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from math import nan
 from typing import Final
 
-from rotcal_msgs.msg import (
-    CalibrationPlan,
-    DeviationArray,
-    ProbeTarget,
-    RecordedObservation,
-    StepChoice,
-    TableAngle,
-)
-from rotcal_msgs.msg import Observation as ObservationMsg
-from rotcal_msgs.msg import Pause as PauseMsg
+from rotcal_msgs import msg
 from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
 from std_srvs.srv import Trigger
 
@@ -94,19 +85,19 @@ class CellLinks:
         self.current_std = math.nan
         self._plan_id = ""
         self._publish()
-        node.listen(ObservationMsg, names.OBSERVATION, self._observed, EVENT, judged=True)
+        node.listen(msg.Observation, names.OBSERVATION, self._observed, EVENT, judged=True)
         node.listen(
-            RecordedObservation, names.OBSERVATION_RECORDED, self._recorded, EVENT, judged=True
+            msg.RecordedObservation, names.OBSERVATION_RECORDED, self._recorded, EVENT, judged=True
         )
-        node.listen(DeviationArray, "deviations", self._solved, LATCHED)
+        node.listen(msg.DeviationArray, "deviations", self._solved, LATCHED)
         self.services = CellServices(node)
 
     def _publish(self) -> None:
         node = self.node
-        self._plans = node.create_publisher(CalibrationPlan, names.PLAN, LATCHED)
-        self._tables = node.create_publisher(TableAngle, names.TABLE_ANGLE, EVENT)
-        self._probes = node.create_publisher(ProbeTarget, names.PROBE_TARGET, EVENT)
-        self._choices = node.create_publisher(StepChoice, names.STEP_CHOICE, EVENT)
+        self._plans = node.create_publisher(msg.CalibrationPlan, names.PLAN, LATCHED)
+        self._tables = node.create_publisher(msg.TableAngle, names.TABLE_ANGLE, EVENT)
+        self._probes = node.create_publisher(msg.ProbeTarget, names.PROBE_TARGET, EVENT)
+        self._choices = node.create_publisher(msg.StepChoice, names.STEP_CHOICE, EVENT)
 
     def publish_anew(self) -> None:
         """Replace all publishers: new ones may be discovered where the old ones were not."""
@@ -129,12 +120,12 @@ class CellLinks:
             default=None,
         )
 
-    def announce(self, plan: CalibrationPlan) -> None:
+    def announce(self, plan: msg.CalibrationPlan) -> None:
         """Publish the plan."""
         self._plan_id = plan.plan_id
         self._plans.publish(plan)
 
-    def tell_choice(self, choice: StepChoice) -> None:
+    def tell_choice(self, choice: msg.StepChoice) -> None:
         """Publish what is measured next, and why."""
         self._choices.publish(choice)
 
@@ -149,14 +140,6 @@ class CellLinks:
         for text in texts:
             self.node.get_logger().warning(text)
         show(self.health, key, "; ".join(texts))
-
-    def publishers(self, topic: str) -> list[str]:
-        """Return the names of the nodes that publish ``topic``."""
-        return self.graph.publishers(topic)
-
-    def resolve(self, topic: str) -> str:
-        """Return the absolute name of a topic of the cell."""
-        return self.graph.resolve(topic)
 
     def instrument(self, role: str) -> str:
         """Return the absolute name of an instrument's topic, as the capture knows it."""
@@ -190,12 +173,12 @@ class CellLinks:
                 name, topic in silent or heard.get(f"valid.{topic}", "0") != "0"
             )
         ]
-        here = [] if all(map(self.publishers, measured)) else [discovery_in_words(os.environ)]
+        here = [] if all(map(graph.publishers, measured)) else [discovery_in_words(os.environ)]
         found += [text for topic in ORDERS for text in graph.without_machine(topic)]
-        stops = [stop] if stop and self.publishers(stop) else []
+        stops = [stop] if stop and graph.publishers(stop) else []
         recorded = (*measured, *ORDERS, names.PLAN, names.OBSERVATION, names.STEP_CHOICE, *stops)
         unheard = (topic for topic in recorded if "recorder" not in graph.listeners(topic))
-        return found + here + [self._unrecorded(self.resolve(topic)) for topic in unheard]
+        return found + here + [self._unrecorded(self.graph.resolve(topic)) for topic in unheard]
 
     def _unrecorded(self, name: str) -> str:
         """Say that the recorder does not listen to a topic yet, or why it cannot."""
@@ -211,7 +194,7 @@ class CellLinks:
         for topic, owner in OWNERS.items():
             offers = self.graph.offers(topic)
             own = [i for i in offers if (i.node_name, i.node_namespace) == (owner, place)]
-            found[self.resolve(topic)] = own
+            found[self.graph.resolve(topic)] = own
         return Believed({
             topic: tuple(sorted(publisher_of(info.endpoint_gid) for info in infos))
             for topic, infos in found.items()
@@ -234,7 +217,7 @@ class CellLinks:
         """Return on which topics the publisher is not unique yet, in words."""
         believed, found = self.believed(()).publishers, list[str]()
         for topic, owner in OWNERS.items():
-            name = self.resolve(topic)
+            name = self.graph.resolve(topic)
             count = len(believed.get(name, ()))
             if count > 1:
                 found.append(
@@ -267,7 +250,7 @@ class CellLinks:
         """Return the orders that do not reach all machines that beat yet, in words."""
         publishers = {names.TABLE_ANGLE: self._tables, names.PROBE_TARGET: self._probes}
         return [
-            f"the planner cannot be heard yet by all nodes that obey {self.resolve(topic)}"
+            f"the planner cannot be heard yet by all nodes that obey {self.graph.resolve(topic)}"
             for topic, publisher in publishers.items()
             if publisher.get_subscription_count()
             < len(self.health.present().intersection(self.graph.listeners(topic)))
@@ -276,7 +259,7 @@ class CellLinks:
     def missing_air(self, expected: Iterable[str]) -> dict[str, str]:
         """Return role -> absolute name of those ``expected`` topics that nobody publishes."""
         called = {role: self.instrument(role) for role in expected}
-        return {role: name for role, name in called.items() if not self.publishers(name)}
+        return {role: name for role, name in called.items() if not self.graph.publishers(name)}
 
     def missing_plan(
         self, run: str | None, nodes: Sequence[str] = ("capture", "solver")
@@ -288,13 +271,13 @@ class CellLinks:
             if self.health.values(name).get(RUN) != run
         ]
 
-    def _observed(self, message: ObservationMsg) -> None:
+    def _observed(self, message: msg.Observation) -> None:
         self.observations[message.step, message.attempt] = messages.observation(message)
 
-    def _recorded(self, message: RecordedObservation) -> None:
+    def _recorded(self, message: msg.RecordedObservation) -> None:
         self.receipts[message.step, message.attempt] = int(message.lost)
 
-    def _solved(self, message: DeviationArray) -> None:
+    def _solved(self, message: msg.DeviationArray) -> None:
         if message.plan_id == self._plan_id and message.ecc_std:
             doubtful = message.final and withheld_by(message.verdict, message.warnings)
             self.current_std = math.nan if doubtful else max(message.ecc_std)
@@ -315,16 +298,16 @@ class Pauses:
         self, node: CellNode, require_free: Callable[[], None], busy: Callable[[], str]
     ) -> None:
         self._node, self._require_free, self._busy = node, require_free, busy
-        self._publisher = node.create_publisher(PauseMsg, names.PAUSE, LATCHED)
+        self._publisher = node.create_publisher(msg.Pause, names.PAUSE, LATCHED)
         node.offer(Trigger, RESUME, self._resume)
-        self._latest = PauseMsg()
+        self._latest = msg.Pause()
         self._stops = 0
         self.waiting = False
 
     def begin(self, plan_id: str, run: int, step: int, stops: int) -> None:
         """Wait from now on, before ``step`` of a run of a plan, after so many stops."""
         self._stops = stops
-        self._latest = PauseMsg(plan_id=plan_id, run=run, step=step, waiting=True)
+        self._latest = msg.Pause(plan_id=plan_id, run=run, step=step, waiting=True)
         self.waiting = True
 
     def show(self, asked: Reason, move: Move | None = None) -> None:
@@ -333,8 +316,8 @@ class Pauses:
         if latest.instruction == instruction:
             return
         place = move or Move("", 0)
-        latest.kind = PauseMsg.KIND_MOVE if move else PauseMsg.KIND_WORK
-        latest.kind = PauseMsg.KIND_STOP if asked.code in STOPS else latest.kind
+        latest.kind = msg.Pause.KIND_MOVE if move else msg.Pause.KIND_WORK
+        latest.kind = msg.Pause.KIND_STOP if asked.code in STOPS else latest.kind
         latest.what, latest.station = place.what, place.station
         latest.position = place.position or UNKNOWN_PLACE
         latest.instruction = instruction
@@ -351,7 +334,7 @@ class Pauses:
         self.waiting = False
         if self._latest.waiting:
             latest = self._latest
-            self._latest = PauseMsg(plan_id=latest.plan_id, run=latest.run, step=latest.step)
+            self._latest = msg.Pause(plan_id=latest.plan_id, run=latest.run, step=latest.step)
             self._latest.position = UNKNOWN_PLACE
             self._publish(MACHINE_FRAME)
 

@@ -347,8 +347,8 @@ async def _have_topics(
     """
     missing, links = partial(_missing, calibration, watch.links), watch.links
     if watch.preflight:  # a second publisher that is found only in the run would be a stranger
-        roles = calibration.method.topics
-        await watch.stands_still(lambda: [links.publishers(links.instrument(r)) for r in roles])
+        roles, publishers = calibration.method.topics, links.graph.publishers
+        await watch.stands_still(lambda: [publishers(links.instrument(r)) for r in roles])
     # What is missing may be there but undiscovered; what is not there is waited for below.
     await watch.is_found(lambda: [] if _halted(watch) else missing())
     while True:

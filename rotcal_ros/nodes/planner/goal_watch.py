@@ -342,8 +342,8 @@ class GoalWatch:
         )
         self._astray = self._astray or Patience(allowed_s)
         if self._astray.is_over(pausing=bool(self.slow)):
-            topic = self.links.resolve(names.PLAN)
-            publishers = ", ".join(self.links.publishers(topic)) or "nobody"
+            topic = self.links.graph.resolve(names.PLAN)
+            publishers = ", ".join(self.links.graph.publishers(topic)) or "nobody"
             raise GoalError(
                 Codes.NODE_LOST,
                 f"{'; '.join(astray)} any more {place}: does another node publish on {topic} (its "
@@ -370,7 +370,7 @@ class GoalWatch:
         self._check_publishers(place)
         self._silent = self.silent_streams()
         for topic, seconds in self._silent.items():
-            publishers = ", ".join(self.links.publishers(topic))
+            publishers = ", ".join(self.links.graph.publishers(topic))
             if not publishers or seconds > self.links.health.settings.lost_after_s:
                 who = f"{topic} (node {publishers or 'gone'})"
                 text = f"{who} has been silent for {seconds:.1f} s {place}"

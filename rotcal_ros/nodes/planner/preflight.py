@@ -11,7 +11,6 @@ from math import isfinite
 from typing import Final
 
 from rotcal_ros.bags import names
-from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.capture.instruments.conventions import Conventions
 from rotcal_ros.capture.instruments.plausibility import (
     implausible_air,
@@ -148,7 +147,7 @@ def expected_air(calibration: Calibration) -> tuple[list[str], list[str]]:
     """Return the topics of the air without which nothing is measured, and those waited for."""
     settings = calibration.configuration.capture
     required = calibration.refraction.required(settings)
-    expected = [(name, topic) for name, topic in _AIR.items() if _expected(settings, name)]
+    expected = [(n, topic) for n, topic in _AIR.items() if getattr(settings, f"{n}_expected")]
     needed = [topic for name, topic in expected if name in required]
     return needed, [topic for _, topic in expected if topic not in needed]
 
@@ -161,10 +160,6 @@ def without_air(role: str, topic: str, configuration: Configuration) -> str:
         f"{configuration.capture.clock_tolerance_s:g} s (capture.clock_tolerance_s), then does "
         f"without; publish it, or set capture.{name}_expected: false"
     )
-
-
-def _expected(settings: CaptureSettings, name: str) -> bool:
-    return bool(getattr(settings, f"{name}_expected"))
 
 
 def length_faults(values: Values, configuration: Configuration) -> Iterator[str]:

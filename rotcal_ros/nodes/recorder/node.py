@@ -12,14 +12,14 @@ from dataclasses import asdict
 from typing import Any, Final, TypeAlias
 
 from rclpy.serialization import deserialize_message
-from rotcal_msgs.msg import ProbePoint, RecordedObservation
+from rotcal_msgs import msg
 from rotcal_msgs.srv import StartRecording, StopRecording
 from std_srvs.srv import Trigger
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import RecorderSettings
 from rotcal_ros.bags.topic_roles import CalledOtherwise
-from rotcal_ros.capture.instruments.forms import OWN
+from rotcal_ros.capture.instruments.conventions import OWN
 from rotcal_ros.capture.instruments.interpreter import FAST
 from rotcal_ros.capture.messages import stamp_ns
 from rotcal_ros.foundation.clock_jumps import noted
@@ -242,7 +242,7 @@ class Receipts:
         self._logger, self._awake = node.get_logger(), node.health.awake
         self._session, self._pending = session, PendingReceipts(answered=False)
         self._publisher = node.create_publisher(
-            RecordedObservation, names.OBSERVATION_RECORDED, EVENT
+            msg.RecordedObservation, names.OBSERVATION_RECORDED, EVENT
         )
 
     def begin(self) -> None:
@@ -259,7 +259,7 @@ class Receipts:
                 self._pending.expect(seen.step, seen.attempt, stamp_ns(seen.window_end))
         elif name == self._called.topic(names.PROBE_POINT) and _echoes(topic):
             for data, _ in batch:
-                point = deserialize_message(data, ProbePoint)
+                point = deserialize_message(data, msg.ProbePoint)
                 self._pending.answer(point.step, point.attempt)
 
     def due(self, losses: Callable[[], Mapping[str, int]]) -> Iterator[Receipt]:
@@ -279,7 +279,7 @@ class Receipts:
 
     def confirm(self, receipt: Receipt, file: str) -> None:
         """Publish a receipt; called from the writer's thread."""
-        message = RecordedObservation(**asdict(receipt), file=file)
+        message = msg.RecordedObservation(**asdict(receipt), file=file)
         message.header.stamp = self._clock.now().to_msg()
         self._publisher.publish(message)
 

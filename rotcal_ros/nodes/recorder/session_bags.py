@@ -11,7 +11,7 @@ from uuid import uuid4
 
 import numpy as np
 from rclpy.serialization import deserialize_message
-from rotcal_msgs.msg import Observation as ObservationMsg
+from rotcal_msgs import msg
 from std_srvs.srv import Trigger
 
 from rotcal_ros.bags import names
@@ -146,9 +146,9 @@ class RecordedSession:
         self._plan_id, self._run = plan_id, run
         self._observations = list(earlier)
 
-    def take(self, data: bytes) -> ObservationMsg:
+    def take(self, data: bytes) -> msg.Observation:
         """Take an observation that is being recorded, and return its message."""
-        message: ObservationMsg = deserialize_message(data, ObservationMsg)
+        message: msg.Observation = deserialize_message(data, msg.Observation)
         self._observations.append(messages.observation(message))
         return message
 
@@ -176,6 +176,6 @@ def observations_in(files: Sequence[Path], topic: str) -> tuple[Observation, ...
 def _observation(data: bytes, file: Path) -> Observation:
     """Return a message as the bag holds it; rclpy is quicker to begin than a decoder of ours."""
     try:
-        return messages.observation(deserialize_message(data, ObservationMsg))
+        return messages.observation(deserialize_message(data, msg.Observation))
     except Exception as error:
         raise BagError(f"{file}: an observation of another version: {error}") from error

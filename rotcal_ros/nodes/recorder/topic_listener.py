@@ -16,8 +16,7 @@ from rclpy.qos import QoSProfile
 from rotcal_ros.bags import names
 from rotcal_ros.bags.dropouts import GAP, REPORTED, UNHEARD, Dropout
 from rotcal_ros.bags.settings import TopicSettings
-from rotcal_ros.capture.instruments.conventions import Conventions, single_shots
-from rotcal_ros.capture.instruments.forms import form_of
+from rotcal_ros.capture.instruments.conventions import Conventions, form_of, single_shots
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.methods.configuration import read_topics
 from rotcal_ros.nodes.recorder.bookkeeping import NEVER_PAUSE, TopicLosses

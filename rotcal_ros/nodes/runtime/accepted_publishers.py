@@ -8,7 +8,6 @@ hash of what it accepts, once it is connected to all of them. Only then does the
 from __future__ import annotations
 
 import hashlib
-import time
 from contextlib import suppress
 from typing import Any, Final
 
@@ -52,7 +51,7 @@ class AcceptedPublishers:
     def hears(self, topic: str, info: Any) -> bool:
         """Return whether a message of a topic (absolute name) counts, by its message info."""
         self._follow()
-        if self._judge.hears(topic, origin_of(info), time.monotonic()):
+        if self._judge.hears(topic, origin_of(info)):
             return True
         self._tell()
         return False
@@ -116,7 +115,7 @@ class AcceptedPublishers:
     def _tell(self) -> None:
         """Report the publishers that are ignored, each once on the console."""
         texts = []
-        for intruder in self._judge.met():
+        for intruder in self._judge.intruders:
             known = self._words.get(intruder.publisher)
             words = known or self._in_words(intruder)
             if words is None:

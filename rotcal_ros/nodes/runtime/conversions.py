@@ -8,22 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
-from rotcal_msgs.msg import (
-    DeviationArray,
-    DirectionalCurve,
-    FreeDirection,
-    NodeReason,
-    ProbePoint,
-    ProbeTarget,
-    StepChoice,
-    TableAngle,
-    TableInForce,
-    TracerLength,
-    VolumetricCorrection,
-)
-from rotcal_msgs.msg import NodeState as NodeStateMsg
-from rotcal_msgs.msg import Observation as ObservationMsg
+from rotcal_msgs import msg
 from sensor_msgs.msg import FluidPressure, JointState, RelativeHumidity, Temperature
 from std_msgs.msg import Header
 
@@ -68,10 +53,10 @@ def header(nanoseconds: int, frame: str = TABLE) -> Header:
     return Header(stamp=time_message(nanoseconds), frame_id=frame)
 
 
-def tracer_message(sample: TracerSample) -> TracerLength:
+def tracer_message(sample: TracerSample) -> msg.TracerLength:
     """Return the message of a tracer reading."""
     sequence = sample.sequence & _WRAPS
-    return _filled(TracerLength, sample, sample.stamp_ns, TRACER, sequence=sequence)
+    return _filled(msg.TracerLength, sample, sample.stamp_ns, TRACER, sequence=sequence)
 
 
 def table_message(sample: TableSample, joint: str) -> JointState:
@@ -84,10 +69,10 @@ def table_message(sample: TableSample, joint: str) -> JointState:
     )
 
 
-def probe_message(sample: ProbeSample, frame: str) -> ProbePoint:
+def probe_message(sample: ProbeSample, frame: str) -> msg.ProbePoint:
     """Return the message of a probe point."""
     sequence = sample.sequence & _WRAPS
-    return _filled(ProbePoint, sample, sample.stamp_ns, frame, sequence=sequence)
+    return _filled(msg.ProbePoint, sample, sample.stamp_ns, frame, sequence=sequence)
 
 
 def temperature_message(sample: TemperatureSample) -> Temperature:
@@ -104,17 +89,17 @@ def air_message(sample: PressureSample | HumiditySample) -> FluidPressure | Rela
     return RelativeHumidity(header=head, relative_humidity=sample.humidity)
 
 
-def command_messages(order: Command, now_ns: int) -> tuple[TableAngle, ProbeTarget]:
+def command_messages(order: Command, now_ns: int) -> tuple[msg.TableAngle, msg.ProbeTarget]:
     """Return the two messages that give an order."""
-    table = _filled(TableAngle, order, now_ns, angle=order.table_angle)
+    table = _filled(msg.TableAngle, order, now_ns, angle=order.table_angle)
     # The table's side of approach is an enumeration, the probe's a direction, here any.
-    return table, _filled(ProbeTarget, order, now_ns, MACHINE, approach=(0.0, 0.0, 0.0))
+    return table, _filled(msg.ProbeTarget, order, now_ns, MACHINE, approach=(0.0, 0.0, 0.0))
 
 
-def observation_message(captured: Observation) -> ObservationMsg:
+def observation_message(captured: Observation) -> msg.Observation:
     """Return the message of a captured step."""
     return _filled(
-        ObservationMsg,
+        msg.Observation,
         captured,
         captured.window_end_ns,
         TRACER,
@@ -133,10 +118,10 @@ def _or_nan(value: float | None) -> float:
 
 def choice_message(
     choice: Choice, plan_id: str, run: int, number: int, attempt: int, now_ns: int
-) -> StepChoice:
+) -> msg.StepChoice:
     """Return the message of what the planner chose."""
     standing = choice.standing
-    return StepChoice(
+    return msg.StepChoice(
         header=header(now_ns),
         plan_id=plan_id,
         run=run,
@@ -153,7 +138,7 @@ def choice_message(
 
 def deviations_message(
     result: Result, plan_id: str, now_ns: int, *, final: bool
-) -> DeviationArray:
+) -> msg.DeviationArray:
     """Return the deviations of a result; components that were not measured stay empty."""
     whole = final and len(result.angles) <= MOST_ANGLES
     steps, steps_std = result.adjacent_deviations, result.adjacent_std
@@ -170,12 +155,12 @@ def deviations_message(
         "n_rejected": len(result.rejected),
         "not_protected": result.unprotected,
     }
-    return _filled(DeviationArray, result, now_ns, **others)
+    return _filled(msg.DeviationArray, result, now_ns, **others)
 
 
 def correction_message(
     result: Result, axis: str, plan_id: str, now_ns: int
-) -> VolumetricCorrection:
+) -> msg.VolumetricCorrection:
     """Return the correction of all deviations that were measured: -(actual - commanded)."""
     measured_on = "" if result.measured_on == UNKNOWN else result.measured_on
     others = _columns(result, -1.0) | {
@@ -186,7 +171,7 @@ def correction_message(
         "measured_on": measured_on,
         "item": result.circumstances.identity.title,
     }
-    return _filled(VolumetricCorrection, result, now_ns, **others)
+    return _filled(msg.VolumetricCorrection, result, now_ns, **others)
 
 
 def _columns(result: Result, sign: float) -> dict[str, Any]:
@@ -196,17 +181,17 @@ def _columns(result: Result, sign: float) -> dict[str, Any]:
     return columns | {f"{n.lower()}_std": std for n, std in result.std.items()}
 
 
-def _free(direction: OpenZero) -> FreeDirection:
-    return FreeDirection(
+def _free(direction: OpenZero) -> msg.FreeDirection:
+    return msg.FreeDirection(
         name=direction.name,
         components=list(direction.columns),
         columns=np.concatenate([*direction.columns.values()]),
     )
 
 
-def _directions(result: Result, sign: float, *, covariance: bool) -> list[DirectionalCurve]:
+def _directions(result: Result, sign: float, *, covariance: bool) -> list[msg.DirectionalCurve]:
     return [
-        DirectionalCurve(
+        msg.DirectionalCurve(
             component=name,
             angles=both.angles,
             forward=sign * both.forward,
@@ -219,11 +204,11 @@ def _directions(result: Result, sign: float, *, covariance: bool) -> list[Direct
 
 def compensation_message(
     table: CompensationTable, plan_id: str, now_ns: int
-) -> CompensationTableMsg:
+) -> msg.CompensationTable:
     """Return the message of a compensation table."""
     own: Any = () if table.std_reverse is None else table.std_reverse
     return _filled(
-        CompensationTableMsg,
+        msg.CompensationTable,
         table,
         now_ns,
         plan_id=plan_id,
@@ -233,7 +218,7 @@ def compensation_message(
     )
 
 
-def compensation_table(message: CompensationTableMsg) -> CompensationTable:
+def compensation_table(message: msg.CompensationTable) -> CompensationTable:
     """Return the table in a message; DataError when its hash is not that of its numbers."""
     times = {
         f"{name}_ns": messages.stamp_ns(getattr(message, name))
@@ -268,9 +253,9 @@ def result_values(result: Result) -> dict[str, str]:
     return values
 
 
-def in_force_message(axis: str, in_force: str, now_ns: int) -> TableInForce:
+def in_force_message(axis: str, in_force: str, now_ns: int) -> msg.TableInForce:
     """Return the message that announces what the controller of ``axis`` holds."""
-    return TableInForce(header=header(now_ns), axis=axis, in_force=in_force)
+    return msg.TableInForce(header=header(now_ns), axis=axis, in_force=in_force)
 
 
 def _filled(kind: Any, record: object, stamp_ns: int, frame: str = TABLE, **others: Any) -> Any:
@@ -280,18 +265,18 @@ def _filled(kind: Any, record: object, stamp_ns: int, frame: str = TABLE, **othe
     return kind(**{**same, **others, "header": header(stamp_ns, frame)})
 
 
-def node_state_message(state: NodeState) -> NodeStateMsg:
+def node_state_message(state: NodeState) -> msg.NodeState:
     """Return the state of a node as a message; the sender adds its identity and values."""
-    return NodeStateMsg(
+    return msg.NodeState(
         state=state.state,
         step=state.step,
         total=state.total,
-        reasons=[NodeReason(code=r.code, arguments=list(r.arguments)) for r in state.reasons],
+        reasons=[msg.NodeReason(code=r.code, arguments=list(r.arguments)) for r in state.reasons],
         page=state.page,
     )
 
 
-def node_state(message: NodeStateMsg) -> NodeState:
+def node_state(message: msg.NodeState) -> NodeState:
     """Return the state of a node, from its beat."""
     reasons = (Reason(Why(r.code), tuple(r.arguments)) for r in message.reasons)
     return NodeState(

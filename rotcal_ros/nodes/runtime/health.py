@@ -22,7 +22,7 @@ from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from rotcal_msgs.msg import NodeState as NodeStateMsg
+from rotcal_msgs import msg
 
 from rotcal_ros.bags import names
 from rotcal_ros.foundation.machine_load import AwakeClock, end_without_memory
@@ -66,14 +66,14 @@ class Heartbeat:
         self._context, self._clock, self._identity = node.context, node.get_clock(), identity
         self._process = HostProcess.own()
         self._publisher = node.create_publisher(
-            NodeStateMsg, names.HEARTBEAT, QoSProfile(depth=20)
+            msg.NodeState, names.HEARTBEAT, QoSProfile(depth=20)
         )
         self._lock, self._ended = Lock(), Event()
         self._thread: Thread | None = None
-        self._latest = NodeStateMsg()
+        self._latest = msg.NodeState()
         self._turn_s = self._sent_s = 0.0
 
-    def tell(self, state: NodeStateMsg) -> None:
+    def tell(self, state: msg.NodeState) -> None:
         """Send the present state of the node, from a turn of its executor."""
         with self._lock:
             self._latest, self._turn_s = state, time.monotonic()
@@ -85,7 +85,7 @@ class Heartbeat:
             self._thread = Thread(target=self._beat, name="heartbeat", daemon=True)
             self._thread.start()
 
-    def leave(self, state: NodeStateMsg) -> None:
+    def leave(self, state: msg.NodeState) -> None:
         """Send the last beat, and let it reach the others."""
         self._ended.set()
         self.tell(state)
@@ -140,8 +140,8 @@ class Health:
         self._holders = NameHolders()
         self.identity = ProcessIdentity.own(os.environ, time.monotonic())
         self.refused: str | None = None
-        self.others: dict[str, NodeStateMsg] = {}
-        self._read: dict[str, tuple[NodeStateMsg, dict[str, str]]] = {}
+        self.others: dict[str, msg.NodeState] = {}
+        self._read: dict[str, tuple[msg.NodeState, dict[str, str]]] = {}
         self.errors: Counter[str] = Counter()
         self.concerns: dict[str, str] = {}
         self.alarms: dict[str, str] = {}
@@ -150,7 +150,7 @@ class Health:
         self._beats = Heartbeat(node, self.identity) if report is not None else None
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 1)
         self._heard = DrainedSubscription(
-            node, NodeStateMsg, names.HEARTBEAT, QoSProfile(depth=100),
+            node, msg.NodeState, names.HEARTBEAT, QoSProfile(depth=100),
             self.guarded(self._hear), group=UNWAITED,
         )  # fmt: skip
         steady_timer(node, HEAR_PERIOD_S, self._heard.drain)
@@ -318,20 +318,20 @@ class Health:
         array.header.stamp = self._node.get_clock().now().to_msg()
         self._diagnostics.publish(array)
 
-    def _message(self, state: NodeState, values: Values) -> NodeStateMsg:
+    def _message(self, state: NodeState, values: Values) -> msg.NodeState:
         """Return a state with what is to be told besides."""
         trouble: dict[str, object] = {**self.errors, **self.alarms}
         if self.lost:
             trouble["lost_nodes"] = ", ".join(sorted(self.lost))
         concerns = self.clock.concerns | self.sim.concerns() | self.concerns
-        rest = NodeStateMsg.LEVEL_WARN if concerns else NodeStateMsg.LEVEL_OK
+        rest = msg.NodeState.LEVEL_WARN if concerns else msg.NodeState.LEVEL_OK
         known = {**values, **self.clock.values(), **self.sim.values(), **concerns, **trouble}
         message = conversions.node_state_message(state)
         message.node = self._node.get_name()
-        message.level = NodeStateMsg.LEVEL_ERROR if trouble else rest
+        message.level = msg.NodeState.LEVEL_ERROR if trouble else rest
         message.values = [KeyValue(key=k, value=str(v)) for k, v in known.items()]
         return message
 
 
-def _process(beat: NodeStateMsg) -> HostProcess:
+def _process(beat: msg.NodeState) -> HostProcess:
     return HostProcess(beat.host, beat.pid, beat.start)

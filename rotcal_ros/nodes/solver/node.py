@@ -8,14 +8,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from typing import Any, Final
 
-from rotcal_msgs.msg import (
-    CalibrationPlan,
-    DeviationArray,
-    TableInForce,
-    VolumetricCorrection,
-)
-from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
-from rotcal_msgs.msg import Observation as ObservationMsg
+from rotcal_msgs import msg
 from rotcal_msgs.srv import FinishCalibration
 from std_srvs.srv import Trigger
 
@@ -71,16 +64,16 @@ class SolverNode(CellNode):
         self._solving: Future[Result] | None = None
         self._run_number = self._solved_count = 0
         self._values: dict[str, str] = {}  # of the last final result
-        self._deviations = self.create_publisher(DeviationArray, "deviations", LATCHED)
-        self._tables = self.create_publisher(CompensationTableMsg, "compensation_table", LATCHED)
+        self._deviations = self.create_publisher(msg.DeviationArray, "deviations", LATCHED)
+        self._tables = self.create_publisher(msg.CompensationTable, "compensation_table", LATCHED)
         self._corrections = self.create_publisher(
-            VolumetricCorrection, "volumetric_correction", LATCHED
+            msg.VolumetricCorrection, "volumetric_correction", LATCHED
         )
         self._earlier = EarlierObservations(self)
         PlanSubscription(self, self._take_plan)
         self._frames = StaticFrames(self, self.health.guarded)
-        self.listen(TableInForce, names.TABLE_IN_FORCE, self._note_in_force, LATCHED)
-        self.listen(ObservationMsg, names.OBSERVATION, self._take, EVENT, judged=True)
+        self.listen(msg.TableInForce, names.TABLE_IN_FORCE, self._note_in_force, LATCHED)
+        self.listen(msg.Observation, names.OBSERVATION, self._take, EVENT, judged=True)
         self.offer(FinishCalibration, "finish_calibration", self._finish)
         self.every(period_s, self._preliminary)
 
@@ -92,7 +85,7 @@ class SolverNode(CellNode):
         """Let observations gather: no one waits for a preliminary result."""
         return 0.0 if self._answering else self.idle_s() or OBSERVATIONS_S
 
-    def _take_plan(self, message: CalibrationPlan) -> None:
+    def _take_plan(self, message: msg.CalibrationPlan) -> None:
         """Begin with a plan, with what the recorder or this node itself has of earlier runs."""
         old, own = self._calibration, self._observations
         self._calibration, self._run, self._observations, self._state = None, "", {}, LOADING
@@ -114,22 +107,22 @@ class SolverNode(CellNode):
             self._in_force = list(dict(self._in_force).items())
         self._earlier.ask(message, kept, partial(self._begin_run, message))
 
-    def _begin_run(self, message: CalibrationPlan, known: Mapping[RunStep, Observation]) -> None:
+    def _begin_run(self, message: msg.CalibrationPlan, known: Known) -> None:
         """Collect from now on; ``known`` is what was observed before this node or run began."""
         self._know(known)
         self._run = run_name(message)
         self._state = NodeState.of(State.WORKING, Why.COLLECTING, message.method)
         self.health.beat()
 
-    def _know(self, known: Mapping[RunStep, Observation]) -> None:
+    def _know(self, known: Known) -> None:
         self._observations = {**known, **self._observations}
 
-    def _note_in_force(self, message: TableInForce) -> None:
+    def _note_in_force(self, message: msg.TableInForce) -> None:
         announced = (message.axis, message.in_force)
         if self._in_force[-1:] != [announced]:
             self._in_force.append(announced)
 
-    def _take(self, message: ObservationMsg) -> None:
+    def _take(self, message: msg.Observation) -> None:
         if self._calibration is not None and message.accepted:
             self._observations[message.run, message.step] = messages.observation(message)
 
@@ -233,6 +226,7 @@ PATIENCE_S: Final = 10.0
 NO_GOAL_S: Final = 2.0
 """A planner that has had no goal for this long did not announce the plan."""
 Known = Mapping[RunStep, Observation]
+Take = Callable[[Known], None]
 
 
 class EarlierObservations:
@@ -245,14 +239,14 @@ class EarlierObservations:
     def __init__(self, node: CellNode) -> None:
         self._node = node
         self._client = node.create_client(Trigger, "recorded_observations")
-        self._plan: CalibrationPlan | None = None
+        self._plan: msg.CalibrationPlan | None = None
         self._kept: Known = {}
-        self._wanted: tuple[CalibrationPlan, Callable[[Known], None], float] | None = None
+        self._wanted: tuple[msg.CalibrationPlan, Take, float] | None = None
         self._asked: Any = None
         self._asked_s = 0.0
         node.every(BEAT_PERIOD_S, self._look)
 
-    def ask(self, message: CalibrationPlan, kept: Known, take: Callable[[Known], None]) -> None:
+    def ask(self, message: msg.CalibrationPlan, kept: Known, take: Take) -> None:
         """Call ``take`` with the accepted ones, later.
 
         ``kept`` is what the node itself has; it counts where the recorder knows no earlier run.
@@ -260,7 +254,7 @@ class EarlierObservations:
         self._plan, self._kept = message, kept
         self.ask_again(take)
 
-    def ask_again(self, take: Callable[[Known], None]) -> None:
+    def ask_again(self, take: Take) -> None:
         """Ask once more for the same plan."""
         if self._plan is not None:
             self._wanted = self._plan, take, time.monotonic()
@@ -284,7 +278,7 @@ class EarlierObservations:
             self._node.get_logger().warning(text, throttle_duration_sec=PATIENCE_S)
             self._asked = None
 
-    def _is_foreign(self, message: CalibrationPlan, waited_s: float) -> bool:
+    def _is_foreign(self, message: msg.CalibrationPlan, waited_s: float) -> bool:
         """Return whether the plan is not that of the planner's goal: there is nothing to ask."""
         health = self._node.health
         if "planner" not in health.present():
@@ -292,7 +286,7 @@ class EarlierObservations:
         goals_run = health.values("planner").get(RUN, "")
         return goals_run != run_name(message) if goals_run else waited_s > NO_GOAL_S
 
-    def _recorded(self, message: CalibrationPlan) -> tuple[Observation, ...]:
+    def _recorded(self, message: msg.CalibrationPlan) -> tuple[Observation, ...]:
         """Return the answer of the recorder, if it is about this plan."""
         try:
             known = Recorded.from_json(self._asked.result().message)
@@ -302,7 +296,7 @@ class EarlierObservations:
         same = (known.plan_id, known.run) == (message.plan_id, message.run)
         return known.observations if same else ()
 
-    def _answer(self, take: Callable[[Known], None], recorded: tuple[Observation, ...]) -> None:
+    def _answer(self, take: Take, recorded: tuple[Observation, ...]) -> None:
         assert self._plan is not None
         self._wanted = self._asked = None
         known: Known = last_accepted(recorded)

@@ -8,7 +8,7 @@ import pytest
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import TopicSettings
-from rotcal_ros.capture.instruments.forms import check_type
+from rotcal_ros.capture.instruments.conventions import check_type
 from rotcal_ros.capture.instruments.interpreter import Interpreter
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.observations import LengthStatus

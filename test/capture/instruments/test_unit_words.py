@@ -7,12 +7,12 @@ import pytest
 from rotcal_ros.bags import names
 from rotcal_ros.bags.settings import ANGLE_UNITS, LENGTH_UNITS, TopicSettings
 from rotcal_ros.capture.instruments.plausibility import (
+    Rates,
     implausible_air,
     implausible_angle,
     implausible_length,
     likely_unit,
 )
-from rotcal_ros.capture.instruments.rates import Rates
 
 SI = TopicSettings()
 

@@ -38,7 +38,8 @@ class Cell:
         logger = SimpleNamespace(warning=self.logged.append)
         links = SimpleNamespace(
             health=health, node=SimpleNamespace(get_logger=lambda: logger),
-            instrument=lambda role: f"/cell/{role}", publishers=lambda _: self.publishers,
+            instrument=lambda role: f"/cell/{role}",
+            graph=SimpleNamespace(publishers=lambda _: self.publishers),
             idle_nodes=lambda but=(): [], offered=lambda _: {},
             publish_anew=lambda: self.published_anew.append(self.now_s - 100.0),
         )  # fmt: skip

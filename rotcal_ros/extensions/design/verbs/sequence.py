@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rotcal_ros.capture import Capture
     from rotcal_ros.foundation.observations import Observation
     from rotcal_ros.methods import Calibration
-    from rotcal_ros.methods.simulation import SimulatedCell
+    from rotcal_ros.methods.simulation.cell import SimulatedCell
     from rotcal_ros.methods.tracer.policy.sequence import MeasuringOrder
     from rotcal_ros.planning.plan import Step
     from rotcal_ros.planning.sequence_time import TimeModel

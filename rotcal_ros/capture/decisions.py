@@ -1,7 +1,14 @@
-"""The tracer path: the window of readings after table and probe have come to rest."""
+"""The two ways in which an attempt becomes an observation.
+
+The tracer path takes the window of readings after table and probe have come to rest, the
+probe-only path one or several probe points while the table is at rest in position.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import partial
+from math import sqrt
 from typing import Final
 
 import numpy as np
@@ -10,6 +17,7 @@ from rotcal_ros.capture.attempt import (
     Attempt,
     AttemptRejectedError,
     AttemptStreams,
+    Decide,
     Wait,
     forgotten,
     nanoseconds,
@@ -17,10 +25,18 @@ from rotcal_ros.capture.attempt import (
 )
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import Stream
-from rotcal_ros.capture.table import arrival, departure, mean_angle, why_not_at_rest
-from rotcal_ros.capture.window import SEQUENCE, TracerStream, reduce_window, sequence_steps
-from rotcal_ros.foundation.observations import Observation
-from rotcal_ros.foundation.units import NANOSECOND
+from rotcal_ros.capture.table import arrival, departure, farthest, mean_angle, why_not_at_rest
+from rotcal_ros.capture.window import (
+    SEQUENCE,
+    ReducedWindow,
+    TracerStream,
+    mean_and_scatter,
+    reduce_window,
+    sequence_steps,
+)
+from rotcal_ros.foundation.observations import Observation, ProbeSample
+from rotcal_ros.foundation.units import ARCSEC, NANOSECOND
+from rotcal_ros.planning.plan import Step
 
 CLOCK_JUMP_S: Final = 0.5
 """A pause this long between readings in a row is a jump of their clock, where it is also"""
@@ -186,4 +202,72 @@ def _early_reading(attempt: Attempt, tracer: Stream, begin_ns: int) -> str:
     return (
         f"; the last one is stamped {early_s:.3g} s before the end of settling: it was taken too "
         "early (capture.settle_time_s)"
+    )
+
+
+PointReducer = Callable[[Sequence[ProbeSample], Step, CaptureSettings], ReducedWindow]
+"""How the points of a step become one value."""
+
+
+def decide_points(
+    attempt: Attempt, streams: AttemptStreams, settings: CaptureSettings, reduce: PointReducer
+) -> Observation | Wait:
+    """Return the observation of a step that only the probe measures, or what is needed.
+
+    ``reduce`` makes one value of the points. All ``n_points`` of them must come before the
+    deadline, with the table at rest in position from the first point to the last; raises
+    AttemptRejectedError where they did not come, or are no longer known.
+    """
+    wanted, samples, table = attempt.step.n_points, attempt.samples, streams.table
+    deadline = attempt.deadline_ns(settings)
+    patience = deadline + nanoseconds(settings.clock_tolerance_s)  # points may arrive late
+    if len(samples) < wanted and attempt.superseded_ns is None and not table.knows(patience):
+        return Wait(table, patience)
+    if len(samples) < wanted or samples[-1].stamp_ns > deadline:
+        raise AttemptRejectedError(
+            f"only {len(samples)} of {wanted} probe points within "
+            f"{seconds(deadline - attempt.begin_ns):.3g} s"
+        )
+    begin_ns, end_ns = samples[0].stamp_ns, samples[-1].stamp_ns
+    if not table.knows(end_ns):
+        return Wait(table, end_ns)
+    if forgotten(table, begin_ns):
+        raise AttemptRejectedError("table feedback at the time of the points is not in memory")
+    angle = attempt.step.table_angle
+    reduced = reduce(samples, attempt.step, settings)
+    if departure(table, begin_ns, end_ns, angle, settings) is not None:
+        off = farthest(table, begin_ns, end_ns, angle) / ARCSEC
+        reduced = ReducedWindow(
+            reason=f"table not at rest in position during the probe points: up to {off:.4g} "
+            f"arcsec off (allowed {settings.position_tolerance_arcsec:g})"
+        )
+    return attempt.observation(
+        reduced,
+        n_samples=len(samples),
+        window_ns=(begin_ns, end_ns),
+        table_angle_measured=mean_angle(table, begin_ns, end_ns, angle),
+        air=streams.air_at(attempt, settings),
+    )
+
+
+def points(reduce: PointReducer) -> Decide:
+    """Return the way to decide a step whose points ``reduce`` makes one value of."""
+    return partial(decide_points, reduce=reduce)
+
+
+def mean_point(
+    samples: Sequence[ProbeSample], _step: Step, _settings: CaptureSettings
+) -> ReducedWindow:
+    """Return the mean of repeated points (m), or the one point with its own deviation."""
+    if len(samples) == 1:
+        std = samples[0].position_std
+        return ReducedWindow(mean=samples[0].position, std=std, scatter=std, n_used=1)
+    positions = np.array([sample.position for sample in samples])
+    columns = [mean_and_scatter(column) for column in positions.T]
+    scatter = tuple(s for _, s in columns)
+    return ReducedWindow(
+        mean=tuple(mean for mean, _ in columns),
+        std=tuple(s / sqrt(len(samples)) for s in scatter),
+        scatter=scatter,
+        n_used=len(samples),
     )
