@@ -26,7 +26,7 @@ from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.protection import EFFECTS
 from rotcal_ros.methods.ball_plate.design.ball_plan import plan_measurement
 from rotcal_ros.methods.ball_plate.solver import solve
-from rotcal_ros.methods.ball_plate.solver.estimate import least_squares
+from rotcal_ros.methods.ball_plate.solver.estimate import solved as solve_exactly
 from rotcal_ros.methods.ball_plate.solver.order_effects import (
     drift_error,
     found_size,
@@ -110,7 +110,7 @@ def test_predicted_errors_are_what_a_simulation_gives(order, grid):
     effects = order_effects(problem, None)
 
     def found(displaced):
-        solved = least_squares(replace(problem_of(displaced), std=None))
+        solved = solve_exactly(replace(problem_of(displaced), std=None))[1]
         curves = np.array([solved.estimate.component(n) for n in COMPONENTS])
         return curves, solved.weighted_square_sum
 
@@ -137,7 +137,7 @@ def test_a_drift_of_the_predicted_size_is_found_in_95_percent():
     n, hits, runs = 144, 0, 120 if LONG else 20
     problem, _ = measured(12, list(range(12)), 0, {"closing": False})
     effects = order_effects(problem, None)
-    dof = least_squares(problem).dof
+    dof = solve_exactly(problem)[1].dof
     size = found_size(effects.drift, np.array([0.0, 0.0, 1.0]), needed(3, dof), needed(6, dof))
     for seed in range(runs):
         disturbed, _ = measured(
@@ -157,7 +157,7 @@ def test_the_default_order_is_the_one_that_shows_most():
     }.items():  # fmt: skip
         problem, _ = measured(72, PAPER_PLATE, 0, order)
         once, again = closing_apart(problem)
-        solution = least_squares(once)
+        solution = solve_exactly(once)[1]
         std = solution.unit_std.curves()
         effects = order_effects(once, again)
         seen[name] = (

@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from plate_data import PAPER_PLATE, RADIUS, simulated, solved
 from scipy.optimize import lsq_linear
 
+from rotcal_ros.adjust.model import Model, fitted, linear, require_determined
+from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ObservabilityError, PlanError
 from rotcal_ros.methods.ball_plate.solver import (
     closed_form,
@@ -20,10 +22,13 @@ from rotcal_ros.methods.ball_plate.solver import (
     spectral,
 )
 from rotcal_ros.methods.ball_plate.solver.estimate import (
+    drift_columns,
+    factored_with_drift,
     factored_with_gaps,
     gap_cells,
-    least_squares,
 )
+from rotcal_ros.methods.ball_plate.solver.estimate import solved as solve_exactly
+from rotcal_ros.methods.ball_plate.solver.gathering import WORDS
 from rotcal_ros.methods.ball_plate.solver.model import FIELDS, TABLE_COMPONENTS
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, select
 from rotcal_ros.methods.ball_plate.solver.separability import separability
@@ -98,7 +103,7 @@ def test_spectral_solution_corrected_for_gaps_agrees_with_dense(grid, count, mis
         factored_with_gaps(part, gaps).solve(part.deviations),
         covariance=grid < 72,
     )
-    assert least_squares(part).way == "spectral with gaps"
+    assert solve_exactly(part)[1].way == "spectral with gaps"
 
 
 def test_gaps_that_leave_something_open_are_refused():
@@ -111,7 +116,7 @@ def test_gaps_that_leave_something_open_are_refused():
 
 def test_large_grids_with_gaps_do_not_need_the_elimination():
     problem, truth = simulated(1440, [20 * b + b % 7 for b in PAPER_PLATE], seed=3)
-    solution = least_squares(problem.take(np.arange(len(problem.centres)) != 1234))
+    _, solution = solve_exactly(problem.take(np.arange(len(problem.centres)) != 1234))
     assert solution.way == "spectral with gaps"
     error = solution.estimate.component("ECC") - truth.component("ECC")
     expected = 5e-8 * solution.unit_std.component("ECC")
@@ -124,6 +129,60 @@ def test_general_agrees_with_dense_on_unequal_weights_and_repeated_centres():
     twice = problem.take(np.concatenate([np.arange(len(problem.centres)), [3, 50, 51]]))
     weighted = replace(twice, row=None, std=rng.uniform(0.3, 3.0, twice.centres.shape) * 1e-7)
     assert_same(solve_dense(weighted), solved(general_least_squares, weighted))
+
+
+def in_the_engine(problem):
+    """The dense fit of the engine to the rows one by one; its outputs are the six deviations."""
+    design, constraints = model.design_matrix(problem), model.constraint_matrix(problem)
+    free = model.null_space(problem)  # the engine looks whether nothing tells it
+    to_constraints = np.eye(len(free)) - free @ np.linalg.solve(constraints @ free, constraints)
+    to_constraints[np.abs(to_constraints) < 1e-12] = 0.0  # an output feels no rounding
+    places = (model.component_places(problem, name) for name in COMPONENTS)
+    plate = Model(
+        blocks={name: own.stop - own.start for name, own in model.blocks(problem).items()},
+        observed=problem.deviations.ravel(),
+        std=problem.noise_unit.ravel(),
+        equations=linear(design),
+        outputs=np.concatenate([to_constraints[own] / length for own, length in places]),
+        words=WORDS,
+        free=free,
+    )
+    require_determined(plate)
+    drift = drift_columns(problem.run_time, problem.drift).reshape(len(plate.observed), -1)
+    every = np.ones(len(plate.observed), dtype=bool)
+    return fitted(plate, every, plate.std, plate.first, drift)
+
+
+@pytest.mark.parametrize("drift", [0, 1, 2])
+@pytest.mark.parametrize("kind", ["complete", "gaps", "elimination", "weights"])
+def test_each_way_is_the_dense_reference_of_the_engine(kind, drift):
+    problem, _ = simulated(24, [0, 3, 4, 9, 14, 20], seed=4, drift=drift)
+    n, rng = len(problem.centres), np.random.default_rng(6)
+    if kind in ("gaps", "elimination"):
+        problem = problem.take(rng.permutation(n) >= (4 if kind == "gaps" else 24))
+    if kind == "weights":
+        problem = replace(problem, std=rng.uniform(0.3, 3.0, (n, 3)) * 1e-7)
+    problem = replace(problem, row=rng.permutation(len(problem.centres)))
+    found, dense = factored_with_drift(problem).solve(problem.deviations), in_the_engine(problem)
+    assert found.way.startswith({"complete": "spectral", "gaps": "spectral with gaps"}.get(
+        kind, "general"
+    ))  # fmt: skip
+    values = found.estimate.curves().ravel()
+    np.testing.assert_allclose(values, dense.value, rtol=0, atol=AGREE * np.abs(values).max())
+    covariance = dense.response @ dense.response.T
+    blocks = [[found.unit_covariance(one, two) for two in COMPONENTS] for one in COMPONENTS]
+    std = np.sqrt(covariance.diagonal())
+    np.testing.assert_allclose(
+        np.block(blocks) / std / std[:, None], covariance / std / std[:, None], rtol=0, atol=AGREE
+    )
+    np.testing.assert_allclose(found.unit_std.curves().ravel(), std, rtol=AGREE)
+    own = problem.noise_unit
+    np.testing.assert_allclose((found.residuals / own).ravel(), dense.white, rtol=0,
+                               atol=AGREE * np.abs(dense.white).max())  # fmt: skip
+    redundancy = np.einsum("nii->ni", found.cofactor()) / own**2
+    np.testing.assert_allclose(redundancy.ravel(), dense.redundancy, rtol=0, atol=AGREE)
+    assert found.dof == dense.dof
+    assert found.weighted_square_sum == pytest.approx(dense.chi2, rel=AGREE)
 
 
 def test_dense_minimises_what_an_independent_solver_minimises():

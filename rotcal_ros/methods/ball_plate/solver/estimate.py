@@ -15,7 +15,6 @@ frame of the fitted axis, and obey Eq. 15 to 19 there.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -25,7 +24,6 @@ from rotcal_ros.foundation.errors import DataError, ObservabilityError
 from rotcal_ros.geometry.rotations import rotation_about_z, rotation_from_vector
 from rotcal_ros.methods.ball_plate.solver import general_least_squares, model, spectral
 from rotcal_ros.methods.ball_plate.solver.model import (
-    FIELDS,
     LinearFit,
     OriginDrift,
     PlateParameters,
@@ -47,25 +45,24 @@ SETTLED = 3e-4
 MOST_ROUNDS = 60
 
 
-def least_squares(problem: BallPlateProblem) -> Solution:
-    """Solve the exact model: the linear one, iterated until the neglected products are gone.
-
-    Raises ObservabilityError when the centres do not determine all parameters, DataError when
-    plate or frame are too far off for the iteration to settle.
-    """
-    return solved(problem)[1]
-
-
 def solved(problem: BallPlateProblem) -> tuple[LinearFit, Solution]:
     """Return the factored linear model and the solution of the exact one; a drift is estimated.
 
-    Raises what :func:`least_squares` does.
+    The linear fit is iterated until the products that it neglects are gone. Raises
+    ObservabilityError when the centres do not determine all parameters, DataError when plate or
+    frame are too far off for the iteration to settle.
     """
     plain = factored(problem)
     if not problem.drift:
         return plain, _settled(problem, plain)
     drift = _Drift(problem, plain)
     return drift.fit(), drift.settled()
+
+
+def factored_with_drift(problem: BallPlateProblem) -> LinearFit:
+    """Factor the model of Eq. 12 and the drift that is to be estimated; as :func:`factored`."""
+    plain = factored(problem)
+    return _Drift(problem, plain).fit() if problem.drift else plain
 
 
 def factored(problem: BallPlateProblem) -> LinearFit:
@@ -124,7 +121,7 @@ def _few_gaps(problem: BallPlateProblem) -> Ints | None:
     if min(len(problem.table_positions), len(problem.cmm_positions)) < problem.grid:
         return None  # a filled grid would have unknowns that no centre sees
     gaps = gap_cells(problem)
-    large = model.offsets(problem).total > general_least_squares.MAX_UNKNOWNS
+    large = model.n_unknowns(problem) > general_least_squares.MAX_UNKNOWNS
     if gaps is None or len(gaps) > (MANY_GAPS if large else FEW_GAPS):
         return None
     require_balls(problem)
@@ -152,10 +149,12 @@ def factored_with_gaps(problem: BallPlateProblem, gaps: Ints) -> LinearFit:
     measured = np.setdiff1d(np.arange(n_cells), gaps)
     table = np.tile(np.arange(problem.grid), len(problem.balls))
     ball = np.repeat(problem.balls, problem.grid)
-    linear = spectral.factored(BallPlateProblem.nominal(problem.grid, problem.radius, table, ball))
-    responses = [linear.fit(unit) for unit in _units(n_cells, gaps)]
+    whole = spectral.factored(BallPlateProblem.nominal(problem.grid, problem.radius, table, ball))
+    units = np.zeros((n_cells, 3, len(gaps), 3))
+    units[gaps[:, None], np.arange(3), np.arange(len(gaps))[:, None], np.arange(3)] = 1.0
+    _, parameters, left = whole.responses(units.reshape(n_cells, 3, -1))
     # a residual at the gaps per unit deviation there: the cofactor, symmetric but for rounding
-    at_gaps = np.array([residuals[gaps].ravel() for _, residuals in responses])
+    at_gaps = left[gaps].reshape(3 * len(gaps), -1)
     at_gaps = 0.5 * (at_gaps + at_gaps.T)
     if np.linalg.eigvalsh(at_gaps)[0] < DETERMINED:
         raise ObservabilityError(
@@ -167,13 +166,13 @@ def factored_with_gaps(problem: BallPlateProblem, gaps: Ints) -> LinearFit:
     def fit(observed: Floats) -> tuple[PlateParameters, Floats]:
         filled = np.zeros((n_cells, 3))
         filled[measured] = observed
-        _, start = linear.fit(filled)
+        _, start = whole.fit(filled)
         filled[gaps] = -(inverse @ start[gaps].ravel()).reshape(-1, 3)
-        estimate, residuals = linear.fit(filled)
+        estimate, residuals = whole.fit(filled)
         return estimate, residuals[measured]
 
     def solution(estimate: PlateParameters, residuals: Floats) -> Solution:
-        filled = linear.solution(estimate, np.zeros((n_cells, 3)))
+        filled = whole.solution(estimate, np.zeros((n_cells, 3)))
         start = replace(
             filled,
             residuals=residuals,
@@ -182,39 +181,26 @@ def factored_with_gaps(problem: BallPlateProblem, gaps: Ints) -> LinearFit:
             dof=model.degrees_of_freedom(problem),
             way="spectral with gaps",
         )
-        moved = np.stack([left[measured] for _, left in responses], axis=2)
-        return _enlarged(start, [parameters for parameters, _ in responses], moved, inverse)
+        return _enlarged(start, parameters, left[measured], inverse)
 
     return LinearFit(fit, solution)
 
 
-def _units(n_cells: int, gaps: Ints) -> Iterator[Floats]:
-    """Yield a unit deviation (n_cells, 3) for every coordinate of the ``gaps``."""
-    for cell in gaps:
-        for axis in range(3):
-            unit = np.zeros((n_cells, 3))
-            unit[cell, axis] = 1.0
-            yield unit
-
-
 def _enlarged(
-    start: Solution, parameters: list[PlateParameters], residuals: Floats, inverse: Floats
+    start: Solution, parameters: PlateParameters, residuals: Floats, inverse: Floats
 ) -> Solution:
     """Return ``start`` with the uncertainty of m further unknowns, found in its residuals.
 
     A unit of each moves the ``parameters`` (m) and the ``residuals`` (n, 3, m); ``inverse`` (m, m)
     is the unit covariance of the unknowns.
     """
-    std = {}
-    for name in FIELDS:
-        moved = np.stack([getattr(p, name) for p in parameters], axis=-1)
+
+    def std(own: Floats, moved: Floats) -> Floats:
         added = np.einsum("...i,ij,...j->...", moved, inverse, moved)
-        std[name] = np.sqrt(getattr(start.unit_std, name) ** 2 + added)
+        return np.asarray(np.sqrt(own**2 + added))
 
     def covariance(first: str, second: str) -> Floats:
-        columns = np.stack([p.component(first) for p in parameters], axis=1)
-        others = np.stack([p.component(second) for p in parameters], axis=1)
-        added: Floats = columns @ inverse @ others.T
+        added: Floats = parameters.component(first) @ inverse @ parameters.component(second).T
         return start.unit_covariance(first, second) + added
 
     def cofactor() -> Floats:
@@ -223,7 +209,7 @@ def _enlarged(
 
     return replace(
         start,
-        unit_std=PlateParameters(**std),
+        unit_std=start.unit_std.merged(std, parameters),
         unit_covariance=covariance,
         cofactor=cofactor,
     )
@@ -274,10 +260,10 @@ class _Drift:
     def __init__(self, problem: BallPlateProblem, plain: LinearFit) -> None:
         self.problem, self.plain = problem, plain
         self.columns = drift_columns(problem.run_time, problem.drift)  # (n, 3, m)
-        self.parameters, self.remains = plain.responses(self.columns)
+        responses = plain.responses(self.columns)
+        _, self.parameters, self.remains = responses
         self.weighted = problem.weights[:, :, None] * self.columns
-        information = np.einsum("nia,nib->ab", self.weighted, self.remains)
-        information = 0.5 * (information + information.T)
+        information = responses.information(problem.weights)
         seen = drift_seen(problem, self.columns, information)
         if seen < VISIBLE:
             raise ObservabilityError(
@@ -294,15 +280,12 @@ class _Drift:
 
     def fit(self) -> LinearFit:
         """Return the factored model with the drift among its unknowns."""
-        moved = {
-            name: np.stack([getattr(p, name) for p in self.parameters], axis=-1) for name in FIELDS
-        }
 
         def fit(observed: Floats) -> tuple[PlateParameters, Floats]:
             found, residuals = self.plain.fit(observed)
             amount = self.amount(residuals)
-            less = {name: getattr(found, name) - m @ amount for name, m in moved.items()}
-            return PlateParameters(**less), residuals - self.remains @ amount
+            found = found.merged(lambda own, moved: own - moved @ amount, self.parameters)
+            return found, residuals - self.remains @ amount
 
         def solution(estimate: PlateParameters, residuals: Floats) -> Solution:
             return self._with_drift(self.plain.solution(estimate, residuals))
@@ -352,7 +335,7 @@ def _settled(problem: BallPlateProblem, linear: LinearFit) -> Solution:
             residuals = misclosure @ pose.frame.T
             return linear.solution(pose.in_machine_axes(found), residuals)
         step, residuals = linear.fit(misclosure)
-        found = PlateParameters(**{f: getattr(found, f) + getattr(step, f) for f in FIELDS})
+        found = found.merged(np.add, step)
         pose = pose.moved(step)
     raise DataError(
         f"the fit does not settle in {MOST_ROUNDS} rounds, plate and axis are too far off for "
@@ -370,13 +353,20 @@ def computed(
     """
     pose = _Pose.of(found)
     yaw = rotation_about_z(found.axis_rotation[2])
+    centres: Floats = _there(problem, found, plate, cmm, yaw) @ (pose.frame @ yaw.T).T
+    return centres + pose.origin
+
+
+def _there(
+    problem: BallPlateProblem, found: PlateParameters, plate: Floats, cmm: Floats, yaw: Floats
+) -> Floats:
+    """Return the centres (n, 3) in the frame of the axis, of a plate turned by ``yaw`` (3, 3)."""
     places = problem.radius * on_circle(problem.angles[problem.ball_step]) + plate
     table = rotation_from_vector(found.rotation)
     table = table @ rotation_about_z(problem.angles[problem.table_positions]) @ yaw
     there = np.einsum("nij,nj->ni", table[problem.table_index], places)
     there += found.translation[problem.table_index] + cmm
-    centres: Floats = there @ (pose.frame @ yaw.T).T + pose.origin
-    return centres
+    return np.asarray(there)
 
 
 @dataclass(frozen=True)
@@ -418,11 +408,7 @@ def _misclosure(problem: BallPlateProblem, found: PlateParameters, pose: _Pose) 
     """Return observed - computed (n, 3) in the frame of axis and plate."""
     ball = np.searchsorted(problem.balls, problem.ball_step)
     cmm = np.searchsorted(problem.cmm_positions, problem.cmm_index)
-    places = problem.radius * on_circle(problem.angles[problem.balls]) + found.plate
-    table = rotation_from_vector(found.rotation)
-    table = table @ rotation_about_z(problem.angles[problem.table_positions])
-    there = np.einsum("nij,nj->ni", table[problem.table_index], places[ball])
-    there += found.translation[problem.table_index] + found.cmm[cmm]
+    there = _there(problem, found, found.plate[ball], found.cmm[cmm], np.eye(3))
     misclosure: Floats = (problem.centres - pose.origin) @ pose.frame - there
     return misclosure
 

@@ -19,6 +19,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.sparse import csr_array
 
 from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate.solver import model
 from rotcal_ros.methods.ball_plate.solver.model import LinearFit, PlateParameters, Solution
@@ -84,20 +85,14 @@ def linear_view(problem: BallPlateProblem) -> LinearView:
     system = _Eliminated(problem)
     covariance = system.covariance()
     spread = _to_constraints(problem, system.invisible) @ covariance
-    own = 3 * np.arange(len(problem.table_positions))
-    length = {"rotation": problem.radius, "translation": 1.0}
-    table = np.concatenate(
-        [
-            spread[getattr(system.at, field) + axis + own] / length[field]
-            for field, axis in model.TABLE_COMPONENTS.values()
-        ]
-    )
+    places = (model.component_places(problem, name) for name in COMPONENTS)
+    table = np.concatenate([spread[own] / length for own, length in places])
     n, width = system.columns.shape
     rows = np.repeat(np.arange(3 * n), width)
     columns = np.repeat(system.columns, 3, axis=0).ravel()
     std = problem.noise_unit
     whitened = (system.local / std[:, :, None]).ravel()
-    design = csr_array((whitened, (rows, columns)), shape=(3 * n, system.at.total))
+    design = csr_array((whitened, (rows, columns)), shape=(3 * n, len(covariance)))
     return LinearView(design, std.ravel(), covariance, table)
 
 
@@ -116,7 +111,6 @@ class _Eliminated:
 
     def __init__(self, problem: BallPlateProblem) -> None:
         self.problem = problem
-        self.at = model.offsets(problem)
         self.local, self.columns = model.local_design(problem)
         # weights near 1 keep the normal matrix well scaled; covariances are multiplied by ``unit``
         typical = float(np.median(problem.noise_unit))
@@ -124,8 +118,7 @@ class _Eliminated:
         # Local columns: a, b, c, d, u, v of three each; the rest is a, b, u, v.
         self.table = self.local[:, :, 6:12]
         self.rest = np.concatenate([self.local[:, :, :6], self.local[:, :, 12:]], axis=2)
-        self.rest_columns, self.rest_index = _rest_columns(self.at, self.columns)
-        self.table_position = _table_columns(self.at)
+        self.rest_columns, self.rest_index, self.table_position = _places(problem, self.columns)
         self._eliminate()
 
     def _eliminate(self) -> None:
@@ -165,7 +158,7 @@ class _Eliminated:
         np.add.at(rest, self.rest_columns, np.einsum("nij,ni->nj", self.rest, weighted))
         unknown = cho_solve(self.factor, rest - self.back.T @ table.ravel())
         own = (self.own_inverse @ table[:, :, None]).ravel() - self.back @ unknown
-        vector = np.empty(self.at.total)
+        vector = np.empty(len(self.invisible))
         vector[self.rest_index] = unknown
         vector[self.table_position] = own
         return vector
@@ -185,7 +178,7 @@ class _Eliminated:
         every = np.arange(turned)
         blocks[every, :, every, :] += self.own_inverse
         at_rest, at_table = self.rest_index, self.table_position
-        covariance = np.empty((self.at.total,) * 2)
+        covariance = np.empty((len(self.invisible),) * 2)
         covariance[np.ix_(at_rest, at_rest)] = rest
         covariance[np.ix_(at_table, at_rest)] = mixed
         covariance[np.ix_(at_rest, at_table)] = mixed.T
@@ -194,18 +187,18 @@ class _Eliminated:
         return covariance
 
 
-def _rest_columns(at: model.Offsets, columns: Ints) -> tuple[Ints, Ints]:
-    """Return where a, b, u, v of every row stand among themselves, and in the full vector."""
-    index = np.concatenate([np.arange(at.rotation), np.arange(at.axis_rotation, at.total)])
+def _places(problem: BallPlateProblem, columns: Ints) -> tuple[Ints, Ints, Ints]:
+    """Return where a, b, u, v of every row stand among themselves, and in the full vector.
+
+    And where c_i, d_i stand in it, position by position, (6 M,).
+    """
+    at = model.blocks(problem)
+    first, last = at["rotation"].start, at["translation"].stop
+    every = np.arange(model.n_unknowns(problem))
+    rest = np.concatenate([every[:first], every[last:]])
     local = np.concatenate([columns[:, :6], columns[:, 12:]], axis=1)
-    table = at.axis_rotation - at.rotation
-    return np.where(local < at.rotation, local, local - table), index
-
-
-def _table_columns(at: model.Offsets) -> Ints:
-    """Return where c_i, d_i stand in the full vector, position by position, (6 M,)."""
-    own = np.arange(at.translation - at.rotation).reshape(-1, 3)
-    return np.concatenate([at.rotation + own, at.translation + own], axis=1).ravel()
+    table = [every[at[field]].reshape(-1, 3) for field in ("rotation", "translation")]
+    return np.searchsorted(rest, local), rest, np.concatenate(table, axis=1).ravel()
 
 
 def _factor(normal: Floats, size: float) -> tuple[Floats, bool]:
@@ -235,7 +228,7 @@ def _to_constraints(problem: BallPlateProblem, invisible: Floats) -> Floats:
 
 
 def _check(problem: BallPlateProblem) -> None:
-    unknowns = model.offsets(problem).total
+    unknowns = model.n_unknowns(problem)
     if unknowns > MAX_UNKNOWNS:
         raise ObservabilityError(
             f"{unknowns} unknowns: incomplete or weighted data are solved up to {MAX_UNKNOWNS}; "
