@@ -158,8 +158,8 @@ def effort(
     as_json: bool,
 ) -> int:
     """Print how many balls and CMM positions an uncertainty needs, the least work first."""
+    from rotcal_ros.methods.ball_plate.design.ball_layout import required_effort
     from rotcal_ros.methods.ball_plate.design.ball_plan import Kinematics, plan_measurement
-    from rotcal_ros.methods.ball_plate.design.effort import required_effort
 
     component, limit = _need(need)
     ways = required_effort(

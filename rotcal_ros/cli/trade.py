@@ -244,7 +244,7 @@ def plate_table(
     centre_s: float = 35.0,
 ) -> TradeTable:
     """Return what each number of balls gives, and what radius or noise it takes."""
-    from rotcal_ros.methods.ball_plate.design.effort import plate_trade
+    from rotcal_ros.methods.ball_plate.design.ball_layout import plate_trade
 
     rows = plate_trade(
         grid,

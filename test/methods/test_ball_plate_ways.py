@@ -9,29 +9,23 @@ from dense_ball_plate import solve_dense
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plate_data import PAPER_PLATE, RADIUS, simulated, solved
+from plate_in_engine import in_the_engine
 from scipy.optimize import lsq_linear
 
-from rotcal_ros.adjust.model import Model, fitted, linear, require_determined
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ObservabilityError, PlanError
-from rotcal_ros.methods.ball_plate.solver import (
-    closed_form,
-    general_least_squares,
-    model,
-    solve,
-    spectral,
-)
+from rotcal_ros.methods.ball_plate.solver import closed_form, model, solve
 from rotcal_ros.methods.ball_plate.solver.estimate import (
-    drift_columns,
+    WithGaps,
     factored_with_drift,
-    factored_with_gaps,
     gap_cells,
 )
 from rotcal_ros.methods.ball_plate.solver.estimate import solved as solve_exactly
-from rotcal_ros.methods.ball_plate.solver.gathering import WORDS
+from rotcal_ros.methods.ball_plate.solver.general_least_squares import GeneralFit
 from rotcal_ros.methods.ball_plate.solver.model import FIELDS, TABLE_COMPONENTS
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, select
 from rotcal_ros.methods.ball_plate.solver.separability import separability
+from rotcal_ros.methods.ball_plate.solver.spectral import SpectralFit
 
 AGREE = 1e-9
 
@@ -75,8 +69,8 @@ def assert_same(first, second, covariance=True):
 def test_three_ways_agree_on_complete_data(grid, count):
     problem, _ = simulated(grid, random_balls(grid, count, grid + count), seed=count)
     dense = solve_dense(problem)
-    assert_same(dense, solved(spectral, problem))
-    assert_same(dense, solved(general_least_squares, problem), covariance=grid < 72)
+    assert_same(dense, solved(SpectralFit, problem))
+    assert_same(dense, solved(GeneralFit, problem), covariance=grid < 72)
 
 
 @pytest.mark.parametrize(("grid", "count", "positions"), [(12, 12, 7), (24, 9, 19), (36, 8, 30)])
@@ -86,8 +80,8 @@ def test_general_agrees_with_dense_on_reduced_positions_and_gaps(grid, count, po
     part = select(problem, cmm_positions=np.sort(rng.choice(grid, positions, replace=False)))
     keep = np.ones(len(part.centres), dtype=bool)
     keep[rng.choice(len(keep), 4, replace=False)] = False
-    assert_same(solve_dense(part), solved(general_least_squares, part))
-    assert_same(solve_dense(part.take(keep)), solved(general_least_squares, part.take(keep)))
+    assert_same(solve_dense(part), solved(GeneralFit, part))
+    assert_same(solve_dense(part.take(keep)), solved(GeneralFit, part.take(keep)))
 
 
 @pytest.mark.parametrize(("grid", "count", "missing"), [(12, 7, 3), (24, 8, 9), (72, 6, 12)])
@@ -100,7 +94,7 @@ def test_spectral_solution_corrected_for_gaps_agrees_with_dense(grid, count, mis
     assert gaps.tolist() == sorted(gone.tolist())
     assert_same(
         solve_dense(part),
-        factored_with_gaps(part, gaps).solve(part.deviations),
+        WithGaps(part, gaps).solve(part.deviations),
         covariance=grid < 72,
     )
     assert solve_exactly(part)[1].way == "spectral with gaps"
@@ -111,7 +105,7 @@ def test_gaps_that_leave_something_open_are_refused():
     alone = (problem.cmm_index != 5) | (problem.ball_step == 3)
     part = problem.take(alone & ((problem.ball_step != 3) | (problem.cmm_index == 5)))
     with pytest.raises(ObservabilityError):
-        factored_with_gaps(part, gap_cells(part))
+        WithGaps(part, gap_cells(part))
 
 
 def test_large_grids_with_gaps_do_not_need_the_elimination():
@@ -128,29 +122,7 @@ def test_general_agrees_with_dense_on_unequal_weights_and_repeated_centres():
     rng = np.random.default_rng(2)
     twice = problem.take(np.concatenate([np.arange(len(problem.centres)), [3, 50, 51]]))
     weighted = replace(twice, row=None, std=rng.uniform(0.3, 3.0, twice.centres.shape) * 1e-7)
-    assert_same(solve_dense(weighted), solved(general_least_squares, weighted))
-
-
-def in_the_engine(problem):
-    """The dense fit of the engine to the rows one by one; its outputs are the six deviations."""
-    design, constraints = model.design_matrix(problem), model.constraint_matrix(problem)
-    free = model.null_space(problem)  # the engine looks whether nothing tells it
-    to_constraints = np.eye(len(free)) - free @ np.linalg.solve(constraints @ free, constraints)
-    to_constraints[np.abs(to_constraints) < 1e-12] = 0.0  # an output feels no rounding
-    places = (model.component_places(problem, name) for name in COMPONENTS)
-    plate = Model(
-        blocks={name: own.stop - own.start for name, own in model.blocks(problem).items()},
-        observed=problem.deviations.ravel(),
-        std=problem.noise_unit.ravel(),
-        equations=linear(design),
-        outputs=np.concatenate([to_constraints[own] / length for own, length in places]),
-        words=WORDS,
-        free=free,
-    )
-    require_determined(plate)
-    drift = drift_columns(problem.run_time, problem.drift).reshape(len(plate.observed), -1)
-    every = np.ones(len(plate.observed), dtype=bool)
-    return fitted(plate, every, plate.std, plate.first, drift)
+    assert_same(solve_dense(weighted), solved(GeneralFit, weighted))
 
 
 @pytest.mark.parametrize("drift", [0, 1, 2])
@@ -201,7 +173,7 @@ def test_dense_minimises_what_an_independent_solver_minimises():
 
 def test_noise_free_data_return_the_injected_table_errors():
     problem, truth = simulated(72, PAPER_PLATE, seed=4, noise=0.0)
-    for solution in (solved(spectral, problem), solve_dense(problem)):
+    for solution in (solved(SpectralFit, problem), solve_dense(problem)):
         np.testing.assert_allclose(solution.estimate.translation, truth.translation, atol=1e-15)
         np.testing.assert_allclose(solution.estimate.rotation, truth.rotation, atol=1e-14)
         assert np.abs(solution.residuals).max() < 1e-15
@@ -212,7 +184,7 @@ def test_solutions_obey_the_constraints_of_the_paper():
     angle = problem.angles
     radial = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
     tangential = np.column_stack([-np.sin(angle), np.cos(angle), 0 * angle])
-    found = solved(spectral, problem).estimate
+    found = solved(SpectralFit, problem).estimate
     phase = np.exp(-1j * angle)
     size = 1e-6
     assert np.abs(found.cmm.sum(axis=0)).max() < 1e-10 * size  # Eq. 15
@@ -236,7 +208,7 @@ def test_invisible_directions_are_nineteen_and_invisible():
 def test_paper_plate_has_the_papers_uncertainties():
     """k = 2, 0.1 um per centre: 0.03 um, 0.23 urad (tilts) and 0.16 urad are printed."""
     problem, _ = simulated(72, PAPER_PLATE)
-    for solution in (solved(spectral, problem), solve_dense(problem)):
+    for solution in (solved(SpectralFit, problem), solve_dense(problem)):
         expanded = {
             name: 0.1e-6 * np.sqrt(np.mean(solution.unit_std.component(name) ** 2))
             for name in TABLE_COMPONENTS
@@ -249,7 +221,7 @@ def test_paper_plate_has_the_papers_uncertainties():
 
 def test_closed_form_equals_least_squares():
     problem, _ = simulated(12, range(12), seed=6)
-    exact = solved(spectral, problem)
+    exact = solved(SpectralFit, problem)
     found = closed_form(problem, nominal_radius=True)
     np.testing.assert_allclose(found.translation, exact.estimate.translation, atol=1e-17)
     np.testing.assert_allclose(found.rotation, exact.estimate.rotation, atol=1e-16)
@@ -280,13 +252,13 @@ def test_general_names_the_table_positions_that_have_too_few_balls():
     problem, _ = simulated(24, [0, 3, 4, 9, 14])
     part = problem.take((problem.position != 7) | (problem.ball_step < 4))
     with pytest.raises(ObservabilityError, match=r"position \(balls\) 7 \(2\)"):
-        solved(general_least_squares, part)
+        solved(GeneralFit, part)
 
 
 def test_spectral_takes_thousands_of_positions_within_little_memory():
     problem, truth = simulated(3600, [50 * b + b % 7 for b in PAPER_PLATE], seed=3)
     tracemalloc.start()
-    solution = solved(spectral, problem)
+    solution = solved(SpectralFit, problem)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 50e6
@@ -319,7 +291,7 @@ def test_the_order_of_the_rows_does_not_change_a_bit(seed, count):
         problem.centres[shuffle],
         row=problem.rows[shuffle],
     )
-    first, second = solved(spectral, problem), solved(spectral, mixed)
+    first, second = solved(SpectralFit, problem), solved(SpectralFit, mixed)
     for field in FIELDS:
         assert (getattr(first.estimate, field) == getattr(second.estimate, field)).all()
 
@@ -331,6 +303,6 @@ def test_turning_the_plate_by_whole_steps_keeps_the_uncertainty(seed, shift):
     first, _ = simulated(24, balls)
     second, _ = simulated(24, np.sort((balls + shift) % 24))
     for name in TABLE_COMPONENTS:
-        a = np.mean(solved(spectral, first).unit_std.component(name) ** 2)
-        b = np.mean(solved(spectral, second).unit_std.component(name) ** 2)
+        a = np.mean(solved(SpectralFit, first).unit_std.component(name) ** 2)
+        b = np.mean(solved(SpectralFit, second).unit_std.component(name) ** 2)
         assert a == pytest.approx(b, rel=1e-9)

@@ -15,13 +15,15 @@ from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.methods.ball_plate.design import ball_layout
 from rotcal_ros.methods.ball_plate.design.ball_layout import (
+    MOST_BALLS,
     best_layout,
     count_layouts,
     mean_variances,
     proven_bound,
     rate,
+    required_effort,
+    unit_std,
 )
-from rotcal_ros.methods.ball_plate.design.effort import MOST_BALLS, required_effort, unit_std
 
 PAGE = (Path(__file__).parents[2] / "docs" / "ball_plate.md").read_text()
 PAPER_PLATE = [0, 8, 12, 18, 21, 28, 32, 37, 42, 50, 58, 62]

@@ -7,7 +7,7 @@ import pytest
 
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.foundation.units import ARCSEC
-from rotcal_ros.methods.ball_plate.design.effort import bound, plate_trade, unit_std
+from rotcal_ros.methods.ball_plate.design.ball_layout import bound, plate_trade, unit_std
 from rotcal_ros.methods.tracer.design.settings import TracerDesignSettings
 from rotcal_ros.methods.tracer.design.trade import trade
 from rotcal_ros.planning.sequence_time import PAPER

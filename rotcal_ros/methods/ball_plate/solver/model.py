@@ -13,6 +13,7 @@ unknowns that leave all centres where they are.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -122,16 +123,48 @@ class Responses(NamedTuple):
         return np.asarray(0.5 * (kept + kept.T))
 
 
-@dataclass(frozen=True)
-class LinearFit:
+class LinearFit(ABC):
     """The factored linear model of a problem, ready for any number of right-hand sides.
 
-    ``fit`` takes deviations (n, 3) of the rows of the problem, metres, to the parameters and to
-    the residuals (n, 3); ``solution`` joins parameters and residuals with their covariances.
+    ``way``: how it is solved. Covariances are for unit standard deviation, as of a
+    :class:`Solution`.
     """
 
-    fit: Callable[[Floats], tuple[PlateParameters, Floats]]
-    solution: Callable[[PlateParameters, Floats], Solution]
+    way: str
+
+    def __init__(self, problem: BallPlateProblem) -> None:
+        self.problem = problem
+        self.dof = degrees_of_freedom(problem)
+
+    @abstractmethod
+    def fit(self, observed: Floats) -> tuple[PlateParameters, Floats]:
+        """Return parameters and residuals (n, 3) of deviations (n, 3) of the rows, metres."""
+
+    @property
+    @abstractmethod
+    def unit_std(self) -> PlateParameters:
+        """The standard deviations of all parameters."""
+
+    @abstractmethod
+    def unit_covariance(self, first: str, second: str) -> Floats:
+        """Return the covariance (M, M) of two of the table's components."""
+
+    @abstractmethod
+    def cofactor(self) -> Floats:
+        """Return the covariance (n, 3, 3) of the residuals."""
+
+    def solution(self, estimate: PlateParameters, residuals: Floats) -> Solution:
+        """Return parameters and residuals (n, 3) with their covariances."""
+        return Solution(
+            estimate=estimate,
+            unit_std=self.unit_std,
+            unit_covariance=self.unit_covariance,
+            residuals=residuals,
+            cofactor=self.cofactor,
+            weighted_square_sum=weighted_square_sum(self.problem, residuals),
+            dof=self.dof,
+            way=self.way,
+        )
 
     def solve(self, observed: Floats) -> Solution:
         """Return the solution for deviations (n, 3)."""
@@ -168,7 +201,8 @@ def of_component(axes: Floats, name: str) -> float:
 
 def weighted_square_sum(problem: BallPlateProblem, residuals: Floats) -> float:
     """Return w'w: residuals in metres, or in units of ``std`` where every row has its own."""
-    return float(np.sum((residuals / problem.noise_unit) ** 2))
+    white = (residuals / problem.noise_unit).ravel()
+    return float(white @ white)
 
 
 def rounding_variance(problem: BallPlateProblem) -> float:
@@ -329,19 +363,13 @@ def unpack(problem: BallPlateProblem, vector: Floats) -> PlateParameters:
     )
 
 
-def table_covariance(
-    problem: BallPlateProblem, covariance: Floats
-) -> Callable[[str, str], Floats]:
-    """Return the function that cuts the covariance of two components out of (P, P)."""
-
-    def cut(first: str, second: str) -> Floats:
-        (rows, length), (columns, other) = (
-            component_places(problem, name) for name in (first, second)
-        )
-        block: Floats = covariance[np.ix_(rows, columns)] * (1.0 / length / other)
-        return block
-
-    return cut
+def covariance_of(
+    problem: BallPlateProblem, covariance: Floats, first: str, second: str
+) -> Floats:
+    """Return the covariance (M, M) of two components from that of the unknowns (P, P)."""
+    rows, length = component_places(problem, first)
+    columns, other = component_places(problem, second)
+    return np.asarray(covariance[np.ix_(rows, columns)] * (1.0 / length / other))
 
 
 def residual_cofactor(problem: BallPlateProblem, covariance: Floats) -> Floats:
