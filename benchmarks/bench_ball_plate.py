@@ -97,7 +97,7 @@ def bench_solve() -> list[Row]:
 
 def solve_spectral(problem: BallPlateProblem) -> Solution:
     """Solve harmonic by harmonic."""
-    return spectral.factored(problem).solve(problem.deviations)
+    return spectral.SpectralFit(problem).solve(problem.deviations)
 
 
 def anew(problem: BallPlateProblem) -> Solution:

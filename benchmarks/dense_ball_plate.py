@@ -43,7 +43,7 @@ def solve_dense(problem: BallPlateProblem) -> Solution:
     return Solution(
         estimate=model.unpack(problem, vector),
         unit_std=model.unpack(problem, np.sqrt(np.maximum(np.diag(inverse), 0.0))),
-        unit_covariance=model.table_covariance(problem, inverse),
+        unit_covariance=partial(model.covariance_of, problem, inverse),
         residuals=residuals,
         cofactor=partial(model.residual_cofactor, problem, inverse),
         weighted_square_sum=model.weighted_square_sum(problem, residuals),

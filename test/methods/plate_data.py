@@ -88,8 +88,8 @@ def simulated(grid=72, balls=PAPER_PLATE, seed=0, noise=5e-8, **fields):
 
 
 def solved(way, problem):
-    """The linear model alone, solved in one of its ways, a module."""
-    return way.factored(problem).solve(problem.deviations)
+    """The linear model alone, solved in one of its ways, a class."""
+    return way(problem).solve(problem.deviations)
 
 
 def in_cmm_order(problem):

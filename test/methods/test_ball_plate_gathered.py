@@ -174,15 +174,17 @@ def test_cofactors_and_responses_are_those_of_the_fit():
     problem, _ = world(1)
     linear, _ = solved(problem)
     view = gathering.view_of(problem)
-    place = view.places[40]
+    place = view.groups[40]
     for element, axis in ((0, 0), (2, 1), (-1, 2)):
         unit = np.zeros_like(problem.centres)
-        unit[place.rows[element], axis] = 1.0
+        unit[place.members[element], axis] = 1.0
         found, left = linear.fit(unit)
         np.testing.assert_allclose(
-            place.cofactor[:, :, element, axis], left[place.rows], atol=1e-9
+            place.cofactor[:, :, element, axis], left[place.members], atol=1e-9
         )
         curves = np.concatenate([found.component(n) for n in COMPONENTS])
         np.testing.assert_allclose(
-            view.response[:, place.rows[element], axis], curves, atol=1e-8 * np.abs(curves).max()
+            view.response[:, place.members[element], axis],
+            curves,
+            atol=1e-8 * np.abs(curves).max(),
         )

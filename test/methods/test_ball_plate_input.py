@@ -7,9 +7,8 @@ import pytest
 from plate_data import PAPER_PLATE, RADIUS
 
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
-from rotcal_ros.methods.ball_plate.plate import Plate, parse_plate
+from rotcal_ros.methods.ball_plate.settings import BallPlateSolverSettings, Plate, parse_plate
 from rotcal_ros.methods.ball_plate.solver.separability import separability
-from rotcal_ros.methods.ball_plate.solver_settings import BallPlateSolverSettings
 from rotcal_ros.methods.configuration import read_setup
 from rotcal_ros.methods.measurements import read_measurements
 

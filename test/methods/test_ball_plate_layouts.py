@@ -41,21 +41,21 @@ def test_a_known_layout_gives_the_same_bits():
     fresh = []
     for problem in problems:
         forget()
-        fresh.append(numbers(solved(spectral, problem)))
-    known = [numbers(solved(spectral, problem)) for problem in (*problems, *problems)]
+        fresh.append(numbers(solved(spectral.SpectralFit, problem)))
+    known = [numbers(solved(spectral.SpectralFit, problem)) for problem in (*problems, *problems)]
     assert all(np.array_equal(a, b) for a, b in zip(known, fresh * 2, strict=True))
 
 
 def test_a_layout_is_factored_once():
     forget()
     for seed in range(3):
-        solved(spectral, measured(BALLS, seed))
+        solved(spectral.SpectralFit, measured(BALLS, seed))
     assert spectral._factor.cache_info().misses == 1
     assert spectral._unit_std.cache_info().misses == 1
 
 
 def test_what_is_remembered_cannot_be_changed():
-    solution = solved(spectral, measured(BALLS))
+    solution = solved(spectral.SpectralFit, measured(BALLS))
     system = spectral.factor(GRID, np.array(BALLS))
     for array in (solution.unit_std.rotation, system.inverse, system.balls):
         with pytest.raises(ValueError, match="read-only"):

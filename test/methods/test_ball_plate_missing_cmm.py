@@ -11,7 +11,7 @@ from plate_data import PAPER_PLATE, RADIUS, Truth, in_cmm_order, measure, simula
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate.solver import solve
-from rotcal_ros.methods.ball_plate.solver.estimate import factored_with_gaps, gap_cells
+from rotcal_ros.methods.ball_plate.solver.estimate import WithGaps, gap_cells
 
 SIGMA = 5e-8
 EIGHT = [0, 3, 7, 12, 18, 22, 27, 31]
@@ -99,4 +99,4 @@ def test_a_filled_grid_is_still_refused_by_the_way_that_needs_it():
     whole, _ = simulated(36, EIGHT, seed=1)
     part = without_positions(whole, [5])
     with pytest.raises(ObservabilityError):
-        factored_with_gaps(part, gap_cells(part))
+        WithGaps(part, gap_cells(part))

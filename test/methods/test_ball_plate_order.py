@@ -20,15 +20,21 @@ from plate_disturbed import (
     measured,
     on_plate,
 )
+from plate_in_engine import in_the_engine
 
+from rotcal_ros.adjust.causes import seen_by
+from rotcal_ros.adjust.effects import effect_test
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.protection import EFFECTS
 from rotcal_ros.methods.ball_plate.measuring_order import plan_measurement
 from rotcal_ros.methods.ball_plate.solver import solve
-from rotcal_ros.methods.ball_plate.solver.estimate import least_squares
+from rotcal_ros.methods.ball_plate.solver.estimate import drift_columns, factored_with_drift
+from rotcal_ros.methods.ball_plate.solver.estimate import solved as solve_exactly
+from rotcal_ros.methods.ball_plate.solver.model import plate_motion
 from rotcal_ros.methods.ball_plate.solver.order_effects import (
     drift_error,
+    find_drift,
     found_size,
     knock_error,
     needed,
@@ -110,7 +116,7 @@ def test_predicted_errors_are_what_a_simulation_gives(order, grid):
     effects = order_effects(problem, None)
 
     def found(displaced):
-        solved = least_squares(replace(problem_of(displaced), std=None))
+        solved = solve_exactly(replace(problem_of(displaced), std=None))[1]
         curves = np.array([solved.estimate.component(n) for n in COMPONENTS])
         return curves, solved.weighted_square_sum
 
@@ -133,11 +139,44 @@ def test_predicted_errors_are_what_a_simulation_gives(order, grid):
         assert left / size**2 == pytest.approx(expected, rel=1e-5, abs=1e-5)
 
 
+@pytest.mark.parametrize("drift", [0, 1])
+def test_drift_and_knocks_are_effects_of_the_engine(drift):
+    """What they do, what residuals keep of them, and their test: as of its dense reference."""
+    amount = [4e-8, -2e-8, 6e-8]
+    problem, _ = measured(
+        24, [0, 3, 4, 9, 14, 20], 2, {"closing": False}, drift=drift,
+        displaced=lambda i, _: drifted(len(i), amount),
+    )  # fmt: skip
+    dense, effects = in_the_engine(problem), order_effects(problem, None)
+    n = len(problem.centres)
+    late = np.argsort(np.argsort(problem.rows))[:, None, None]
+    moved = [np.where(late >= m, plate_motion(problem), 0.0) for m in effects.moments[[3, -4]]]
+    patterns = [effects.knocks[3], effects.knocks[-4]]
+    if not drift:
+        moved, patterns = [*moved, drift_columns(problem.run_time, 1)], [*patterns, effects.drift]
+    for columns, found in zip(moved, patterns, strict=True):
+        seen = seen_by(dense, columns.reshape(3 * n, -1))
+        size = np.abs(seen.moved).max()
+        np.testing.assert_allclose(
+            found.response.reshape(-1, columns.shape[2]), seen.moved.T, rtol=0, atol=1e-9 * size
+        )
+        np.testing.assert_allclose(
+            found.information, seen.information, rtol=0, atol=1e-9 * seen.whole.max()
+        )
+    if drift:
+        return
+    solution = factored_with_drift(problem).solve(problem.deviations)
+    mine, test = find_drift(problem, solution, effects), effect_test(seen, (dense.chi2, dense.dof))
+    np.testing.assert_allclose(mine.amount, test.size, rtol=1e-7)
+    assert mine.p_value == pytest.approx(test.probability, rel=1e-6)
+    assert 1e-6 < mine.p_value < 0.1
+
+
 def test_a_drift_of_the_predicted_size_is_found_in_95_percent():
     n, hits, runs = 144, 0, 120 if LONG else 20
     problem, _ = measured(12, list(range(12)), 0, {"closing": False})
     effects = order_effects(problem, None)
-    dof = least_squares(problem).dof
+    dof = solve_exactly(problem)[1].dof
     size = found_size(effects.drift, np.array([0.0, 0.0, 1.0]), needed(3, dof), needed(6, dof))
     for seed in range(runs):
         disturbed, _ = measured(
@@ -157,7 +196,7 @@ def test_the_default_order_is_the_one_that_shows_most():
     }.items():  # fmt: skip
         problem, _ = measured(72, PAPER_PLATE, 0, order)
         once, again = closing_apart(problem)
-        solution = least_squares(once)
+        solution = solve_exactly(once)[1]
         std = solution.unit_std.curves()
         effects = order_effects(once, again)
         seen[name] = (

@@ -10,7 +10,8 @@ from plate_data import PAPER_PLATE, RADIUS, grid_rows, in_cmm_order, rotate_z, s
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import DataError, ObservabilityError, PlanError
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.methods.ball_plate.solver import BallPlateProblem, select, solve, spectral
+from rotcal_ros.methods.ball_plate.solver import BallPlateProblem, select, solve
+from rotcal_ros.methods.ball_plate.solver.spectral import SpectralFit
 
 
 def at(place_of, grid=72, balls=PAPER_PLATE, direction=1.0, noise=1e-7):
@@ -57,7 +58,7 @@ def test_stated_intervals_contain_the_truth_in_95_percent_of_1000_runs():
     variance = []
     for run in range(1000):
         problem, truth = simulated(12, [0, 1, 3, 7, 8, 10], seed=run)
-        solution = solved(spectral, problem)
+        solution = solved(SpectralFit, problem)
         sigma2 = solution.weighted_square_sum / solution.dof
         variance.append(sigma2 / 5e-8**2)
         for name in COMPONENTS:

@@ -9,24 +9,23 @@ from dense_ball_plate import solve_dense
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plate_data import PAPER_PLATE, RADIUS, simulated, solved
+from plate_in_engine import in_the_engine
 from scipy.optimize import lsq_linear
 
+from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ObservabilityError, PlanError
-from rotcal_ros.methods.ball_plate.solver import (
-    closed_form,
-    general_least_squares,
-    model,
-    solve,
-    spectral,
-)
+from rotcal_ros.methods.ball_plate.solver import closed_form, model, solve
 from rotcal_ros.methods.ball_plate.solver.estimate import (
-    factored_with_gaps,
+    WithGaps,
+    factored_with_drift,
     gap_cells,
-    least_squares,
 )
+from rotcal_ros.methods.ball_plate.solver.estimate import solved as solve_exactly
+from rotcal_ros.methods.ball_plate.solver.general_least_squares import GeneralFit
 from rotcal_ros.methods.ball_plate.solver.model import FIELDS, TABLE_COMPONENTS
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, select
 from rotcal_ros.methods.ball_plate.solver.separability import separability
+from rotcal_ros.methods.ball_plate.solver.spectral import SpectralFit
 
 AGREE = 1e-9
 
@@ -70,8 +69,8 @@ def assert_same(first, second, covariance=True):
 def test_three_ways_agree_on_complete_data(grid, count):
     problem, _ = simulated(grid, random_balls(grid, count, grid + count), seed=count)
     dense = solve_dense(problem)
-    assert_same(dense, solved(spectral, problem))
-    assert_same(dense, solved(general_least_squares, problem), covariance=grid < 72)
+    assert_same(dense, solved(SpectralFit, problem))
+    assert_same(dense, solved(GeneralFit, problem), covariance=grid < 72)
 
 
 @pytest.mark.parametrize(("grid", "count", "positions"), [(12, 12, 7), (24, 9, 19), (36, 8, 30)])
@@ -81,8 +80,8 @@ def test_general_agrees_with_dense_on_reduced_positions_and_gaps(grid, count, po
     part = select(problem, cmm_positions=np.sort(rng.choice(grid, positions, replace=False)))
     keep = np.ones(len(part.centres), dtype=bool)
     keep[rng.choice(len(keep), 4, replace=False)] = False
-    assert_same(solve_dense(part), solved(general_least_squares, part))
-    assert_same(solve_dense(part.take(keep)), solved(general_least_squares, part.take(keep)))
+    assert_same(solve_dense(part), solved(GeneralFit, part))
+    assert_same(solve_dense(part.take(keep)), solved(GeneralFit, part.take(keep)))
 
 
 @pytest.mark.parametrize(("grid", "count", "missing"), [(12, 7, 3), (24, 8, 9), (72, 6, 12)])
@@ -95,10 +94,10 @@ def test_spectral_solution_corrected_for_gaps_agrees_with_dense(grid, count, mis
     assert gaps.tolist() == sorted(gone.tolist())
     assert_same(
         solve_dense(part),
-        factored_with_gaps(part, gaps).solve(part.deviations),
+        WithGaps(part, gaps).solve(part.deviations),
         covariance=grid < 72,
     )
-    assert least_squares(part).way == "spectral with gaps"
+    assert solve_exactly(part)[1].way == "spectral with gaps"
 
 
 def test_gaps_that_leave_something_open_are_refused():
@@ -106,12 +105,12 @@ def test_gaps_that_leave_something_open_are_refused():
     alone = (problem.cmm_index != 5) | (problem.ball_step == 3)
     part = problem.take(alone & ((problem.ball_step != 3) | (problem.cmm_index == 5)))
     with pytest.raises(ObservabilityError):
-        factored_with_gaps(part, gap_cells(part))
+        WithGaps(part, gap_cells(part))
 
 
 def test_large_grids_with_gaps_do_not_need_the_elimination():
     problem, truth = simulated(1440, [20 * b + b % 7 for b in PAPER_PLATE], seed=3)
-    solution = least_squares(problem.take(np.arange(len(problem.centres)) != 1234))
+    _, solution = solve_exactly(problem.take(np.arange(len(problem.centres)) != 1234))
     assert solution.way == "spectral with gaps"
     error = solution.estimate.component("ECC") - truth.component("ECC")
     expected = 5e-8 * solution.unit_std.component("ECC")
@@ -123,7 +122,39 @@ def test_general_agrees_with_dense_on_unequal_weights_and_repeated_centres():
     rng = np.random.default_rng(2)
     twice = problem.take(np.concatenate([np.arange(len(problem.centres)), [3, 50, 51]]))
     weighted = replace(twice, row=None, std=rng.uniform(0.3, 3.0, twice.centres.shape) * 1e-7)
-    assert_same(solve_dense(weighted), solved(general_least_squares, weighted))
+    assert_same(solve_dense(weighted), solved(GeneralFit, weighted))
+
+
+@pytest.mark.parametrize("drift", [0, 1, 2])
+@pytest.mark.parametrize("kind", ["complete", "gaps", "elimination", "weights"])
+def test_each_way_is_the_dense_reference_of_the_engine(kind, drift):
+    problem, _ = simulated(24, [0, 3, 4, 9, 14, 20], seed=4, drift=drift)
+    n, rng = len(problem.centres), np.random.default_rng(6)
+    if kind in ("gaps", "elimination"):
+        problem = problem.take(rng.permutation(n) >= (4 if kind == "gaps" else 24))
+    if kind == "weights":
+        problem = replace(problem, std=rng.uniform(0.3, 3.0, (n, 3)) * 1e-7)
+    problem = replace(problem, row=rng.permutation(len(problem.centres)))
+    found, dense = factored_with_drift(problem).solve(problem.deviations), in_the_engine(problem)
+    assert found.way.startswith({"complete": "spectral", "gaps": "spectral with gaps"}.get(
+        kind, "general"
+    ))  # fmt: skip
+    values = found.estimate.curves().ravel()
+    np.testing.assert_allclose(values, dense.value, rtol=0, atol=AGREE * np.abs(values).max())
+    covariance = dense.response @ dense.response.T
+    blocks = [[found.unit_covariance(one, two) for two in COMPONENTS] for one in COMPONENTS]
+    std = np.sqrt(covariance.diagonal())
+    np.testing.assert_allclose(
+        np.block(blocks) / std / std[:, None], covariance / std / std[:, None], rtol=0, atol=AGREE
+    )
+    np.testing.assert_allclose(found.unit_std.curves().ravel(), std, rtol=AGREE)
+    own = problem.noise_unit
+    np.testing.assert_allclose((found.residuals / own).ravel(), dense.white, rtol=0,
+                               atol=AGREE * np.abs(dense.white).max())  # fmt: skip
+    redundancy = np.einsum("nii->ni", found.cofactor()) / own**2
+    np.testing.assert_allclose(redundancy.ravel(), dense.redundancy, rtol=0, atol=AGREE)
+    assert found.dof == dense.dof
+    assert found.weighted_square_sum == pytest.approx(dense.chi2, rel=AGREE)
 
 
 def test_dense_minimises_what_an_independent_solver_minimises():
@@ -142,7 +173,7 @@ def test_dense_minimises_what_an_independent_solver_minimises():
 
 def test_noise_free_data_return_the_injected_table_errors():
     problem, truth = simulated(72, PAPER_PLATE, seed=4, noise=0.0)
-    for solution in (solved(spectral, problem), solve_dense(problem)):
+    for solution in (solved(SpectralFit, problem), solve_dense(problem)):
         np.testing.assert_allclose(solution.estimate.translation, truth.translation, atol=1e-15)
         np.testing.assert_allclose(solution.estimate.rotation, truth.rotation, atol=1e-14)
         assert np.abs(solution.residuals).max() < 1e-15
@@ -153,7 +184,7 @@ def test_solutions_obey_the_constraints_of_the_paper():
     angle = problem.angles
     radial = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
     tangential = np.column_stack([-np.sin(angle), np.cos(angle), 0 * angle])
-    found = solved(spectral, problem).estimate
+    found = solved(SpectralFit, problem).estimate
     phase = np.exp(-1j * angle)
     size = 1e-6
     assert np.abs(found.cmm.sum(axis=0)).max() < 1e-10 * size  # Eq. 15
@@ -177,7 +208,7 @@ def test_invisible_directions_are_nineteen_and_invisible():
 def test_paper_plate_has_the_papers_uncertainties():
     """k = 2, 0.1 um per centre: 0.03 um, 0.23 urad (tilts) and 0.16 urad are printed."""
     problem, _ = simulated(72, PAPER_PLATE)
-    for solution in (solved(spectral, problem), solve_dense(problem)):
+    for solution in (solved(SpectralFit, problem), solve_dense(problem)):
         expanded = {
             name: 0.1e-6 * np.sqrt(np.mean(solution.unit_std.component(name) ** 2))
             for name in TABLE_COMPONENTS
@@ -190,7 +221,7 @@ def test_paper_plate_has_the_papers_uncertainties():
 
 def test_closed_form_equals_least_squares():
     problem, _ = simulated(12, range(12), seed=6)
-    exact = solved(spectral, problem)
+    exact = solved(SpectralFit, problem)
     found = closed_form(problem, nominal_radius=True)
     np.testing.assert_allclose(found.translation, exact.estimate.translation, atol=1e-17)
     np.testing.assert_allclose(found.rotation, exact.estimate.rotation, atol=1e-16)
@@ -221,13 +252,13 @@ def test_general_names_the_table_positions_that_have_too_few_balls():
     problem, _ = simulated(24, [0, 3, 4, 9, 14])
     part = problem.take((problem.position != 7) | (problem.ball_step < 4))
     with pytest.raises(ObservabilityError, match=r"position \(balls\) 7 \(2\)"):
-        solved(general_least_squares, part)
+        solved(GeneralFit, part)
 
 
 def test_spectral_takes_thousands_of_positions_within_little_memory():
     problem, truth = simulated(3600, [50 * b + b % 7 for b in PAPER_PLATE], seed=3)
     tracemalloc.start()
-    solution = solved(spectral, problem)
+    solution = solved(SpectralFit, problem)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 50e6
@@ -260,7 +291,7 @@ def test_the_order_of_the_rows_does_not_change_a_bit(seed, count):
         problem.centres[shuffle],
         row=problem.rows[shuffle],
     )
-    first, second = solved(spectral, problem), solved(spectral, mixed)
+    first, second = solved(SpectralFit, problem), solved(SpectralFit, mixed)
     for field in FIELDS:
         assert (getattr(first.estimate, field) == getattr(second.estimate, field)).all()
 
@@ -272,6 +303,6 @@ def test_turning_the_plate_by_whole_steps_keeps_the_uncertainty(seed, shift):
     first, _ = simulated(24, balls)
     second, _ = simulated(24, np.sort((balls + shift) % 24))
     for name in TABLE_COMPONENTS:
-        a = np.mean(solved(spectral, first).unit_std.component(name) ** 2)
-        b = np.mean(solved(spectral, second).unit_std.component(name) ** 2)
+        a = np.mean(solved(SpectralFit, first).unit_std.component(name) ** 2)
+        b = np.mean(solved(SpectralFit, second).unit_std.component(name) ** 2)
         assert a == pytest.approx(b, rel=1e-9)

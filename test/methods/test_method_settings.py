@@ -7,7 +7,7 @@ import pytest
 from settings_page import assert_documented
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.methods.ball_plate.plate import Plate, parse_plate
+from rotcal_ros.methods.ball_plate.settings import Plate, parse_plate
 from rotcal_ros.methods.plane_mirror.settings import MirrorSolverSettings
 from rotcal_ros.methods.tracer.solver_settings import TracerLimits, TracerSolverSettings
 

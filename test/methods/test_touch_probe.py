@@ -9,16 +9,16 @@ from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.foundation.observations import Approach, Command, PointKind
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.ball_plate.method import METHOD
-from rotcal_ros.methods.ball_plate.simulated_probe import (
-    MachineError,
-    plate_balls,
-    upper_half,
-)
-from rotcal_ros.methods.ball_plate.simulation_settings import (
+from rotcal_ros.methods.ball_plate.settings import (
     TOUCH_PROBE,
     PlateSimulationSettings,
     SimulatedPlateSettings,
     TouchProbeSettings,
+)
+from rotcal_ros.methods.ball_plate.simulated_probe import (
+    MachineError,
+    plate_balls,
+    upper_half,
 )
 from rotcal_ros.methods.ball_plate.touched_ball import fitted_centre
 from rotcal_ros.methods.simulation.settings import LinearHarmonics, TableSettings

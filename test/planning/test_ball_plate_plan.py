@@ -6,8 +6,7 @@ import pytest
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.observations import Approach, PointKind
 from rotcal_ros.methods.ball_plate.plan import ball_plate_plan, measuring_order
-from rotcal_ros.methods.ball_plate.plate import Plate
-from rotcal_ros.methods.ball_plate.settings import CENTRE, BallPlatePlanSettings
+from rotcal_ros.methods.ball_plate.settings import CENTRE, BallPlatePlanSettings, Plate
 
 PLATE = Plate(grid=12, ball_steps=(0, 3, 4, 8), circle_radius_m=0.2, ball_diameter_m=0.025)
 AXIS = (1.0, -2.0, 0.5)

@@ -15,9 +15,12 @@ from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.methods.arrivals import Arrivals, RepeatedTrials, arrivals_of, mean_of_runs
 from rotcal_ros.methods.ball_plate import solver as ball_plate
-from rotcal_ros.methods.ball_plate.settings import BallPlatePlanSettings
+from rotcal_ros.methods.ball_plate.settings import (
+    DRIFTS,
+    BallPlatePlanSettings,
+    BallPlateSolverSettings,
+)
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
-from rotcal_ros.methods.ball_plate.solver_settings import DRIFTS, BallPlateSolverSettings
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Trials
 from rotcal_ros.planning.plan import Plan

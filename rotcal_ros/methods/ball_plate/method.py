@@ -12,10 +12,12 @@ from rotcal_ros.methods.ball_plate import calibration, table
 from rotcal_ros.methods.ball_plate.disturbances import DISTURBANCES
 from rotcal_ros.methods.ball_plate.figures import figures
 from rotcal_ros.methods.ball_plate.plan import check_plan, plan
-from rotcal_ros.methods.ball_plate.settings import BallPlatePlanSettings
-from rotcal_ros.methods.ball_plate.simulation_settings import PlateSimulationSettings
+from rotcal_ros.methods.ball_plate.settings import (
+    BallPlatePlanSettings,
+    BallPlateSolverSettings,
+    PlateSimulationSettings,
+)
 from rotcal_ros.methods.ball_plate.solver.result import METHOD as NAME
-from rotcal_ros.methods.ball_plate.solver_settings import BallPlateSolverSettings
 from rotcal_ros.methods.ball_plate.touched_ball import reported_centre, touched_centre
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Method, See, TableReader

@@ -15,8 +15,7 @@ from rotcal_ros.methods.ball_plate.measuring_order import (
     Order,
     plan_measurement,
 )
-from rotcal_ros.methods.ball_plate.plate import checked
-from rotcal_ros.methods.ball_plate.settings import SURFACE, BallPlatePlanSettings
+from rotcal_ros.methods.ball_plate.settings import SURFACE, BallPlatePlanSettings, checked
 from rotcal_ros.methods.ball_plate.solver.problem import position_of
 from rotcal_ros.methods.ball_plate.solver.rejection import MOST_OPEN
 from rotcal_ros.methods.ball_plate.solver.result import METHOD

@@ -1,16 +1,249 @@
-"""The settings of the ball plate method, without what makes and solves a plan."""
+"""The settings of the ball plate method, without what makes and solves a plan.
+
+The plate (a file, or the group ``plan.plate``), the solver, the simulated cell, the plan.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 from typing import Any, Final, get_args
 
-from rotcal_ros.foundation.settings import setting
+import numpy as np
+
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.settings import group, load, setting
 from rotcal_ros.methods.ball_plate.measuring_order import DEFAULT_ORDER, Order
-from rotcal_ros.methods.ball_plate.plate import Plate, points_setting
-from rotcal_ros.methods.ball_plate.simulation_settings import PlateSimulationSettings
-from rotcal_ros.methods.ball_plate.solver_settings import BallPlateSolverSettings
+from rotcal_ros.methods.simulation.settings import SimulationSettings
+
+
+def grid_setting(default: Any = MISSING, *, doc: str, first: bool = False) -> Any:
+    """Declare the number of grid steps of a plate, planned or simulated."""
+    return setting(default, doc=doc, minimum=3, maximum=36_000, first=first)
+
+
+def points_setting() -> Any:
+    """Declare how many touch points a ball gets: a sphere has four unknowns, and needs a check."""
+    return setting(15, doc="touch points on the upper half of a ball", minimum=5, maximum=1000)
+
+
+@dataclass(frozen=True)
+class Plate:
+    """A circular ball plate, as a group of settings or as the entries of a plate file.
+
+    Ball ``ball_steps[r]`` stands at the angle 2 pi step / ``grid``, counter-clockwise seen from
+    above. ``separate_groups`` allows ball steps that share a factor with the grid (groups of
+    positions without a connection). :func:`checked` refuses a plate that cannot be.
+    """
+
+    grid: int = grid_setting(
+        doc="number of table positions in a turn: the grid that ball_steps counts in", first=True
+    )
+    ball_steps: tuple[int, ...] = setting(
+        doc="grid steps on which balls stand, from 0", minimum=0, first=True
+    )
+    circle_radius_m: float = setting(
+        doc="m, radius of the circle of ball centres", minimum=1e-3, first=True
+    )
+    ball_diameter_m: float = setting(doc="m, diameter of the balls", minimum=1e-4, first=True)
+    name: str = setting("ball plate", doc="name of the plate")
+    material: str = setting("", doc="material of the plate")
+    separate_groups: bool = setting(
+        False, doc="accept a plate whose table positions fall into groups that no ball connects"
+    )
+
+    @property
+    def places(self) -> Floats:
+        """Nominal places (grid, 3) of all steps at table position 0, metres."""
+        from rotcal_ros.methods.ball_plate.solver.problem import grid_angles, on_circle
+
+        return self.circle_radius_m * on_circle(grid_angles(self.grid))
+
+
+def parse_plate(entries: Mapping[str, Any], where: str) -> Plate:
+    """Return the plate with the given entries; ``where`` names them in error messages.
+
+    Raises ConfigurationError for entries that are missing, unknown, of the wrong kind, or that
+    do not go together.
+    """
+    return checked(load(Plate, entries, where), where)
+
+
+def checked(plate: Plate, where: str) -> Plate:
+    """Return ``plate``; ConfigurationError for steps off the grid and balls without room."""
+    _check_steps(plate, where)
+    _check_room(plate, where)
+    return plate
+
+
+def _check_steps(plate: Plate, where: str) -> None:
+    steps = plate.ball_steps
+    outside = sorted(step for step in steps if step >= plate.grid)
+    if outside:
+        raise ConfigurationError(
+            f"{where}: ball_steps must lie in 0..{plate.grid - 1}, found {outside}"
+        )
+    twice = sorted({step for step in steps if steps.count(step) > 1})
+    if twice or len(steps) < 3:
+        raise ConfigurationError(
+            f"{where}: at least 3 different ball_steps are needed; {len(steps)} found, "
+            f"named twice: {twice}"
+        )
+
+
+def _check_room(plate: Plate, where: str) -> None:
+    """Refuse lengths in millimetres and balls that overlap."""
+    if plate.circle_radius_m > 10.0:
+        raise ConfigurationError(
+            f"{where}: a ball circle with a radius of {plate.circle_radius_m:g} m looks like "
+            "millimetres; metres are expected"
+        )
+    steps = np.sort(plate.ball_steps)
+    smallest = int(np.diff(steps, append=steps[0] + plate.grid).min())
+    chord = 2.0 * plate.circle_radius_m * np.sin(np.pi * smallest / plate.grid)
+    if chord < plate.ball_diameter_m:
+        raise ConfigurationError(
+            f"{where}: balls {smallest} grid steps apart are {chord:.4f} m apart, less "
+            f"than their diameter of {plate.ball_diameter_m:.4f} m; check circle and diameter"
+        )
+
+
+DRIFTS: Final = ("none", "linear", "quadratic")
+"""Drifts that can be estimated along; their places are the degrees in time."""
+
+
+@dataclass(frozen=True)
+class BallPlateSolverSettings:
+    """How the ball plate method is solved, and which part of the data is evaluated."""
+
+    sigma_centre_m: float = setting(
+        0.0,
+        doc="m, known standard deviation of a ball centre; 0: from the residuals",
+        minimum=0.0,
+        maximum=1e-2,
+    )
+    drift: str = setting(
+        "none",
+        doc="drift of the CMM's origin over the run that is estimated, for each axis",
+        choices=DRIFTS,
+    )
+    drift_allowance_m: float = setting(
+        0.0,
+        doc="m, drift of the CMM's origin over the run, along each axis, that the uncertainty "
+        "covers where it is not estimated; 0: none stated",
+        minimum=0.0,
+        maximum=1e-3,
+    )
+    group_allowance_m: float = setting(
+        0.0,
+        doc="m, on the circle of the balls: largest difference between the zeros of groups of "
+        "table positions (plan.plate.separate_groups); 0: none stated, the difference is unknown",
+        minimum=0.0,
+        maximum=1e-3,
+    )
+    sigma_axes_m: tuple[float, ...] = setting(
+        (),
+        doc="m, known standard deviations of a ball centre in x, y, z; empty: the same in all",
+        minimum=0.0,
+        maximum=1e-2,
+    )
+    own_std: bool = setting(
+        False, doc="weight every centre by the standard deviation that the machine states for it"
+    )
+    balls: tuple[int, ...] = setting(
+        (), doc="ball steps to evaluate, on the grid of the plate; empty: all", minimum=0
+    )
+    cmm_positions: tuple[int, ...] = setting(
+        (), doc="CMM positions to evaluate, on the grid of the plate; empty: all", minimum=0
+    )
+    coarser: int = setting(
+        1, doc="evaluate only every n-th step of the grid", minimum=1, maximum=1000
+    )
+
+    def __post_init__(self) -> None:
+        """Raise ConfigurationError unless one standard deviation or three are stated."""
+        if not self.sigma_axes_m:
+            return
+        if len(self.sigma_axes_m) != 3 or min(self.sigma_axes_m) <= 0.0:
+            raise ConfigurationError(
+                f"sigma_axes_m: expected three positive lengths (x, y, z), found "
+                f"{list(self.sigma_axes_m)}"
+            )
+        if self.sigma_centre_m:
+            raise ConfigurationError("give sigma_centre_m or sigma_axes_m, not both")
+
+
+TOUCH_PROBE: Final = "touch_probe"
+
+
+@dataclass(frozen=True)
+class SimulatedPlateSettings:
+    """The ball plate as it really is: its balls, how well it is made, how it is clamped."""
+
+    grid: int = grid_setting(72, doc="number of grid steps in a turn")
+    ball_steps: tuple[int, ...] = setting(
+        (0, 8, 12, 18, 21, 28, 32, 37, 42, 50, 58, 62), doc="grid steps of the balls", minimum=0
+    )
+    circle_radius_m: float = setting(0.185, doc="m, radius of the ball circle", minimum=1e-3)
+    ball_diameter_m: float = setting(0.025, doc="m, diameter of the balls", minimum=1e-4)
+    azimuth_deg: float = setting(
+        0.0, doc="deg, direction of ball step 0 from the table's x axis at angle 0"
+    )
+    manufacture_um: float = setting(
+        5.0, doc="um, standard deviation of a ball's place along each axis", minimum=0.0
+    )
+    clamping_shift_um: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.0), doc="um, shift of the plate on the table"
+    )
+    clamping_turn_arcsec: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.0), doc="arcsec, turn of the plate on the table about x, y and z"
+    )
+
+
+@dataclass(frozen=True)
+class TouchProbeSettings:
+    """The coordinate measuring machine that touches the balls."""
+
+    initial_position_m: tuple[float, float, float] = setting(
+        (0.3, 0.0, 0.2), doc="m, place of the tip at the start"
+    )
+    points_per_ball: int = points_setting()
+    tip_radius_m: float = setting(0.0015, doc="m, radius of the probe tip", minimum=0.0)
+    systematic_um: float = setting(
+        1.0, doc="um, standard deviation of the machine's error along each axis", minimum=0.0
+    )
+    wavelength_m: float = setting(
+        0.25, doc="m, distance over which the machine's error changes", minimum=1e-3
+    )
+    noise_um: float = setting(
+        0.2, doc="um, standard deviation of a touch point along each axis", minimum=0.0
+    )
+    dirt_probability: float = setting(
+        0.0, doc="probability that dirt lies under a touch", minimum=0.0, maximum=1.0
+    )
+    dirt_um: float = setting(8.0, doc="um, thickness of the dirt", minimum=0.0)
+    speed_m_s: float = setting(0.1, doc="m/s, largest speed", minimum=1e-6)
+    acceleration_m_s2: float = setting(0.5, doc="m/s^2, acceleration", minimum=1e-6)
+    clearance_m: float = setting(
+        0.05, doc="m, height above the balls in which the tip travels", minimum=0.0
+    )
+    settling_time_s: float = setting(
+        1.0, doc="s, wait after the last motion before the first touch", minimum=0.0
+    )
+    touch_time_s: float = setting(1.5, doc="s, from one touch to the next", minimum=1e-3)
+
+
+@dataclass(frozen=True)
+class PlateSimulationSettings(SimulationSettings):
+    """The simulated cell of the ball plate method."""
+
+    instrument: str = setting(
+        TOUCH_PROBE, doc="a machine that touches the balls of a plate", choices=(TOUCH_PROBE,)
+    )
+    plate: SimulatedPlateSettings = group(SimulatedPlateSettings)
+    touch_probe: TouchProbeSettings = group(TouchProbeSettings)
+
 
 SURFACE: Final = "surface"
 CENTRE: Final = "centre"

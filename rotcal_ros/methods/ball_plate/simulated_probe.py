@@ -9,7 +9,7 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Floats, Stamps
 from rotcal_ros.foundation.observations import Command, PointKind, ProbeSample
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, NANOSECOND
-from rotcal_ros.methods.ball_plate.simulation_settings import (
+from rotcal_ros.methods.ball_plate.settings import (
     SimulatedPlateSettings,
     TouchProbeSettings,
 )

@@ -13,7 +13,7 @@ from typing import Any, Final
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.tables import Header, Row, Table, hashes
-from rotcal_ros.methods.ball_plate.plate import parse_plate
+from rotcal_ros.methods.ball_plate.settings import parse_plate
 from rotcal_ros.methods.calibration import prepare
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder

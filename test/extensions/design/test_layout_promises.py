@@ -13,12 +13,14 @@ from scipy.optimize import minimize_scalar
 
 from rotcal_ros.extensions.design.ball_plate import ball_layout
 from rotcal_ros.extensions.design.ball_plate.ball_layout import (
+    MOST_BALLS,
     count_layouts,
     mean_variances,
     plan_plate,
     proven_bound,
+    required_effort,
+    unit_std,
 )
-from rotcal_ros.extensions.design.ball_plate.effort import MOST_BALLS, required_effort, unit_std
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.methods.configuration import read_setup

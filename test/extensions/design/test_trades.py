@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotcal_ros.extensions.design.ball_plate.effort import bound, plate_trade, unit_std
+from rotcal_ros.extensions.design.ball_plate.ball_layout import bound, plate_trade, unit_std
 from rotcal_ros.extensions.design.settings import TracerDesignSettings
 from rotcal_ros.extensions.design.tracer.trade import tracer_trade
 from rotcal_ros.foundation.errors import ObservabilityError

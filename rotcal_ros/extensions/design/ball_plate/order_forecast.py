@@ -10,7 +10,7 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.methods.ball_plate.measuring_order import BallPlan
-from rotcal_ros.methods.ball_plate.solver.estimate import least_squares
+from rotcal_ros.methods.ball_plate.solver.estimate import solved
 from rotcal_ros.methods.ball_plate.solver.order_effects import (
     DisplacementPatterns,
     bad_moment,
@@ -64,7 +64,7 @@ def forecast(plan: BallPlan, sigma: float, radius: float) -> OrderForecast:
     once, closing = closing_apart(
         BallPlateProblem.nominal(plan.grid, radius, plan.position, plan.ball_step, row=row)
     )
-    solution = least_squares(once)
+    solution = solved(once)[1]
     std, dof = solution.unit_std.curves(), solution.dof
     effects = order_effects(once, closing)
     closure = needed(6, dof)

@@ -135,7 +135,7 @@ def effort(
     as_json: bool,
 ) -> int:
     """Print how many balls and CMM positions an uncertainty needs, the least work first."""
-    from rotcal_ros.extensions.design.ball_plate.effort import required_effort
+    from rotcal_ros.extensions.design.ball_plate.ball_layout import required_effort
     from rotcal_ros.methods.ball_plate.measuring_order import Kinematics, plan_measurement
 
     component, limit = _need(need)

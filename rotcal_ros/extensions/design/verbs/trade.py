@@ -175,7 +175,7 @@ def plate(
     centre_s: float,
 ) -> TradeTable:
     """Show what a plate of so many balls gives, and how much a better plan could save."""
-    from rotcal_ros.extensions.design.ball_plate.effort import plate_trade
+    from rotcal_ros.extensions.design.ball_plate.ball_layout import plate_trade
 
     rows = plate_trade(
         grid,

@@ -12,8 +12,8 @@ To read in this order:
 * :mod:`.screening`, :mod:`.rejection`, :mod:`.gathering`: rows that are not fitted, before the
   first fit, one by one, and together in one place
 * :mod:`.noise`, :mod:`.order_effects`, :mod:`.repeated_stops`: what the residuals tell
-* :mod:`.solution`: all of this for each group of table positions; :mod:`.reliability`: what may be
-  wrong all the same; :mod:`.result`: the result, and trials of it
+* :mod:`.solution`: all of this for each group of table positions; :mod:`.result`: the result, what
+  may be wrong with it all the same, and trials of it
 """
 
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, select

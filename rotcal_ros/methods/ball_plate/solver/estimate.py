@@ -15,7 +15,6 @@ frame of the fitted axis, and obey Eq. 15 to 19 there.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -23,9 +22,9 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, ObservabilityError
 from rotcal_ros.geometry.rotations import rotation_about_z, rotation_from_vector
-from rotcal_ros.methods.ball_plate.solver import general_least_squares, model, spectral
+from rotcal_ros.methods.ball_plate.solver import model
+from rotcal_ros.methods.ball_plate.solver.general_least_squares import MAX_UNKNOWNS, GeneralFit
 from rotcal_ros.methods.ball_plate.solver.model import (
-    FIELDS,
     LinearFit,
     OriginDrift,
     PlateParameters,
@@ -33,6 +32,7 @@ from rotcal_ros.methods.ball_plate.solver.model import (
 )
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, on_circle
 from rotcal_ros.methods.ball_plate.solver.separability import require_balls
+from rotcal_ros.methods.ball_plate.solver.spectral import SpectralFit
 
 FEW_GAPS = 20
 """Gaps up to which correcting the spectral solution is quicker than the elimination."""
@@ -47,25 +47,21 @@ SETTLED = 3e-4
 MOST_ROUNDS = 60
 
 
-def least_squares(problem: BallPlateProblem) -> Solution:
-    """Solve the exact model: the linear one, iterated until the neglected products are gone.
-
-    Raises ObservabilityError when the centres do not determine all parameters, DataError when
-    plate or frame are too far off for the iteration to settle.
-    """
-    return solved(problem)[1]
-
-
 def solved(problem: BallPlateProblem) -> tuple[LinearFit, Solution]:
     """Return the factored linear model and the solution of the exact one; a drift is estimated.
 
-    Raises what :func:`least_squares` does.
+    The linear fit is iterated until the products that it neglects are gone. Raises
+    ObservabilityError when the centres do not determine all parameters, DataError when plate or
+    frame are too far off for the iteration to settle.
     """
-    plain = factored(problem)
-    if not problem.drift:
-        return plain, _settled(problem, plain)
-    drift = _Drift(problem, plain)
-    return drift.fit(), drift.settled()
+    linear = factored_with_drift(problem)
+    settled = linear.settled() if isinstance(linear, WithDrift) else _settled(problem, linear)
+    return linear, settled
+
+
+def factored_with_drift(problem: BallPlateProblem) -> LinearFit:
+    """Factor the model of Eq. 12 and the drift that is to be estimated; as :func:`factored`."""
+    return WithDrift(problem) if problem.drift else factored(problem)
 
 
 def factored(problem: BallPlateProblem) -> LinearFit:
@@ -75,13 +71,11 @@ def factored(problem: BallPlateProblem) -> LinearFit:
     """
     axes = _same_everywhere(problem)
     if axes is not None:
-        return _scaled(factored(replace(problem, std=None)), axes)
+        return _Scaled(problem, axes)
     if problem.complete and problem.std is None:
-        return spectral.factored(problem)
+        return SpectralFit(problem)
     gaps = _few_gaps(problem)
-    if gaps is not None:
-        return factored_with_gaps(problem, gaps)
-    return general_least_squares.factored(problem)
+    return GeneralFit(problem) if gaps is None else WithGaps(problem, gaps)
 
 
 def _same_everywhere(problem: BallPlateProblem) -> Floats | None:
@@ -95,26 +89,27 @@ def _same_everywhere(problem: BallPlateProblem) -> Floats | None:
     return axes if axes[0] == axes[1] else None
 
 
-def _scaled(linear: LinearFit, axes: Floats) -> LinearFit:
-    """Return the fit whose unit covariances belong to noise of ``axes`` (3,)."""
+class _Scaled(LinearFit):
+    """The fit of equal weights, whose covariances belong to noise of ``axes`` (3,)."""
 
-    def solution(estimate: PlateParameters, residuals: Floats) -> Solution:
-        unit = linear.solution(estimate, residuals)
+    def __init__(self, problem: BallPlateProblem, axes: Floats) -> None:
+        super().__init__(problem)
+        self.equal, self.axes = factored(replace(problem, std=None)), axes
+        self.way = self.equal.way
 
-        def covariance(first: str, second: str) -> Floats:
-            scale = model.of_component(axes, first) * model.of_component(axes, second)
-            scaled: Floats = scale * unit.unit_covariance(first, second)
-            return scaled
+    def fit(self, observed: Floats) -> tuple[PlateParameters, Floats]:
+        return self.equal.fit(observed)
 
-        return replace(
-            unit,
-            unit_std=model.scaled(unit.unit_std, axes),
-            unit_covariance=covariance,
-            cofactor=lambda: unit.cofactor() * np.outer(axes, axes),
-            weighted_square_sum=float(np.sum((residuals / axes) ** 2)),
-        )
+    @property
+    def unit_std(self) -> PlateParameters:
+        return model.scaled(self.equal.unit_std, self.axes)
 
-    return LinearFit(linear.fit, solution)
+    def unit_covariance(self, first: str, second: str) -> Floats:
+        scale = model.of_component(self.axes, first) * model.of_component(self.axes, second)
+        return np.asarray(scale * self.equal.unit_covariance(first, second))
+
+    def cofactor(self) -> Floats:
+        return np.asarray(self.equal.cofactor() * np.outer(self.axes, self.axes))
 
 
 def _few_gaps(problem: BallPlateProblem) -> Ints | None:
@@ -124,7 +119,7 @@ def _few_gaps(problem: BallPlateProblem) -> Ints | None:
     if min(len(problem.table_positions), len(problem.cmm_positions)) < problem.grid:
         return None  # a filled grid would have unknowns that no centre sees
     gaps = gap_cells(problem)
-    large = model.offsets(problem).total > general_least_squares.MAX_UNKNOWNS
+    large = model.n_unknowns(problem) > MAX_UNKNOWNS
     if gaps is None or len(gaps) > (MANY_GAPS if large else FEW_GAPS):
         return None
     require_balls(problem)
@@ -140,93 +135,80 @@ def gap_cells(problem: BallPlateProblem) -> Ints | None:
     return np.setdiff1d(np.arange(len(problem.balls) * problem.grid), cells)
 
 
-def factored_with_gaps(problem: BallPlateProblem, gaps: Ints) -> LinearFit:
-    """Factor an equally weighted problem of which only the cells ``gaps`` (m,) are missing.
+class _Bordered(LinearFit):
+    """A ``plain`` fit with m further unknowns, which its residuals tell.
+
+    A unit of each moves the ``parameters`` (m as last axis) and the residuals, ``remains``
+    (n, 3, m); ``inverse`` (m, m) is the unit covariance of the unknowns.
+    """
+
+    plain: LinearFit
+    parameters: PlateParameters
+    remains: Floats
+    inverse: Floats
+
+    @property
+    def unit_std(self) -> PlateParameters:
+        def std(own: Floats, moved: Floats) -> Floats:
+            added = np.einsum("...i,ij,...j->...", moved, self.inverse, moved)
+            return np.asarray(np.sqrt(own**2 + added))
+
+        return self.plain.unit_std.merged(std, self.parameters)
+
+    def unit_covariance(self, first: str, second: str) -> Floats:
+        one, other = self.parameters.component(first), self.parameters.component(second)
+        added: Floats = one @ self.inverse @ other.T
+        return self.plain.unit_covariance(first, second) + added
+
+    def cofactor(self) -> Floats:
+        taken: Floats = self.remains @ self.inverse @ self.remains.swapaxes(1, 2)
+        return self._plain_cofactor() - taken
+
+    def _plain_cofactor(self) -> Floats:
+        return self.plain.cofactor()
+
+
+class WithGaps(_Bordered):
+    """An equally weighted problem of which only the cells ``gaps`` (m,) are missing.
 
     A missing centre is filled with the value that gives it a zero residual; the fit of the filled
     data is then the least squares fit of the others. The values follow from the residual cofactor
     at the gaps, a 3m x 3m matrix, which corrects the covariances too. Raises ObservabilityError
     when the remaining centres do not determine all parameters.
     """
-    n_cells = len(problem.balls) * problem.grid
-    measured = np.setdiff1d(np.arange(n_cells), gaps)
-    table = np.tile(np.arange(problem.grid), len(problem.balls))
-    ball = np.repeat(problem.balls, problem.grid)
-    linear = spectral.factored(BallPlateProblem.nominal(problem.grid, problem.radius, table, ball))
-    responses = [linear.fit(unit) for unit in _units(n_cells, gaps)]
-    # a residual at the gaps per unit deviation there: the cofactor, symmetric but for rounding
-    at_gaps = np.array([residuals[gaps].ravel() for _, residuals in responses])
-    at_gaps = 0.5 * (at_gaps + at_gaps.T)
-    if np.linalg.eigvalsh(at_gaps)[0] < DETERMINED:
-        raise ObservabilityError(
-            "without the missing or rejected centres not all errors of table, plate and CMM are "
-            "determined: measure more balls at the table positions of the gaps"
-        )
-    inverse = np.linalg.inv(at_gaps)
 
-    def fit(observed: Floats) -> tuple[PlateParameters, Floats]:
-        filled = np.zeros((n_cells, 3))
-        filled[measured] = observed
-        _, start = linear.fit(filled)
-        filled[gaps] = -(inverse @ start[gaps].ravel()).reshape(-1, 3)
-        estimate, residuals = linear.fit(filled)
-        return estimate, residuals[measured]
+    way = "spectral with gaps"
 
-    def solution(estimate: PlateParameters, residuals: Floats) -> Solution:
-        filled = linear.solution(estimate, np.zeros((n_cells, 3)))
-        start = replace(
-            filled,
-            residuals=residuals,
-            cofactor=lambda: filled.cofactor()[measured],
-            weighted_square_sum=float(residuals.ravel() @ residuals.ravel()),
-            dof=model.degrees_of_freedom(problem),
-            way="spectral with gaps",
-        )
-        moved = np.stack([left[measured] for _, left in responses], axis=2)
-        return _enlarged(start, [parameters for parameters, _ in responses], moved, inverse)
+    def __init__(self, problem: BallPlateProblem, gaps: Ints) -> None:
+        super().__init__(problem)
+        grid, balls = problem.grid, problem.balls
+        table, ball = np.tile(np.arange(grid), len(balls)), np.repeat(balls, grid)
+        self.gaps, self.measured = gaps, np.setdiff1d(np.arange(len(table)), gaps)
+        self.plain = SpectralFit(BallPlateProblem.nominal(grid, problem.radius, table, ball))
+        units = np.zeros((len(table), 3, len(gaps), 3))
+        units[gaps[:, None], np.arange(3), np.arange(len(gaps))[:, None], np.arange(3)] = 1.0
+        _, self.parameters, left = self.plain.responses(units.reshape(len(table), 3, -1))
+        # a residual at the gaps per unit deviation there: the cofactor, symmetric but for rounding
+        at_gaps = left[gaps].reshape(3 * len(gaps), -1)
+        at_gaps = 0.5 * (at_gaps + at_gaps.T)
+        if np.linalg.eigvalsh(at_gaps)[0] < DETERMINED:
+            raise ObservabilityError(
+                "without the missing or rejected centres not all errors of table, plate and CMM "
+                "are determined: measure more balls at the table positions of the gaps"
+            )
+        self.remains, self.inverse = left[self.measured], np.linalg.inv(at_gaps)
 
-    return LinearFit(fit, solution)
+    def fit(self, observed: Floats) -> tuple[PlateParameters, Floats]:
+        """Return parameters and residuals (n, 3) of deviations (n, 3) of the rows, metres."""
+        filled = np.zeros((len(self.measured) + len(self.gaps), 3))
+        filled[self.measured] = observed
+        _, start = self.plain.fit(filled)
+        filled[self.gaps] = -(self.inverse @ start[self.gaps].ravel()).reshape(-1, 3)
+        estimate, residuals = self.plain.fit(filled)
+        return estimate, residuals[self.measured]
 
-
-def _units(n_cells: int, gaps: Ints) -> Iterator[Floats]:
-    """Yield a unit deviation (n_cells, 3) for every coordinate of the ``gaps``."""
-    for cell in gaps:
-        for axis in range(3):
-            unit = np.zeros((n_cells, 3))
-            unit[cell, axis] = 1.0
-            yield unit
-
-
-def _enlarged(
-    start: Solution, parameters: list[PlateParameters], residuals: Floats, inverse: Floats
-) -> Solution:
-    """Return ``start`` with the uncertainty of m further unknowns, found in its residuals.
-
-    A unit of each moves the ``parameters`` (m) and the ``residuals`` (n, 3, m); ``inverse`` (m, m)
-    is the unit covariance of the unknowns.
-    """
-    std = {}
-    for name in FIELDS:
-        moved = np.stack([getattr(p, name) for p in parameters], axis=-1)
-        added = np.einsum("...i,ij,...j->...", moved, inverse, moved)
-        std[name] = np.sqrt(getattr(start.unit_std, name) ** 2 + added)
-
-    def covariance(first: str, second: str) -> Floats:
-        columns = np.stack([p.component(first) for p in parameters], axis=1)
-        others = np.stack([p.component(second) for p in parameters], axis=1)
-        added: Floats = columns @ inverse @ others.T
-        return start.unit_covariance(first, second) + added
-
-    def cofactor() -> Floats:
-        taken: Floats = residuals @ inverse @ residuals.swapaxes(1, 2)
-        return start.cofactor() - taken
-
-    return replace(
-        start,
-        unit_std=PlateParameters(**std),
-        unit_covariance=covariance,
-        cofactor=cofactor,
-    )
+    def _plain_cofactor(self) -> Floats:
+        return self.plain.cofactor()[self.measured]
 
 
 def drift_columns(run_time: Floats, degree: int) -> Floats:
@@ -263,21 +245,24 @@ def drift_seen(problem: BallPlateProblem, columns: Floats, information: Floats) 
     return float(np.linalg.eigvalsh(information * np.outer(scale, scale))[0])
 
 
-class _Drift:
-    """The fit of a problem with its drift, bordered to the ``plain`` fit without.
+class WithDrift(_Bordered):
+    """The fit of a problem with its drift.
 
     With E the columns of the drift, M the projector to the residuals and W the weights the amounts
     are (E' W M E)^-1 E' W M y; everything else moves by what they cause. Raises ObservabilityError
     where the residuals keep too little of a drift.
     """
 
-    def __init__(self, problem: BallPlateProblem, plain: LinearFit) -> None:
-        self.problem, self.plain = problem, plain
+    def __init__(self, problem: BallPlateProblem) -> None:
+        super().__init__(problem)
+        self.plain = factored(problem)
         self.columns = drift_columns(problem.run_time, problem.drift)  # (n, 3, m)
-        self.parameters, self.remains = plain.responses(self.columns)
+        self.dof -= self.columns.shape[2]
+        self.way = f"{self.plain.way} with drift"
+        responses = self.plain.responses(self.columns)
+        _, self.parameters, self.remains = responses
         self.weighted = problem.weights[:, :, None] * self.columns
-        information = np.einsum("nia,nib->ab", self.weighted, self.remains)
-        information = 0.5 * (information + information.T)
+        information = responses.information(problem.weights)
         seen = drift_seen(problem, self.columns, information)
         if seen < VISIBLE:
             raise ObservabilityError(
@@ -285,29 +270,19 @@ class _Drift:
                 f"measurement: the residuals keep {max(seen, 0.0):.2g} of it, {VISIBLE:g} "
                 "are needed; measure in the order interleaved, or leave solver.drift at none"
             )
-        self.inverse = np.linalg.inv(information)
+        self.inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
 
     def amount(self, residuals: Floats) -> Floats:
         """Return how much (m,) of each column residuals (n, 3) without drift contain."""
         found: Floats = self.inverse @ np.einsum("nia,ni->a", self.weighted, residuals)
         return found
 
-    def fit(self) -> LinearFit:
-        """Return the factored model with the drift among its unknowns."""
-        moved = {
-            name: np.stack([getattr(p, name) for p in self.parameters], axis=-1) for name in FIELDS
-        }
-
-        def fit(observed: Floats) -> tuple[PlateParameters, Floats]:
-            found, residuals = self.plain.fit(observed)
-            amount = self.amount(residuals)
-            less = {name: getattr(found, name) - m @ amount for name, m in moved.items()}
-            return PlateParameters(**less), residuals - self.remains @ amount
-
-        def solution(estimate: PlateParameters, residuals: Floats) -> Solution:
-            return self._with_drift(self.plain.solution(estimate, residuals))
-
-        return LinearFit(fit, solution)
+    def fit(self, observed: Floats) -> tuple[PlateParameters, Floats]:
+        """Return parameters and residuals (n, 3) of deviations (n, 3) of the rows, metres."""
+        found, residuals = self.plain.fit(observed)
+        amount = self.amount(residuals)
+        found = found.merged(lambda own, moved: own - moved @ amount, self.parameters)
+        return found, residuals - self.remains @ amount
 
     def settled(self) -> Solution:
         """Return the solution of the exact model.
@@ -321,15 +296,7 @@ class _Drift:
             solution = _settled(rest, self.plain)
             amount = amount + self.amount(solution.residuals)
         found = OriginDrift(amount.reshape(-1, 3), self.inverse)
-        return replace(self._with_drift(solution), drift=found)
-
-    def _with_drift(self, solution: Solution) -> Solution:
-        """Return a solution without drift with the uncertainty that its amount adds."""
-        return replace(
-            _enlarged(solution, self.parameters, self.remains, self.inverse),
-            dof=solution.dof - len(self.inverse),
-            way=f"{solution.way} with drift",
-        )
+        return replace(self.solution(solution.estimate, solution.residuals), drift=found)
 
 
 def _settled(problem: BallPlateProblem, linear: LinearFit) -> Solution:
@@ -352,7 +319,7 @@ def _settled(problem: BallPlateProblem, linear: LinearFit) -> Solution:
             residuals = misclosure @ pose.frame.T
             return linear.solution(pose.in_machine_axes(found), residuals)
         step, residuals = linear.fit(misclosure)
-        found = PlateParameters(**{f: getattr(found, f) + getattr(step, f) for f in FIELDS})
+        found = found.merged(np.add, step)
         pose = pose.moved(step)
     raise DataError(
         f"the fit does not settle in {MOST_ROUNDS} rounds, plate and axis are too far off for "
@@ -370,13 +337,20 @@ def computed(
     """
     pose = _Pose.of(found)
     yaw = rotation_about_z(found.axis_rotation[2])
+    centres: Floats = _there(problem, found, plate, cmm, yaw) @ (pose.frame @ yaw.T).T
+    return centres + pose.origin
+
+
+def _there(
+    problem: BallPlateProblem, found: PlateParameters, plate: Floats, cmm: Floats, yaw: Floats
+) -> Floats:
+    """Return the centres (n, 3) in the frame of the axis, of a plate turned by ``yaw`` (3, 3)."""
     places = problem.radius * on_circle(problem.angles[problem.ball_step]) + plate
     table = rotation_from_vector(found.rotation)
     table = table @ rotation_about_z(problem.angles[problem.table_positions]) @ yaw
     there = np.einsum("nij,nj->ni", table[problem.table_index], places)
     there += found.translation[problem.table_index] + cmm
-    centres: Floats = there @ (pose.frame @ yaw.T).T + pose.origin
-    return centres
+    return np.asarray(there)
 
 
 @dataclass(frozen=True)
@@ -418,11 +392,7 @@ def _misclosure(problem: BallPlateProblem, found: PlateParameters, pose: _Pose) 
     """Return observed - computed (n, 3) in the frame of axis and plate."""
     ball = np.searchsorted(problem.balls, problem.ball_step)
     cmm = np.searchsorted(problem.cmm_positions, problem.cmm_index)
-    places = problem.radius * on_circle(problem.angles[problem.balls]) + found.plate
-    table = rotation_from_vector(found.rotation)
-    table = table @ rotation_about_z(problem.angles[problem.table_positions])
-    there = np.einsum("nij,nj->ni", table[problem.table_index], places[ball])
-    there += found.translation[problem.table_index] + found.cmm[cmm]
+    there = _there(problem, found, found.plate[ball], found.cmm[cmm], np.eye(3))
     misclosure: Floats = (problem.centres - pose.origin) @ pose.frame - there
     return misclosure
 

@@ -62,55 +62,16 @@ LARGEST: Final = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class GatheredRows:
-    """The rows (e,) of the group ``number`` of a kind, and its residual cofactor (e, 3, e, 3).
-
-    ``eigen``: the cofactor's eigenvalues and vectors. ``gathered`` (q, e) are its subsets,
-    ``inverse`` (q, 3, 3) the covariances of their shifts.
-    """
-
-    kind: str
-    number: int
-    rows: Ints
-    cofactor: Floats
-    eigen: tuple[Floats, Floats]
-    gathered: Bools
-    inverse: Floats
-
-    @property
-    def name(self) -> str:
-        """What people call it."""
-        return f"{self.kind} {self.number}"
-
-    def sensitivity(self, response: Floats) -> Sensitivity:
-        """Return what the outputs feel of its rows; ``response`` (o, n, 3)."""
-        return Sensitivity.whole(response[:, self.rows].reshape(len(response), -1))
-
-    def group(self, whitened: Floats, unit: Floats, response: Floats | None) -> Group:
-        """Return the engine's group; ``response`` (o, n, 3), None for none."""
-        return Group(
-            kind=self.kind,
-            name=self.name,
-            members=self.rows,
-            residual=whitened[self.rows],
-            cofactor=self.cofactor,
-            sensitivity=self.sensitivity(
-                np.zeros((1, *unit.shape)) if response is None else response
-            ),
-            unit=unit[self.rows],
-            gathered=self.gathered,
-            eigen=self.eigen,
-        )
-
-
-@dataclass(frozen=True, eq=False)
 class GatheringView:
-    """All groups of a layout, and the errors (6 N, n, 3) of the deviations per unit of a row.
+    """All groups of a layout without residuals, and what the model says of their rows.
 
-    Of table positions without a centre they are zero.
+    ``shifts``, of each: the covariances (q, 3, 3) of the common shifts of its gathered subsets.
+    ``response`` (6 N, n, 3): errors of the deviations per unit of a row; zero at table positions
+    without a centre.
     """
 
-    places: tuple[GatheredRows, ...]
+    groups: tuple[Group, ...]
+    shifts: tuple[Floats, ...]
     response: Floats
 
 
@@ -145,50 +106,50 @@ def gathered(
 ) -> Gathering:
     """Return ``before`` with what is known to gather in one place of a fitted problem.
 
-    ``sigma``: the stated noise of unit weight, m (or 1), None where it is not known;
-    ``redundancy`` (n,) of the rows. Of large problems only what was rejected of each group is
-    counted.
+    The noise in the residuals counts, axis by axis, where it is larger than ``sigma``, the stated
+    one of unit weight, m (or 1), or where nothing was stated. ``redundancy`` (n,) of the rows. Of
+    large problems only what was rejected of each group is counted.
     """
-    if _can_judge(problem):
-        return _judged(before, problem, solution, sigma, taken)
-    return _counted(before, problem, redundancy, taken)
+    if not _can_judge(problem):
+        return _counted(before, problem, redundancy, taken)
+    view = view_of(problem)
+    whitened, unit, rest, scale = _whitened(problem, solution, sigma)
+    called = {kind: taken.counted(problem, kind) for kind in _columns(problem)}
+    groups = list[Group]()
+    for empty in view.groups:
+        number, lost = (column[empty.members[0]] for column in called[empty.kind])
+        groups.append(
+            replace(
+                empty,
+                name=f"{empty.kind} {number}",
+                residual=whitened[empty.members],
+                unit=unit[empty.members],
+                lost=int(lost),
+            )
+        )
+    common = _common(groups)
+    asked = {
+        k: group
+        for k, group in enumerate(groups)
+        if group.size >= LEAST_OF_GROUP and group.kind not in common
+    }
+    shown = [group for k, group in asked.items() if _shows(group, view.shifts[k])]
+    first = judge(shown, BELIEF, rest, SUSPICIOUS, among=len(groups))
+    weighed = list[Group]()
+    if first.possible:  # seldom on sound plates: of all groups it costs more
+        weighed = [_felt(group, view.response * scale) for group in asked.values()]
+    return engine.judged(before, groups, rest, weighed, BELIEF, common)
 
 
 def _can_judge(problem: BallPlateProblem) -> bool:
     """Tell whether a problem is small enough to be judged place by place."""
-    return model.offsets(problem).total <= MOST_UNKNOWNS
+    return model.n_unknowns(problem) <= MOST_UNKNOWNS
 
 
-def _judged(
-    before: Gathering,
-    problem: BallPlateProblem,
-    solution: Solution,
-    sigma: float | None,
-    taken: Taken,
-) -> Gathering:
-    """Judge all groups of a fitted problem.
-
-    The noise in the residuals counts, axis by axis, where it is larger than ``sigma`` or nothing
-    was stated.
-    """
-    view = view_of(problem)
-    whitened, unit, rest, scale = _whitened(problem, solution, sigma)
-    groups = _named([p.group(whitened, unit, None) for p in view.places], problem, taken)
-    common = _common(groups)
-    asked = [
-        k
-        for k, group in enumerate(groups)
-        if group.size >= LEAST_OF_GROUP and group.kind not in common
-    ]
-    shown = [groups[k] for k in asked if _shows(groups[k], view.places[k])]
-    first = judge(shown, BELIEF, rest, SUSPICIOUS, among=len(groups))
-    weighed = list[Group]()
-    if first.possible:  # seldom on sound plates: of all groups it costs more
-        response = view.response * scale
-        weighed = [
-            replace(groups[k], sensitivity=view.places[k].sensitivity(response)) for k in asked
-        ]
-    return engine.judged(before, groups, rest, weighed, BELIEF, common)
+def _felt(group: Group, response: Floats) -> Group:
+    """Return ``group`` with what outputs feel of its rows; ``response`` (o, n, 3)."""
+    mine = response[:, group.members].reshape(len(response), -1)
+    return replace(group, sensitivity=Sensitivity.whole(mine))
 
 
 def _counted(
@@ -259,13 +220,13 @@ def unseen(problem: BallPlateProblem, noise: Floats, std: Floats) -> Hidden | No
     """
     if not _can_judge(problem):
         return None
-    view = view_of(problem)
-    nothing, unit = np.zeros_like(problem.centres), 1.0 / (problem.noise_unit * noise)
+    view, unit = view_of(problem), 1.0 / (problem.noise_unit * noise)
     response = view.response.reshape(6, -1, *problem.centres.shape)[:, problem.table_positions]
     response = response * noise / std[:, :, None, None]
+    positions = [group for group in view.groups if group.kind == "table position"]
     groups = [
-        place.group(nothing, unit, response[:, k])
-        for k, place in enumerate(p for p in view.places if p.kind == "table position")
+        _felt(replace(group, unit=unit[group.members]), response[:, k])
+        for k, group in enumerate(positions)
     ]
     return hidden(groups, np.ones(6), SIGNIFICANCE, POWER, LARGEST)
 
@@ -322,25 +283,17 @@ def _common(groups: list[Group]) -> list[str]:
     return found
 
 
-def _shows(group: Group, place: GatheredRows) -> bool:
-    """Whether a group or a common shift of one of its gathered subsets stands out."""
+def _shows(group: Group, shifts: Floats) -> bool:
+    """Whether a group or a common shift of one of its gathered subsets stands out.
+
+    ``shifts`` (q, 3, 3): the covariances of the latter.
+    """
     squares, rank = group.together
     if squares > chi2_isf(SUSPICIOUS, max(rank, 1)):
         return True
-    right = place.gathered @ group.residual
-    # chi-squared of each subset's common shift
-    shift = np.einsum("qa,qab,qb->q", right, place.inverse, right)
+    right = group.gathered @ group.residual
+    shift = np.einsum("qa,qab,qb->q", right, shifts, right)  # chi-squared of each
     return float(shift.max(initial=0.0)) > SHOWS
-
-
-def _named(groups: list[Group], problem: BallPlateProblem, taken: Taken) -> list[Group]:
-    """Return the ``groups`` with what people call them, and how many of each were rejected."""
-    known = {kind: taken.counted(problem, kind) for kind in _columns(problem)}
-    found = []
-    for group in groups:
-        number, lost = (column[group.members[0]] for column in known[group.kind])
-        found.append(replace(group, name=f"{group.kind} {number}", lost=int(lost)))
-    return found
 
 
 def view_of(problem: BallPlateProblem) -> GatheringView:
@@ -348,10 +301,10 @@ def view_of(problem: BallPlateProblem) -> GatheringView:
     std = problem.std
     if std is not None and problem.weighed_alike and std[0, 0] == std[0, 1]:
         std = None  # the plane and z do not meet: whitened, all is as without
-    view = _of_layout(RowLayout.of(replace(problem, std=std, sigma=None)))
+    view = _of_layout(RowLayout.of(replace(problem, std=std)))
     if std is problem.std:
         return view
-    return GatheringView(view.places, view.response * problem.noise_unit[0])
+    return replace(view, response=view.response * problem.noise_unit[0])
 
 
 @lru_cache(maxsize=4)
@@ -361,7 +314,7 @@ def _of_layout(layout: RowLayout) -> GatheringView:
     With A the whitened design and C the covariance of the unknowns the cofactor is 1 - A C A'; the
     columns of a drift take their part of it as further unknowns.
     """
-    problem = layout.problem()
+    problem = layout.problem
     view = general_least_squares.linear_view(problem)
     n = len(problem.centres)
     design, std = view.design.toarray(), view.std
@@ -378,27 +331,42 @@ def _of_layout(layout: RowLayout) -> GatheringView:
         shape = (len(rows), 3, len(rows), 3)
         return np.asarray(0.5 * (kept + kept.T)).reshape(shape)
 
-    places = tuple(
-        _placed(problem, cofactor(np.flatnonzero(column == k)), kind, k)
-        for kind, column in _columns(problem).items()
-        for k in np.unique(column).tolist()
-    )
+    groups, shifts = [], []
+    for kind, column in _columns(problem).items():
+        for k in np.unique(column).tolist():
+            rows = np.flatnonzero(column == k)
+            subsets, kept = _subsets(problem, kind, rows), cofactor(rows)
+            groups.append(_without_residuals(kind, k, rows, kept, subsets))
+            shifts.append(_of_shifts(subsets.astype(np.float64), kept))
     everywhere = np.zeros((6, problem.n_positions, n, 3))
     everywhere[:, problem.table_positions] = response.reshape(6, -1, n, 3)
-    return GatheringView(places, everywhere.reshape(-1, n, 3))
+    return GatheringView(tuple(groups), tuple(shifts), everywhere.reshape(-1, n, 3))
 
 
-def _placed(problem: BallPlateProblem, cofactor: Floats, kind: str, number: int) -> GatheredRows:
-    """Return one group with its subsets and what the common shift of each is known to."""
-    rows = np.flatnonzero(_columns(problem)[kind] == number)
-    gathered = _subsets(problem, kind, rows)
-    part = gathered.astype(np.float64)
-    both = np.tensordot(part, cofactor, 1)
-    square = np.einsum("qaeb,qe->qab", both, part)
-    inverse = np.linalg.pinv(square, rcond=1e-6, hermitian=True) if len(part) else square
-    values, vectors = np.linalg.eigh(cofactor.reshape(3 * len(rows), -1))
-    eigen = (np.clip(values, 0.0, 1.0), vectors)  # a projector's, but for rounding
-    return GatheredRows(kind, number, rows, cofactor, eigen, gathered, inverse)
+def _without_residuals(
+    kind: str, number: int, rows: Ints, cofactor: Floats, subsets: Bools
+) -> Group:
+    """Return one group as the layout has it, its eigenvalues remembered."""
+    e = len(rows)
+    values, vectors = np.linalg.eigh(cofactor.reshape(3 * e, -1))
+    return Group(
+        kind=kind,
+        name=f"{kind} {number}",
+        members=rows,
+        residual=np.zeros((e, 3)),
+        cofactor=cofactor,
+        sensitivity=Sensitivity.whole(np.zeros((1, 3 * e))),
+        unit=np.ones((e, 3)),
+        gathered=subsets,
+        eigen=(np.clip(values, 0.0, 1.0), vectors),  # a projector's, but for rounding
+    )
+
+
+def _of_shifts(subsets: Floats, cofactor: Floats) -> Floats:
+    """Return the covariances (q, 3, 3) of the common shifts of ``subsets`` (q, e)."""
+    both = np.tensordot(subsets, cofactor, 1)
+    square = np.einsum("qaeb,qe->qab", both, subsets)
+    return np.linalg.pinv(square, rcond=1e-6, hermitian=True) if len(square) else square
 
 
 def _columns(problem: BallPlateProblem) -> dict[str, Ints]:

@@ -12,16 +12,17 @@ n rows, P unknowns, M table positions in use.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.sparse import csr_array
 
 from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate.solver import model
-from rotcal_ros.methods.ball_plate.solver.model import LinearFit, PlateParameters, Solution
+from rotcal_ros.methods.ball_plate.solver.model import LinearFit, PlateParameters
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.solver.separability import require_balls
 
@@ -29,38 +30,6 @@ MAX_UNKNOWNS = 6000
 """Largest covariance matrix that is set up in memory (P x P, 288 MB)."""
 CONDITION_LIMIT = 1e-9
 """Smallest accepted squared pivot of the reduced system, relative to its mean diagonal."""
-
-
-def factored(problem: BallPlateProblem) -> LinearFit:
-    """Factor any set of centres.
-
-    Raises ObservabilityError when a table position has too few balls, when the centres do not
-    determine all parameters, or when the problem is too large for this way.
-    """
-    _check(problem)
-    system = _Eliminated(problem)
-    mover = _to_constraints(problem, system.invisible)
-
-    def fit(observed: Floats) -> tuple[PlateParameters, Floats]:
-        vector = system.solve(observed)
-        vector += system.solve(observed - system.fitted(vector))  # iterative refinement
-        vector = mover @ vector
-        return model.unpack(problem, vector), observed - system.fitted(vector)
-
-    def solution(estimate: PlateParameters, residuals: Floats) -> Solution:
-        covariance = mover @ system.covariance() @ mover.T
-        return Solution(
-            estimate=estimate,
-            unit_std=model.unpack(problem, np.sqrt(np.maximum(np.diag(covariance), 0.0))),
-            unit_covariance=model.table_covariance(problem, covariance),
-            residuals=residuals,
-            cofactor=partial(model.residual_cofactor, problem, covariance),
-            weighted_square_sum=model.weighted_square_sum(problem, residuals),
-            dof=model.degrees_of_freedom(problem),
-            way="general",
-        )
-
-    return LinearFit(fit, solution)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,25 +48,18 @@ class LinearView:
 
 
 def linear_view(problem: BallPlateProblem) -> LinearView:
-    """Return the linear model of any set of centres; raises what :func:`factored` does."""
-    _check(problem)
-    system = _Eliminated(problem)
-    covariance = system.covariance()
-    spread = _to_constraints(problem, system.invisible) @ covariance
-    own = 3 * np.arange(len(problem.table_positions))
-    length = {"rotation": problem.radius, "translation": 1.0}
-    table = np.concatenate(
-        [
-            spread[getattr(system.at, field) + axis + own] / length[field]
-            for field, axis in model.TABLE_COMPONENTS.values()
-        ]
-    )
+    """Return the linear model of any set of centres; raises what :class:`GeneralFit` does."""
+    system = GeneralFit(problem)
+    covariance = system.shortest_covariance()
+    spread = system.to_constraints @ covariance
+    places = (model.component_places(problem, name) for name in COMPONENTS)
+    table = np.concatenate([spread[own] / length for own, length in places])
     n, width = system.columns.shape
     rows = np.repeat(np.arange(3 * n), width)
     columns = np.repeat(system.columns, 3, axis=0).ravel()
     std = problem.noise_unit
     whitened = (system.local / std[:, :, None]).ravel()
-    design = csr_array((whitened, (rows, columns)), shape=(3 * n, system.at.total))
+    design = csr_array((whitened, (rows, columns)), shape=(3 * n, len(covariance)))
     return LinearView(design, std.ravel(), covariance, table)
 
 
@@ -111,12 +73,18 @@ def table_gain(problem: BallPlateProblem) -> Floats:
     return np.asarray((view.design @ view.table.T).T / view.std, dtype=np.float64)
 
 
-class _Eliminated:
-    """Normal equations after the table's unknowns are gone, ready for right-hand sides."""
+class GeneralFit(LinearFit):
+    """Any set of centres: normal equations after the table's unknowns are gone.
+
+    Raises ObservabilityError when a table position has too few balls, when the centres do not
+    determine all parameters, or when the problem is too large for this way.
+    """
+
+    way = "general"
 
     def __init__(self, problem: BallPlateProblem) -> None:
-        self.problem = problem
-        self.at = model.offsets(problem)
+        _check(problem)
+        super().__init__(problem)
         self.local, self.columns = model.local_design(problem)
         # weights near 1 keep the normal matrix well scaled; covariances are multiplied by ``unit``
         typical = float(np.median(problem.noise_unit))
@@ -124,8 +92,7 @@ class _Eliminated:
         # Local columns: a, b, c, d, u, v of three each; the rest is a, b, u, v.
         self.table = self.local[:, :, 6:12]
         self.rest = np.concatenate([self.local[:, :, :6], self.local[:, :, 12:]], axis=2)
-        self.rest_columns, self.rest_index = _rest_columns(self.at, self.columns)
-        self.table_position = _table_columns(self.at)
+        self.rest_columns, self.rest_index, self.table_position = _places(problem, self.columns)
         self._eliminate()
 
     def _eliminate(self) -> None:
@@ -149,13 +116,38 @@ class _Eliminated:
         np.add.at(normal, (self.rest_columns[:, :, None], self.rest_columns[:, None, :]), local)
         self.back = (self.own_inverse @ mixed).reshape(6 * turned, n_rest)
         normal -= mixed.reshape(6 * turned, n_rest).T @ self.back
-        self.invisible = model.null_space(problem)
+        invisible = model.null_space(problem)
+        self.to_constraints = _to_constraints(problem, invisible)
         # weight on the invisible directions makes the matrix regular and the solution the shortest
-        gauge, _ = np.linalg.qr(self.invisible[self.rest_index])
+        gauge, _ = np.linalg.qr(invisible[self.rest_index])
         size = np.trace(normal) / n_rest
         self.factor = _factor(normal + size * gauge @ gauge.T, size)
 
-    def solve(self, observed: Floats) -> Floats:
+    def fit(self, observed: Floats) -> tuple[PlateParameters, Floats]:
+        """Return parameters and residuals (n, 3) of deviations (n, 3) of the rows, metres."""
+        vector = self._shortest(observed)
+        vector += self._shortest(observed - self._computed(vector))  # iterative refinement
+        vector = self.to_constraints @ vector
+        return model.unpack(self.problem, vector), observed - self._computed(vector)
+
+    @cached_property
+    def _covariance(self) -> Floats:
+        return np.asarray(self.to_constraints @ self.shortest_covariance() @ self.to_constraints.T)
+
+    @property
+    def unit_std(self) -> PlateParameters:
+        """The standard deviations of all parameters."""
+        return model.unpack(self.problem, np.sqrt(np.maximum(np.diag(self._covariance), 0.0)))
+
+    def unit_covariance(self, first: str, second: str) -> Floats:
+        """Return the covariance (M, M) of two of the table's components."""
+        return model.covariance_of(self.problem, self._covariance, first, second)
+
+    def cofactor(self) -> Floats:
+        """Return the covariance (n, 3, 3) of the residuals."""
+        return model.residual_cofactor(self.problem, self._covariance)
+
+    def _shortest(self, observed: Floats) -> Floats:
         """Return the unknowns (P,) for observations (n, 3), in the gauge of smallest norm."""
         problem = self.problem
         weighted = self.weight * observed
@@ -165,18 +157,18 @@ class _Eliminated:
         np.add.at(rest, self.rest_columns, np.einsum("nij,ni->nj", self.rest, weighted))
         unknown = cho_solve(self.factor, rest - self.back.T @ table.ravel())
         own = (self.own_inverse @ table[:, :, None]).ravel() - self.back @ unknown
-        vector = np.empty(self.at.total)
+        vector = np.empty(len(self.to_constraints))
         vector[self.rest_index] = unknown
         vector[self.table_position] = own
         return vector
 
-    def fitted(self, vector: Floats) -> Floats:
+    def _computed(self, vector: Floats) -> Floats:
         """Return the deviations (n, 3) that the unknowns (P,) cause."""
         fitted: Floats = np.einsum("nij,nj->ni", self.local, vector[self.columns])
         return fitted
 
-    def covariance(self) -> Floats:
-        """Return the unit covariance (P, P) of the unknowns in the same gauge, block by block."""
+    def shortest_covariance(self) -> Floats:
+        """Return the covariance (P, P) of the unknowns in the same gauge, block by block."""
         n_rest, turned = len(self.rest_index), len(self.problem.table_positions)
         rest = cho_solve(self.factor, np.eye(n_rest))
         mixed = -self.back @ rest
@@ -185,7 +177,7 @@ class _Eliminated:
         every = np.arange(turned)
         blocks[every, :, every, :] += self.own_inverse
         at_rest, at_table = self.rest_index, self.table_position
-        covariance = np.empty((self.at.total,) * 2)
+        covariance = np.empty((len(self.to_constraints),) * 2)
         covariance[np.ix_(at_rest, at_rest)] = rest
         covariance[np.ix_(at_table, at_rest)] = mixed
         covariance[np.ix_(at_rest, at_table)] = mixed.T
@@ -194,18 +186,18 @@ class _Eliminated:
         return covariance
 
 
-def _rest_columns(at: model.Offsets, columns: Ints) -> tuple[Ints, Ints]:
-    """Return where a, b, u, v of every row stand among themselves, and in the full vector."""
-    index = np.concatenate([np.arange(at.rotation), np.arange(at.axis_rotation, at.total)])
+def _places(problem: BallPlateProblem, columns: Ints) -> tuple[Ints, Ints, Ints]:
+    """Return where a, b, u, v of every row stand among themselves, and in the full vector.
+
+    And where c_i, d_i stand in it, position by position, (6 M,).
+    """
+    at = model.blocks(problem)
+    first, last = at["rotation"].start, at["translation"].stop
+    every = np.arange(model.n_unknowns(problem))
+    rest = np.concatenate([every[:first], every[last:]])
     local = np.concatenate([columns[:, :6], columns[:, 12:]], axis=1)
-    table = at.axis_rotation - at.rotation
-    return np.where(local < at.rotation, local, local - table), index
-
-
-def _table_columns(at: model.Offsets) -> Ints:
-    """Return where c_i, d_i stand in the full vector, position by position, (6 M,)."""
-    own = np.arange(at.translation - at.rotation).reshape(-1, 3)
-    return np.concatenate([at.rotation + own, at.translation + own], axis=1).ravel()
+    table = [every[at[field]].reshape(-1, 3) for field in ("rotation", "translation")]
+    return np.searchsorted(rest, local), rest, np.concatenate(table, axis=1).ravel()
 
 
 def _factor(normal: Floats, size: float) -> tuple[Floats, bool]:
@@ -235,7 +227,7 @@ def _to_constraints(problem: BallPlateProblem, invisible: Floats) -> Floats:
 
 
 def _check(problem: BallPlateProblem) -> None:
-    unknowns = model.offsets(problem).total
+    unknowns = model.n_unknowns(problem)
     if unknowns > MAX_UNKNOWNS:
         raise ObservabilityError(
             f"{unknowns} unknowns: incomplete or weighted data are solved up to {MAX_UNKNOWNS}; "

@@ -13,8 +13,10 @@ unknowns that leave all centres where they are.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,12 +43,12 @@ TABLE_COMPONENTS = {
 
 @dataclass(frozen=True)
 class PlateParameters:
-    """Everything the method finds, or its standard deviations.
+    """Everything the method finds, its standard deviations, or what causes it.
 
     ``plate`` (R, 3) are the errors a_j of the balls at table position 0, ``cmm`` (S, 3) those
     b_k of the CMM, ``rotation`` (M, 3) and ``translation`` (M, 3) the table's c_i and d_i at the
     table positions in use, ``axis_rotation`` (3,) and ``axis_shift`` (3,) the pose u, v of the
-    axis. Radians and metres.
+    axis. Radians and metres. Of m causes at once every field has m as its last axis.
     """
 
     plate: Floats
@@ -61,6 +63,11 @@ class PlateParameters:
         field, axis = TABLE_COMPONENTS[name]
         column: Floats = getattr(self, field)[:, axis]
         return column
+
+    def merged(self, function: Callable[..., Floats], *others: PlateParameters) -> PlateParameters:
+        """Return what a ``function`` makes of each field and the same field of ``others``."""
+        every = (self, *others)
+        return PlateParameters(*(function(*(getattr(p, f) for p in every)) for f in FIELDS))
 
     def curves(self) -> Floats:
         """Return the six components (6, M) in the order of ``COMPONENTS``, m and rad."""
@@ -100,28 +107,75 @@ class Solution:
     drift: OriginDrift | None = None
 
 
-@dataclass(frozen=True)
-class LinearFit:
-    """The factored linear model of a problem, ready for any number of right-hand sides.
+class Responses(NamedTuple):
+    """What m ``displacements`` (n, 3, m) of the centres, m, do to a fit, which is linear in them.
 
-    ``fit`` takes deviations (n, 3) of the rows of the problem, metres, to the parameters and to
-    the residuals (n, 3); ``solution`` joins parameters and residuals with their covariances.
+    ``parameters`` have a last axis for the m, ``residuals`` are (n, 3, m).
     """
 
-    fit: Callable[[Floats], tuple[PlateParameters, Floats]]
-    solution: Callable[[PlateParameters, Floats], Solution]
+    displacements: Floats
+    parameters: PlateParameters
+    residuals: Floats
+
+    def information(self, weights: Floats) -> Floats:
+        """Return what the residuals keep of their squares (m, m), ``weights`` (n, 3)."""
+        kept = np.einsum("nia,nib->ab", weights[:, :, None] * self.displacements, self.residuals)
+        return np.asarray(0.5 * (kept + kept.T))
+
+
+class LinearFit(ABC):
+    """The factored linear model of a problem, ready for any number of right-hand sides.
+
+    ``way``: how it is solved. Covariances are for unit standard deviation, as of a
+    :class:`Solution`.
+    """
+
+    way: str
+
+    def __init__(self, problem: BallPlateProblem) -> None:
+        self.problem = problem
+        self.dof = degrees_of_freedom(problem)
+
+    @abstractmethod
+    def fit(self, observed: Floats) -> tuple[PlateParameters, Floats]:
+        """Return parameters and residuals (n, 3) of deviations (n, 3) of the rows, metres."""
+
+    @property
+    @abstractmethod
+    def unit_std(self) -> PlateParameters:
+        """The standard deviations of all parameters."""
+
+    @abstractmethod
+    def unit_covariance(self, first: str, second: str) -> Floats:
+        """Return the covariance (M, M) of two of the table's components."""
+
+    @abstractmethod
+    def cofactor(self) -> Floats:
+        """Return the covariance (n, 3, 3) of the residuals."""
+
+    def solution(self, estimate: PlateParameters, residuals: Floats) -> Solution:
+        """Return parameters and residuals (n, 3) with their covariances."""
+        return Solution(
+            estimate=estimate,
+            unit_std=self.unit_std,
+            unit_covariance=self.unit_covariance,
+            residuals=residuals,
+            cofactor=self.cofactor,
+            weighted_square_sum=weighted_square_sum(self.problem, residuals),
+            dof=self.dof,
+            way=self.way,
+        )
 
     def solve(self, observed: Floats) -> Solution:
         """Return the solution for deviations (n, 3)."""
         return self.solution(*self.fit(observed))
 
-    def responses(self, displacements: Floats) -> tuple[list[PlateParameters], Floats]:
-        """Return what displacements (n, 3, m) of the centres, m, do: the fit is linear in them.
-
-        Parameters for each, and the residuals (n, 3, m).
-        """
-        found = [self.fit(displacements[:, :, m]) for m in range(displacements.shape[2])]
-        return [parameters for parameters, _ in found], np.stack([r for _, r in found], axis=2)
+    def responses(self, displacements: Floats) -> Responses:
+        """Return what ``displacements`` (n, 3, m) of the centres do, m from 1."""
+        each = [self.fit(displacements[:, :, m]) for m in range(displacements.shape[2])]
+        (first, *others), left = zip(*each, strict=True)
+        every = first.merged(lambda *fields: np.stack(fields, axis=-1), *others)
+        return Responses(displacements, every, np.stack(left, axis=2))
 
 
 def scaled(unit: PlateParameters, axes: Floats) -> PlateParameters:
@@ -147,7 +201,8 @@ def of_component(axes: Floats, name: str) -> float:
 
 def weighted_square_sum(problem: BallPlateProblem, residuals: Floats) -> float:
     """Return w'w: residuals in metres, or in units of ``std`` where every row has its own."""
-    return float(np.sum((residuals / problem.noise_unit) ** 2))
+    white = (residuals / problem.noise_unit).ravel()
+    return float(white @ white)
 
 
 def rounding_variance(problem: BallPlateProblem) -> float:
@@ -173,9 +228,7 @@ def least_variance(problem: BallPlateProblem, found: PlateParameters) -> float:
 
 def degrees_of_freedom(problem: BallPlateProblem) -> int:
     """Return observations - unknowns + constraints."""
-    unknowns = 3 * len(problem.balls) + 3 * len(problem.cmm_positions) + 6
-    unknowns += 6 * len(problem.table_positions)
-    return 3 * len(problem.centres) - unknowns + N_CONSTRAINTS
+    return 3 * len(problem.centres) - n_unknowns(problem) + N_CONSTRAINTS
 
 
 def _cross_unit(angles: Floats) -> Floats:
@@ -202,46 +255,40 @@ def plate_motion(problem: BallPlateProblem) -> Floats:
     return np.concatenate([turn, turn @ cross], axis=2)
 
 
-@dataclass(frozen=True)
-class Offsets:
-    """Where the blocks a, b, c, d, u, v start in the vector of unknowns."""
-
-    plate: int
-    cmm: int
-    rotation: int
-    translation: int
-    axis_rotation: int
-    axis_shift: int
-    total: int
-
-
-def offsets(problem: BallPlateProblem) -> Offsets:
-    """Return the offsets of the blocks of unknowns."""
+def blocks(problem: BallPlateProblem) -> dict[str, slice]:
+    """Return where each of FIELDS stands in the vector of unknowns."""
     turned = len(problem.table_positions)
-    sizes = (len(problem.balls), len(problem.cmm_positions), turned, turned, 1, 1)
-    starts = np.concatenate([[0], np.cumsum(3 * np.array(sizes))])
-    return Offsets(*(int(start) for start in starts))
+    counts = (len(problem.balls), len(problem.cmm_positions), turned, turned, 1, 1)
+    ends = (3 * np.cumsum(counts)).tolist()
+    return {f: slice(end - 3 * n, end) for f, n, end in zip(FIELDS, counts, ends, strict=True)}
+
+
+def n_unknowns(problem: BallPlateProblem) -> int:
+    """Return the number P of unknowns."""
+    return int(blocks(problem)[FIELDS[-1]].stop)
+
+
+def component_places(problem: BallPlateProblem, name: str) -> tuple[Ints, float]:
+    """Return where the unknowns (M,) of a component stand, and the length that divides them."""
+    field, axis = TABLE_COMPONENTS[name]
+    own = blocks(problem)[field]
+    length = problem.radius if field == "rotation" else 1.0
+    return np.arange(own.start + axis, own.stop, 3), length
 
 
 def local_design(problem: BallPlateProblem) -> tuple[Floats, Ints]:
     """Return the 18 non-zero columns of every row: (n, 3, 18) coefficients, (n, 18) indices."""
-    at = offsets(problem)
     n = len(problem.centres)
     turn = rotation_about_z(problem.angles)[problem.position]
     cross = _cross_unit(problem.angles)[problem.cmm_index]
     identity = np.broadcast_to(np.eye(3), (n, 3, 3))
     coefficients = np.concatenate([turn, identity, cross, identity, cross, identity], axis=2)
-    starts = np.stack(
-        [
-            at.plate + 3 * np.searchsorted(problem.balls, problem.ball_step),
-            at.cmm + 3 * np.searchsorted(problem.cmm_positions, problem.cmm_index),
-            at.rotation + 3 * problem.table_index,
-            at.translation + 3 * problem.table_index,
-            np.full(n, at.axis_rotation),
-            np.full(n, at.axis_shift),
-        ],
-        axis=1,
-    )
+    ball = np.searchsorted(problem.balls, problem.ball_step)
+    cmm = np.searchsorted(problem.cmm_positions, problem.cmm_index)
+    axis = np.zeros(n, dtype=np.int64)
+    numbers = (ball, cmm, problem.table_index, problem.table_index, axis, axis)
+    places = zip(blocks(problem).values(), numbers, strict=True)
+    starts = np.stack([own.start + 3 * number for own, number in places], axis=1)
     columns = (starts[:, :, None] + np.arange(3)).reshape(n, 18)
     return coefficients, columns
 
@@ -250,7 +297,7 @@ def design_matrix(problem: BallPlateProblem) -> Floats:
     """Return T (3n, P) of Eq. 14; rows in the order of the centres, x, y, z of each."""
     coefficients, columns = local_design(problem)
     n = len(problem.centres)
-    matrix = np.zeros((n, 3, offsets(problem).total))
+    matrix = np.zeros((n, 3, n_unknowns(problem)))
     # a centre touches every column at most once, so plain assignment is enough
     np.put_along_axis(matrix, np.repeat(columns[:, None, :], 3, axis=1), coefficients, axis=2)
     return matrix.reshape(3 * n, -1)
@@ -258,23 +305,20 @@ def design_matrix(problem: BallPlateProblem) -> Floats:
 
 def constraint_matrix(problem: BallPlateProblem) -> Floats:
     """Return G (19, P) of the constraints G xi = 0 (Eq. 15 to 19)."""
-    at = offsets(problem)
+    plate, cmm, rotation, translation, _, _ = blocks(problem).values()
     angles = problem.angles
-    matrix = np.zeros((N_CONSTRAINTS, at.total))
+    matrix = np.zeros((N_CONSTRAINTS, n_unknowns(problem)))
     identity = np.eye(3)
     across = angles[problem.cmm_positions]
     back = rotation_about_z(angles[problem.table_positions]).transpose(0, 2, 1)
     ball = rotation_about_z(angles[problem.balls])
-    cmm = slice(at.cmm, at.rotation)
-    rotation = slice(at.rotation, at.translation)
-    translation = slice(at.translation, at.axis_rotation)
     matrix[0:3, cmm] = np.tile(identity, len(problem.cmm_positions))  # Eq. 15, left
     matrix[3:6, cmm] = -np.hstack(list(_cross_unit(across)))  # Eq. 15, right
     matrix[6, cmm] = on_circle(across).ravel()  # Eq. 16
     matrix[7:10, rotation] = matrix[10:13, translation] = np.tile(identity, len(back))  # Eq. 17
     matrix[13:15, rotation] = matrix[15:17, translation] = np.hstack(list(back[:, :2]))  # Eq. 18
-    matrix[17, : at.cmm] = ball[:, :, 1].ravel()  # Eq. 19, tangential
-    matrix[18, 2 : at.cmm : 3] = 1.0  # Eq. 19, axial
+    matrix[17, plate] = ball[:, :, 1].ravel()  # Eq. 19, tangential
+    matrix[18, plate][2::3] = 1.0  # Eq. 19, axial
     return matrix
 
 
@@ -285,8 +329,8 @@ def null_space(problem: BallPlateProblem) -> Floats:
     with a constant shift (3) or rotation (3), an axis shifted (3) or turned (3), taken back by
     the CMM; a CMM circle and a plate that are larger and smaller (1).
     """
-    at = offsets(problem)
-    space = np.zeros((at.total, N_CONSTRAINTS))
+    plate, cmm, rotation, translation, axis_rotation, axis_shift = blocks(problem).values()
+    space = np.zeros((n_unknowns(problem), N_CONSTRAINTS))
     identity = np.eye(3)
     turn = rotation_about_z(problem.angles[problem.table_positions]).reshape(-1, 3)
     constant = np.tile(identity, (len(problem.table_positions), 1))
@@ -294,15 +338,13 @@ def null_space(problem: BallPlateProblem) -> Floats:
     ball_angles, cmm_angles = problem.angles[problem.balls], problem.angles[problem.cmm_positions]
     cross_ball = _cross_unit(ball_angles).reshape(-1, 3)
     cross_cmm = _cross_unit(cmm_angles).reshape(-1, 3)
-    plate, cmm = slice(at.plate, at.cmm), slice(at.cmm, at.rotation)
-    rotation, translation = slice(at.rotation, at.translation), slice(at.translation, -6)
     # a plate shifted, turned; a table shifted, turned; an axis shifted, turned; larger and smaller
     space[translation, 0:3], space[plate, 0:3] = turn, -np.tile(identity, (len(ball_angles), 1))
     space[rotation, 3:6], space[plate, 3:6] = turn, -cross_ball
     space[translation, 6:9], space[cmm, 6:9] = constant, -all_cmm
     space[rotation, 9:12], space[cmm, 9:12] = constant, -cross_cmm
-    space[at.axis_shift :, 12:15], space[cmm, 12:15] = identity, -all_cmm
-    space[at.axis_rotation : at.axis_shift, 15:18], space[cmm, 15:18] = identity, -cross_cmm
+    space[axis_shift, 12:15], space[cmm, 12:15] = identity, -all_cmm
+    space[axis_rotation, 15:18], space[cmm, 15:18] = identity, -cross_cmm
     space[plate, 18] = -rotation_about_z(ball_angles)[:, :, 0].ravel()
     space[cmm, 18] = rotation_about_z(cmm_angles)[:, :, 0].ravel()
     return space
@@ -310,35 +352,24 @@ def null_space(problem: BallPlateProblem) -> Floats:
 
 def unpack(problem: BallPlateProblem, vector: Floats) -> PlateParameters:
     """Split a vector (P,) of unknowns (or of their standard deviations) into its parts."""
-    at = offsets(problem)
-    parts = vector.reshape(-1, 3)
+    parts = {field: vector[own].reshape(-1, 3) for field, own in blocks(problem).items()}
     return PlateParameters(
-        plate=parts[: at.cmm // 3],
-        cmm=parts[at.cmm // 3 : at.rotation // 3],
-        rotation=parts[at.rotation // 3 : at.translation // 3] / problem.radius,
-        translation=parts[at.translation // 3 : -2],
-        axis_rotation=parts[-2] / problem.radius,
-        axis_shift=parts[-1],
+        plate=parts["plate"],
+        cmm=parts["cmm"],
+        rotation=parts["rotation"] / problem.radius,
+        translation=parts["translation"],
+        axis_rotation=parts["axis_rotation"][0] / problem.radius,
+        axis_shift=parts["axis_shift"][0],
     )
 
 
-def table_covariance(
-    problem: BallPlateProblem, covariance: Floats
-) -> Callable[[str, str], Floats]:
-    """Return the function that cuts the covariance of two components out of (P, P)."""
-    at = offsets(problem)
-
-    def cut(first: str, second: str) -> Floats:
-        pick, factor = [], 1.0
-        for name in (first, second):
-            field, axis = TABLE_COMPONENTS[name]
-            start = getattr(at, field) + axis
-            pick.append(start + 3 * np.arange(len(problem.table_positions)))
-            factor /= problem.radius if field == "rotation" else 1.0
-        block: Floats = covariance[np.ix_(*pick)] * factor
-        return block
-
-    return cut
+def covariance_of(
+    problem: BallPlateProblem, covariance: Floats, first: str, second: str
+) -> Floats:
+    """Return the covariance (M, M) of two components from that of the unknowns (P, P)."""
+    rows, length = component_places(problem, first)
+    columns, other = component_places(problem, second)
+    return np.asarray(covariance[np.ix_(rows, columns)] * (1.0 / length / other))
 
 
 def residual_cofactor(problem: BallPlateProblem, covariance: Floats) -> Floats:

@@ -11,7 +11,6 @@ motion finds what is too small for it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -26,12 +25,11 @@ from rotcal_ros.methods.ball_plate.solver.estimate import (
     VISIBLE,
     drift_columns,
     drift_seen,
-    factored,
+    factored_with_drift,
 )
 from rotcal_ros.methods.ball_plate.solver.model import (
     LinearFit,
     OriginDrift,
-    PlateParameters,
     Solution,
     least_variance,
     plate_motion,
@@ -104,79 +102,39 @@ def order_effects(problem: BallPlateProblem, closing: BallPlateProblem | None) -
 @lru_cache(maxsize=4)
 def _of_layout(layout: RowLayout, closing: bytes) -> OrderEffects:
     """Return the effects in a layout; ``closing`` are the cells measured again at the end."""
-    problem = layout.problem()
-    motion = plate_motion(problem)
-    pairs = _ClosingRows(problem, np.frombuffer(closing, dtype=np.int64), motion)
-    solve = _solver(problem)
+    problem = layout.problem
+    linear, motion = factored_with_drift(problem), plate_motion(problem)
     n = len(problem.centres)
     quick = problem.complete and n <= MANY_CENTRES
     count = MOMENTS if quick else MOMENTS // 4
     moments = np.unique(np.ceil((np.arange(count) + 0.5) / count * n).astype(np.int64))
     place = np.empty(n, dtype=np.int64)  # of each row in the order of measurement
     place[np.argsort(problem.rows, kind="stable")] = np.arange(n)
+    cells = np.frombuffer(closing, dtype=np.int64)
+    again = places_of(cells[np.isin(cells, problem.cell)], problem.cell)
+    change = 0.5 - problem.run_time[again]  # of the run time, which is 0.5 at the end
+
+    def patterns(columns: Floats, closed: Floats) -> DisplacementPatterns:
+        """Return those of ``columns`` (n, 3, m); ``closed`` (k, 3, m): between first and last."""
+        found = linear.responses(columns)
+        return DisplacementPatterns(
+            response=found.parameters.curves(),
+            information=found.information(problem.weights),
+            # a difference of two centres has twice the variance of one
+            closing=0.5 * np.einsum("nia,nib->ab", closed, closed),
+            total=float(np.sum(problem.weights[:, :, None] * columns**2)) / columns.shape[2],
+        )
+
     return OrderEffects(
-        drift=solve(drift_columns(problem.run_time, 1), pairs.drift()),
+        drift=patterns(drift_columns(problem.run_time, 1), drift_columns(change, 1)),
         knocks=tuple(
-            solve(np.where(place[:, None, None] >= m, motion, 0.0), pairs.knock(place, m))
+            patterns(
+                np.where(place[:, None, None] >= m, motion, 0.0), motion[again[place[again] < m]]
+            )
             for m in moments
         ),
         moments=moments,
     )
-
-
-def _solver(problem: BallPlateProblem) -> Callable[[Floats, Floats], DisplacementPatterns]:
-    """Return the function from columns (n, 3, m) and their closure (m, m) to their patterns.
-
-    Where a drift is estimated it takes its part of all other columns, as further unknowns do.
-    """
-    linear, weight = factored(problem), problem.weights[:, :, None]
-    border = drift_columns(problem.run_time, problem.drift)
-    own = None
-    if problem.drift:
-        found, own_left = linear.responses(border)
-        own = _curves(found)
-        inverse = np.linalg.inv(np.einsum("nia,nib->ab", weight * border, own_left))
-
-    def solve(columns: Floats, closing: Floats) -> DisplacementPatterns:
-        found, left = linear.responses(columns)
-        response = _curves(found)
-        information = np.einsum("nia,nib->ab", weight * columns, left)
-        total = float(np.sum(weight * columns**2)) / columns.shape[2]
-        if own is not None:
-            shared = np.einsum("nia,nib->ab", weight * border, left)
-            response = response - own @ (inverse @ shared)
-            information = information - shared.T @ inverse @ shared
-        return DisplacementPatterns(response, 0.5 * (information + information.T), closing, total)
-
-    return solve
-
-
-def _curves(found: list[PlateParameters]) -> Floats:
-    """Return the six deviations of several fits, (6, N, m)."""
-    return np.stack([parameters.curves() for parameters in found], axis=2)
-
-
-class _ClosingRows:
-    """The rows whose ``cells`` are measured again at the end, what is known of them."""
-
-    def __init__(self, problem: BallPlateProblem, cells: Ints, motion: Floats) -> None:
-        self.problem = problem
-        self.first = places_of(cells[np.isin(cells, problem.cell)], problem.cell)
-        self.motion = motion[self.first]
-
-    def drift(self) -> Floats:
-        """Return the information on a drift (3, 3), whose run time is 0.5 at the end.
-
-        The half is because a difference of two centres has twice the variance of one.
-        """
-        change = 0.5 - self.problem.run_time[self.first]
-        return 0.5 * float(change @ change) * np.eye(3)
-
-    def knock(self, place: Ints, moment: int) -> Floats:
-        """Return the information on a motion (6, 6) before row ``moment``."""
-        moved = self.motion[place[self.first] < moment]
-        information: Floats = 0.5 * np.einsum("nia,nib->ab", moved, moved)
-        return information
 
 
 def needed(parameters: int, dof: int, tests: int = 1) -> float:
@@ -392,21 +350,6 @@ def _estimated(solution: Solution, drift: OriginDrift) -> DriftTest:
     return DriftTest(amount, std, f_sf(value, 3, solution.dof), estimated=True)
 
 
-def stronger(
-    drifts: Sequence[DriftTest], motions: Sequence[MotionTest]
-) -> list[DriftTest | MotionTest]:
-    """Return the significant findings worth telling; of a drift and a motion the likelier one.
-
-    A drift looks like a small motion and the other way round.
-    """
-    known = [d for d in drifts if d.significant and d.estimated]
-    doubts: list[DriftTest | MotionTest] = [
-        *(d for d in drifts if d.significant and not d.estimated),
-        *(m for m in motions if m.significant),
-    ]
-    return [*known, *sorted(doubts, key=lambda t: t.p_value)[:1]]
-
-
 @dataclass(frozen=True)
 class Knock:
     """The plate moved between the rows ``last`` and ``first`` (row numbers).
@@ -505,9 +448,7 @@ def _fit_motion(
     """Return gain of w'w and the motion (6,) when the rows from a moment on have moved."""
     moved = np.zeros((len(problem.centres), 3, 6))
     moved[rows] = motion
-    remains = linear.responses(moved)[1]
-    information = np.einsum("nij,ni,nik->jk", moved, problem.weights, remains)
-    information = 0.5 * (information + information.T)
+    information = linear.responses(moved).information(problem.weights)
     # a motion that the CMM's own errors imitate leaves nothing: it counts as zero
     amount: Floats = np.linalg.pinv(information, rcond=1e-6, hermitian=True) @ right
     return float(right @ amount), amount

@@ -6,14 +6,25 @@ stands, when it was measured, and how far it was found from its nominal place.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError, PlanError
+
+COLUMNS: Final = {
+    "position": np.int64,
+    "ball_step": np.int64,
+    "centres": np.float64,
+    "row": np.int64,
+    "std": np.float64,
+    "time": np.float64,
+}
+"""What a problem holds row by row."""
 
 
 @dataclass(frozen=True)
@@ -61,30 +72,18 @@ class BallPlateProblem:
     group_allowance: float = 0.0
 
     def __post_init__(self) -> None:
-        table = np.asarray(self.position, dtype=np.int64)
-        ball = np.asarray(self.ball_step, dtype=np.int64)
-        centres = np.asarray(self.centres, dtype=np.float64)
-        row = np.arange(len(table)) if self.row is None else np.asarray(self.row, dtype=np.int64)
-        std = None if self.std is None else np.asarray(self.std, dtype=np.float64)
-        time = None if self.time is None else np.asarray(self.time, dtype=np.float64)
-        _check_constants(self.grid, self.radius, self.sigma)
-        _check_drift(self.drift, self.drift_allowance, self.group_allowance)
-        _check_shapes(table, ball, centres, row, std)
-        _check_indices(table, row, "table position", self.n_positions)
-        _check_indices(ball, row, "ball step", self.grid)
-        if time is not None:
-            _check_time(time, len(table))
-        order = np.lexsort((row, table, ball))
-        columns: dict[str, Floats | Ints | None] = {
-            "position": table,
-            "ball_step": ball,
-            "centres": centres,
-            "row": row,
-            "std": std,
-            "time": time,
+        if self.row is None:
+            object.__setattr__(self, "row", np.arange(len(self.position)))
+        columns = {
+            name: np.asarray(values, dtype=kind)
+            for name, kind in COLUMNS.items()
+            if (values := getattr(self, name)) is not None
         }
+        _check_statements(self)
+        _check_columns(self, columns)
+        order = np.lexsort((columns["row"], columns["position"], columns["ball_step"]))
         for name, column in columns.items():
-            object.__setattr__(self, name, None if column is None else column[order])
+            object.__setattr__(self, name, column[order])
 
     @classmethod
     def nominal(
@@ -195,59 +194,32 @@ class BallPlateProblem:
 
     def take(self, keep: Bools | Ints) -> BallPlateProblem:
         """Return the problem with only the rows ``keep`` (mask or indices, canonical order)."""
-        return replace(
-            self,
-            position=self.position[keep],
-            ball_step=self.ball_step[keep],
-            centres=self.centres[keep],
-            row=self.rows[keep],
-            std=None if self.std is None else self.std[keep],
-            time=None if self.time is None else self.time[keep],
-        )
+        columns = {name: getattr(self, name) for name in COLUMNS}
+        return replace(self, **{n: c[keep] for n, c in columns.items() if c is not None})
 
 
-class RowLayout(NamedTuple):
-    """What of a problem does not depend on the measured values, as a key to remember by.
+@dataclass(frozen=True)
+class RowLayout:
+    """What of a problem does not depend on the measured values, to remember by.
 
-    The arrays are held as bytes: ``columns`` (3, n) are table position, ball step and row number.
+    ``key`` tells layouts apart; ``problem`` has nominal centres and the run time as its time.
     """
 
-    grid: int
-    bidirectional: bool
-    radius: float
-    columns: bytes
-    run_time: bytes
-    std: bytes
-    drift: int
+    key: tuple[object, ...]
+    problem: BallPlateProblem = field(compare=False)
 
     @classmethod
     def of(cls, problem: BallPlateProblem) -> RowLayout:
         """Return the layout of a problem."""
-        columns = np.stack([problem.position, problem.ball_step, problem.rows])
-        return cls(
-            problem.grid,
-            problem.bidirectional,
-            problem.radius,
-            columns.tobytes(),
-            problem.run_time.tobytes(),
-            b"" if problem.std is None else problem.std.tobytes(),
-            problem.drift,
-        )
-
-    def problem(self) -> BallPlateProblem:
-        """Return the problem with nominal centres."""
-        position, ball, row = np.frombuffer(self.columns, dtype=np.int64).reshape(3, -1)
-        return BallPlateProblem.nominal(
-            self.grid,
-            self.radius,
-            position,
-            ball,
-            std=np.frombuffer(self.std).reshape(-1, 3) if self.std else None,
-            row=row,
-            time=np.frombuffer(self.run_time),
-            drift=self.drift,
-            bidirectional=self.bidirectional,
-        )
+        columns = (problem.position, problem.ball_step, problem.rows, problem.run_time)
+        fields = {"drift": problem.drift, "bidirectional": problem.bidirectional}
+        nominal = BallPlateProblem.nominal(
+            problem.grid, problem.radius, problem.position, problem.ball_step, std=problem.std,
+            row=problem.rows, time=problem.run_time, **fields,
+        )  # fmt: skip
+        std = None if problem.std is None else problem.std.tobytes()
+        held = (column.tobytes() for column in columns)
+        return cls((problem.grid, problem.radius, std, *held, *fields.values()), nominal)
 
 
 def select(
@@ -315,46 +287,42 @@ def places_of(wanted: Ints, column: Ints) -> Ints:
     return order[np.searchsorted(column, wanted, sorter=order)]
 
 
-def _check_constants(grid: int, radius: float, sigma: float | None) -> None:
-    if grid < 3:
-        raise DataError(f"a grid of {grid} table positions: at least 3 are needed")
-    if not (np.isfinite(radius) and radius > 0.0):
-        raise DataError(f"radius of the ball circle is {radius} m: a positive length is needed")
-    if sigma is not None and not (np.isfinite(sigma) and sigma > 0.0):
-        raise DataError(f"stated noise of a centre is {sigma} m: a positive length is needed")
+def _check_statements(problem: BallPlateProblem) -> None:
+    if problem.grid < 3:
+        raise DataError(f"a grid of {problem.grid} table positions: at least 3 are needed")
+    if problem.drift not in (0, 1, 2):
+        raise DataError(f"drift of degree {problem.drift}: 0 (none), 1 (linear) or 2 (quadratic)")
+    positive, some = "a positive length is needed", "a length is needed, 0 for none"
+    for name, length, needed in (
+        ("radius of the ball circle", problem.radius, positive),
+        ("stated noise of a centre", problem.sigma, positive),
+        ("drift allowance", problem.drift_allowance, some),
+        ("group allowance", problem.group_allowance, some),
+    ):
+        if length is None or (np.isfinite(length) and length > 0.0):
+            continue
+        if length != 0.0 or needed is positive:
+            raise DataError(f"{name} is {length} m: {needed}")
 
 
-def _check_shapes(table: Ints, ball: Ints, centres: Floats, row: Ints, std: Floats | None) -> None:
-    n = len(table)
-    shapes = {"position": table.shape, "ball_step": ball.shape, "row": row.shape}
-    wrong = [f"{name} {shape}" for name, shape in shapes.items() if shape != (n,)]
-    if centres.shape != (n, 3):
-        wrong.append(f"centres {centres.shape}")
+def _check_columns(problem: BallPlateProblem, columns: Mapping[str, np.ndarray]) -> None:
+    n, std, time = len(columns["position"]), columns.get("std"), columns.get("time")
+    shapes = {"position": (n,), "ball_step": (n,), "row": (n,), "centres": (n, 3)}
     if std is not None and (std.shape != (n, 3) or not np.all(std > 0.0)):
         raise DataError(f"std must hold {n} x 3 positive lengths, found {std.shape}")
+    wrong = [f"{k} {columns[k].shape}" for k, shape in shapes.items() if columns[k].shape != shape]
     if wrong or n == 0:
         raise DataError(f"columns do not fit together: {', '.join(wrong) or 'no rows at all'}")
-
-
-def _check_drift(degree: int, allowance: float, of_groups: float) -> None:
-    if degree not in (0, 1, 2):
-        raise DataError(f"drift of degree {degree}: 0 (none), 1 (linear) or 2 (quadratic)")
-    if not (np.isfinite(allowance) and allowance >= 0.0):
-        raise DataError(f"drift allowance is {allowance} m: a length is needed, 0 for none")
-    if not (np.isfinite(of_groups) and of_groups >= 0.0):
-        raise DataError(f"group allowance is {of_groups} m: a length is needed, 0 for none")
-
-
-def _check_time(time: Floats, n: int) -> None:
-    if time.shape != (n,) or not np.isfinite(time).all():
+    for name, what, count in (
+        ("position", "table position", problem.n_positions),
+        ("ball_step", "ball step", problem.grid),
+    ):
+        outside = np.flatnonzero((columns[name] < 0) | (columns[name] >= count))
+        if len(outside):
+            first = outside[0]
+            raise DataError(
+                f"row {columns['row'][first]}: {what} {columns[name][first]} is outside "
+                f"0..{count - 1} ({len(outside)} such rows); check the grid of the plate"
+            )
+    if time is not None and (time.shape != (n,) or not np.isfinite(time).all()):
         raise DataError(f"time must hold {n} finite seconds, found {time.shape}")
-
-
-def _check_indices(column: Ints, row: Ints, name: str, count: int) -> None:
-    outside = np.flatnonzero((column < 0) | (column >= count))
-    if len(outside):
-        first = outside[0]
-        raise DataError(
-            f"row {row[first]}: {name} {column[first]} is outside 0..{count - 1} "
-            f"({len(outside)} such rows); check the grid of the plate"
-        )

@@ -324,7 +324,7 @@ def _forms(stops: _Stops, residuals: Floats) -> Floats:
 
 @lru_cache(maxsize=4)
 def _expected(layout: RowLayout) -> _Expected | None:
-    problem = layout.problem()
+    problem = layout.problem
     stops, linear = _Stops(problem), factored(problem)
     rng = np.random.default_rng(20250101)
     every, gain = [], np.zeros((6, 6))

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotcal_ros.foundation.arrays import Bools, Floats, Ints
+from rotcal_ros.foundation.arrays import Bools, Complexes, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.results import Rejection
 from rotcal_ros.foundation.units import DEGREE, MILLIMETRE
@@ -172,7 +172,7 @@ def _mistake(problem: BallPlateProblem, angle: Floats) -> str:
     grid, table = problem.grid, problem.angles[problem.position]
     if _coherence(problem, angle - table) < COHERENT:
         return _turning_otherwise(problem, angle + table)
-    found = _of_balls(problem, angle - table)
+    found = np.angle(_of_balls(problem, angle - table))
     found_steps = np.round(found * grid / (2.0 * np.pi)).astype(int) % grid
     shifts = np.unique((found_steps - problem.balls) % grid)
     if len(shifts) > 1:
@@ -239,7 +239,7 @@ def _reversed(problem: BallPlateProblem, found: Ints) -> str:
 
 def _clockwise(problem: BallPlateProblem, on_plate: Floats) -> bool:
     """Return whether the balls' steps run clockwise; ``on_plate`` (n,) is where they stand."""
-    seen, places = _of_balls(problem, on_plate), problem.angles[problem.balls]
+    seen, places = np.angle(_of_balls(problem, on_plate)), problem.angles[problem.balls]
     mirrored, straight = (
         float(np.abs(np.mean(np.exp(1j * (seen + sign * places))))) for sign in (1.0, -1.0)
     )
@@ -286,15 +286,12 @@ def _doubled(problem: BallPlateProblem) -> tuple[Ints, list[str]]:
     return np.array(bad, dtype=np.int64), reasons
 
 
-def _of_balls(problem: BallPlateProblem, angle: Floats) -> Floats:
-    """Return the mean direction (R,) of each ball; ``angle`` (n,), rad."""
+def _of_balls(problem: BallPlateProblem, angle: Floats) -> Complexes:
+    """Return the mean of exp(i ``angle``) (R,) of each ball; ``angle`` (n,), rad."""
     phase = np.exp(1j * angle)
-    each = [np.mean(phase[problem.ball_step == ball]) for ball in problem.balls]
-    return np.asarray(np.angle(each), dtype=np.float64)
+    return np.array([np.mean(phase[problem.ball_step == ball]) for ball in problem.balls])
 
 
 def _coherence(problem: BallPlateProblem, angle: Floats) -> float:
     """Return how constant the angle is for each ball, 1 = perfectly, median over the balls."""
-    phase = np.exp(1j * angle)
-    each = [abs(np.mean(phase[problem.ball_step == ball])) for ball in problem.balls]
-    return float(np.median(each))
+    return float(np.median(np.abs(_of_balls(problem, angle))))

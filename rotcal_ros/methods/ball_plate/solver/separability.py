@@ -13,6 +13,7 @@ from math import gcd
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Complexes, Floats, Ints
+from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate.solver import model
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
@@ -96,7 +97,7 @@ def separability_of(problem: BallPlateProblem) -> Separability:
     ``MAX_DENSE`` unknowns only the layout of the balls is judged.
     """
     layout = separability(problem.grid, problem.balls)
-    if problem.complete or model.offsets(problem).total > MAX_DENSE:
+    if problem.complete or model.n_unknowns(problem) > MAX_DENSE:
         return layout
     lost, deficit = _lost_of_dense(problem)
     return replace(layout, deficit=deficit, lost=lost, weak={} if deficit else layout.weak)
@@ -156,11 +157,9 @@ def _lost_of_dense(problem: BallPlateProblem) -> tuple[dict[str, tuple[int, ...]
     values, vectors = np.linalg.eigh(stacked.T @ stacked)
     null = vectors[:, values < TOLERANCE * values[-1]]
     found: dict[str, tuple[int, ...]] = {}
-    at = model.offsets(problem)
-    for name, (field, axis) in model.TABLE_COMPONENTS.items():
-        start = getattr(at, field) + axis
-        end = start + 3 * len(problem.table_positions)
-        sequences: Floats = null[start:end:3][: problem.grid]  # of both sides the first
+    for name in COMPONENTS:
+        own = model.component_places(problem, name)[0]
+        sequences: Floats = null[own][: problem.grid]  # of both sides the first
         share = np.abs(np.fft.rfft(sequences, axis=0)).max(axis=1, initial=0.0)
         present = np.flatnonzero(share > 1e-6 * np.sqrt(problem.grid))
         if len(present):

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -49,72 +50,69 @@ class PositionGroup:
     closing: BallPlateProblem | None = None
 
 
+class SolvedGroup(NamedTuple):
+    """A group with its fit."""
+
+    group: PositionGroup
+    fit: Fitted
+
+    @property
+    def positions(self) -> Ints:
+        """The table positions of the whole grid that could be solved."""
+        return self.group.positions[self.fit.problem.table_positions]
+
+
 @dataclass(frozen=True)
 class PlateSolution:
-    """A solved problem: ``whole`` are the rows that were fitted at all, ``fits`` one per group.
+    """A solved problem: ``whole`` are the rows that were fitted at all, ``parts`` its groups.
 
     ``rejected`` are the other rows and those that did not fit, in the order of the row numbers.
     """
 
     problem: BallPlateProblem
     whole: BallPlateProblem
-    groups: tuple[PositionGroup, ...]
-    fits: tuple[Fitted, ...]
+    parts: tuple[SolvedGroup, ...]
     noise: CentreNoise
     rejected: tuple[Rejection, ...]
 
     @cached_property
     def table_positions(self) -> Ints:
         """The table positions that could be solved, ascending, (M,); the others were left out."""
-        return np.sort(np.concatenate(self._positions()))
-
-    def _positions(self) -> list[Ints]:
-        """Return the solved table positions of every group, on the whole grid."""
-        return [
-            group.positions[fit.problem.table_positions]
-            for group, fit in zip(self.groups, self.fits, strict=True)
-        ]
+        return np.sort(np.concatenate([part.positions for part in self.parts]))
 
     def places(self) -> list[Ints]:
         """Return where the solved positions of each group stand among all that were solved."""
-        return [np.searchsorted(self.table_positions, own) for own in self._positions()]
+        return [np.searchsorted(self.table_positions, part.positions) for part in self.parts]
 
     def members(self) -> list[Floats]:
         """Return 1 for the solved positions (M,) of each group and 0 for the others."""
         step = grid_step(self.table_positions, self.problem.grid)
-        count = len(self.groups)
+        count = len(self.parts)
         return [(step % count == first).astype(np.float64) for first in range(count)]
 
     def deviations(self) -> dict[str, Floats]:
         """Return the table's six deviations (M,), metres and radians."""
         count = len(self.table_positions)
         fields = {name: np.empty((count, 3)) for name in ("translation", "rotation")}
-        for group, fit, place in zip(self.groups, self.fits, self.places(), strict=True):
+        for (group, fit), place in zip(self.parts, self.places(), strict=True):
             for name, field in fields.items():
                 field[place] = turned_back(group, getattr(fit.solution.estimate, name))
         return {n: fields[f][:, axis].copy() for n, (f, axis) in model.TABLE_COMPONENTS.items()}
 
     def std(self) -> dict[str, Floats]:
         """Return the standard deviations (M,) of the six deviations."""
-        if len(self.groups) == 1:
-            std = model.scaled(self.fits[0].solution.unit_std, self.noise.scale)
+        if len(self.parts) == 1:
+            std = model.scaled(self.parts[0].fit.solution.unit_std, self.noise.scale)
             return {name: std.component(name) for name in COMPONENTS}
         return {name: np.sqrt(np.diag(self.covariance(name))) for name in COMPONENTS}
 
     def covariance(self, name: str) -> Floats:
         """Return the (M, M) covariance of a component; zero between groups."""
-        scale = model.of_component(self.noise.scale, name)
-        covariance: Floats = scale * scale * self._unit_covariance(name)
-        return covariance
-
-    def _unit_covariance(self, name: str) -> Floats:
-        """Return the (M, M) covariance of a component for unit noise."""
-        if len(self.groups) == 1:
-            return _turned_covariance(self.groups[0], self.fits[0].solution, name)
         covariance = np.zeros((len(self.table_positions),) * 2)
-        for group, fit, place in zip(self.groups, self.fits, self.places(), strict=True):
+        for (group, fit), place in zip(self.parts, self.places(), strict=True):
             covariance[np.ix_(place, place)] = _turned_covariance(group, fit.solution, name)
-        return covariance
+        scale = model.of_component(self.noise.scale, name)
+        return np.asarray(scale * scale * covariance)
 
 
 def adjust(problem: BallPlateProblem) -> PlateSolution:
@@ -126,35 +124,32 @@ def adjust(problem: BallPlateProblem) -> PlateSolution:
     once, closing = closing_apart(problem)
     whole, unusable = screen(once)
     stated = problem.sigma if problem.std is None else 1.0
-    groups, fits = _fitted(whole, closing)
-    noise = assess(_turned(groups, fits), stated)
-    if noise.unequal and all(fit.knock is None for fit in fits):
-        weights = _weights(whole, len(groups), noise)
+    parts = _fitted(whole, closing)
+    noise = assess(_turned(parts), stated)
+    if noise.unequal and all(part.fit.knock is None for part in parts):
+        weights = _weights(whole, len(parts), noise)
         std = whole.noise_unit * weights
-        groups, fits = _fitted(replace(whole, sigma=None, std=std), closing)
-        noise = assess(_turned(groups, fits), stated, first=noise, weights=weights)
-    rejected = unusable + [r for fit in fits for r in fit.rejected]
+        parts = _fitted(replace(whole, sigma=None, std=std), closing)
+        noise = assess(_turned(parts), stated, first=noise, weights=weights)
+    rejected = unusable + [r for part in parts for r in part.fit.rejected]
     in_order = tuple(sorted(rejected, key=lambda r: r.index))
-    return PlateSolution(problem, whole, groups, fits, noise, in_order)
+    return PlateSolution(problem, whole, parts, noise, in_order)
 
 
-def _fitted(
-    whole: BallPlateProblem, closing: BallPlateProblem | None
-) -> tuple[tuple[PositionGroup, ...], tuple[Fitted, ...]]:
+def _fitted(whole: BallPlateProblem, closing: BallPlateProblem | None) -> tuple[SolvedGroup, ...]:
     """Cut a problem into its groups, if it has any, and fit each."""
     alone = PositionGroup(np.arange(whole.n_positions), 0.0, whole, closing)
     groups = split(whole, closing) if whole.separate_groups else (alone,)
-    return groups, tuple(
-        fit_and_reject(group.problem, whole.take(np.isin(whole.rows, group.problem.rows)))
-        for group in groups
+    named = (whole.take(np.isin(whole.rows, group.problem.rows)) for group in groups)
+    return tuple(
+        SolvedGroup(group, fit_and_reject(group.problem, rows))
+        for group, rows in zip(groups, named, strict=True)
     )
 
 
-def _turned(
-    groups: tuple[PositionGroup, ...], fits: tuple[Fitted, ...]
-) -> list[tuple[Fitted, float]]:
+def _turned(parts: tuple[SolvedGroup, ...]) -> list[tuple[Fitted, float]]:
     """Return the fits with the angles (rad) that their frames are turned by."""
-    return [(fit, group.turn) for group, fit in zip(groups, fits, strict=True)]
+    return [(fit, group.turn) for group, fit in parts]
 
 
 def _weights(whole: BallPlateProblem, n_groups: int, noise: CentreNoise) -> Floats:
@@ -164,7 +159,7 @@ def _weights(whole: BallPlateProblem, n_groups: int, noise: CentreNoise) -> Floa
     and where the elimination would not fit into memory: then the larger one is stated.
     """
     weights: Floats = noise.estimated.copy()
-    large = model.offsets(whole).total > general_least_squares.MAX_UNKNOWNS
+    large = model.n_unknowns(whole) > general_least_squares.MAX_UNKNOWNS
     if noise.plane >= AXIS_SIGNIFICANCE or n_groups > 1 or large:
         weights[:2] = np.hypot(weights[0], weights[1]) / np.sqrt(2.0)
     return weights
@@ -259,7 +254,7 @@ def zeros_of(solution: PlateSolution) -> tuple[str, tuple[FreeDirection, ...]]:
 
     A stated allowance bounds these: the covariance holds it, and none is free.
     """
-    if len(solution.groups) == 1:
+    if len(solution.parts) == 1:
         return "mean", ()
     problem = solution.problem
     bounded = problem.group_allowance > 0.0
@@ -269,7 +264,7 @@ def zeros_of(solution: PlateSolution) -> tuple[str, tuple[FreeDirection, ...]]:
 def _free_directions(solution: PlateSolution) -> tuple[FreeDirection, ...]:
     """Return the offsets of all groups but the first against it, and what turns with each."""
     angles = solution.problem.angles[solution.table_positions]
-    name = groups_in_words(len(solution.groups))
+    name = groups_in_words(len(solution.parts))
     found = []
     for own in solution.members()[1:]:
         found += [FreeDirection(name, {c: own}) for c in COMPONENTS]
@@ -289,7 +284,7 @@ def allowed(solution: PlateSolution, component: str) -> Floats:
     """
     problem = solution.problem
     count = len(solution.table_positions)
-    if len(solution.groups) == 1 or not problem.group_allowance:
+    if len(solution.parts) == 1 or not problem.group_allowance:
         return np.zeros((count, 0))
     size = problem.group_allowance / (problem.radius if component in ROTATIONS else 1.0)
     # what all groups have in common is nobody's zero

@@ -20,7 +20,7 @@ solution is a matter of means: :func:`closed_form` (second paper, Eq. 1 to 12).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 
@@ -28,8 +28,7 @@ from rotcal_ros.foundation.arrays import Complexes, Floats, Ints
 from rotcal_ros.foundation.components import ROTATIONS
 from rotcal_ros.foundation.errors import ObservabilityError, PlanError
 from rotcal_ros.geometry.rotations import rotation_about_z
-from rotcal_ros.methods.ball_plate.solver import model
-from rotcal_ros.methods.ball_plate.solver.model import FIELDS, LinearFit, PlateParameters, Solution
+from rotcal_ros.methods.ball_plate.solver.model import FIELDS, LinearFit, PlateParameters
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, grid_angles
 
 PLANE, AXIS = 0, 1
@@ -303,102 +302,130 @@ def _real_basis(covariance: Complexes) -> Complexes:
     return turned
 
 
-def factored(problem: BallPlateProblem) -> LinearFit:
-    """Factor a complete measurement with equal weights; the fits equal Eq. 20 and 21.
+class SpectralFit(LinearFit):
+    """A complete measurement with equal weights; the fits equal Eq. 20 and 21.
 
     For ``problem.complete`` without ``std`` only; the centres play no part, only grid, balls and
     radius. Raises ObservabilityError when the balls do not separate all harmonics.
     """
-    system = factor(problem.grid, problem.balls)
-    turn = np.exp(1j * problem.angles)
 
-    def fit(observed: Floats) -> tuple[PlateParameters, Floats]:
-        spectrum, mean = _to_harmonics(_in_table_frame(problem, observed, turn))
-        table, cmm, rest = _solve_harmonics(system, spectrum)
-        pose = _axis_pose(problem, cmm)
-        fields, residuals = _back(problem, turn, table, cmm, rest)
-        return _estimate(problem, turn, fields, mean, pose), residuals
+    way = "spectral"
 
-    def solution(estimate: PlateParameters, residuals: Floats) -> Solution:
-        return Solution(
-            estimate=estimate,
-            unit_std=_unit_std(problem.grid, problem.radius, tuple(problem.balls.tolist())),
-            unit_covariance=partial(_table_covariance, problem.radius, system),
-            residuals=residuals,
-            cofactor=partial(_residual_cofactor, problem.cmm_index, system),
-            weighted_square_sum=float(residuals.ravel() @ residuals.ravel()),
-            dof=model.degrees_of_freedom(problem),
-            way="spectral",
+    def __init__(self, problem: BallPlateProblem) -> None:
+        super().__init__(problem)
+        self._system = factor(problem.grid, problem.balls)
+        self._turn = np.exp(1j * problem.angles)
+
+    def fit(self, observed: Floats) -> tuple[PlateParameters, Floats]:
+        """Return parameters and residuals (n, 3) of deviations (n, 3) of the rows, metres."""
+        spectrum, mean = _to_harmonics(self._in_table_frame(observed))
+        table, cmm, rest = _solve_harmonics(self._system, spectrum)
+        pose = self._axis_pose(cmm)
+        fields, residuals = self._back(table, cmm, rest)
+        return self._estimate(fields, mean, pose), residuals
+
+    @property
+    def unit_std(self) -> PlateParameters:
+        """The standard deviations of all parameters."""
+        problem = self.problem
+        return _unit_std(problem.grid, problem.radius, tuple(problem.balls.tolist()))
+
+    def unit_covariance(self, first: str, second: str) -> Floats:
+        """Return the covariance (N, N) of two components, from the circulant blocks on demand.
+
+        The blocks are all that is held, so a grid of thousands of positions costs no memory until
+        a matrix is asked for.
+        """
+        system, radius = self._system, self.problem.radius
+        grid = system.grid
+        block, first_weights = _weights(first, radius, grid)
+        other_block, second_weights = _weights(second, radius, grid)
+        total = np.zeros((grid, grid))
+        if block != other_block:
+            return total  # the plane and the axis are measured by different coordinates
+        covariance = _to_time(_real_basis(system.inverse[block]), grid)
+        lag = (np.arange(grid)[:, None] - np.arange(grid)) % grid  # circulant: only the lag counts
+        for index, weight in first_weights:
+            for other, other_weight in second_weights:
+                total += weight[:, None] * covariance[lag, index, other] * other_weight
+        return total
+
+    def cofactor(self) -> Floats:
+        """Return the covariance (n, 3, 3) of the residuals.
+
+        In the turning frame one per ball holds everywhere.
+        """
+        system = self._system
+        n_balls = len(system.balls)
+        # the design at the CMM, its mean over the balls taken off
+        rows = _design(system.phase) - system.mean[:, :, None]
+        # of noise 1 an observation keeps 1, less 1/R for the CMM's mean, less what the table fits
+        fitted = rows @ system.inverse[:, :, None] @ rows.conj().swapaxes(3, 4)
+        kept = np.eye(2) * (1.0 - 1.0 / n_balls) - fitted
+        lag = _zero_lag(kept, system.grid)
+        turning = np.zeros((n_balls, 3, 3))
+        turning[:, :2, :2] = _real_basis(lag[PLANE]).real
+        turning[:, 2, 2] = lag[AXIS, :, 0, 0].real
+        turn = rotation_about_z(grid_angles(system.grid)[self.problem.cmm_index])
+        every = np.repeat(turning, system.grid, axis=0)
+        cofactor: Floats = turn @ every @ turn.swapaxes(1, 2)
+        return cofactor
+
+    def _in_table_frame(self, observed: Floats) -> Complexes:
+        """Return x + i y of deviations (n, 3) in the table's turning frame, then z, (2 R, N)."""
+        n_balls = len(self.problem.balls)
+        x, y, z = observed.T.reshape(3, n_balls, self.problem.grid)
+        sequences = np.zeros((2 * n_balls, self.problem.grid), dtype=np.complex128)
+        sequences[:n_balls].real, sequences[:n_balls].imag = x, y
+        sequences[:n_balls] *= self._turn.conj()  # turns x + i y back by the table angle
+        sequences[n_balls:].real = z
+        return sequences
+
+    def _axis_pose(self, cmm: Complexes) -> tuple[complex, complex]:
+        """Take tilt (rad) and shift (m) of the axis out of the CMM's coefficients (3, Q).
+
+        In place: at q = 1 those of w- and z are the pose of the axis, Eq. 15 leaves nothing for b.
+        """
+        shift = np.sqrt(2.0) * cmm[1, 0].conjugate() / self.problem.grid
+        tilt = -2.0 * cmm[2, 0] / (self.problem.grid * self.problem.radius)
+        cmm[1:, 0] = 0.0
+        return complex(tilt), complex(shift)
+
+    def _back(self, table: Complexes, cmm: Complexes, rest: Complexes) -> tuple[Floats, Floats]:
+        """Bring harmonics back to the fixed frame.
+
+        Returns translation, rotation times radius and CMM, (3, N, 3), and the residuals (n, 3).
+        """
+        n_balls, grid = len(self.problem.balls), self.problem.grid
+        plus, minus, axial = np.empty((3, n_balls + 3, grid // 2), dtype=np.complex128)
+        plus[3:], minus[3:], axial[3:] = rest.transpose(0, 2, 1)
+        plus[:2], minus[:2] = table[:, :, 0], table[:, :, 1]
+        axial[0], axial[1] = table[AXIS, :, 2], table[PLANE, :, 2]
+        plus[2], minus[2], axial[2] = cmm  # fields in a row: translation, rotation, CMM, residuals
+        sequences = _to_sequences(plus, minus, axial, grid)
+        plane = sequences[: n_balls + 3] * self._turn
+        vectors = np.empty((n_balls + 3, grid, 3))
+        vectors[..., 0], vectors[..., 1] = plane.real, plane.imag
+        vectors[..., 2] = sequences[n_balls + 3 :].real
+        return vectors[:3], vectors[3:].reshape(-1, 3)
+
+    def _estimate(
+        self, fields: Floats, mean: Complexes, pose: tuple[complex, complex]
+    ) -> PlateParameters:
+        """Join all parameters; ``mean`` (2, R), x + i y and z, is harmonic zero on the plate."""
+        tilt, shift = pose
+        out = self._turn[self.problem.balls]
+        local = mean[0] * out.conj()  # radial + i tangential
+        common = local.imag.sum() / len(out), mean[1].real.sum() / len(out)  # u_z, v_z (Eq. 19)
+        ball = (local - 1j * common[0]) * out
+        return PlateParameters(
+            plate=np.stack([ball.real, ball.imag, mean[1].real - common[1]], axis=1),
+            cmm=fields[2],
+            rotation=fields[1] / self.problem.radius,
+            translation=fields[0],
+            axis_rotation=np.array([tilt.imag, tilt.real, common[0] / self.problem.radius]),
+            axis_shift=np.array([shift.real, shift.imag, common[1]]),
         )
-
-    return LinearFit(fit, solution)
-
-
-def _in_table_frame(problem: BallPlateProblem, observed: Floats, turn: Complexes) -> Complexes:
-    """Return x + i y of deviations (n, 3) in the table's turning frame, then z, (2 R, N)."""
-    n_balls = len(problem.balls)
-    x, y, z = observed.T.reshape(3, n_balls, problem.grid)
-    sequences = np.zeros((2 * n_balls, problem.grid), dtype=np.complex128)
-    sequences[:n_balls].real, sequences[:n_balls].imag = x, y
-    sequences[:n_balls] *= turn.conj()  # turns x + i y back by the table angle
-    sequences[n_balls:].real = z
-    return sequences
-
-
-def _axis_pose(problem: BallPlateProblem, cmm: Complexes) -> tuple[complex, complex]:
-    """Take tilt (rad) and shift (m) of the axis out of the CMM's coefficients (3, Q), in place.
-
-    At q = 1 the CMM's coefficients of w- and z are the pose of the axis: Eq. 15 leaves nothing of
-    them for b.
-    """
-    shift = np.sqrt(2.0) * cmm[1, 0].conjugate() / problem.grid
-    tilt = -2.0 * cmm[2, 0] / (problem.grid * problem.radius)
-    cmm[1:, 0] = 0.0
-    return complex(tilt), complex(shift)
-
-
-def _back(
-    problem: BallPlateProblem, turn: Complexes, table: Complexes, cmm: Complexes, rest: Complexes
-) -> tuple[Floats, Floats]:
-    """Bring harmonics back to the fixed frame.
-
-    Returns translation, rotation times radius and CMM, (3, N, 3), and the residuals (n, 3).
-    """
-    n_balls, grid = len(problem.balls), problem.grid
-    plus, minus, axial = np.empty((3, n_balls + 3, grid // 2), dtype=np.complex128)
-    plus[3:], minus[3:], axial[3:] = rest.transpose(0, 2, 1)
-    plus[:2], minus[:2] = table[:, :, 0], table[:, :, 1]
-    axial[0], axial[1] = table[AXIS, :, 2], table[PLANE, :, 2]
-    plus[2], minus[2], axial[2] = cmm  # fields in a row: translation, rotation, CMM, residuals
-    sequences = _to_sequences(plus, minus, axial, grid)
-    plane = sequences[: n_balls + 3] * turn
-    vectors = np.empty((n_balls + 3, grid, 3))
-    vectors[..., 0], vectors[..., 1] = plane.real, plane.imag
-    vectors[..., 2] = sequences[n_balls + 3 :].real
-    return vectors[:3], vectors[3:].reshape(-1, 3)
-
-
-def _estimate(
-    problem: BallPlateProblem,
-    turn: Complexes,
-    fields: Floats,
-    mean: Complexes,
-    pose: tuple[complex, complex],
-) -> PlateParameters:
-    """Join all parameters; ``mean`` (2, R), x + i y and z, is harmonic zero on the plate."""
-    tilt, shift = pose
-    out = turn[problem.balls]
-    local = mean[0] * out.conj()  # radial + i tangential
-    common = local.imag.sum() / len(out), mean[1].real.sum() / len(out)  # u_z, v_z (Eq. 19)
-    ball = (local - 1j * common[0]) * out
-    return PlateParameters(
-        plate=np.stack([ball.real, ball.imag, mean[1].real - common[1]], axis=1),
-        cmm=fields[2],
-        rotation=fields[1] / problem.radius,
-        translation=fields[0],
-        axis_rotation=np.array([tilt.imag, tilt.real, common[0] / problem.radius]),
-        axis_shift=np.array([shift.real, shift.imag, common[1]]),
-    )
 
 
 @lru_cache(maxsize=LAYOUTS)
@@ -446,47 +473,6 @@ def _turned_std(pairs: Complexes, along: Floats, turn: Complexes) -> Floats:
     variances[..., 1] = mean[:, None] - swing
     variances[..., 2] = along[:, None]
     return np.sqrt(variances)
-
-
-def _residual_cofactor(cmm_index: Ints, system: Harmonics) -> Floats:
-    """Return the unit covariance (n, 3, 3) of all residuals.
-
-    In the turning frame one per ball holds everywhere.
-    """
-    n_balls = len(system.balls)
-    # the design at the CMM, its mean over the balls taken off
-    rows = _design(system.phase) - system.mean[:, :, None]
-    # of noise 1 an observation keeps 1, less 1/R for the CMM's mean, less what the table fits
-    fitted = rows @ system.inverse[:, :, None] @ rows.conj().swapaxes(3, 4)
-    kept = np.eye(2) * (1.0 - 1.0 / n_balls) - fitted
-    lag = _zero_lag(kept, system.grid)
-    turning = np.zeros((n_balls, 3, 3))
-    turning[:, :2, :2] = _real_basis(lag[PLANE]).real
-    turning[:, 2, 2] = lag[AXIS, :, 0, 0].real
-    turn = rotation_about_z(grid_angles(system.grid)[cmm_index])
-    every = np.repeat(turning, system.grid, axis=0)
-    cofactor: Floats = turn @ every @ turn.swapaxes(1, 2)
-    return cofactor
-
-
-def _table_covariance(radius: float, system: Harmonics, first: str, second: str) -> Floats:
-    """Return the (N, N) unit covariance of two components, from the circulant blocks on demand.
-
-    The blocks are all that is held, so a grid of thousands of positions costs no memory until a
-    matrix is asked for.
-    """
-    grid = system.grid
-    block, first_weights = _weights(first, radius, grid)
-    other_block, second_weights = _weights(second, radius, grid)
-    total = np.zeros((grid, grid))
-    if block != other_block:
-        return total  # the plane and the axis are measured by different coordinates
-    covariance = _to_time(_real_basis(system.inverse[block]), grid)
-    lag = (np.arange(grid)[:, None] - np.arange(grid)) % grid  # circulant: only the lag counts
-    for index, weight in first_weights:
-        for other, other_weight in second_weights:
-            total += weight[:, None] * covariance[lag, index, other] * other_weight
-    return total
 
 
 def _weights(name: str, radius: float, grid: int) -> tuple[int, list[tuple[int, Floats]]]:
