@@ -177,7 +177,7 @@ setup(
         ],
         "rotcal_ros.driver_checks": [
             f"dme = {NAME}.extensions.ipp_dme.check:CHECK",
-            f"instrument = {NAME}.extensions.instrument_plugins.check:CHECK",
+            f"instrument = {NAME}.extensions.instrument_plugins.driver:CHECK",
             f"table_adapter = {NAME}.extensions.ros2_control.node.check:CHECK",
         ],
         "rotcal_ros.verbs": [

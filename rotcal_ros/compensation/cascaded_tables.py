@@ -14,11 +14,15 @@ from typing import Final, Literal
 
 import numpy as np
 
-from rotcal_ros.compensation.effect import effect_on
-from rotcal_ros.compensation.held_table import HeldTable
+from rotcal_ros.compensation.held_table import HeldTable, effect_on
 from rotcal_ros.compensation.interpolation_uncertainty import between_std
-from rotcal_ros.compensation.resample import Correction, resample
-from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable, check_verdict
+from rotcal_ros.compensation.table import (
+    DIRECTIONS,
+    CompensationTable,
+    Correction,
+    check_verdict,
+    resample,
+)
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.curves.directional import DirectionalCurve
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, interpolation_matrix

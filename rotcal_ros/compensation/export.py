@@ -18,12 +18,14 @@ from rotcal_ros.compensation.controller import Controller, Lag, Rule
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.held_table import in_force_of
 from rotcal_ros.compensation.interpolation_uncertainty import CERTAIN
-from rotcal_ros.compensation.resample import Correction, averaged, resample
 from rotcal_ros.compensation.table import (
     DIRECTIONS,
     SIGN_CONVENTION,
     CompensationTable,
+    Correction,
+    averaged,
     check_verdict,
+    resample,
 )
 from rotcal_ros.compensation.writing import PROVENANCE, SCHEMA, check_stem, of_the_controller
 from rotcal_ros.foundation.arrays import Floats

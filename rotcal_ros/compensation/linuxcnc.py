@@ -24,22 +24,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.compensation.controller import Controller, Facts, Lag, Rule
-from rotcal_ros.compensation.linuxcnc_ini import ENCODING, Ini
-from rotcal_ros.compensation.linuxcnc_machine import (
-    AGENT,
-    SERVO_PERIOD_NS,
-    Joint,
-    joints_with_tables,
-)
-from rotcal_ros.compensation.parsing import only_file
-from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
-from rotcal_ros.compensation.table_rows import (
+from rotcal_ros.compensation.controller_files import (
     columns_deg,
     every_turn,
     fixed,
+    only_file,
     require_at_most,
     with_line,
 )
+from rotcal_ros.compensation.linuxcnc_machine import (
+    AGENT,
+    ENCODING,
+    SERVO_PERIOD_NS,
+    Ini,
+    Joint,
+    joints_with_tables,
+)
+from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.curves.interpolation import TURN
 from rotcal_ros.foundation.errors import BagError, ConfigurationError

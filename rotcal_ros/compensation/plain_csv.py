@@ -14,10 +14,14 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.compensation.controller import Controller, Facts
-from rotcal_ros.compensation.parsing import only_file, parse_rows
-from rotcal_ros.compensation.periodic_rule import periodic
+from rotcal_ros.compensation.controller_files import (
+    columns_deg,
+    fixed,
+    only_file,
+    parse_rows,
+    periodic,
+)
 from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.compensation.table_rows import columns_deg, fixed
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.observations import Approach

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.compensation import parsing
+from rotcal_ros.compensation import controller_files
 from rotcal_ros.compensation.table import check_verdict
 from rotcal_ros.compensation.writing import check_stem
 from rotcal_ros.foundation.arrays import Floats
@@ -63,7 +63,7 @@ def volumetric_files(result: Result, stem: str, axis: str = "C") -> dict[str, st
         "warnings": [*result.warnings, *_one_sided(result, names), *_on_top(result)],
     }
     table, facts = "\n".join(lines) + "\n", json.dumps(data, indent=1) + "\n"
-    found = parsing.numbers(f"{stem}.csv", table.splitlines()[1:], len(columns), ",")
+    found = controller_files.numbers(f"{stem}.csv", table.splitlines()[1:], len(columns), ",")
     for file, same in (
         ("csv", np.array_equal(found, numbers)),
         ("json", json.loads(facts) == data),

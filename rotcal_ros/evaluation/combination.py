@@ -1,7 +1,7 @@
 """The best estimate of a table's deviations from several results: methods, campaigns, references.
 
 Generalised least squares with the full covariance of every input, whose zeros are unknown. Inputs
-that rest on the same observations vary together, see :mod:`.shared_data`; all others are taken
+that rest on the same observations vary together, see :mod:`.common_angles`; all others are taken
 for independent.
 
 What is done about each effect when several results are combined: the weakest of them counts.
@@ -30,9 +30,10 @@ from rotcal_ros.evaluation.component_groups import (
     ComponentGroup,
     Curves,
     Enlargement,
+    Joined,
     combine_group,
+    union,
 )
-from rotcal_ros.evaluation.joined_angles import Joined, union
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.curves.interpolation import interpolation_matrix

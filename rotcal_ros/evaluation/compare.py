@@ -18,8 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 from rotcal_ros.adjust.distributions import binomial_quantile, chi2_sf, normal_sf
-from rotcal_ros.evaluation.common_angles import PairedCurves, pair
-from rotcal_ros.evaluation.shared_data import floor, of_observations_alone
+from rotcal_ros.evaluation.common_angles import PairedCurves, floor, of_observations_alone, pair
 from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.curves.interpolation import (
@@ -107,7 +106,7 @@ def compare(
 ) -> Comparison:
     """Compare two curves at the angles of the one that has fewer.
 
-    What rests on the same observations varies together, see :mod:`.shared_data`. Where the other
+    What rests on the same observations varies together, see :mod:`.common_angles`. Where the other
     was not measured it is interpolated by its spline, marked and noted. ``align_order`` takes
     off, beside the offset, so many harmonics that the two methods define differently (1 for
     radial deviations with another origin). The notes name, by ``names``, each curve whose verdict

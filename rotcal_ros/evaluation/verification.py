@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.compensation.effect import Effect
+from rotcal_ros.compensation.held_table import Effect
 from rotcal_ros.evaluation.iso230 import Iso230
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import DataError

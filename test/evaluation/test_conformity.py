@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from rotcal_ros.evaluation.conformity import conformance_probability, conformities, decide
+from rotcal_ros.evaluation.marks import conformance_probability, conformities, decide
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE

@@ -21,25 +21,27 @@ from math import cos, pi, radians, remainder, sin
 from threading import Condition, Lock, Thread
 from typing import Final, NoReturn
 
-from rotcal_ros.extensions.ipp_dme.faults import (
+from rotcal_ros.extensions.ipp_dme.protocol import (
+    END,
+    UNASKED,
     AnswerMissingError,
+    Call,
+    CommandLine,
     ConnectionLostError,
     DmeError,
     DmeFault,
+    Kind,
+    LineBuffer,
     NotClearedError,
     ProtocolError,
     RefusedError,
-)
-from rotcal_ros.extensions.ipp_dme.grammar import Call, Word, call, calls_by_name, parse_values
-from rotcal_ros.extensions.ipp_dme.lines import (
-    END,
-    UNASKED,
-    CommandLine,
-    Kind,
-    LineBuffer,
     ResponseLine,
     Tags,
+    Word,
+    call,
+    calls_by_name,
     parse_response,
+    parse_values,
 )
 from rotcal_ros.extensions.ipp_dme.settings import ALIGN_PART, AUTO, GOTO_R, DmeSettings
 from rotcal_ros.foundation.observations import Approach, TableSample

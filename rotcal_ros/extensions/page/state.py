@@ -1,13 +1,14 @@
 """What the page shows, as frozen sections; a viewer is sent those that have changed.
 
 Numbers stand in the units in which people read them, named by their suffix; times are seconds
-since 1970. None is what nobody knows.
+since 1970. None is what nobody knows. All viewers look at one board; courses of values never grow
+without bound.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from math import isfinite
 from typing import Any, Final, Literal
 
@@ -277,3 +278,44 @@ def _plain(value: Any) -> Any:
     if isinstance(value, tuple):
         return [_plain(item) for item in value]
     return None if isinstance(value, float) and not isfinite(value) else value
+
+
+COURSE_POINTS: Final = 240
+
+
+class Board:
+    """Holds the present state. One thread changes it, any number look at it.
+
+    A viewer remembers the state it has seen, so that nothing is queued for a slow one.
+    """
+
+    def __init__(self) -> None:
+        self.state = PageState()
+
+    def show(self, **sections: Any) -> None:
+        """Show new sections in the place of the old ones."""
+        self.state = replace(self.state, **sections)
+
+
+class Course:
+    """What a value did over any time, in at most ``limit`` points: every other is left out."""
+
+    def __init__(self, limit: int = COURSE_POINTS) -> None:
+        self._limit = limit
+        self._every = 1
+        self._heard = 0
+        self._points: list[tuple[float, float]] = []
+
+    def add(self, x: float, y: float) -> None:
+        """Take the next value."""
+        if self._heard % self._every == 0:
+            self._points.append((x, y))
+        self._heard += 1
+        if len(self._points) > self._limit:
+            self._points = self._points[::2]
+            self._every *= 2
+
+    @property
+    def points(self) -> Points:
+        """What is kept, in order."""
+        return tuple(self._points)

@@ -7,7 +7,7 @@ import pytest
 
 from rotcal_ros.extensions.ipp_dme.client import TableAxis, standing_of, way_to_turn
 from rotcal_ros.extensions.ipp_dme.driver import Go, Touch, around_ball
-from rotcal_ros.extensions.ipp_dme.faults import DmeError, ProtocolError
+from rotcal_ros.extensions.ipp_dme.protocol import DmeError, ProtocolError
 from rotcal_ros.extensions.ipp_dme.settings import DmeSettings
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.planning.table_motion import TableSpeed
