@@ -48,8 +48,8 @@ def combined(
     ``in_force`` returns the table that it may be added to, None where there is none. A table that
     was measured with none in force replaces; one that was measured on top of another is added to
     that very one, unless the measurement shows that the one in force does not act as it should
-    (:mod:`.effect`). Where it is not known what was in force, the ``word`` of a person decides.
-    Raises DataError, with the reason, for every other combination.
+    (:mod:`.held_table`). Where it is not known what was in force, the ``word`` of a person
+    decides. Raises DataError, with the reason, for every other combination.
     """
     if table.open_zeros:
         check_verdict(table)

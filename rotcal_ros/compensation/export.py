@@ -144,10 +144,22 @@ def _refuse(
 ) -> None:
     """Raise DataError or ConfigurationError for a table that may not be fed to ``controller``."""
     check_verdict(table)
-    _refuse_rest(table)
-    _require_axis(table, axis)
-    if not accept_unverified:
-        _refuse_unverified(controller)
+    if known_hash(table.measured_on) and not table.adds_to:
+        raise DataError(
+            f"{in_words(table.measured_on)}, and alone it would take away what that table "
+            "corrects: add to it (rotcal export --add-to); nothing was written"
+        )
+    if axis is not None and check_axis(axis) != table.axis:
+        raise ConfigurationError(
+            f"the table is for axis {table.axis} and the export for axis {axis}: "
+            "nothing was written"
+        )
+    if controller.unverified and not accept_unverified:
+        raise ConfigurationError(
+            f"{controller.facts.title}: not verified: {'; '.join(controller.unverified)}. Give "
+            "--accept-unverified to write the file all the same, and test it with one small value "
+            "first"
+        )
 
 
 def _text(side: Mapping[str, Any]) -> str:
@@ -168,31 +180,6 @@ def standing(table: CompensationTable) -> str:
     """Return in words whether ``table`` replaces the table in force or adds to it."""
     what = f"adds to the table {table.adds_to}" if table.adds_to else "replaces the table in force"
     return f"{what}; {in_words(table.measured_on)}"
-
-
-def _refuse_rest(table: CompensationTable) -> None:
-    if known_hash(table.measured_on) and not table.adds_to:
-        raise DataError(
-            f"{in_words(table.measured_on)}, and alone it would take away what that table "
-            "corrects: add to it (rotcal export --add-to); nothing was written"
-        )
-
-
-def _require_axis(table: CompensationTable, axis: str | None) -> None:
-    if axis is not None and check_axis(axis) != table.axis:
-        raise ConfigurationError(
-            f"the table is for axis {table.axis} and the export for axis {axis}: "
-            "nothing was written"
-        )
-
-
-def _refuse_unverified(controller: Controller) -> None:
-    if controller.unverified:
-        raise ConfigurationError(
-            f"{controller.facts.title}: not verified: {'; '.join(controller.unverified)}. Give "
-            "--accept-unverified to write the file all the same, and test it with one small value "
-            "first"
-        )
 
 
 def _refuse_harm(residual: ResidualBudget, lag: Lag, title: str) -> None:

@@ -33,6 +33,8 @@ SAME_STD: Final = -1.0
 """In the place of a second standard uncertainty, when there is one for both directions."""
 ANGLE_DECIMALS: Final = 9
 DECIMALS: Final = 6
+COLUMNS: Final = 5
+"""Numbers in a row: angle, two corrections, the standard uncertainty of each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,11 +85,6 @@ class PlainCsv(Controller):
         angles, up, down, *_ = self.rows_of(*only_file(files, ".csv")).T
         return CsvTable(angles, up, down)
 
-    @property
-    def columns(self) -> int:
-        """Numbers in a row: angle, two corrections, the standard uncertainty of each."""
-        return 5
-
     def rows_of(self, name: str, text: str) -> Floats:
         """Return the numbers (n, 5); BagError names the row that is damaged.
 
@@ -97,7 +94,7 @@ class PlainCsv(Controller):
         if head.strip() not in (HEADER, OWN_STD):
             raise BagError(f"{name}: the first line is {head!r}, expected {HEADER}")
         rows = parse_rows(name, lines, head.count(",") + 1, ",")
-        same = np.full((len(rows), self.columns - rows.shape[1]), SAME_STD)
+        same = np.full((len(rows), COLUMNS - rows.shape[1]), SAME_STD)
         return np.hstack([rows, same])
 
     def text_of(self, rows: Floats) -> str:
@@ -112,6 +109,3 @@ class PlainCsv(Controller):
     def resolution(self, table: CompensationTable) -> float:
         """Return the last decimal, in rad."""
         return 10.0**-DECIMALS * ARCSEC
-
-
-CONTROLLER: Final = PlainCsv

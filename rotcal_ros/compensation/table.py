@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -43,6 +43,7 @@ LINK: Final = (
     "such as 12 balls), joined by 'rotcal combine'; or solver.group_allowance_m, if it is known "
     "how far apart they are at most"
 )
+OTHER: Final = "; other direction: "
 SIGN_CONVENTION: Final = "correction = -(actual - commanded); add it to the commanded angle"
 
 
@@ -247,9 +248,11 @@ def table_from_result(
     at = weights(curve, np.append(rows, reference))
     columns = _columns(curve, at)
     left_out = () if harmonics is None else (_left_out(curve, harmonics),)
-    circumstances = [r.circumstances for r in (result, reverse) if r is not None]
+    every = [result] if reverse is None else [result, reverse]
+    circumstances = [r.circumstances for r in every]
     begun = [c.begun_ns or 0 for c in circumstances]
     ended = [c.ended_ns or 0 for c in circumstances]
+    open_zeros = (r.zeros.in_words(["ECC"]) for r in every)
     return CompensationTable(
         axis=axis,
         method=result.method,
@@ -260,25 +263,19 @@ def table_from_result(
         std_reverse=columns.std_reverse,
         period=curve.period,
         reference_angle=reference,
-        verdict=_worse(result, reverse),
+        verdict=max((r.verdict for r in every), key=get_args(Verdict).index),
         warnings=(*result.warnings, *left_out, *_notes(curve, at[-1])),
-        verdict_line=_lines(result, reverse),
+        verdict_line=OTHER.join(dict.fromkeys(r.verdict_line for r in every)),
         between_std=between,
         widest_gap=float(np.max(gaps_of(curve.angles, curve.period))),
         measured_on=_measured_on(result, reverse),
         item=_item(result, reverse),
-        simulated=result.simulated or (reverse is not None and reverse.simulated),
-        serial=_serial(result, reverse),
+        simulated=any(c.simulated for c in circumstances),
+        serial=next((c.identity.serial for c in circumstances if c.identity.serial), ""),
         measured_from_ns=min(begun) if all(begun) else 0,
         measured_until_ns=max(ended) if all(ended) else 0,
-        open_zeros=_open_zeros(result, reverse),
+        open_zeros="; ".join(dict.fromkeys(filter(None, open_zeros))),
     )
-
-
-def _open_zeros(result: Result, reverse: Result | None) -> str:
-    """Return which offsets of ECC either of the directions leaves open, in words."""
-    every = [result] if reverse is None else [result, reverse]
-    return "; ".join(dict.fromkeys(words for r in every if (words := r.zeros.in_words(["ECC"]))))
 
 
 class _Columns(NamedTuple):
@@ -340,13 +337,7 @@ def _item(result: Result, reverse: Result | None) -> str:
             f"{theirs.serial}: measure both on one table"
         )
     titles = dict.fromkeys(title for title in (ours.title, theirs.title) if title)
-    return "; other direction: ".join(titles)
-
-
-def _serial(result: Result, reverse: Result | None) -> str:
-    """Return the number of the item of both directions, which do not contradict each other."""
-    serials = (r.circumstances.identity.serial for r in (result, reverse) if r is not None)
-    return next(filter(None, serials), "")
+    return OTHER.join(titles)
 
 
 def _measured_on(result: Result, reverse: Result | None) -> str:
@@ -357,20 +348,6 @@ def _measured_on(result: Result, reverse: Result | None) -> str:
     if clash := contradiction(states):
         raise DataError(f"{clash}: measure both directions with the same table in force")
     return agreed(states)
-
-
-def _worse(result: Result, reverse: Result | None) -> Verdict:
-    ranking: tuple[Verdict, ...] = ("ok", "suspect", "failed")
-    verdicts = [result.verdict] if reverse is None else [result.verdict, reverse.verdict]
-    return max(verdicts, key=ranking.index)
-
-
-def _lines(result: Result, reverse: Result | None) -> str:
-    """Return the verdict lines of both directions, once where they are the same."""
-    lines = (
-        [result.verdict_line] if reverse is None else [result.verdict_line, reverse.verdict_line]
-    )
-    return "; other direction: ".join(dict.fromkeys(lines))
 
 
 def _left_out(curve: DirectionalCurve, order: int) -> str:

@@ -501,14 +501,12 @@ class Pooled:
     """The estimate (n,) with ``covariance`` (n, n), both without the unknown offsets.
 
     ``variance_parts`` (k, n) are the parts of each variance that come from each input; they sum to
-    one. ``free`` holds the estimated unknowns (q,) of every input. ``chi2`` has ``dof`` degrees
-    of freedom.
+    one. ``chi2`` has ``dof`` degrees of freedom.
     """
 
     values: Floats
     covariance: Floats
     variance_parts: Floats
-    free: tuple[Floats, ...]
     chi2: float
     dof: int
 
@@ -540,10 +538,6 @@ def pool(parts: Sequence[ComponentInput], gauge: Floats) -> Pooled:
         values=estimate,
         covariance=covariance,
         variance_parts=np.array([np.sum(gain**2, axis=0) for gain in gains]) / variances,
-        free=tuple(
-            np.linalg.lstsq(part.free, part.values - part.design @ estimate, rcond=None)[0]
-            for part in parts
-        ),
         chi2=float(rest @ rest),
         dof=sum(len(p.values) - p.free.shape[1] for p in parts) - rank,
     )

@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 import numpy as np
-from scipy.special import ndtr
 
 from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, TRANSLATIONS, unit_of
@@ -67,17 +66,6 @@ class Conformity:
             "undecided": f"undecided against the tolerance {limit}: U reaches over it at {place}",
         }[self.decision]
         return f"{self.component} is {verb}; conformance probability {_percent(self.probability)}"
-
-
-def conformance_probability(value: float, std: float, lower: float, upper: float) -> float:
-    """Return the probability that a normal quantity lies in a tolerance interval.
-
-    >>> round(conformance_probability(0.0, 1.0, -1.96, 1.96), 3)
-    0.95
-    """
-    if std == 0.0:
-        return float(lower <= value <= upper)
-    return float(ndtr((upper - value) / std) - ndtr((lower - value) / std))
 
 
 def decide(values: Floats, stds: Floats, tolerance: float) -> Decision:

@@ -72,8 +72,8 @@ class ReportInput:
     """
 
     result: Result
-    title: str
     method_title: str
+    title: str = TITLE
     observations: Sequence[Observation] = ()
     configuration_text: str = ""
     inputs: Sequence[tuple[str, str]] = ()
@@ -231,9 +231,8 @@ def write_recorded(
     configuration = recording.calibration.configuration
     result = recording.solve()
     report = ReportInput(
-        result=result,
-        title=TITLE,
-        method_title=recording.calibration.method.title,
+        result,
+        recording.calibration.method.title,
         observations=recording.observations,
         configuration_text=configuration.text,
         inputs=[*recording.sha256.items(), ("plan and configuration", configuration.plan_id)],
@@ -258,9 +257,8 @@ def write_measured(
         return write_recorded(measured, page, truth, in_force=in_force)
     configuration, result = measured.configuration, measured.solve()
     report = ReportInput(
-        result=result,
-        title=TITLE,
-        method_title=configuration.method.title,
+        result,
+        configuration.method.title,
         observations=measured.observations if isinstance(measured, PlannedMeasurements) else (),
         configuration_text=configuration.text,
         inputs=[*measured.sha256.items(), ("plan and configuration", configuration.plan_id)],
@@ -283,9 +281,8 @@ def write_result(
     result = source.result
     installed = result.method in method_names()
     report = ReportInput(
-        result=result,
-        title=TITLE,
-        method_title=find_method(result.method).title if installed else result.method,
+        result,
+        find_method(result.method).title if installed else result.method,
         inputs=list(source.sha256.items()),
         versions=_versions({}),
         truth=truth,
@@ -479,16 +476,14 @@ def _harmonics_table(name: str, content: HarmonicContent) -> dict[str, Any]:
         (
             str(order),
             value_with_uncertainty(float(amplitude[k]), float(spread[k])).lstrip("+"),
-            _phase(float(phase[k]), float(turn[k])) if content.significant[k] else "–",
+            value_with_uncertainty(float(phase[k]), float(turn[k])).lstrip("+")
+            if content.significant[k]
+            else "–",
         )
         for k, order in enumerate(content.orders)
     ]
     rest = f"{content.residual_rms / unit:.4f} {label}"
     return {"name": name, "unit": label, "rows": rows, "rest": rest}
-
-
-def _phase(degrees: float, expanded: float) -> str:
-    return value_with_uncertainty(degrees, expanded).lstrip("+")
 
 
 RELIABILITY: Final = "What a single observation could hide"

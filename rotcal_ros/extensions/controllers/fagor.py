@@ -89,6 +89,3 @@ class Fagor(Controller):
     def resolution(self, table: CompensationTable) -> float:
         """Return the last decimal, in rad."""
         return self.position_resolution
-
-
-CONTROLLER: Final = Fagor

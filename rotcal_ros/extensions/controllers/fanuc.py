@@ -269,6 +269,3 @@ def _steps(name: str, values: Mapping[int, str], first: int, n: int) -> Ints:
             f"the largest is {max(map(abs, steps))} (at most 7)"
         )
     return np.array(steps[1:], dtype=np.int64)
-
-
-CONTROLLER: Final = Fanuc

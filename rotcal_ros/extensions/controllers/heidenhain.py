@@ -96,6 +96,3 @@ class Heidenhain(Controller):
     def resolution(self, table: CompensationTable) -> float:
         """Return twice the last decimal, in rad: a difference is rounded twice."""
         return 2.0 * self.position_resolution
-
-
-CONTROLLER: Final = Heidenhain

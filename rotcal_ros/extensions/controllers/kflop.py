@@ -115,6 +115,3 @@ class Kflop(Controller):
     def travel(self) -> tuple[float, float]:
         """First and last angle (rad) of the turns that are written."""
         return self.first_turn * TURN, (self.first_turn + self.turns) * TURN
-
-
-CONTROLLER: Final = Kflop

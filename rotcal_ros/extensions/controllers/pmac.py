@@ -171,6 +171,3 @@ class Pmac(Controller):
                 f"expected {expected}"
             )
         return np.array([0, *values], dtype=np.int64)
-
-
-CONTROLLER: Final = Pmac

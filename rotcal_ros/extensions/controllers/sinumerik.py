@@ -211,6 +211,3 @@ def _rows(
         )
     column = np.array([number(points[k], f"${variable} point {k}") for k in range(count)])
     return np.linspace(low, high, count), column
-
-
-CONTROLLER: Final = Sinumerik

@@ -191,6 +191,3 @@ def _integrals(position: Singles, multiplier: Singles) -> Floats:
 def _trapezium(width: Singles, before: Singles, after: Singles) -> Floats:
     """Return the area that the control makes of it: the product in single precision."""
     return np.asarray((width * (before + after)).astype(np.float64) / 2.0, dtype=np.float64)
-
-
-CONTROLLER: Final = Smoothieware

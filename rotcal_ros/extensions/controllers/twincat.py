@@ -114,6 +114,3 @@ class TwinCat(Controller):
     def resolution(self, table: CompensationTable) -> float:
         """Return 0.0001 deg, in rad."""
         return UNIT_DEG * DEGREE
-
-
-CONTROLLER: Final = TwinCat

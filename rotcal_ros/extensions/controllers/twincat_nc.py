@@ -170,6 +170,3 @@ def _rows(where: str, match: re.Match[str]) -> tuple[Floats, Floats]:
     if np.max(np.abs(rows - np.linspace(0.0, 360.0, n))) > 10.0**-PLACES:
         raise BagError(f"{where}: the positions are not evenly spaced from 0 to 360 deg")
     return rows, values
-
-
-CONTROLLER: Final = TwinCatNc

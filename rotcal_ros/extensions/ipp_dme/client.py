@@ -208,7 +208,7 @@ class DmeClient:
             return self.settings.turn_by
         answer = self._properties(call("GetDMEVersion")).get("DMEVersion", Call(""))
         self.version = "".join(str(argument) for argument in answer.arguments)
-        return way_to_turn(AUTO, self.version)
+        return way_to_turn(self.version)
 
     def _take_tool(self) -> None:
         """Change to the tool, set how it probes where it can be set, learn its radius."""
@@ -342,13 +342,11 @@ FAR_OFF_DEG: Final = 1.0
 """A table that is farther from its order than this has understood it otherwise."""
 
 
-def way_to_turn(setting: str, version: str) -> str:
+def way_to_turn(version: str) -> str:
     """Return how a server of this version wants its table to be turned.
 
-    Raises DmeError when ``setting`` leaves it to a version that cannot be read.
+    Raises DmeError for a version that cannot be read.
     """
-    if setting != AUTO:
-        return setting
     found = re.match(r"\s*(\d+)(\.|$)", version)
     if found is None:
         raise DmeError(

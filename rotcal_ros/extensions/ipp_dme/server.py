@@ -425,7 +425,7 @@ class Methods:
                 return [written(value) for value in self._answers[order.name]()]
             if order.name not in self._known:
                 raise MethodError(501, order.name)
-            return [_line(value) for value in await self._known[order.name](order)]
+            return [written(value) for value in await self._known[order.name](order)]
         except ProtocolError as error:
             raise MethodError(509, order.name) from error
 
@@ -563,10 +563,6 @@ def error_info(order: Call) -> list[str]:
     if number not in KNOWN:
         raise MethodError(509, order.name)
     return [written(KNOWN[number][1])]
-
-
-def _line(value: Value) -> str:
-    return written(value)
 
 
 def _flat(vector: Floats) -> list[float]:

@@ -18,11 +18,10 @@ def axis(turn_by="goto_r", **settings):
 
 
 def test_the_version_says_how_a_table_is_turned_unless_a_setting_does():
-    assert [way_to_turn("auto", v) for v in ("1.4.3", "1.4", "1.70")] == ["align_part"] * 3
-    assert [way_to_turn("auto", v) for v in ("2.0", "2.5", "2")] == ["goto_r"] * 3
-    assert way_to_turn("goto_r", "1.4") == "goto_r"
+    assert [way_to_turn(v) for v in ("1.4.3", "1.4", "1.70")] == ["align_part"] * 3
+    assert [way_to_turn(v) for v in ("2.0", "2.5", "2")] == ["goto_r"] * 3
     with pytest.raises(DmeError, match=r"set dme\.turn_by to goto_r or align_part"):
-        way_to_turn("auto", "two")
+        way_to_turn("two")
 
 
 def test_angles_become_r_with_zero_and_sign():

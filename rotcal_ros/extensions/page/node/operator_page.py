@@ -35,13 +35,13 @@ from std_srvs.srv import Trigger
 from rotcal_ros.bags import names
 from rotcal_ros.capture.messages import stamp_ns
 from rotcal_ros.extensions.page.app import Answer, PageServer
-from rotcal_ros.extensions.page.headline import HeardPlanner, now
 from rotcal_ros.extensions.page.node import sections as page_sections
 from rotcal_ros.extensions.page.settings import PageSettings
 from rotcal_ros.extensions.page.state import (
     Board,
     Cell,
     Course,
+    HeardPlanner,
     LiveReading,
     LogLine,
     Pointing,
@@ -52,6 +52,7 @@ from rotcal_ros.extensions.page.state import (
     StepProgress,
     Temperature,
     TopicState,
+    now,
 )
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
