@@ -39,18 +39,19 @@ METHODS = {
     "plane_mirror": "plane_mirror",
     "tracer_six": "tracer_six",
 }
-CONTROLLERS = {"csv": "plain_csv", "linuxcnc": "linuxcnc"}
-CONTROLLERS_OF_EXTENSIONS = (
-    "fagor",
-    "fanuc",
-    "heidenhain",
-    "kflop",
-    "pmac",
-    "sinumerik",
-    "smoothieware",
-    "twincat",
-    "twincat_nc",
-)
+CONTROLLERS = {"csv": "plain_csv:PlainCsv", "linuxcnc": "linuxcnc:LinuxCnc"}
+CONTROLLERS_OF_EXTENSIONS = {
+    "fagor": "Fagor",
+    "fanuc": "Fanuc",
+    "heidenhain": "Heidenhain",
+    "kflop": "Kflop",
+    "pmac": "Pmac",
+    "sinumerik": "Sinumerik",
+    "smoothieware": "Smoothieware",
+    "twincat": "TwinCat",
+    "twincat_nc": "TwinCatNc",
+}
+"""Name, which is its module's too -> class."""
 SHARED = ["config", "config/foxglove", "config/plates", "launch"]
 
 version = re.search(r'__version__ = "(.+)"', Path(NAME, "__init__.py").read_text()).group(1)
@@ -163,12 +164,12 @@ setup(
         ],
         "rotcal_ros.controllers": [
             *(
-                f"{controller} = {NAME}.compensation.{module}:CONTROLLER"
-                for controller, module in CONTROLLERS.items()
+                f"{controller} = {NAME}.compensation.{place}"
+                for controller, place in CONTROLLERS.items()
             ),
             *(
-                f"{controller} = {NAME}.extensions.controllers.{controller}:CONTROLLER"
-                for controller in CONTROLLERS_OF_EXTENSIONS
+                f"{controller} = {NAME}.extensions.controllers.{controller}:{kind}"
+                for controller, kind in CONTROLLERS_OF_EXTENSIONS.items()
             ),
         ],
         "rotcal_ros.stores": [
@@ -186,7 +187,7 @@ setup(
         ],
         "rotcal_ros.driver_checks": [
             f"dme = {NAME}.extensions.ipp_dme.check:CHECK",
-            f"instrument = {NAME}.extensions.instrument_plugins.check:CHECK",
+            f"instrument = {NAME}.extensions.instrument_plugins.driver:CHECK",
             f"table_adapter = {NAME}.extensions.ros2_control.node.check:CHECK",
         ],
         "rotcal_ros.verbs": [

@@ -35,8 +35,7 @@ sys.path.insert(0, str(ROOT / "test" / "extensions" / "fleet"))
 from fleet_bags import configuration_text, write_bag  # noqa: E402
 
 from rotcal_ros.extensions.fleet.batch_solving import Job  # noqa: E402
-from rotcal_ros.extensions.fleet.overview import write_overview  # noqa: E402
-from rotcal_ros.extensions.fleet.queries import connected  # noqa: E402
+from rotcal_ros.extensions.fleet.overview import connected, write_overview  # noqa: E402
 from rotcal_ros.extensions.fleet.results_dataset import parts  # noqa: E402
 from rotcal_ros.extensions.fleet.workers import on_all_cores  # noqa: E402
 from rotcal_ros.methods.configuration import parse_configuration  # noqa: E402

@@ -18,10 +18,17 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.compensation.controller import Controller, Facts
-from rotcal_ros.compensation.parsing import integer, only_file, parse_rows
-from rotcal_ros.compensation.periodic_rule import PeriodicTable
+from rotcal_ros.compensation.controller_files import (
+    PeriodicTable,
+    columns_deg,
+    fixed,
+    integer,
+    only_file,
+    parse_rows,
+    require_at_most,
+    require_circle,
+)
 from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.compensation.table_rows import columns_deg, fixed, require_at_most, require_circle
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.settings import setting
 from rotcal_ros.foundation.units import ARCSEC, DEGREE

@@ -13,9 +13,9 @@ from rotcal_ros.api.reading import Name
 from rotcal_ros.compensation.agreement import LARGEST_AGE_DAYS, Accepted, MachineIdentity
 from rotcal_ros.compensation.earlier_export import to_be_in_force
 from rotcal_ros.compensation.export import prepare_export
-from rotcal_ros.compensation.resample import Correction
 from rotcal_ros.compensation.table import (
     CompensationTable,
+    Correction,
     check_verdict,
     measured_axis,
     table_from_result,

@@ -14,7 +14,7 @@ from rotcal_ros.cli.console import (
     path_type,
     print_json,
 )
-from rotcal_ros.cli.options import polygon_faces, reference_option
+from rotcal_ros.cli.options import polygon_faces, polygon_option, reference_option
 from rotcal_ros.report.terminal.console import say
 
 if TYPE_CHECKING:
@@ -32,11 +32,7 @@ if TYPE_CHECKING:
     show_default=True,
     help="What enlarges the uncertainties when the inputs contradict each other.",
 )
-@click.option(
-    "--polygon",
-    type=path_type,
-    help="Calibrated face errors by table angle, taken off every reference table.",
-)
+@polygon_option
 @reference_option
 @json_option
 def command(

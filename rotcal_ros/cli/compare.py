@@ -14,6 +14,7 @@ from rotcal_ros.cli.options import (
     align_option,
     component_option,
     polygon_faces,
+    polygon_option,
     reference_option,
 )
 
@@ -24,11 +25,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("sources", nargs=-1, required=True, type=path_type, metavar="A B [C ...]")
-@click.option(
-    "--polygon",
-    type=path_type,
-    help="Calibrated face errors by table angle, taken off every reference table.",
-)
+@polygon_option
 @reference_option
 @component_option
 @align_option

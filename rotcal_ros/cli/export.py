@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from rotcal_ros.cli.console import json_option, path_type, print_json
-from rotcal_ros.cli.options import formats, setup_options
+from rotcal_ros.cli.options import installed, setup_options
+from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.report.terminal.console import say, tell
@@ -35,7 +36,7 @@ DEFAULT_AXIS: Final = "C"
     "--to",
     "controller",
     required=True,
-    shell_complete=formats,
+    shell_complete=installed(plugins.CONTROLLERS, VOLUMETRIC),
     help="Controller, or 'volumetric'.",
 )
 @click.option("-o", "--out", "--output", "out", type=path_type, required=True, help="Folder.")

@@ -33,8 +33,7 @@ def command(source: Path, output: Path | None, device: float | None, as_json: bo
     from the scatter of the runs, and from errors that all runs share. The latter are known from
     a result or bag; for a table --device states them.
     """
-    from rotcal_ros.evaluation.bidirectional import with_device
-    from rotcal_ros.evaluation.iso230 import iso230
+    from rotcal_ros.evaluation.iso230 import iso230, with_device
     from rotcal_ros.recordings.result_sources import read_repeated_runs
 
     runs = read_repeated_runs(source)

@@ -68,6 +68,13 @@ reference_option: Final = click.option(
 )
 
 
+polygon_option: Final = click.option(
+    "--polygon",
+    type=path_type,
+    help="Calibrated face errors by table angle, taken off every reference table.",
+)
+
+
 def polygon_faces(polygon: Path | None, sources: Iterable[Path]) -> MeasuredCurve | None:
     """Return the calibrated faces in the file ``polygon``, if one is given.
 
@@ -159,29 +166,18 @@ def configurations(
     return [CompletionItem(path) for path in found] or [CompletionItem(typed, type="file")]
 
 
-def controller_names(
-    _context: click.Context, _parameter: click.Parameter, typed: str
-) -> list[CompletionItem]:
-    """Offer the controllers that files can be written for."""
-    return _beginning(plugins.names(plugins.CONTROLLERS), typed)
+def installed(
+    group: str, *others: str
+) -> Callable[[click.Context, click.Parameter, str], list[CompletionItem]]:
+    """Return what offers the plug-ins of a group, and ``others``."""
 
+    def offered(
+        _context: click.Context, _parameter: click.Parameter, typed: str
+    ) -> list[CompletionItem]:
+        names = (*plugins.names(group), *others)
+        return [CompletionItem(name) for name in names if name.startswith(typed)]
 
-def formats(
-    _context: click.Context, _parameter: click.Parameter, typed: str
-) -> list[CompletionItem]:
-    """Offer the controllers, and the form that no controller reads but every program can."""
-    return _beginning((*plugins.names(plugins.CONTROLLERS), "volumetric"), typed)
-
-
-def method_names(
-    _context: click.Context, _parameter: click.Parameter, typed: str
-) -> list[CompletionItem]:
-    """Offer the measuring methods."""
-    return _beginning(plugins.names(plugins.METHODS), typed)
-
-
-def _beginning(names: tuple[str, ...], typed: str) -> list[CompletionItem]:
-    return [CompletionItem(name) for name in names if name.startswith(typed)]
+    return offered
 
 
 def _seen(folder: Path) -> list[Path]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from rotcal_ros.cli.console import json_option, print_json
-from rotcal_ros.cli.options import method_names
+from rotcal_ros.cli.options import installed
 from rotcal_ros.foundation import plugins
 
 if TYPE_CHECKING:
@@ -28,7 +28,12 @@ _TIE: Final = "\N{NO-BREAK SPACE}"
 
 
 @click.command()
-@click.argument("names", nargs=-1, metavar="[METHOD] [GROUP]...", shell_complete=method_names)
+@click.argument(
+    "names",
+    nargs=-1,
+    metavar="[METHOD] [GROUP]...",
+    shell_complete=installed(plugins.METHODS),
+)
 @click.option("--all", "everything", is_flag=True, help="Every setting, its kind and range.")
 @json_option
 def command(names: tuple[str, ...], everything: bool, as_json: bool) -> int:

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from rotcal_ros.evaluation.ways import Evaluation
     from rotcal_ros.foundation.results import Result
     from rotcal_ros.methods.method import Measurements
-    from rotcal_ros.recordings.inputs import Input
     from rotcal_ros.recordings.replay import Recording
 
 
@@ -77,19 +76,14 @@ def command(
     """
     from rotcal_ros.recordings.inputs import Input
 
-    data = _read(Input(source, setup, targets, changes, taken_from, namespace))
+    with progress("reading") as shown:
+        data = Input(source, setup, targets, changes, taken_from, namespace).read(shown)
     if not (balls or coarser):
         return _show(data.solve(), output, as_json)
     evaluations = _evaluated(data, source, balls, coarser)
     if len(evaluations) == 1:
         return _show(evaluations[0].result, output, as_json)
     return _show_evaluations(evaluations, output, as_json)
-
-
-def _read(given: Input) -> Recording | Measurements:
-    """Read a bag or a table."""
-    with progress("reading") as shown:
-        return given.read(shown)
 
 
 def _evaluated(

@@ -18,7 +18,8 @@ from rotcal_ros.cli.console import (
     print_line,
     print_verdict,
 )
-from rotcal_ros.cli.options import configurations, controller_names
+from rotcal_ros.cli.options import configurations, installed
+from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.circumstances import SIMULATED
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.report.terminal.console import say, tell
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
     "--to",
     "controllers",
     multiple=True,
-    shell_complete=controller_names,
+    shell_complete=installed(plugins.CONTROLLERS),
     help="Controller to write files for, too.",
 )
 @click.option(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from rotcal_ros.compensation.agreement import LARGEST_AGE_DAYS, Accepted
-from rotcal_ros.compensation.controllers import parse_options
+from rotcal_ros.compensation.controllers import make_controller, parse_options
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.settings import setting, with_groups
@@ -113,8 +113,6 @@ class BridgeSettings:
                 )
         if self.controller == DEFAULT and not self.options:
             return  # nothing can be wrong: solving a bag need not load a controller
-        from rotcal_ros.compensation.controllers import make_controller
-
         # Long before a table arrives, which may be hours after the start.
         make_controller(self.controller, self.controller_settings, "options")
 

@@ -14,11 +14,15 @@ from typing import Final, Literal
 
 import numpy as np
 
-from rotcal_ros.compensation.effect import effect_on
-from rotcal_ros.compensation.held_table import HeldTable
+from rotcal_ros.compensation.held_table import HeldTable, effect_on
 from rotcal_ros.compensation.interpolation_uncertainty import between_std
-from rotcal_ros.compensation.resample import Correction, resample
-from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable, check_verdict
+from rotcal_ros.compensation.table import (
+    DIRECTIONS,
+    CompensationTable,
+    Correction,
+    check_verdict,
+    resample,
+)
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.curves.directional import DirectionalCurve
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, interpolation_matrix
@@ -44,8 +48,8 @@ def combined(
     ``in_force`` returns the table that it may be added to, None where there is none. A table that
     was measured with none in force replaces; one that was measured on top of another is added to
     that very one, unless the measurement shows that the one in force does not act as it should
-    (:mod:`.effect`). Where it is not known what was in force, the ``word`` of a person decides.
-    Raises DataError, with the reason, for every other combination.
+    (:mod:`.held_table`). Where it is not known what was in force, the ``word`` of a person
+    decides. Raises DataError, with the reason, for every other combination.
     """
     if table.open_zeros:
         check_verdict(table)

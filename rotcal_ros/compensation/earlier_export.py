@@ -10,8 +10,7 @@ from typing import Any
 from rotcal_ros.compensation.agreement import Accepted, MachineIdentity, agreeing
 from rotcal_ros.compensation.cascaded_tables import combined
 from rotcal_ros.compensation.controllers import make_controller
-from rotcal_ros.compensation.effect import Effect, effect_of_result
-from rotcal_ros.compensation.held_table import HeldTable, held_table
+from rotcal_ros.compensation.held_table import Effect, HeldTable, effect_of_result, held_table
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.compensation.writing import PROVENANCE, SCHEMA, check_file_name
 from rotcal_ros.foundation.errors import BagError, ConfigurationError

@@ -18,12 +18,14 @@ from rotcal_ros.compensation.controller import Controller, Lag, Rule
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.held_table import in_force_of
 from rotcal_ros.compensation.interpolation_uncertainty import CERTAIN
-from rotcal_ros.compensation.resample import Correction, averaged, resample
 from rotcal_ros.compensation.table import (
     DIRECTIONS,
     SIGN_CONVENTION,
     CompensationTable,
+    Correction,
+    averaged,
     check_verdict,
+    resample,
 )
 from rotcal_ros.compensation.writing import PROVENANCE, SCHEMA, check_stem, of_the_controller
 from rotcal_ros.foundation.arrays import Floats
@@ -142,10 +144,22 @@ def _refuse(
 ) -> None:
     """Raise DataError or ConfigurationError for a table that may not be fed to ``controller``."""
     check_verdict(table)
-    _refuse_rest(table)
-    _require_axis(table, axis)
-    if not accept_unverified:
-        _refuse_unverified(controller)
+    if known_hash(table.measured_on) and not table.adds_to:
+        raise DataError(
+            f"{in_words(table.measured_on)}, and alone it would take away what that table "
+            "corrects: add to it (rotcal export --add-to); nothing was written"
+        )
+    if axis is not None and check_axis(axis) != table.axis:
+        raise ConfigurationError(
+            f"the table is for axis {table.axis} and the export for axis {axis}: "
+            "nothing was written"
+        )
+    if controller.unverified and not accept_unverified:
+        raise ConfigurationError(
+            f"{controller.facts.title}: not verified: {'; '.join(controller.unverified)}. Give "
+            "--accept-unverified to write the file all the same, and test it with one small value "
+            "first"
+        )
 
 
 def _text(side: Mapping[str, Any]) -> str:
@@ -166,31 +180,6 @@ def standing(table: CompensationTable) -> str:
     """Return in words whether ``table`` replaces the table in force or adds to it."""
     what = f"adds to the table {table.adds_to}" if table.adds_to else "replaces the table in force"
     return f"{what}; {in_words(table.measured_on)}"
-
-
-def _refuse_rest(table: CompensationTable) -> None:
-    if known_hash(table.measured_on) and not table.adds_to:
-        raise DataError(
-            f"{in_words(table.measured_on)}, and alone it would take away what that table "
-            "corrects: add to it (rotcal export --add-to); nothing was written"
-        )
-
-
-def _require_axis(table: CompensationTable, axis: str | None) -> None:
-    if axis is not None and check_axis(axis) != table.axis:
-        raise ConfigurationError(
-            f"the table is for axis {table.axis} and the export for axis {axis}: "
-            "nothing was written"
-        )
-
-
-def _refuse_unverified(controller: Controller) -> None:
-    if controller.unverified:
-        raise ConfigurationError(
-            f"{controller.facts.title}: not verified: {'; '.join(controller.unverified)}. Give "
-            "--accept-unverified to write the file all the same, and test it with one small value "
-            "first"
-        )
 
 
 def _refuse_harm(residual: ResidualBudget, lag: Lag, title: str) -> None:

@@ -1,21 +1,34 @@
-"""The table that a controller holds, from its own files, as its own rule applies it."""
+"""The table that a controller holds, as its own rule applies it, and whether it acts.
+
+With t the correction in force, c = -t is the deviation that it was made for. A table that acts
+leaves nothing of it; one that does not act, or acts on another axis, leaves c; one with the wrong
+sign adds c once more and leaves 2 c; one that acts twice takes it off twice and leaves -c. So the
+regression factor of what is left on c tells which it is; adding what is left to a table that does
+not act as it should would be wrong in each of these cases.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from rotcal_ros.compensation.agreement import NO_MACHINE, MachineIdentity
 from rotcal_ros.compensation.controller import Controller, Rule
 from rotcal_ros.compensation.journal import contents_hash
+from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
 from rotcal_ros.compensation.writing import PROVENANCE, SCHEMA, of_the_controller
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.curves.directional import directional_curve
 from rotcal_ros.foundation.curves.interpolation import TURN
 from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.gum_numbers import value_with_uncertainty
 from rotcal_ros.foundation.in_force import NONE
 from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.foundation.untrusted import load_json
 
@@ -97,3 +110,99 @@ def machine_of(files: Mapping[str, str]) -> MachineIdentity:
 
 def _side(files: Mapping[str, str]) -> str:
     return next((text for name, text in files.items() if name.endswith(PROVENANCE)), "")
+
+
+WRONG: Final = ((-1.5, -0.75), (0.75, 1.5), (1.5, 2.5))
+"""Factors of a table that acts twice, does not act, or acts with the wrong sign. A larger factor
+is that of a table that corrects a small part only; to add to it is right."""
+CAUSES: Final = (
+    "it acts twice (at two places of the control, or in the control and in software)",
+    "it is inactive, or on the wrong axis: check whether the control has loaded it (restart, "
+    "reference run, its switch), and for this axis",
+    "its sign is wrong: the control adds what it should subtract",
+)
+SURE: Final = 0.5
+"""The factor less two standard uncertainties must differ from 0 by at least this."""
+SHARE: Final = 0.8
+"""Share of the variance of what is left, beyond noise, that the factor must explain; less is
+chance."""
+
+
+@dataclass(frozen=True)
+class Effect:
+    """How much is left of what the table in force corrects: 0 for one that acts.
+
+    ``factor`` is the regression factor, ``std`` its standard uncertainty (k = 1), ``share`` of the
+    variance of what is left is explained by it.
+    """
+
+    factor: float
+    std: float
+    share: float
+
+    @property
+    def fault(self) -> str | None:
+        """What the table in force does wrong, in words, if that is certain."""
+        sure = abs(self.factor) - COVERAGE_FACTOR * self.std > SURE and self.share >= SHARE
+        for (low, high), cause in zip(WRONG, CAUSES, strict=True):
+            if sure and low <= self.factor < high:
+                return f"the table in force does not do what it should: {self.in_words()}; {cause}"
+        return None
+
+    def in_words(self) -> str:
+        """Return the factor with its expanded uncertainty."""
+        factor = value_with_uncertainty(self.factor, COVERAGE_FACTOR * self.std)
+        return (
+            f"{factor} (k = {COVERAGE_FACTOR:g}) times what it corrects is left "
+            "(0: it acts; 1: it does not; 2: its sign is wrong)"
+        )
+
+
+def effect(left: Floats, corrected: Floats, covariance: Floats) -> Effect | None:
+    """Return the factor of the deviations ``left`` (n,) on those that are ``corrected`` (n,), rad.
+
+    ``covariance`` (n, n), rad^2, is that of ``left``; both may count from any zero. None for a
+    table that corrects nothing, or fewer than three values.
+    """
+    shape = corrected - np.mean(corrected)
+    size = float(shape @ shape)
+    if len(left) < 3 or size <= 0.0:
+        return None
+    weights = shape / size
+    factor = float(weights @ left)
+    free = left - np.mean(left)
+    centre = np.eye(len(left)) - 1.0 / len(left)
+    noise = float(np.sum(centre * covariance))
+    signal = float(free @ free) - noise
+    rest = free - factor * shape
+    unexplained = max(float(rest @ rest) - noise, 0.0)
+    share = 1.0 - unexplained / signal if signal > 0.0 else 0.0
+    variance = float(weights @ covariance @ weights)
+    return Effect(factor, float(np.sqrt(max(variance, 0.0))), share)
+
+
+def effect_of_result(result: Result, held: HeldTable) -> Effect | None:
+    """Return what the ECC of ``result``, measured on top of ``held``, says of it.
+
+    With the joint covariance of both directions, as far as it is known.
+    """
+    curve = directional_curve(result)
+    ways = DIRECTIONS if curve.both else DIRECTIONS[:1]
+    left = np.concatenate([curve.forward, curve.reverse][: len(ways)])
+    corrected = np.concatenate([-held.correction(curve.angles, way) for way in ways])
+    return effect(left, corrected, curve.covariance[: len(left), : len(left)])
+
+
+def effect_on(table: CompensationTable, held: HeldTable) -> Effect | None:
+    """Return what ``table``, measured on top of ``held``, says of it.
+
+    A table knows the standard uncertainty of each value and no correlation: the factor's is the
+    bound that holds for any.
+    """
+    ways = DIRECTIONS if table.directional else DIRECTIONS[:1]
+    columns = (table.correction_forward, table.correction_reverse)
+    left = np.concatenate([-column for column, _ in zip(columns, ways, strict=False)])
+    corrected = np.concatenate([-held.correction(table.angles, way) for way in ways])
+    std = np.concatenate([table.std_of(way) for way in ways])
+    worst = std * np.sign(corrected - np.mean(corrected))
+    return effect(left, corrected, np.outer(worst, worst))

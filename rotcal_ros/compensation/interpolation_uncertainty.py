@@ -1,16 +1,24 @@
-"""The uncertainty of a table between the measured angles, and which gaps are too wide for one."""
+"""The uncertainty of a table between the measured angles, and which gaps are too wide for one.
+
+How far a curve may deviate there follows from its own values. A deviation repeats after a turn.
+Its harmonics k = 1, 2, ... are taken for independent, with a variance S^2 r^k of cosine and sine
+that falls off geometrically. S and r are estimated from the values and their covariance; what
+these leave open is averaged over (marginal likelihood, MacKay, Information Theory, chapters 28 and
+45). The sum over all harmonics is a kernel in closed form, and with it the variance of what any
+line through the values misses.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from rotcal_ros.foundation.arrays import Bools, Floats
-from rotcal_ros.foundation.curves.content import content_of
 from rotcal_ros.foundation.curves.directional import DirectionalCurve
+from rotcal_ros.foundation.curves.interpolation import regular_root
 from rotcal_ros.foundation.curves.measured import gaps_of
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
@@ -85,4 +93,79 @@ def _too_wide(curve: DirectionalCurve, gaps: Floats, std: Floats, wide: Bools) -
         f"and the curve (range {np.ptp(curve.stacked) / ARCSEC:.3g} arcsec) may differ there by "
         f"{CERTAIN * std[worst] / ARCSEC:.3g} arcsec from any line drawn across: measure angles "
         "in between, or leave out what lies beyond the gap, so that the rest is an arc"
+    )
+
+
+SHORTEST, LONGEST, LENGTHS = 0.3, 3.0, 20
+"""Orders over which the variance falls by e: from the first, to the second times the values."""
+SIZES: Final = np.geomspace(1e-3, 30.0, 46)
+"""Sizes S that are tried, in ranges of the values."""
+NOTHING: Final = 1e-20
+"""Range (rad or m) of values below any meaning."""
+QUIET: Final = 1e-3
+"""A range of values below this part of their uncertainty is raised to this part."""
+EXACT: Final = 1e-6
+"""Part of their range to which values are believed, even where no uncertainty is stated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Content:
+    """Kernels that fall by ``decay`` (m,) from order to order, of ``variance`` (m,) S^2."""
+
+    decay: Floats
+    variance: Floats
+
+    def covariance(self, apart: Floats) -> Floats:
+        """Return the covariance of the curve at angles that are ``apart`` (rad), any shape."""
+        cosine = np.cos(apart)
+        kinds = zip(self.decay, self.variance, strict=True)
+        total = (size * harmonics(cosine, decay) for decay, size in kinds if size > 0.0)
+        return np.asarray(sum(total, np.zeros_like(cosine)), dtype=np.float64)
+
+    def missed(self, weights: Floats, nodes: Floats, at: Floats) -> Floats:
+        """Return the variance (m,) of the curve at ``at`` (m,) less ``weights`` @ its nodes.
+
+        ``weights`` (m, n), whose rows add up to 1, are a line through exact values at ``nodes``
+        (n,) rad: what is left is what the sampling cannot see.
+        """
+        variance = float(self.covariance(np.zeros(1))[0])
+        across = np.sum(weights * self.covariance(at[:, None] - nodes), axis=1)
+        of_the_line = np.sum((weights @ self.covariance(nodes[:, None] - nodes)) * weights, axis=1)
+        return np.asarray(np.maximum(variance - 2.0 * across + of_the_line, 0.0), dtype=np.float64)
+
+
+def content_of(nodes: Floats, values: Floats, covariance: Floats) -> Content:
+    """Return the content of a curve with ``values`` (n,) at ``nodes`` (n,) rad.
+
+    ``covariance`` (n, n) is theirs; what they all have in common tells nothing, nor does a
+    constant. Raises DataError when the covariance is none.
+    """
+    size, n = float(np.ptp(values)), len(values)
+    if size < NOTHING:
+        return Content(np.zeros(1), np.zeros(1))
+    size = max(size, QUIET * float(np.sqrt(np.trace(covariance) / n)))
+    root = regular_root(covariance / size**2 + EXACT**2 * np.eye(n))
+    white = np.linalg.solve(root, np.column_stack([np.ones(n), values / size, np.eye(n)]))
+    without_constant = np.linalg.qr(white[:, :1], mode="complete")[0][:, 1:].T
+    seen, into = without_constant @ white[:, 1], without_constant @ white[:, 2:]
+    decay = np.exp(-1.0 / np.geomspace(SHORTEST, LONGEST * n, LENGTHS))
+    cosine = np.cos(nodes[:, None] - nodes)
+    evidence = np.array([_evidence(into @ harmonics(cosine, r) @ into.T, seen) for r in decay])
+    share = np.exp(evidence - evidence.max())
+    return Content(decay, share @ SIZES**2 / share.sum() * size**2)
+
+
+def harmonics(cosine: Floats, decay: float) -> Floats:
+    """Return sum over k = 1, 2, ... of decay^k cos(k t), from the ``cosine`` of t."""
+    return np.asarray(
+        (decay * cosine - decay**2) / (1.0 - 2.0 * decay * cosine + decay**2), dtype=np.float64
+    )
+
+
+def _evidence(kernel: Floats, seen: Floats) -> Floats:
+    """Return the log likelihood of ``seen`` (n,), white but for SIZES^2 times the ``kernel``."""
+    spread, turn = np.linalg.eigh((kernel + kernel.T) / 2.0)
+    variance = 1.0 + SIZES[:, None] ** 2 * np.maximum(spread, 0.0)
+    return np.asarray(
+        -0.5 * np.sum((turn.T @ seen) ** 2 / variance + np.log(variance), axis=1), dtype=np.float64
     )

@@ -24,22 +24,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.compensation.controller import Controller, Facts, Lag, Rule
-from rotcal_ros.compensation.linuxcnc_ini import ENCODING, Ini
-from rotcal_ros.compensation.linuxcnc_machine import (
-    AGENT,
-    SERVO_PERIOD_NS,
-    Joint,
-    joints_with_tables,
-)
-from rotcal_ros.compensation.parsing import only_file
-from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
-from rotcal_ros.compensation.table_rows import (
+from rotcal_ros.compensation.controller_files import (
     columns_deg,
     every_turn,
     fixed,
+    only_file,
     require_at_most,
     with_line,
 )
+from rotcal_ros.compensation.linuxcnc_machine import (
+    AGENT,
+    ENCODING,
+    SERVO_PERIOD_NS,
+    Ini,
+    Joint,
+    joints_with_tables,
+)
+from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.curves.interpolation import TURN
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
@@ -297,9 +298,6 @@ def _three_numbers(line: str) -> tuple[float, float, float] | None:
     return float(match.group(1)), float(match.group(2)), float(match.group(3))
 
 
-CONTROLLER: Final = LinuxCnc
-
-
 EDGE: Final = 0.01
 """Share by which the dead band is widened: for changes between the rows that are evaluated."""
 
@@ -381,35 +379,6 @@ class Following:
                 break
             worst = max(worst, float(np.max(np.abs(change[standing]))))
         return worst
-
-    def trims(self, wanted: Floats) -> Floats:
-        """Return the trim (n, ...) rad in every servo period, for what the table asks (n, ...)."""
-        trim = np.zeros(wanted.shape[1:])
-        speed, trims = np.zeros_like(trim), np.empty_like(wanted)
-        for period, goal in enumerate(wanted):
-            trim, speed = self._step(goal, trim, speed)
-            trims[period] = trim
-        return trims
-
-    def _step(self, goal: Floats, trim: Floats, speed: Floats) -> tuple[Floats, Floats]:
-        """Return trim and speed after one servo period."""
-        limit, half = 0.5 * self.velocity, 0.5 * self.acceleration
-        side = np.where(goal >= trim, 1.0, -1.0)
-        left, ahead, gain = np.abs(goal - trim), side * speed, half * self.period
-        moved = ahead * self.period
-        near = left <= (ahead + gain) ** 2 / (2.0 * half) + moved
-        slows = near & (ahead > gain)
-        more = np.minimum(gain, limit - ahead)
-        extra = 0.5 * more * self.period
-        gains = ~near & (left > (ahead + more) ** 2 / (2.0 * half) + moved + extra)
-        change = np.where(slows, -gain, np.where(gains, more, 0.0))
-        arrives = near & ~slows
-        new = trim + side * (moved + 0.5 * change * self.period)
-        stays = left == 0.0
-        return (
-            np.where(arrives | stays, goal, new),
-            np.where(stays, speed, np.where(arrives, 0.0, side * (ahead + change))),
-        )
 
 
 def lag(

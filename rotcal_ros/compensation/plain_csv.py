@@ -14,10 +14,14 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.compensation.controller import Controller, Facts
-from rotcal_ros.compensation.parsing import only_file, parse_rows
-from rotcal_ros.compensation.periodic_rule import periodic
+from rotcal_ros.compensation.controller_files import (
+    columns_deg,
+    fixed,
+    only_file,
+    parse_rows,
+    periodic,
+)
 from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.compensation.table_rows import columns_deg, fixed
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.observations import Approach
@@ -29,6 +33,8 @@ SAME_STD: Final = -1.0
 """In the place of a second standard uncertainty, when there is one for both directions."""
 ANGLE_DECIMALS: Final = 9
 DECIMALS: Final = 6
+COLUMNS: Final = 5
+"""Numbers in a row: angle, two corrections, the standard uncertainty of each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,11 +85,6 @@ class PlainCsv(Controller):
         angles, up, down, *_ = self.rows_of(*only_file(files, ".csv")).T
         return CsvTable(angles, up, down)
 
-    @property
-    def columns(self) -> int:
-        """Numbers in a row: angle, two corrections, the standard uncertainty of each."""
-        return 5
-
     def rows_of(self, name: str, text: str) -> Floats:
         """Return the numbers (n, 5); BagError names the row that is damaged.
 
@@ -93,7 +94,7 @@ class PlainCsv(Controller):
         if head.strip() not in (HEADER, OWN_STD):
             raise BagError(f"{name}: the first line is {head!r}, expected {HEADER}")
         rows = parse_rows(name, lines, head.count(",") + 1, ",")
-        same = np.full((len(rows), self.columns - rows.shape[1]), SAME_STD)
+        same = np.full((len(rows), COLUMNS - rows.shape[1]), SAME_STD)
         return np.hstack([rows, same])
 
     def text_of(self, rows: Floats) -> str:
@@ -108,6 +109,3 @@ class PlainCsv(Controller):
     def resolution(self, table: CompensationTable) -> float:
         """Return the last decimal, in rad."""
         return 10.0**-DECIMALS * ARCSEC
-
-
-CONTROLLER: Final = PlainCsv

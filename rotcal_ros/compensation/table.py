@@ -1,15 +1,17 @@
 """The correction of a rotary axis: one model for all methods and all controllers.
 
-Correction = -deviation = commanded - actual, radians: what must be *added* to the command.
+Correction = -deviation = commanded - actual, radians: what must be *added* to the command. The
+same correction comes in other forms: on other rows, without direction, or as a function.
 """
 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
-from typing import Final, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from rotcal_ros.compensation.interpolation_uncertainty import Weights, variances, without_gaps
 from rotcal_ros.foundation.arrays import Floats
@@ -18,10 +20,12 @@ from rotcal_ros.foundation.curves.directional import DirectionalCurve, direction
 from rotcal_ros.foundation.curves.interpolation import (
     SAME_ANGLE,
     TURN,
+    curve_through,
     harmonic_basis,
     harmonic_estimator,
     interpolation_matrix,
     row_angles,
+    within,
     wrapped,
 )
 from rotcal_ros.foundation.curves.measured import gaps_of
@@ -39,6 +43,7 @@ LINK: Final = (
     "such as 12 balls), joined by 'rotcal combine'; or solver.group_allowance_m, if it is known "
     "how far apart they are at most"
 )
+OTHER: Final = "; other direction: "
 SIGN_CONVENTION: Final = "correction = -(actual - commanded); add it to the commanded angle"
 
 
@@ -243,9 +248,11 @@ def table_from_result(
     at = weights(curve, np.append(rows, reference))
     columns = _columns(curve, at)
     left_out = () if harmonics is None else (_left_out(curve, harmonics),)
-    circumstances = [r.circumstances for r in (result, reverse) if r is not None]
+    every = [result] if reverse is None else [result, reverse]
+    circumstances = [r.circumstances for r in every]
     begun = [c.begun_ns or 0 for c in circumstances]
     ended = [c.ended_ns or 0 for c in circumstances]
+    open_zeros = (r.zeros.in_words(["ECC"]) for r in every)
     return CompensationTable(
         axis=axis,
         method=result.method,
@@ -256,25 +263,19 @@ def table_from_result(
         std_reverse=columns.std_reverse,
         period=curve.period,
         reference_angle=reference,
-        verdict=_worse(result, reverse),
+        verdict=max((r.verdict for r in every), key=get_args(Verdict).index),
         warnings=(*result.warnings, *left_out, *_notes(curve, at[-1])),
-        verdict_line=_lines(result, reverse),
+        verdict_line=OTHER.join(dict.fromkeys(r.verdict_line for r in every)),
         between_std=between,
         widest_gap=float(np.max(gaps_of(curve.angles, curve.period))),
         measured_on=_measured_on(result, reverse),
         item=_item(result, reverse),
-        simulated=result.simulated or (reverse is not None and reverse.simulated),
-        serial=_serial(result, reverse),
+        simulated=any(c.simulated for c in circumstances),
+        serial=next((c.identity.serial for c in circumstances if c.identity.serial), ""),
         measured_from_ns=min(begun) if all(begun) else 0,
         measured_until_ns=max(ended) if all(ended) else 0,
-        open_zeros=_open_zeros(result, reverse),
+        open_zeros="; ".join(dict.fromkeys(filter(None, open_zeros))),
     )
-
-
-def _open_zeros(result: Result, reverse: Result | None) -> str:
-    """Return which offsets of ECC either of the directions leaves open, in words."""
-    every = [result] if reverse is None else [result, reverse]
-    return "; ".join(dict.fromkeys(words for r in every if (words := r.zeros.in_words(["ECC"]))))
 
 
 class _Columns(NamedTuple):
@@ -336,13 +337,7 @@ def _item(result: Result, reverse: Result | None) -> str:
             f"{theirs.serial}: measure both on one table"
         )
     titles = dict.fromkeys(title for title in (ours.title, theirs.title) if title)
-    return "; other direction: ".join(titles)
-
-
-def _serial(result: Result, reverse: Result | None) -> str:
-    """Return the number of the item of both directions, which do not contradict each other."""
-    serials = (r.circumstances.identity.serial for r in (result, reverse) if r is not None)
-    return next(filter(None, serials), "")
+    return OTHER.join(titles)
 
 
 def _measured_on(result: Result, reverse: Result | None) -> str:
@@ -353,20 +348,6 @@ def _measured_on(result: Result, reverse: Result | None) -> str:
     if clash := contradiction(states):
         raise DataError(f"{clash}: measure both directions with the same table in force")
     return agreed(states)
-
-
-def _worse(result: Result, reverse: Result | None) -> Verdict:
-    ranking: tuple[Verdict, ...] = ("ok", "suspect", "failed")
-    verdicts = [result.verdict] if reverse is None else [result.verdict, reverse.verdict]
-    return max(verdicts, key=ranking.index)
-
-
-def _lines(result: Result, reverse: Result | None) -> str:
-    """Return the verdict lines of both directions, once where they are the same."""
-    lines = (
-        [result.verdict_line] if reverse is None else [result.verdict_line, reverse.verdict_line]
-    )
-    return "; other direction: ".join(dict.fromkeys(lines))
 
 
 def _left_out(curve: DirectionalCurve, order: int) -> str:
@@ -409,3 +390,100 @@ def _check_angles(angles: Floats, period: float) -> None:
             "compensation table: the last row repeats the first after a full turn; leave it "
             "out, the period of 2 pi says it"
         )
+
+
+def resample(
+    table: CompensationTable,
+    spacing: float | None = None,
+    *,
+    reference_angle: float | None = None,
+) -> CompensationTable:
+    """Return ``table`` with rows every ``spacing`` rad, zero at ``reference_angle`` (rad).
+
+    A full circle gets rows from 0; without ``spacing`` the rows stay. The new values lie on
+    a curve through all old rows. A table carries no correlations, so the uncertainty returned is
+    the bound that holds for any: sum of |weight| * std. To keep it sharp, give the spacing to
+    ``table_from_result`` instead, which knows the covariance.
+    """
+    if spacing is None and reference_angle is None:
+        return table
+    rows = table.angles if spacing is None else row_angles(table.angles, table.period, spacing)
+    reference = table.reference_angle if reference_angle is None else float(reference_angle)
+    at = np.append(rows, wrapped(reference) if table.closed else reference)
+    weights = interpolation_matrix(table.angles, at, table.period)
+    up, down = weights @ table.correction_forward, weights @ table.correction_reverse
+    zero = 0.0 if reference_angle is None else up[-1]
+    shift = weights[:-1] if reference_angle is None else weights[:-1] - weights[-1]
+    return replace(
+        table,
+        angles=rows,
+        correction_forward=up[:-1] - zero,
+        correction_reverse=down[:-1] - zero,
+        std=np.abs(shift) @ table.std,
+        std_reverse=_reverse_bound(table, weights, moved=reference_angle is not None),
+        reference_angle=float(at[-1]),
+    )
+
+
+def _reverse_bound(table: CompensationTable, weights: Floats, *, moved: bool) -> Floats | None:
+    """Return the bound for the reverse column; its zero is the forward one, where it is moved."""
+    if table.std_reverse is None:
+        return None
+    bound = np.abs(weights[:-1]) @ table.std_reverse
+    if moved:
+        bound = bound + np.abs(weights[-1]) @ table.std
+    return np.asarray(bound, dtype=np.float64)
+
+
+def averaged(table: CompensationTable) -> CompensationTable:
+    """Return the mean of both directions, zero at the reference angle.
+
+    For controls with one column. The warnings state what it cannot remove.
+    """
+    if not table.directional:
+        return table
+    at = np.array([table.reference_angle])
+    mean = (table.correction_forward + table.correction_reverse) / 2.0
+    mean = mean - interpolation_matrix(table.angles, at, table.period) @ mean
+    columns = (table.correction_forward, table.correction_reverse)
+    left = max(float(np.max(np.abs(column - mean))) for column in columns)
+    warning = f"mean of both directions: up to {left / ARCSEC:.3g} arcsec of reversal remain"
+    return replace(
+        table,
+        correction_forward=mean,
+        correction_reverse=mean,
+        warnings=(*table.warnings, warning),
+    )
+
+
+class Correction:
+    """The correction as a function of angle and direction; it is added to the command.
+
+    A smooth curve through every row of the table: the periodic cubic spline, any angle is
+    allowed, for a full circle; for an arc the cubic spline inside it, and DataError outside.
+
+    >>> Correction(table)(angle, Approach.NEGATIVE)        # radians in, radians out
+    """
+
+    def __init__(self, table: CompensationTable) -> None:
+        self.table = table
+        self._curves = {
+            Approach.POSITIVE: curve_through(table.angles, table.correction_forward, table.period),
+            Approach.NEGATIVE: curve_through(table.angles, table.correction_reverse, table.period),
+        }
+
+    def __call__(self, angle: ArrayLike, approach: Approach) -> Floats:
+        """Return the correction (rad), of the shape of ``angle`` (rad)."""
+        if approach not in self._curves:
+            raise ConfigurationError(
+                f"direction {approach!r}: a correction needs to know from which side the table "
+                "comes, POSITIVE (angle increasing) or NEGATIVE"
+            )
+        at = within(self.table.angles, angle, self.table.period)
+        return np.asarray(self._curves[approach](at), dtype=np.float64)
+
+    def std(self, angle: ArrayLike, approach: Approach = Approach.POSITIVE) -> Floats:
+        """Return the standard uncertainty (rad, k = 1), linear between the rows."""
+        angles, period = self.table.angles, self.table.period
+        at, std = within(angles, angle, period), self.table.std_of(approach)
+        return np.asarray(np.interp(at, angles, std, period=period or None))

@@ -12,10 +12,10 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.compensation import parsing
+from rotcal_ros.compensation import controller_files
 from rotcal_ros.compensation.table import check_verdict
 from rotcal_ros.compensation.writing import check_stem
-from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.arrays import Floats, std_of
 from rotcal_ros.foundation.components import COMPONENTS, TRANSLATIONS, check_axis, unit_of
 from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.in_force import in_words, known_hash
@@ -43,6 +43,7 @@ def volumetric_files(result: Result, stem: str, axis: str = "C") -> dict[str, st
         columns[f"u_{name}_{_si_unit(name)}"] = std[name]
     numbers = np.column_stack(list(columns.values()))
     lines = [",".join(columns), *(",".join(map(repr, row)) for row in numbers.tolist())]
+    on_top = [in_words(result.measured_on)] if known_hash(result.measured_on) else []
     data = {
         "schema": 1,
         "kind": KIND,
@@ -60,10 +61,10 @@ def volumetric_files(result: Result, stem: str, axis: str = "C") -> dict[str, st
         "angles_rad": result.angles.tolist(),
         "deviations": {name: values.tolist() for name, values in deviations.items()},
         "std": {name: values.tolist() for name, values in std.items()},
-        "warnings": [*result.warnings, *_one_sided(result, names), *_on_top(result)],
+        "warnings": [*result.warnings, *_one_sided(result, names), *on_top],
     }
     table, facts = "\n".join(lines) + "\n", json.dumps(data, indent=1) + "\n"
-    found = parsing.numbers(f"{stem}.csv", table.splitlines()[1:], len(columns), ",")
+    found = controller_files.numbers(f"{stem}.csv", table.splitlines()[1:], len(columns), ",")
     for file, same in (
         ("csv", np.array_equal(found, numbers)),
         ("json", json.loads(facts) == data),
@@ -80,13 +81,9 @@ def _columns(result: Result, names: list[str]) -> tuple[dict[str, Floats], dict[
     for name, both in result.directions.items():
         if np.array_equal(both.angles, result.angles):
             deviations |= {f"{name}_forward": both.forward, f"{name}_reverse": both.reverse}
-            own = np.sqrt(np.maximum(np.diag(both.covariance), 0.0))
-            std[f"{name}_forward"], std[f"{name}_reverse"] = np.split(own, 2)
+            own = np.split(std_of(both.covariance), 2)
+            std[f"{name}_forward"], std[f"{name}_reverse"] = own
     return deviations, std
-
-
-def _on_top(result: Result) -> list[str]:
-    return [in_words(result.measured_on)] if known_hash(result.measured_on) else []
 
 
 def _one_sided(result: Result, names: list[str]) -> list[str]:

@@ -1,7 +1,7 @@
 """The best estimate of a table's deviations from several results: methods, campaigns, references.
 
 Generalised least squares with the full covariance of every input, whose zeros are unknown. Inputs
-that rest on the same observations vary together, see :mod:`.shared_data`; all others are taken
+that rest on the same observations vary together, see :mod:`.common_angles`; all others are taken
 for independent.
 
 What is done about each effect when several results are combined: the weakest of them counts.
@@ -30,10 +30,11 @@ from rotcal_ros.evaluation.component_groups import (
     ComponentGroup,
     Curves,
     Enlargement,
+    Joined,
     combine_group,
+    union,
 )
-from rotcal_ros.evaluation.joined_angles import Joined, union
-from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.arrays import Floats, std_of
 from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.curves.interpolation import interpolation_matrix
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
@@ -197,7 +198,7 @@ def _result(groups: Sequence[ComponentGroup], inputs: Sequence[CombinationInput]
         method=METHOD,
         angles=angles,
         deviations=deviations,
-        std={c: _std(matrix) for c, matrix in covariance.items()},
+        std={c: std_of(matrix) for c, matrix in covariance.items()},
         covariance=covariance,
         sigma0=float(np.sqrt(chi2 / dof)) if dof else 1.0,
         dof=dof,
@@ -287,10 +288,6 @@ def _to_all(own: Joined, angles: Floats) -> Floats | None:
     return interpolation_matrix(own.angles, angles, own.period)
 
 
-def _std(covariance: Floats) -> Floats:
-    return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)), dtype=np.float64)
-
-
 def _adjacent(
     deviations: Mapping[str, Floats], covariance: Mapping[str, Floats]
 ) -> tuple[Floats | None, Floats | None]:
@@ -298,7 +295,7 @@ def _adjacent(
     if "ECC" not in deviations:
         return None, None
     steps = np.diff(np.eye(len(deviations["ECC"])), axis=0)
-    return steps @ deviations["ECC"], _std(steps @ covariance["ECC"] @ steps.T)
+    return steps @ deviations["ECC"], std_of(steps @ covariance["ECC"] @ steps.T)
 
 
 def _interpolated(

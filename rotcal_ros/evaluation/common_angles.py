@@ -1,18 +1,28 @@
-"""Two deviation curves of one table at the angles of the first: measured there or interpolated."""
+"""What two deviation curves of one table have in common: angles, and observations.
+
+They are compared at the angles of the first: measured there or interpolated.
+
+To first order a curve is its truth plus B e, with the errors e of its observations and of what
+these have in common (a target's coordinates), each of unit variance, and the influences B that
+its method states. Two curves with the same e have the covariance B1 B2', and not zero. What the
+covariance of a curve holds beyond B B' (error motion, slips, allowances) belongs to the run that
+both were measured in: at equal angles it is taken for the same in both.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.evaluation.shared_data import shared_covariance
-from rotcal_ros.foundation.arrays import Bools, Floats
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, TURN, interpolation_matrix
 from rotcal_ros.foundation.curves.measured import MeasuredCurve
 from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.raw_data import Influence
 from rotcal_ros.foundation.units import DEGREE
 
 
@@ -100,3 +110,85 @@ def _common(first: MeasuredCurve, second: MeasuredCurve) -> tuple[Floats, NDArra
             f"{high / DEGREE:.6g} deg"
         )
     return np.clip(angles[rows], second.angles[0], second.angles[-1]), rows
+
+
+NONLINEAR: Final = 1e-4
+"""Part of a standard uncertainty that what is not linear may leave between two evaluations."""
+
+
+def shared_covariance(
+    first: MeasuredCurve, second: MeasuredCurve, names: tuple[str, str]
+) -> Floats | None:
+    """Return the covariance (n1, n2) of two curves of one component by what they share.
+
+    None where they share nothing. Raises DataError where its effect on both is not known.
+    """
+    here, there = first.raw_data.shared_with(second.raw_data)
+    if not len(here):
+        return None
+    ours, theirs = first.raw_data.influence, second.raw_data.influence
+    if ours is None or theirs is None:
+        raise DataError(
+            f"{names[0]} and {names[1]} rest on {len(here)} observations that are the same "
+            f"(of {len(first.raw_data.hashes)} and {len(second.raw_data.hashes)}), and it is "
+            "not known how their errors affect both: take results of different measurements, or "
+            "one of the two"
+        )
+    causes = [cause for cause in ours.causes if cause in set(theirs.causes)]
+    both = _columns(ours, here, causes) @ _columns(theirs, there, causes).T
+    return np.asarray(both + _rest(first, second), dtype=np.float64)
+
+
+def of_observations_alone(curve: MeasuredCurve) -> MeasuredCurve:
+    """Return a curve with the covariance of its observations alone, as it is where none tells.
+
+    What else U holds, such as a scatter that was estimated and may not be there, makes independent
+    results agree better than U says, and so does noise that is stated larger than the residuals
+    show it: whether they agree too well is asked without either.
+    """
+    influence = curve.raw_data.influence
+    if influence is None or not np.any(_matrix(influence)):
+        return curve
+    matrix = curve.shown * _matrix(influence)
+    return replace(curve, covariance=matrix @ matrix.T) if np.any(matrix) else curve
+
+
+def _matrix(influence: Influence) -> Floats:
+    """Return the influences (m, k) on the one component of a curve."""
+    (matrix,) = influence.deviations.values()
+    return matrix
+
+
+def _columns(influence: Influence, wanted: Ints, causes: list[str]) -> Floats:
+    """Return the influences of the ``wanted`` observations, zero for unused ones, and causes."""
+    matrix, c = _matrix(influence), influence.coordinates
+    width = len(influence.rows) * c
+    index = {row: at for at, row in enumerate(influence.rows.tolist())}
+    at = np.array([index.get(row, -1) for row in wanted.tolist()], dtype=np.int64)
+    by_row = matrix[:, :width].reshape(len(matrix), -1, c)[:, at]
+    by_row[:, at < 0] = 0.0
+    of_causes = matrix[:, [width + influence.causes.index(cause) for cause in causes]]
+    return np.hstack([by_row.reshape(len(matrix), -1), of_causes])
+
+
+def _rest(first: MeasuredCurve, second: MeasuredCurve) -> Floats:
+    """Return the covariance (n1, n2) of what is no influence, where the angles are the same."""
+    alike = len(first.angles) == len(second.angles) and np.allclose(
+        first.angles, second.angles, rtol=0.0, atol=1e3 * SAME_ANGLE
+    )
+    if not alike:
+        return np.zeros((len(first.angles), len(second.angles)))
+    return _root(first) @ _root(second)
+
+
+def _root(curve: MeasuredCurve) -> Floats:
+    """Return the symmetric root (n, n) of the covariance beyond the influences."""
+    assert curve.raw_data.influence is not None
+    matrix = _matrix(curve.raw_data.influence)
+    values, vectors = np.linalg.eigh(curve.covariance - matrix @ matrix.T)
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+
+
+def floor(covariance: Floats) -> Floats:
+    """Return the variances (n, n) that keep curves of the same data from being one exactly."""
+    return NONLINEAR**2 * float(np.mean(covariance.diagonal())) * np.eye(len(covariance))

@@ -18,9 +18,8 @@ from typing import Any, Final
 import numpy as np
 
 from rotcal_ros.adjust.distributions import binomial_quantile, chi2_sf, normal_sf
-from rotcal_ros.evaluation.common_angles import PairedCurves, pair
-from rotcal_ros.evaluation.shared_data import floor, of_observations_alone
-from rotcal_ros.foundation.arrays import Bools, Floats
+from rotcal_ros.evaluation.common_angles import PairedCurves, floor, of_observations_alone, pair
+from rotcal_ros.foundation.arrays import Bools, Floats, std_of
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.curves.interpolation import (
     TURN,
@@ -107,7 +106,7 @@ def compare(
 ) -> Comparison:
     """Compare two curves at the angles of the one that has fewer.
 
-    What rests on the same observations varies together, see :mod:`.shared_data`. Where the other
+    What rests on the same observations varies together, see :mod:`.common_angles`. Where the other
     was not measured it is interpolated by its spline, marked and noted. ``align_order`` takes
     off, beside the offset, so many harmonics that the two methods define differently (1 for
     radial deviations with another origin). The notes name, by ``names``, each curve whose verdict
@@ -136,13 +135,14 @@ def compare(
         for name, curve in zip(names, (first, second), strict=True)
         if curve.verdict_line not in ("", "ok")
     ]
+    harmonics = harmonic_basis(angles, align_order)
     return Comparison(
         angles=angles,
         difference=difference,
         std=std,
         normalised_error=normalised,
         interpolated=both.interpolated,
-        offset=_offset(angles, raw, align_order),
+        offset=float(np.linalg.lstsq(harmonics, raw, rcond=None)[0][0]),
         rms=float(np.sqrt(np.mean(difference**2))),
         chi2=chi2,
         dof=dof,
@@ -171,13 +171,9 @@ def _align(raw: Floats, covariance: Floats, basis: Floats) -> tuple[Floats, Floa
     n, unknowns = basis.shape
     keep = np.eye(n) - basis @ basis.T
     aligned = keep @ raw
-    std = np.sqrt(np.maximum(np.diag(keep @ covariance @ keep), 0.0))
+    std = std_of(keep @ covariance @ keep)
     chi2 = _chi_square(aligned, basis, covariance) if np.any(covariance) else 0.0
     return aligned, std, chi2, n - unknowns
-
-
-def _offset(angles: Floats, raw: Floats, order: int) -> float:
-    return float(np.linalg.lstsq(harmonic_basis(angles, order), raw, rcond=None)[0][0])
 
 
 def _chi_square(difference: Floats, basis: Floats, covariance: Floats) -> float:

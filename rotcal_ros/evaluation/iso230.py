@@ -3,21 +3,22 @@
 Deviations x_ij = actual - target at target i in run j, approached from below (forward) and
 from above (reverse). s is estimated with n - 1, repeatability is 4 s wide, accuracy +- 2 s. E
 and R of both directions are taken over both directions, not as the larger of the two
-one-directional figures.
+one-directional figures. Repeated runs come from a result, or from a plain table
+``angle_deg,run,direction,deviation_arcsec``.
 
-The uncertainty of the figures of ISO 230-2, by the law of propagation (JCGM 100).
-
-Every figure is piecewise linear in the means and standard deviations of the targets that decide
-it. It has two parts: *sampling*, how far the figures of as many other runs would lie
-off, from the scatter of the runs (a mean s / sqrt(n), s itself s / sqrt(2 (n - 1)), JCGM 100,
-E.4.3); and *measurement*, errors that all runs share and that no repetition shows. They cancel
-in the reversal and leave the repeatability alone. Noise of the measurement is in the scatter.
+The uncertainty of the figures follows from the law of propagation (JCGM 100). Every figure is
+piecewise linear in the means and standard deviations of the targets that decide it. It has two
+parts: *sampling*, how far the figures of as many other runs would lie off, from the scatter of the
+runs (a mean s / sqrt(n), s itself s / sqrt(2 (n - 1)), JCGM 100, E.4.3); and *measurement*, errors
+that all runs share and that no repetition shows. They cancel in the reversal and leave the
+repeatability alone. Noise of the measurement is in the scatter.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import hypot, inf, sqrt
 from typing import Any, Final
 
@@ -25,9 +26,10 @@ import numpy as np
 from scipy.special import stdtrit
 
 from rotcal_ros.foundation.arrays import Floats
-from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.results import plain_fields
-from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.foundation.errors import BagError, DataError
+from rotcal_ros.foundation.results import Result, plain_fields
+from rotcal_ros.foundation.tables import csv_rows
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 ONLY_SCATTER: Final = (
     "U holds the scatter of the runs alone: nothing is stated about errors that all runs share"
@@ -334,3 +336,120 @@ def _repeatability(gap: Floats, s: Floats) -> tuple[Floats, Floats]:
     else:
         of_s[way - 1, target] = 4.0
     return of_mean, of_s
+
+
+HEADER: Final = ("angle_deg", "run", "direction", "deviation_arcsec")
+DIRECTIONS: Final = ("up", "down")
+"""up: approached with increasing angle, down: with decreasing angle."""
+
+
+def read_runs(text: str, name: str) -> BidirectionalRuns:
+    """Return the runs in ``text``, the file ``name``.
+
+    Every target must be there once in every run and direction. Raises BagError for other columns;
+    DataError names what is missing, double or no number.
+    """
+    found: dict[tuple[float, str, str], float] = {}
+    reader = csv_rows(text, name)
+    head = tuple(cell.strip() for cell in next(reader, []))
+    if head != HEADER:
+        columns = ", ".join(head) or "none"
+        raise BagError(f"{name}: the columns are {columns}, expected {', '.join(HEADER)}")
+    for row, cells in enumerate(reader, start=2):
+        if cells:
+            key, deviation = _row(cells, f"{name}, line {row}")
+            if key in found:
+                raise DataError(
+                    f"{name}, line {row}: {key[0]:g} deg, run {key[1]} {key[2]} is there twice"
+                )
+            found[key] = deviation
+    targets = sorted({key[0] for key in found})
+    runs = sorted({key[1] for key in found})
+    missing = [
+        f"{target:g} deg in run {run} {direction}"
+        for target in targets
+        for run in runs
+        for direction in DIRECTIONS
+        if (target, run, direction) not in found
+    ]
+    if missing:
+        more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
+        raise DataError(
+            f"{name}: missing {', '.join(missing[:3])}{more}: measure them, or leave out the run"
+        )
+    up, down = (
+        np.array([[found[target, run, d] for run in runs] for target in targets]) * ARCSEC
+        for d in DIRECTIONS
+    )
+    return BidirectionalRuns(np.array(targets) * DEGREE, up, down)
+
+
+def runs_of(result: Result) -> BidirectionalRuns | None:
+    """Return the repeated runs of a result where both directions have two or more, else None.
+
+    What the covariance of the result holds beyond the scatter of the runs is common to them all.
+    DataError names an arrival that is missing, or offsets between targets that are open.
+    """
+    runs = result.runs
+    if runs is not None and (words := result.zeros.in_words(["ECC"])):
+        raise DataError(
+            f"{words}: figures of ISO 230-2 are ranges over all targets, nothing bounds them"
+        )
+    if runs is None or runs.forward is None or runs.reverse is None or runs.forward.shape[1] < 2:
+        return None
+    measured = BidirectionalRuns(runs.targets, runs.forward, runs.reverse)
+    covariance = result.covariance.get("ECC")
+    if covariance is None or np.shape(covariance) != (len(runs.targets),) * 2:
+        return measured
+    return replace(measured, common=_common_to_all_runs(measured, covariance))
+
+
+def with_device(runs: BidirectionalRuns, std: float) -> BidirectionalRuns:
+    """Return ``runs`` with a standard uncertainty (rad) of the device at every target.
+
+    The same in all runs, independent from target to target; it adds to what is known already.
+    """
+    known = np.zeros((len(runs.targets),) * 2) if runs.common is None else runs.common
+    return replace(runs, common=known + std**2 * np.eye(len(runs.targets)))
+
+
+def _common_to_all_runs(runs: BidirectionalRuns, covariance: Floats) -> Floats:
+    """Return the part of the covariance of the mean curve that no repetition shows.
+
+    Noise and repeatability differ from run to run: they are in the scatter, and their share in
+    the mean of all runs is taken off. The mean counts from its first target.
+    """
+    n = runs.forward.shape[1]
+    scatter = (runs.forward.var(axis=1, ddof=1) + runs.reverse.var(axis=1, ddof=1)) / 2.0
+    tied = np.eye(len(scatter))
+    tied[:, 0] -= 1.0
+    counted = tied @ covariance @ tied.T  # whatever the zero of the result is
+    rest = counted - float(scatter.mean()) / (2 * n) * tied @ tied.T
+    values, vectors = np.linalg.eigh((rest + rest.T) / 2.0)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T, dtype=np.float64)
+
+
+def require_runs(result: Result, source: str) -> BidirectionalRuns:
+    """Return the runs of a result; DataError, naming ``source``, when it holds none."""
+    runs = runs_of(result)
+    if runs is None:
+        raise DataError(
+            f"{source}: the result holds no repeated runs in both directions; measure with the "
+            "plan settings 'runs' (2 or more, the standard asks for 5) and 'bidirectional'"
+        )
+    return runs
+
+
+def _row(cells: list[str], where: str) -> tuple[tuple[float, str, str], float]:
+    if len(cells) != len(HEADER):
+        raise DataError(f"{where}: {len(cells)} columns, expected {len(HEADER)}")
+    angle, run, direction, deviation = (cell.strip() for cell in cells)
+    if direction not in DIRECTIONS:
+        raise DataError(f"{where}: direction {direction!r}, expected up or down")
+    try:
+        numbers = float(angle), float(deviation)
+    except ValueError as error:
+        raise DataError(f"{where}: {angle!r} or {deviation!r} is not a number") from error
+    if not all(map(math.isfinite, numbers)):
+        raise DataError(f"{where}: {angle!r} or {deviation!r} is not a finite number")
+    return (numbers[0], run, direction), numbers[1]

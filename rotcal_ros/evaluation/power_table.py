@@ -130,13 +130,11 @@ def power_rows(
 
     Raises ConfigurationError for a method that does not list what may disturb it.
     """
-    method = bench.calibration.method
-    listed = (
-        {} if method.disturbances is None else {d.effect: d for d in method.disturbances.listed}
-    )
+    listed = {d.effect: d for d in bench.listed()}
     if missing := [effect for effect in EFFECTS if effect not in listed]:
         raise ConfigurationError(
-            f"the method {method.name} does not say how these look: {', '.join(missing)}"
+            f"the method {bench.calibration.method.name} does not say how these look: "
+            f"{', '.join(missing)}"
         )
     rows = []
     for effect in (effect for effect in ALL_EFFECTS if effect in listed):
@@ -224,7 +222,6 @@ class Found:
     size: float
     reached: bool
     error: float
-    shares: tuple[Share, ...]
 
 
 def search(attempt: Try, start: float, largest: float, runs: int, power: float = POWER) -> Found:
@@ -249,7 +246,7 @@ def search(attempt: Try, start: float, largest: float, runs: int, power: float =
 
     look(largest)
     if above is None:
-        return Found(largest, False, _error_at(largest, shares), tuple(shares))
+        return Found(largest, False, _error_at(largest, shares))
     below = above = None
     look(min(start, largest))
     while above is None and below is not None:
@@ -258,11 +255,11 @@ def search(attempt: Try, start: float, largest: float, runs: int, power: float =
     while below is None and above.size > 1e-6 * start:
         look(above.size / FACTOR)
     if below is None:  # noticed even where there is next to nothing: a verdict that is never ok
-        return Found(above.size, True, 0.0, tuple(shares))
+        return Found(above.size, True, 0.0)
     for _ in range(HALVINGS):
         look(exp(0.5 * (log(below.size) + log(above.size))))
     size = _between(below, above, power)
-    return Found(size, True, _error_at(size, shares), tuple(shares))
+    return Found(size, True, _error_at(size, shares))
 
 
 def share_of(attempt: Try, size: float, runs: int) -> Share:

@@ -12,7 +12,7 @@ import numpy as np
 
 from rotcal_ros.adjust.distributions import normal_isf
 from rotcal_ros.evaluation.common_angles import PairedCurves, pair
-from rotcal_ros.foundation.arrays import Bools, Floats
+from rotcal_ros.foundation.arrays import Bools, Floats, std_of
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.curves.interpolation import without_harmonics
 from rotcal_ros.foundation.curves.measured import MeasuredCurve
@@ -95,12 +95,12 @@ def quick_check(
         )
     keep = without_harmonics(both.angles, align_order, both.free)
     difference = keep @ (both.first - both.second)
-    std = _std(keep @ both.first_covariance @ keep)
+    std = std_of(keep @ both.first_covariance @ keep)
     if not np.all(std > 0.0):
         raise DataError(
             "the new measurement states no uncertainty: no risk can be stated without one"
         )
-    expected = _std(rule.expected(both.second_covariance, keep))
+    expected = std_of(rule.expected(both.second_covariance, keep))
     verdict, why = _judge(rule, both.angles, difference, std, expected, (unit, unit_name))
     if new.verdict_line.startswith("suspect"):
         verdict, why = "undecided", "the new measurement itself is suspect: measure again"
@@ -121,10 +121,6 @@ def quick_check(
         assurance=rule.assurance(std, expected),
         notes=_notes(both, earlier, new),
     )
-
-
-def _std(covariance: Floats) -> Floats:
-    return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)), dtype=np.float64)
 
 
 def _judge(

@@ -8,9 +8,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.compensation.effect import Effect
+from rotcal_ros.compensation.held_table import Effect
 from rotcal_ros.evaluation.iso230 import Iso230
-from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.arrays import Floats, std_of
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.results import Result, Verdict
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
@@ -147,6 +147,6 @@ def positioning(result: Result) -> Positioning:
     both = result.directions.get("ECC")
     if both is None:
         return Positioning(result.angles, result.deviations["ECC"], result.std["ECC"])
-    up, down = np.split(np.sqrt(np.maximum(np.diag(both.covariance), 0.0)), 2)
+    up, down = np.split(std_of(both.covariance), 2)
     ways = ((both.angles, both.angles), (both.forward, both.reverse), (up, down))
     return Positioning(*(np.concatenate([rising, falling[::-1]]) for rising, falling in ways))

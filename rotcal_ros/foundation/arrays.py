@@ -18,6 +18,11 @@ Stamps: TypeAlias = NDArray[np.int64]
 _Numbers = TypeVar("_Numbers", bound=NDArray[Any])
 
 
+def std_of(covariance: Floats) -> Floats:
+    """Return the standard deviations (n,) that a covariance (n, n) states."""
+    return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)), dtype=np.float64)
+
+
 def steps_from(before: float, values: _Numbers) -> _Numbers:
     """Return the steps (n,) of ``values`` (n,), the first of them from ``before``.
 

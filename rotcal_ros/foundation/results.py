@@ -174,10 +174,6 @@ class Zeros:
         )
         return replace(self, free=tuple(moved))
 
-    def open_components(self) -> tuple[str, ...]:
-        """Return the components that some free direction touches, in the order of COMPONENTS."""
-        return tuple(c for c in COMPONENTS if any(c in d.columns for d in self.free))
-
     def in_words(self, components: Iterable[str] = COMPONENTS) -> str:
         """Return in one clause each which offsets of ``components`` are open."""
         wanted = set(components)
@@ -377,8 +373,18 @@ class Result:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Result:
-        """Rebuild a result from :meth:`to_dict`; raises DataError when it is not one."""
-        return result_from(data)
+        """Rebuild a result from :meth:`to_dict`.
+
+        Raises DataError, with the entry, when it is none or does not fit together.
+        """
+        if not isinstance(data, Mapping) or data.get("schema") != SCHEMA:
+            raise DataError(f"not a rotcal result of schema {SCHEMA}: no matching 'schema' entry")
+        try:
+            return _result(data)
+        except KeyError as error:
+            raise DataError(f"no whole rotcal result: the entry {error} is missing") from error
+        except (ArithmeticError, AttributeError, ConfigurationError, TypeError, ValueError) as e:
+            raise DataError(f"damaged rotcal result: {e}") from e
 
 
 def _at_best_suspect(verdict: Verdict) -> Verdict:
@@ -443,21 +449,6 @@ class _Plain:
     details: Mapping[str, Any]
     protections: tuple[Protection, ...]
     measured_on: str = UNKNOWN
-
-
-def result_from(data: Any) -> Result:
-    """Return the result that ``data`` (see :meth:`Result.to_dict`) states.
-
-    Raises DataError, with the entry, when it is none or does not fit together.
-    """
-    if not isinstance(data, Mapping) or data.get("schema") != SCHEMA:
-        raise DataError(f"not a rotcal result of schema {SCHEMA}: no matching 'schema' entry")
-    try:
-        return _result(data)
-    except KeyError as error:
-        raise DataError(f"no whole rotcal result: the entry {error} is missing") from error
-    except (ArithmeticError, AttributeError, ConfigurationError, TypeError, ValueError) as error:
-        raise DataError(f"damaged rotcal result: {error}") from error
 
 
 def _result(data: Mapping[str, Any]) -> Result:

@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 
-from rotcal_ros.evaluation.bidirectional import read_runs, require_runs
 from rotcal_ros.evaluation.combination import CombinationInput
-from rotcal_ros.evaluation.iso230 import BidirectionalRuns
+from rotcal_ros.evaluation.iso230 import BidirectionalRuns, read_runs, require_runs
 from rotcal_ros.evaluation.reference import read_reference, without_polygon
 from rotcal_ros.evaluation.ways import EVALUATIONS, way_name
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve

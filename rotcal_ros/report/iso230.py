@@ -6,8 +6,7 @@ import numpy as np
 from markupsafe import escape
 from matplotlib.axes import Axes
 
-from rotcal_ros.evaluation.bidirectional import runs_of
-from rotcal_ros.evaluation.iso230 import ONLY_SCATTER, BidirectionalRuns, Iso230, iso230
+from rotcal_ros.evaluation.iso230 import ONLY_SCATTER, BidirectionalRuns, Iso230, iso230, runs_of
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.results import Result

@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from queue import Empty, SimpleQueue
 from threading import Thread
-from types import FrameType
 from typing import Any, Final, NoReturn
 
 from rotcal_ros.bags.repair import finish_interrupted
@@ -53,7 +52,7 @@ def calibrate(session: Session, viewers: Viewers, *, at_once: bool = False) -> d
     """
     if session.configuration.simulated:
         say(NO_MACHINE)
-    previous = signal.signal(signal.SIGTERM, _interrupt)
+    previous = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         outcome = _solve_bag(session) if session.finished else _run(session, viewers, at_once)
     except KeyboardInterrupt:  # while the first one was still being handled
@@ -81,10 +80,6 @@ def _how_to_go_on(session: Session) -> str:
     if bag.is_dir() and any(bag.iterdir()):
         return f"to go on: {session.resume_command}"
     return "nothing was recorded yet: start it again as before"
-
-
-def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
-    raise KeyboardInterrupt
 
 
 def _run(session: Session, viewers: Viewers, at_once: bool) -> dict[str, Any]:

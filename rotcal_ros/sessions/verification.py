@@ -19,9 +19,8 @@ import numpy as np
 from rotcal_ros.compensation import plain_csv
 from rotcal_ros.compensation.cascaded_tables import combined
 from rotcal_ros.compensation.controllers import controller_names
-from rotcal_ros.compensation.effect import Effect, effect_of_result
 from rotcal_ros.compensation.export import CONTENTS, ExportFiles
-from rotcal_ros.compensation.held_table import held_table, in_force_of
+from rotcal_ros.compensation.held_table import Effect, effect_of_result, held_table, in_force_of
 from rotcal_ros.compensation.table import CompensationTable, table_from_result
 from rotcal_ros.compensation.writing import PROVENANCE, of_the_controller
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230, iso230
@@ -42,9 +41,13 @@ from rotcal_ros.report.terminal.console import say
 from rotcal_ros.sessions.attaching import Viewers
 from rotcal_ros.sessions.processes import require_ros
 from rotcal_ros.sessions.products import export_files, write_exports, write_truth
-from rotcal_ros.sessions.resume import resume_session
 from rotcal_ros.sessions.running import calibrate
-from rotcal_ros.sessions.session import Session, checked_calibration, prepare_session
+from rotcal_ros.sessions.session import (
+    Session,
+    checked_calibration,
+    prepare_session,
+    resume_session,
+)
 
 CONTROLLERS: Final = ("linuxcnc", "sinumerik", "csv")
 """Those that files are written for in a simulated cell, as far as they are installed."""

@@ -11,7 +11,7 @@ from compensation_examples import TAU, even, result_of, wavy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rotcal_ros.compensation import parsing
+from rotcal_ros.compensation import controller_files
 from rotcal_ros.compensation.controllers import controller_names, make_controller
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
@@ -180,7 +180,7 @@ def test_volumetric_tables_hold_every_bit():
 
 
 @pytest.mark.parametrize(("form", "module", "name"), [
-    ("csv", parsing, "numbers"), ("json", json, "loads"),
+    ("csv", controller_files, "numbers"), ("json", json, "loads"),
 ])  # fmt: skip
 def test_a_volumetric_file_that_reads_back_differently_is_refused(form, module, name, monkeypatch):
     reader = getattr(module, name)

@@ -5,8 +5,13 @@ import pytest
 from compensation_examples import TAU, even, result_of, wavy
 from scipy.interpolate import CubicSpline
 
-from rotcal_ros.compensation.resample import Correction, averaged, resample
-from rotcal_ros.compensation.table import CompensationTable, table_from_result
+from rotcal_ros.compensation.table import (
+    CompensationTable,
+    Correction,
+    averaged,
+    resample,
+    table_from_result,
+)
 from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.curves.interpolation import harmonic_estimator, interpolation_matrix
 from rotcal_ros.foundation.errors import ConfigurationError, DataError

@@ -5,7 +5,7 @@ import pytest
 from compensation_examples import TAU, even
 from scipy.interpolate import CubicSpline
 
-from rotcal_ros.foundation.curves.content import Content, content_of, harmonics
+from rotcal_ros.compensation.interpolation_uncertainty import Content, content_of, harmonics
 
 NODES = np.array([0.0, 0.4, 1.1, 1.9, 2.2, 3.3, 4.0, 4.9, 5.5])
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from compensation_examples import TAU, even
 
-from rotcal_ros.compensation.effect import effect
+from rotcal_ros.compensation.held_table import effect
 from rotcal_ros.foundation.units import ARCSEC
 
 

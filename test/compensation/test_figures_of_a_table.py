@@ -11,11 +11,16 @@ from compensation_examples import TAU, d4_table, even, result_of, two_ways, wavy
 from scipy.interpolate import CubicSpline
 
 from rotcal_ros.compensation.controller import Controller
-from rotcal_ros.compensation.export import residual_budget, simulate
-from rotcal_ros.compensation.resample import Correction, averaged, resample
-from rotcal_ros.compensation.table import CompensationTable, table_from_result
-from rotcal_ros.compensation.table_rows import (
+from rotcal_ros.compensation.controller_files import (
     mean_deg,
+)
+from rotcal_ros.compensation.export import residual_budget, simulate
+from rotcal_ros.compensation.table import (
+    CompensationTable,
+    Correction,
+    averaged,
+    resample,
+    table_from_result,
 )
 from rotcal_ros.foundation.components import check_axis
 from rotcal_ros.foundation.errors import ConfigurationError, DataError

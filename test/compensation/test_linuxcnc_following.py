@@ -26,6 +26,37 @@ def exported(reversal_arcsec, **settings):
     return prepare_export(table, "linuxcnc", now=NOW, spacing=TAU / 72, settings=settings)
 
 
+def trims(following, wanted):
+    """Return the trim (n, ...) rad in every servo period, for what the table asks (n, ...)."""
+    trim = np.zeros(wanted.shape[1:])
+    speed, trims = np.zeros_like(trim), np.empty_like(wanted)
+    for period, goal in enumerate(wanted):
+        trim, speed = step(following, goal, trim, speed)
+        trims[period] = trim
+    return trims
+
+
+def step(following, goal, trim, speed):
+    """Return trim and speed after one servo period."""
+    limit, half = 0.5 * following.velocity, 0.5 * following.acceleration
+    side = np.where(goal >= trim, 1.0, -1.0)
+    left, ahead, gain = np.abs(goal - trim), side * speed, half * following.period
+    moved = ahead * following.period
+    near = left <= (ahead + gain) ** 2 / (2.0 * half) + moved
+    slows = near & (ahead > gain)
+    more = np.minimum(gain, limit - ahead)
+    extra = 0.5 * more * following.period
+    gains = ~near & (left > (ahead + more) ** 2 / (2.0 * half) + moved + extra)
+    change = np.where(slows, -gain, np.where(gains, more, 0.0))
+    arrives = near & ~slows
+    new = trim + side * (moved + 0.5 * change * following.period)
+    stays = left == 0.0
+    return (
+        np.where(arrives | stays, goal, new),
+        np.where(stays, speed, np.where(arrives, 0.0, side * (ahead + change))),
+    )
+
+
 @pytest.mark.parametrize(
     ("following", "low", "high"), [(FAST, 18.0, 36.0), (SLOW, 3.24, 6.48)]
 )  # a quarter and half of MAX_ACCELERATION * SERVO_PERIOD^2, in arcsec
@@ -33,7 +64,7 @@ def test_the_dead_band_is_a_quarter_to_half_of_what_the_acceleration_gives(follo
     assert following.at_once / ARCSEC == pytest.approx(low)
     assert following.in_motion / ARCSEC == pytest.approx(high)
     changes = np.array([0.97 * low, 1.03 * low, 0.97 * high, 1.03 * high, 9 * high]) * ARCSEC
-    made = following.trims(np.tile(changes, (300, 1)))[-1]
+    made = trims(following, np.tile(changes, (300, 1)))[-1]
     assert made == pytest.approx(changes * [1, 0, 0, 1, 1], abs=1e-12)
     assert list(following.stands(-changes)) == [False, True, True, False, False]
 
@@ -43,7 +74,7 @@ def test_a_joint_of_little_speed_has_no_dead_band():
     assert slow.in_motion < slow.at_once
     changes = np.linspace(1.0, 60.0, 60) * ARCSEC
     assert not np.any(slow.stands(changes))
-    assert slow.trims(np.tile(changes, (400, 1)))[-1] == pytest.approx(changes, abs=1e-12)
+    assert trims(slow, np.tile(changes, (400, 1)))[-1] == pytest.approx(changes, abs=1e-12)
 
 
 @pytest.mark.parametrize("feed_deg_s", [1.0, 20.0, 90.0, 360.0])
@@ -52,7 +83,7 @@ def test_how_far_the_trim_is_behind_is_bounded(feed_deg_s):
     steepest, period = 2.0 * ARCSEC / DEGREE, SLOW.period
     angle = np.arange(6000) * feed_deg_s * DEGREE * period
     wanted = steepest * np.abs(np.mod(angle + 20 * DEGREE, 40 * DEGREE) - 20 * DEGREE)
-    found = np.max(np.abs(SLOW.trims(wanted[:, None])[:, 0] - wanted))
+    found = np.max(np.abs(trims(SLOW, wanted[:, None])[:, 0] - wanted))
     bound = SLOW.behind(steepest, feed_deg_s * DEGREE)
     assert found <= bound + 1e-15
     follows = feed_deg_s * DEGREE <= SLOW.fastest_feed(steepest)

@@ -10,8 +10,7 @@ from compensation_examples import TAU, even, result_of, wavy
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.linuxcnc import hook_up
-from rotcal_ros.compensation.linuxcnc_ini import Ini
-from rotcal_ros.compensation.linuxcnc_machine import Joint, agent_command
+from rotcal_ros.compensation.linuxcnc_machine import Ini, Joint, agent_command
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.foundation.errors import ConfigurationError
 

@@ -7,8 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rotcal_ros.compensation.linuxcnc import LinuxCnc, load
-from rotcal_ros.compensation.resample import resample
-from rotcal_ros.compensation.table import table_from_result
+from rotcal_ros.compensation.table import resample, table_from_result
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import ARCSEC, DEGREE

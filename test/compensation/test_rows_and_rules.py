@@ -4,15 +4,16 @@ import numpy as np
 import pytest
 from compensation_examples import even, two_ways
 
-from rotcal_ros.compensation.linuxcnc import load
-from rotcal_ros.compensation.periodic_rule import PeriodicTable, periodic
-from rotcal_ros.compensation.table_rows import (
+from rotcal_ros.compensation.controller_files import (
+    PeriodicTable,
     columns_deg,
     even_interval_deg,
     fixed,
+    periodic,
     require_at_most,
     require_zero_at_start,
 )
+from rotcal_ros.compensation.linuxcnc import load
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import ARCSEC, DEGREE

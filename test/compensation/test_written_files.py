@@ -12,9 +12,9 @@ import pytest
 from compensation_examples import d4_table, two_ways
 from independent_controls import CONTROLS
 
+from rotcal_ros.compensation.controller_files import number, only_file, parse_rows
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.export import prepare_export
-from rotcal_ros.compensation.parsing import number, only_file, parse_rows
 from rotcal_ros.compensation.writing import of_the_controller
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.observations import Approach

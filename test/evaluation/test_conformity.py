@@ -6,30 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from rotcal_ros.evaluation.conformity import conformance_probability, conformities, decide
+from rotcal_ros.evaluation.marks import conformities, decide
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
-
-
-@pytest.mark.parametrize(
-    ("value", "std", "lower", "upper", "expected", "digits"),
-    [
-        (-5.47, 0.05, -np.inf, -5.40, 0.92, 2),  # 7.3 example 1: Zener diode, one upper limit
-        (509.7, 8.6, 490.0, np.inf, 0.99, 2),  # 7.3 example 2: burst pressure, one lower limit
-        (0.0, 1.0, -2.0, 2.0, 0.9545, 4),  # the interval of k = 2
-        (0.3, 0.0, -0.2, 0.2, 0.0, 9),  # without uncertainty it conforms or does not
-        (0.1, 0.0, -0.2, 0.2, 1.0, 9),
-    ],
-)
-def test_conformance_probability(value, std, lower, upper, expected, digits):
-    assert round(conformance_probability(value, std, lower, upper), digits) == expected
-
-
-def test_guarded_rejection_of_the_radar_gun():
-    """8.3.3.2, example: 2 % and 99.9 % confidence in more than 100 km/h ask for 107 km/h."""
-    assert 1.0 - conformance_probability(107.0, 0.02 * 107.0, 0.0, 100.0) > 0.999
-    assert 1.0 - conformance_probability(106.0, 0.02 * 106.0, 0.0, 100.0) < 0.999
 
 
 @pytest.mark.parametrize(

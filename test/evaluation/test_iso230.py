@@ -3,8 +3,7 @@ from statistics import mean, stdev
 import numpy as np
 import pytest
 
-from rotcal_ros.evaluation.bidirectional import read_runs
-from rotcal_ros.evaluation.iso230 import BidirectionalRuns, iso230
+from rotcal_ros.evaluation.iso230 import BidirectionalRuns, iso230, read_runs
 from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.units import ARCSEC
 

@@ -8,8 +8,14 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from rotcal_ros.evaluation.bidirectional import read_runs, require_runs, runs_of
-from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230, iso230
+from rotcal_ros.evaluation.iso230 import (
+    BidirectionalRuns,
+    Iso230,
+    iso230,
+    read_runs,
+    require_runs,
+    runs_of,
+)
 from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.results import RepeatedRuns, Result
 from rotcal_ros.foundation.units import ARCSEC

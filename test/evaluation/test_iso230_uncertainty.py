@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotcal_ros.evaluation.bidirectional import require_runs, with_device
-from rotcal_ros.evaluation.iso230 import BidirectionalRuns, iso230
+from rotcal_ros.evaluation.iso230 import BidirectionalRuns, iso230, require_runs, with_device
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.results import RepeatedRuns, Result
 from rotcal_ros.foundation.units import ARCSEC

@@ -74,7 +74,7 @@ def test_without_a_tolerance_there_is_one_mark():
 @pytest.mark.parametrize("tolerance_arcsec", [11.1, 10.5, 8.9])
 def test_page_and_terminal_show_the_same_marks_in_their_colours(tolerance_arcsec, capsys):
     given = result(tolerance_arcsec)
-    page = render_report(ReportInput(given, "title", "method"))
+    page = render_report(ReportInput(given, "method"))
     shown = re.findall(r'<span class="verdict (\w+)">([^<]*)</span>', page)
     print_result(given)
     words = capsys.readouterr().err

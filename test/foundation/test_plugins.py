@@ -29,7 +29,7 @@ def plugin(tmp_path, monkeypatch):
         points = {
             plugins.CONTROLLERS: {
                 "broken": EntryPoint("broken", f"{name}:write", plugins.CONTROLLERS),
-                "csv": EntryPoint("csv", "rotcal_ros.compensation.plain_csv:CONTROLLER", "x"),
+                "csv": EntryPoint("csv", "rotcal_ros.compensation.plain_csv:PlainCsv", "x"),
             }
         }
         monkeypatch.setattr(plugins, "_found", lambda group: points.get(group, {}))

@@ -109,8 +109,7 @@ def machines() -> Iterable[bytes]:
 
 def read_machine(path: Path) -> None:
     from rotcal_ros.compensation.linuxcnc import hook_up
-    from rotcal_ros.compensation.linuxcnc_ini import Ini
-    from rotcal_ros.compensation.linuxcnc_machine import Joint
+    from rotcal_ros.compensation.linuxcnc_machine import Ini, Joint
 
     with suppress_rotcal():
         list(hook_up(path))

@@ -125,7 +125,7 @@ def _configuration() -> Any:
 
 def read_orders(path: Path) -> None:
     """Let the server hear a client; every line that it says must be one of the protocol."""
-    from rotcal_ros.extensions.ipp_dme.lines import LineBuffer, parse_response
+    from rotcal_ros.extensions.ipp_dme.protocol import LineBuffer, parse_response
 
     said = asyncio.run(_converse(path.read_bytes()))
     for line in LineBuffer().feed(b"".join(said)):
@@ -133,8 +133,7 @@ def read_orders(path: Path) -> None:
 
 
 async def _converse(data: bytes) -> list[bytes]:
-    from rotcal_ros.extensions.ipp_dme.machine import SimulatedMachine
-    from rotcal_ros.extensions.ipp_dme.server import Conversation, Methods
+    from rotcal_ros.extensions.ipp_dme.server import Conversation, Methods, SimulatedMachine
 
     said: list[bytes] = []
     failed: list[dict[str, Any]] = []

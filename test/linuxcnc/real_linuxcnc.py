@@ -11,8 +11,7 @@ from threading import Thread
 import numpy as np
 import pytest
 
-from rotcal_ros.compensation.linuxcnc_ini import Ini
-from rotcal_ros.compensation.linuxcnc_machine import agent_command
+from rotcal_ros.compensation.linuxcnc_machine import Ini, agent_command
 from rotcal_ros.foundation.machine_load import patient
 
 HERE = Path(__file__).parent

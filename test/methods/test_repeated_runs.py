@@ -10,8 +10,7 @@ from chances import LONG
 from rotcal_ros import methods
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
-from rotcal_ros.evaluation.bidirectional import runs_of
-from rotcal_ros.evaluation.iso230 import iso230
+from rotcal_ros.evaluation.iso230 import iso230, runs_of
 from rotcal_ros.foundation.errors import DataError, PlanError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.results import Result

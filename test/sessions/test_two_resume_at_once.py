@@ -11,8 +11,8 @@ import bag_samples
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.files import FolderLock
-from rotcal_ros.sessions.resume import resume_session
 from rotcal_ros.sessions.running import calibrate, running
+from rotcal_ros.sessions.session import resume_session
 
 VIEWERS = SimpleNamespace(say=lambda _text: None)
 
@@ -58,6 +58,6 @@ def test_one_that_waited_until_the_first_one_was_done_is_refused(folder, monkeyp
     def finished_meanwhile(path):
         (path / "result.json").write_text("{}")
 
-    monkeypatch.setattr("rotcal_ros.sessions.resume._wait_for_lock", finished_meanwhile)
+    monkeypatch.setattr("rotcal_ros.sessions.session._wait_for_lock", finished_meanwhile)
     with pytest.raises(ConfigurationError, match="is finished"):
         resumed(folder)

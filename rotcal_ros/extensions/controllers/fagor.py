@@ -14,10 +14,17 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.compensation.controller import Controller, Facts
-from rotcal_ros.compensation.parsing import matches, number, only_file
-from rotcal_ros.compensation.periodic_rule import PeriodicTable
+from rotcal_ros.compensation.controller_files import (
+    PeriodicTable,
+    columns_deg,
+    fixed,
+    matches,
+    number,
+    only_file,
+    require_at_most,
+    require_circle,
+)
 from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.compensation.table_rows import columns_deg, fixed, require_at_most, require_circle
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.settings import setting
 from rotcal_ros.foundation.units import DEGREE
@@ -82,6 +89,3 @@ class Fagor(Controller):
     def resolution(self, table: CompensationTable) -> float:
         """Return the last decimal, in rad."""
         return self.position_resolution
-
-
-CONTROLLER: Final = Fagor

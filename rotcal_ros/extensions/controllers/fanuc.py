@@ -19,16 +19,19 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.compensation.controller import Controller, Facts
-from rotcal_ros.compensation.parsing import integer, matches, number, only_file
-from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.compensation.table_rows import (
+from rotcal_ros.compensation.controller_files import (
     columns_deg,
     even_interval_deg,
     fixed,
+    integer,
+    matches,
     mean_deg,
+    number,
+    only_file,
     require_at_most,
     require_zero_at_start,
 )
+from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.observations import Approach
@@ -266,6 +269,3 @@ def _steps(name: str, values: Mapping[int, str], first: int, n: int) -> Ints:
             f"the largest is {max(map(abs, steps))} (at most 7)"
         )
     return np.array(steps[1:], dtype=np.int64)
-
-
-CONTROLLER: Final = Fanuc

@@ -12,10 +12,16 @@ from dataclasses import dataclass
 from typing import Final
 
 from rotcal_ros.compensation.controller import Controller, Facts
-from rotcal_ros.compensation.parsing import only_file, parse_rows
-from rotcal_ros.compensation.periodic_rule import PeriodicTable
+from rotcal_ros.compensation.controller_files import (
+    PeriodicTable,
+    columns_deg,
+    fixed,
+    only_file,
+    parse_rows,
+    require_at_most,
+    require_circle,
+)
 from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.compensation.table_rows import columns_deg, fixed, require_at_most, require_circle
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.settings import setting
 from rotcal_ros.foundation.units import DEGREE
@@ -90,6 +96,3 @@ class Heidenhain(Controller):
     def resolution(self, table: CompensationTable) -> float:
         """Return twice the last decimal, in rad: a difference is rounded twice."""
         return 2.0 * self.position_resolution
-
-
-CONTROLLER: Final = Heidenhain

@@ -15,15 +15,18 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.compensation.controller import Controller, Facts
-from rotcal_ros.compensation.parsing import integer, number, numbers, only_file
-from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.compensation.table_rows import (
+from rotcal_ros.compensation.controller_files import (
     columns_deg,
     even_interval_deg,
     every_turn,
     fixed,
+    integer,
     mean_deg,
+    number,
+    numbers,
+    only_file,
 )
+from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.curves.interpolation import TURN
 from rotcal_ros.foundation.errors import BagError
@@ -112,6 +115,3 @@ class Kflop(Controller):
     def travel(self) -> tuple[float, float]:
         """First and last angle (rad) of the turns that are written."""
         return self.first_turn * TURN, (self.first_turn + self.turns) * TURN
-
-
-CONTROLLER: Final = Kflop

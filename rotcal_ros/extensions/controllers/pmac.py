@@ -17,16 +17,17 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.compensation.controller import Controller, Facts
-from rotcal_ros.compensation.parsing import integer, only_file
-from rotcal_ros.compensation.periodic_rule import PeriodicTable
-from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.compensation.table_rows import (
+from rotcal_ros.compensation.controller_files import (
+    PeriodicTable,
     columns_deg,
     even_interval_deg,
+    integer,
     mean_deg,
+    only_file,
     require_zero_at_start,
     with_line,
 )
+from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Ints
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.settings import setting
@@ -170,6 +171,3 @@ class Pmac(Controller):
                 f"expected {expected}"
             )
         return np.array([0, *values], dtype=np.int64)
-
-
-CONTROLLER: Final = Pmac

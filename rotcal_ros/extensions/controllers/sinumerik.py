@@ -18,17 +18,19 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.compensation.controller import Controller, Facts
-from rotcal_ros.compensation.parsing import integer, number, only_file
-from rotcal_ros.compensation.periodic_rule import PeriodicTable
-from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.compensation.table_rows import (
+from rotcal_ros.compensation.controller_files import (
+    PeriodicTable,
     columns_deg,
     even_interval_deg,
     fixed,
+    integer,
     mean_deg,
+    number,
+    only_file,
     require_at_most,
     with_line,
 )
+from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import check_axis
 from rotcal_ros.foundation.errors import BagError
@@ -209,6 +211,3 @@ def _rows(
         )
     column = np.array([number(points[k], f"${variable} point {k}") for k in range(count)])
     return np.linspace(low, high, count), column
-
-
-CONTROLLER: Final = Sinumerik

@@ -17,16 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.compensation.controller import Controller, Facts
-from rotcal_ros.compensation.parsing import matches, number, only_file
-from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.compensation.table_rows import (
+from rotcal_ros.compensation.controller_files import (
     columns_deg,
     every_turn,
     fixed,
+    matches,
     mean_deg,
+    number,
+    only_file,
     require_circle,
     require_zero_at_start,
 )
+from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.curves.interpolation import TURN
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
@@ -189,6 +191,3 @@ def _integrals(position: Singles, multiplier: Singles) -> Floats:
 def _trapezium(width: Singles, before: Singles, after: Singles) -> Floats:
     """Return the area that the control makes of it: the product in single precision."""
     return np.asarray((width * (before + after)).astype(np.float64) / 2.0, dtype=np.float64)
-
-
-CONTROLLER: Final = Smoothieware

@@ -14,15 +14,17 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.compensation.controller import Controller, Facts
-from rotcal_ros.compensation.parsing import integer, matches, only_file
-from rotcal_ros.compensation.periodic_rule import PeriodicTable
-from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.compensation.table_rows import (
+from rotcal_ros.compensation.controller_files import (
+    PeriodicTable,
     columns_deg,
     even_interval_deg,
+    integer,
+    matches,
+    only_file,
     require_at_most,
     with_line,
 )
+from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.settings import setting
 from rotcal_ros.foundation.units import DEGREE
@@ -112,6 +114,3 @@ class TwinCat(Controller):
     def resolution(self, table: CompensationTable) -> float:
         """Return 0.0001 deg, in rad."""
         return UNIT_DEG * DEGREE
-
-
-CONTROLLER: Final = TwinCat

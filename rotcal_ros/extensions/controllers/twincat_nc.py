@@ -15,16 +15,18 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.compensation.controller import Controller, Facts
-from rotcal_ros.compensation.parsing import integer, number, only_file
-from rotcal_ros.compensation.periodic_rule import PeriodicTable
-from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.compensation.table_rows import (
+from rotcal_ros.compensation.controller_files import (
+    PeriodicTable,
     columns_deg,
     even_interval_deg,
     fixed,
+    integer,
     mean_deg,
+    number,
+    only_file,
     with_line,
 )
+from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.settings import setting
@@ -168,6 +170,3 @@ def _rows(where: str, match: re.Match[str]) -> tuple[Floats, Floats]:
     if np.max(np.abs(rows - np.linspace(0.0, 360.0, n))) > 10.0**-PLACES:
         raise BagError(f"{where}: the positions are not evenly spaced from 0 to 360 deg")
     return rows, values
-
-
-CONTROLLER: Final = TwinCatNc

@@ -152,7 +152,7 @@ def _print(tally: _Tally, table: Path, overview: Path) -> None:
 
 def _print_json(table: Path, overview: Path) -> None:
     """Print one object per bag, as the dataset has it, in order of recording."""
-    from rotcal_ros.extensions.fleet.queries import bags_by_table, connected
+    from rotcal_ros.extensions.fleet.overview import bags_by_table, connected
 
     with connected(table) as connection:
         bags = sorted(

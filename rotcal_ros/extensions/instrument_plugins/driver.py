@@ -1,4 +1,8 @@
-"""The thread that drives an instrument: connects, reads or measures, and reconnects when lost."""
+"""The thread that drives an instrument: connects, reads or measures, and reconnects when lost.
+
+A place is measured while the table stands at the ordered angle. Before its driver connects, a
+check of a cell says what the plug-in brings.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +10,11 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from math import isfinite
+from math import isfinite, isnan
 from threading import Event, Thread
 from typing import Final
 
+from rotcal_ros.bags import names
 from rotcal_ros.extensions.instrument_plugins.instrument import (
     Instrument,
     InstrumentError,
@@ -22,8 +27,17 @@ from rotcal_ros.extensions.instrument_plugins.instrument import (
 from rotcal_ros.extensions.instrument_plugins.settings import InstrumentSettings
 from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.node_state import NodeState, State, Why
-from rotcal_ros.foundation.observations import Command, LengthStatus, ProbeSample, TracerSample
+from rotcal_ros.foundation.observations import (
+    Command,
+    LengthStatus,
+    ProbeSample,
+    TableSample,
+    TracerSample,
+)
 from rotcal_ros.foundation.plugins import INSTRUMENTS, load
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.methods.check_lines import CheckLine, DriverCheck
+from rotcal_ros.planning.table_motion import is_near
 
 READ_TIMEOUT_S: Final = 0.1
 PATIENCE_S: Final = 10.0
@@ -192,3 +206,77 @@ class InstrumentDriver:
         self._places += 1
         stamp_ns = self._now_ns() if place.stamp_ns is None else place.stamp_ns
         return order.answered(stamp_ns, self._places - 1, place.position, place.std)
+
+
+class TableRest:
+    """Hears the feedback; at rest are ``settle_s`` of it in position and slow enough.
+
+    ``tolerance_arcsec`` and ``speed_deg_s`` are those of the capture, which judges again.
+    """
+
+    def __init__(self, tolerance_arcsec: float, speed_deg_s: float, settle_s: float) -> None:
+        self._tolerance = tolerance_arcsec * ARCSEC
+        self._speed = speed_deg_s * DEGREE
+        self._settle_ns = round(settle_s * 1e9)
+        self._since: TableSample | None = None
+        self._latest: TableSample | None = None
+
+    def hear(self, sample: TableSample) -> None:
+        """Take a feedback."""
+        rests = abs(sample.velocity) <= self._speed
+        if not rests or self._since is None or self._off(sample, self._since.angle):
+            self._since = sample if rests else None
+        self._latest = sample
+
+    def forget(self) -> None:
+        """Know nothing: the feedback is another one from now on."""
+        self._since = self._latest = None
+
+    def why_not(self, order: Command) -> str | None:
+        """Return why the table does not rest where ``order`` has it; None: it does."""
+        since, latest = self._since, self._latest
+        if latest is None:
+            return "no feedback of the table has come"
+        if isnan(latest.velocity):
+            return "the feedback tells no velocity"
+        if since is None:
+            return "the table moves"
+        if self._off(latest, order.table_angle):
+            here, there = latest.angle / DEGREE, order.table_angle / DEGREE
+            return f"the table rests at {here:.4f}° and is ordered to {there:.4f}°"
+        settled = latest.stamp_ns - since.stamp_ns >= self._settle_ns
+        return None if settled else "the table has just come to rest"
+
+    def _off(self, sample: TableSample, angle: float) -> bool:
+        return not is_near(sample.angle, angle, self._tolerance)
+
+
+def brings(settings: InstrumentSettings) -> tuple[str, ...]:
+    """Return what the plug-in brings; nothing where it cannot be made, which its line tells."""
+    try:
+        instrument = instrument_of(settings)
+    except RotcalError:
+        return ()
+    lengths = (names.TRACER_LENGTH,) if isinstance(instrument, Tracer) else ()
+    places = (names.PROBE_POINT, names.PROBE_TARGET) if isinstance(instrument, Tracker) else ()
+    return lengths + places
+
+
+def look(settings: InstrumentSettings, here: bool, _simulated: bool) -> CheckLine:
+    """Say what the plug-in makes; only its driver may connect, since that may move something."""
+    title = f"plug-in {settings.plugin}, {settings.address or 'no address'}"
+    if here:
+        found = f"{title}: node instrument_driver is here"
+        return CheckLine("instrument", "plug-in", "note", found)
+    try:
+        instrument = instrument_of(settings)
+    except RotcalError as error:
+        todo = "group instrument of the configuration; rotcal settings instrument"
+        return CheckLine("instrument", "plug-in", "missing", str(error), todo)
+    does = {Tracer: "tells lengths", Tracker: "finds reflectors"}
+    found = " and ".join(words for kind, words in does.items() if isinstance(instrument, kind))
+    todo = "whether it answers is seen when rotcal run connects"
+    return CheckLine("instrument", "plug-in", "open", f"{title}: {found}", todo)
+
+
+CHECK = DriverCheck(brings, look)

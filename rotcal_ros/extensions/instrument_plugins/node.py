@@ -15,11 +15,11 @@ from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.extensions.instrument_plugins.driver import (
     InstrumentDriver,
     Listeners,
+    TableRest,
     instrument_of,
 )
 from rotcal_ros.extensions.instrument_plugins.instrument import InstrumentError, Tracer, Tracker
 from rotcal_ros.extensions.instrument_plugins.settings import InstrumentSettings
-from rotcal_ros.extensions.instrument_plugins.table_rest import TableRest
 from rotcal_ros.foundation.node_state import NodeState
 from rotcal_ros.foundation.observations import Command, ProbeSample, TracerSample
 from rotcal_ros.nodes.capture.instrument_streams import InstrumentTopics

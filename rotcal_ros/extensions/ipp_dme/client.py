@@ -21,25 +21,27 @@ from math import cos, pi, radians, remainder, sin
 from threading import Condition, Lock, Thread
 from typing import Final, NoReturn
 
-from rotcal_ros.extensions.ipp_dme.faults import (
+from rotcal_ros.extensions.ipp_dme.protocol import (
+    END,
+    UNASKED,
     AnswerMissingError,
+    Call,
+    CommandLine,
     ConnectionLostError,
     DmeError,
     DmeFault,
+    Kind,
+    LineBuffer,
     NotClearedError,
     ProtocolError,
     RefusedError,
-)
-from rotcal_ros.extensions.ipp_dme.grammar import Call, Word, call, calls_by_name, parse_values
-from rotcal_ros.extensions.ipp_dme.lines import (
-    END,
-    UNASKED,
-    CommandLine,
-    Kind,
-    LineBuffer,
     ResponseLine,
     Tags,
+    Word,
+    call,
+    calls_by_name,
     parse_response,
+    parse_values,
 )
 from rotcal_ros.extensions.ipp_dme.settings import ALIGN_PART, AUTO, GOTO_R, DmeSettings
 from rotcal_ros.foundation.observations import Approach, TableSample
@@ -206,7 +208,7 @@ class DmeClient:
             return self.settings.turn_by
         answer = self._properties(call("GetDMEVersion")).get("DMEVersion", Call(""))
         self.version = "".join(str(argument) for argument in answer.arguments)
-        return way_to_turn(AUTO, self.version)
+        return way_to_turn(self.version)
 
     def _take_tool(self) -> None:
         """Change to the tool, set how it probes where it can be set, learn its radius."""
@@ -340,13 +342,11 @@ FAR_OFF_DEG: Final = 1.0
 """A table that is farther from its order than this has understood it otherwise."""
 
 
-def way_to_turn(setting: str, version: str) -> str:
+def way_to_turn(version: str) -> str:
     """Return how a server of this version wants its table to be turned.
 
-    Raises DmeError when ``setting`` leaves it to a version that cannot be read.
+    Raises DmeError for a version that cannot be read.
     """
-    if setting != AUTO:
-        return setting
     found = re.match(r"\s*(\d+)(\.|$)", version)
     if found is None:
         raise DmeError(

@@ -21,7 +21,7 @@ from threading import Thread
 from typing import Final
 
 from rotcal_ros.extensions.ipp_dme.client import DmeClient
-from rotcal_ros.extensions.ipp_dme.faults import DmeError, DmeFault
+from rotcal_ros.extensions.ipp_dme.protocol import DmeError, DmeFault
 from rotcal_ros.extensions.ipp_dme.settings import DmeSettings
 from rotcal_ros.foundation.node_state import NodeState, State, Why
 from rotcal_ros.foundation.observations import (

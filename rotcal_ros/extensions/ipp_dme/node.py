@@ -17,7 +17,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.capture.messages import Orders
 from rotcal_ros.extensions.ipp_dme.client import NOT_STARTED
 from rotcal_ros.extensions.ipp_dme.driver import Driver
-from rotcal_ros.extensions.ipp_dme.faults import DmeError
+from rotcal_ros.extensions.ipp_dme.protocol import DmeError
 from rotcal_ros.extensions.ipp_dme.settings import DmeSettings
 from rotcal_ros.foundation.node_state import LOADING, NodeState
 from rotcal_ros.foundation.observations import Command, ProbeSample, TableSample

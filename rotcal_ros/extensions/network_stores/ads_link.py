@@ -12,12 +12,13 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final, Protocol, runtime_checkable
+from typing import Any, Final
 
 import numpy as np
 import pyads
 
 from rotcal_ros.compensation.controller import Controller
+from rotcal_ros.compensation.plain_csv import COLUMNS, PlainCsv
 from rotcal_ros.extensions.network_stores.settings import AdsSettings
 from rotcal_ros.extensions.network_stores.store import NetworkStore
 from rotcal_ros.foundation.arrays import Floats
@@ -27,21 +28,6 @@ REQUESTS_BY_NAME: Final = 3
 """A handle, the value, and the handle given back."""
 
 
-@runtime_checkable
-class ArrayForm(Protocol):
-    """A controller whose table is nothing but rows of numbers: an array can carry it."""
-
-    @property
-    def columns(self) -> int:
-        """Numbers in a row."""
-
-    def rows_of(self, name: str, text: str) -> Floats:
-        """Return the numbers (n, columns) of the file ``name``; BagError when it is damaged."""
-
-    def text_of(self, rows: Floats) -> str:
-        """Return the text of the file that holds ``rows``, the same to the last character."""
-
-
 class AdsLink:
     """A link to one table in a TwinCAT runtime; ``timeout_s`` for each access.
 
@@ -49,7 +35,7 @@ class AdsLink:
     """
 
     def __init__(self, settings: AdsSettings, timeout_s: float, controller: Controller) -> None:
-        if not isinstance(controller, ArrayForm):
+        if not isinstance(controller, PlainCsv):
             raise ConfigurationError(
                 f"bridge.transport ads carries arrays of numbers, and {controller.facts.title} "
                 "has none: choose the controller csv"
@@ -74,15 +60,13 @@ class AdsLink:
         """Replace the table; None takes it away."""
         name = self._only(list(tables))
         text = tables[name]
-        rows = (
-            np.zeros((0, self._form.columns)) if text is None else self._form.rows_of(name, text)
-        )
+        rows = np.zeros((0, COLUMNS)) if text is None else self._form.rows_of(name, text)
         capacity = self._settings.capacity
         if len(rows) > capacity:
             raise ControllerError(
                 f"{self.address}: {len(rows)} rows, the array holds ads.capacity = {capacity}"
             )
-        array = np.zeros((capacity, self._form.columns))
+        array = np.zeros((capacity, COLUMNS))
         array[: len(rows)] = rows
         with self._connected("write") as plc:
             self._set_count(plc, 0)
@@ -104,9 +88,9 @@ class AdsLink:
             raise ControllerError(f"{self.address}: {self._settings.count} does not become {rows}")
 
     def _array(self, plc: Runtime) -> Floats:
-        kind = pyads.PLCTYPE_LREAL * (self._settings.capacity * self._form.columns)
+        kind = pyads.PLCTYPE_LREAL * (self._settings.capacity * COLUMNS)
         values = plc.read(self._settings.table, kind)
-        return np.array(values, dtype=np.float64).reshape(-1, self._form.columns)
+        return np.array(values, dtype=np.float64).reshape(-1, COLUMNS)
 
     def _set_array(self, plc: Runtime, array: Floats) -> None:
         kind = pyads.PLCTYPE_LREAL * array.size

@@ -1,9 +1,9 @@
 """The page as a web application: its files, a stream of events, and what a person may ask for.
 
-Who may ask the page for what: the host by its name, the person by the password, no other site.
-
-A page of another site that a browser shows can send requests to this one. It cannot read the
-token, and the browser tells its origin; a name that it lets point here is no name of ours.
+It is served from a thread of its own. Who may ask for what: the host by its name, the person by
+the password, no other site. A page of another site that a browser shows can send requests to this
+one. It cannot read the token, and the browser tells its origin; a name that it lets point here is
+no name of ours.
 """
 
 from __future__ import annotations
@@ -17,12 +17,14 @@ import time
 from collections.abc import AsyncIterator, Collection
 from concurrent.futures import Future
 from dataclasses import dataclass
-from ipaddress import ip_address
+from ipaddress import IPv6Address, ip_address
 from pathlib import Path
 from secrets import token_urlsafe
+from threading import Thread
 from typing import Any, Final, Protocol
 from urllib.parse import urlsplit
 
+import uvicorn
 from sse_starlette import EventSourceResponse
 from starlette.applications import Starlette
 from starlette.datastructures import Headers, MutableHeaders
@@ -33,8 +35,9 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rotcal_ros.compensation.secret import Secret
-from rotcal_ros.extensions.page.board import Board
-from rotcal_ros.extensions.page.state import PageState, changes
+from rotcal_ros.extensions.page.settings import LOOPBACK, PageSettings
+from rotcal_ros.extensions.page.state import Board, PageState, changes
+from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.escapes import printable_data
 
 STATIC: Final = Path(__file__).with_name("static")
@@ -238,3 +241,70 @@ def _carries(headers: Headers, password: Secret) -> bool:
     except ValueError:  # no base64, no UTF-8, or not even ASCII
         return False
     return scheme.lower() == "basic" and password.is_in(given)
+
+
+CLOSING_S: Final = 2
+"""For viewers to be told the end."""
+MOST_VIEWERS: Final = 64
+
+
+class PageServer:
+    """Serves a board from its construction on; ``address`` is what a browser opens.
+
+    Raises ConfigurationError when the port is taken or the password cannot be read.
+    """
+
+    def __init__(self, settings: PageSettings, board: Board, actions: Actions) -> None:
+        password = Secret(Path(settings.password_file)) if settings.password_file else None
+        host = LOOPBACK if settings.host == "localhost" else settings.host
+        listening = _listen(host, settings.port)
+        port = listening.getsockname()[1]
+        self.address = f"http://{_name(host)}:{port}"
+        self._board = board
+        self._server = uvicorn.Server(
+            uvicorn.Config(
+                make_app(board, actions, host, password),
+                log_level="warning",
+                lifespan="off",
+                limit_concurrency=MOST_VIEWERS,
+                timeout_graceful_shutdown=CLOSING_S,
+                server_header=False,
+            )
+        )
+        self._thread = Thread(
+            target=self._server.run, args=([listening],), name="page", daemon=True
+        )
+        self._thread.start()
+
+    def close(self) -> None:
+        """Tell all viewers that the cell has been switched off, and end."""
+        self._board.show(ended=True)
+        self._server.should_exit = True
+
+    @property
+    def closed(self) -> bool:
+        """Whether nobody is served any more."""
+        return not self._thread.is_alive()
+
+
+def _name(host: str) -> str:
+    """Return how a browser calls a host; all interfaces together go by the machine's name."""
+    if ip_address(host).is_unspecified:
+        return socket.gethostname()
+    return f"[{host}]" if ":" in host else host
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    family = socket.AF_INET6 if isinstance(ip_address(host), IPv6Address) else socket.AF_INET
+    listening = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind((host, port))
+        listening.listen()
+    except OSError as error:
+        listening.close()
+        raise ConfigurationError(
+            f"the page cannot be served on {host}, port {port}: {error.strerror}; choose another "
+            "page.port, or 0 for any free one"
+        ) from error
+    return listening

@@ -10,8 +10,7 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from types import FrameType
-from typing import Any, Final, NoReturn
+from typing import Any, Final
 
 import click
 
@@ -110,7 +109,7 @@ def replay(bag: Path, options: Sequence[str]) -> dict[str, Any]:
     """
     command = [sys.executable, "-m", "rotcal_ros.extensions.replay.node", str(bag), *options]
     environment = {"PYTHONUNBUFFERED": "1", "ROTCAL_SUPERVISOR": str(os.getpid())}
-    previous = signal.signal(signal.SIGTERM, _interrupt)
+    previous = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         with (
             tempfile.TemporaryDirectory(prefix="rotcal-replay-") as folder,
@@ -122,10 +121,6 @@ def replay(bag: Path, options: Sequence[str]) -> dict[str, Any]:
         return {"interrupted": True}
     finally:
         signal.signal(signal.SIGTERM, previous)
-
-
-def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
-    raise KeyboardInterrupt
 
 
 def _followed(processes: Processes) -> dict[str, Any]:

@@ -23,8 +23,8 @@ from rotcal_ros.capture import messages
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.export import standing
 from rotcal_ros.compensation.feed import Applied, Feed
-from rotcal_ros.compensation.resample import Correction
 from rotcal_ros.compensation.secret import Secret
+from rotcal_ros.compensation.table import Correction
 from rotcal_ros.foundation.errors import ControllerError, DataError, RotcalError
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.in_force import UNKNOWN

@@ -14,8 +14,7 @@ from fleet_bags import configuration_text, write_bag, write_fleet
 
 from rotcal_ros.extensions.fleet.bag_search import find_bags
 from rotcal_ros.extensions.fleet.batch_solving import Job, solve_bag
-from rotcal_ros.extensions.fleet.overview import write_overview
-from rotcal_ros.extensions.fleet.queries import bags_by_table, connected
+from rotcal_ros.extensions.fleet.overview import bags_by_table, connected, write_overview
 from rotcal_ros.extensions.fleet.results_dataset import ResultsDataset
 from rotcal_ros.extensions.fleet.workers import on_all_cores
 from rotcal_ros.methods.configuration import parse_configuration

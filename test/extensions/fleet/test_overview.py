@@ -13,8 +13,7 @@ import pyarrow.parquet as parquet
 from browser import launched
 
 from rotcal_ros.extensions.fleet import overview
-from rotcal_ros.extensions.fleet.overview import PAGE, write_overview
-from rotcal_ros.extensions.fleet.queries import bags_by_table, connected
+from rotcal_ros.extensions.fleet.overview import PAGE, bags_by_table, connected, write_overview
 from rotcal_ros.extensions.fleet.results_dataset import _schema
 
 pytestmark = pytest.mark.usefixtures("without_figures")

@@ -14,6 +14,7 @@ from rotcal_ros.extensions.instrument_plugins import driver
 from rotcal_ros.extensions.instrument_plugins.driver import (
     InstrumentDriver,
     Listeners,
+    TableRest,
     instrument_of,
 )
 from rotcal_ros.extensions.instrument_plugins.instrument import (
@@ -24,7 +25,6 @@ from rotcal_ros.extensions.instrument_plugins.instrument import (
     Tracker,
 )
 from rotcal_ros.extensions.instrument_plugins.settings import InstrumentSettings
-from rotcal_ros.extensions.instrument_plugins.table_rest import TableRest
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.foundation.node_state import Why

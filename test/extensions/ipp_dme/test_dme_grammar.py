@@ -4,23 +4,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rotcal_ros.extensions.ipp_dme.faults import DmeError, ProtocolError
-from rotcal_ros.extensions.ipp_dme.grammar import (
-    Call,
-    Word,
-    call,
-    parse_call,
-    parse_values,
-    written,
-)
-from rotcal_ros.extensions.ipp_dme.lines import (
+from rotcal_ros.extensions.ipp_dme.protocol import (
     LONGEST,
+    Call,
+    DmeError,
     Kind,
     LineBuffer,
+    ProtocolError,
     ResponseLine,
     Tags,
+    Word,
+    call,
     is_tag,
+    parse_call,
     parse_response,
+    parse_values,
+    written,
 )
 
 

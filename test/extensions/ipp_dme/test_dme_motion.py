@@ -7,7 +7,7 @@ import pytest
 
 from rotcal_ros.extensions.ipp_dme.client import TableAxis, standing_of, way_to_turn
 from rotcal_ros.extensions.ipp_dme.driver import Go, Touch, around_ball
-from rotcal_ros.extensions.ipp_dme.faults import DmeError, ProtocolError
+from rotcal_ros.extensions.ipp_dme.protocol import DmeError, ProtocolError
 from rotcal_ros.extensions.ipp_dme.settings import DmeSettings
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.planning.table_motion import TableSpeed
@@ -18,11 +18,10 @@ def axis(turn_by="goto_r", **settings):
 
 
 def test_the_version_says_how_a_table_is_turned_unless_a_setting_does():
-    assert [way_to_turn("auto", v) for v in ("1.4.3", "1.4", "1.70")] == ["align_part"] * 3
-    assert [way_to_turn("auto", v) for v in ("2.0", "2.5", "2")] == ["goto_r"] * 3
-    assert way_to_turn("goto_r", "1.4") == "goto_r"
+    assert [way_to_turn(v) for v in ("1.4.3", "1.4", "1.70")] == ["align_part"] * 3
+    assert [way_to_turn(v) for v in ("2.0", "2.5", "2")] == ["goto_r"] * 3
     with pytest.raises(DmeError, match=r"set dme\.turn_by to goto_r or align_part"):
-        way_to_turn("auto", "two")
+        way_to_turn("two")
 
 
 def test_angles_become_r_with_zero_and_sign():

@@ -6,7 +6,7 @@ import socket
 import pytest
 from dme_plates import simulated_cell, small
 
-from rotcal_ros.extensions.ipp_dme.lines import Kind, parse_response
+from rotcal_ros.extensions.ipp_dme.protocol import Kind, parse_response
 from rotcal_ros.extensions.ipp_dme.server import DmeServer, serving
 from rotcal_ros.foundation.errors import ControllerError
 

@@ -6,7 +6,7 @@ import pytest
 from wire import ANSWERS, DEADLINE_S, wait_for
 
 from rotcal_ros.extensions.ipp_dme.client import DmeClient
-from rotcal_ros.extensions.ipp_dme.faults import DmeError, NotClearedError
+from rotcal_ros.extensions.ipp_dme.protocol import DmeError, NotClearedError
 from rotcal_ros.extensions.ipp_dme.settings import DmeSettings
 from rotcal_ros.foundation.observations import Approach
 

@@ -4,7 +4,7 @@ import socket
 import time
 from threading import Thread
 
-from rotcal_ros.extensions.ipp_dme.grammar import parse_call
+from rotcal_ros.extensions.ipp_dme.protocol import parse_call
 from rotcal_ros.foundation.machine_load import patient
 
 ANSWERS = {

@@ -13,9 +13,8 @@ from starlette.testclient import TestClient
 from rotcal_ros.compensation.secret import Secret
 from rotcal_ros.extensions.page import app as page_app
 from rotcal_ros.extensions.page.app import STATIC, Answer, make_app
-from rotcal_ros.extensions.page.board import Board
 from rotcal_ros.extensions.page.settings import PageSettings
-from rotcal_ros.extensions.page.state import Cell, LogLine, Now, PageState, changes
+from rotcal_ros.extensions.page.state import Board, Cell, LogLine, Now, PageState, changes
 from rotcal_ros.foundation.errors import ConfigurationError
 
 ORIGIN = "http://127.0.0.1:8000"

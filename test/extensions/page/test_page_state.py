@@ -5,9 +5,15 @@ from dataclasses import replace
 
 import pytest
 
-from rotcal_ros.extensions.page.board import Board, Course
-from rotcal_ros.extensions.page.headline import HeardPlanner, now
-from rotcal_ros.extensions.page.state import Now, PageState, ShownOffer
+from rotcal_ros.extensions.page.state import (
+    Board,
+    Course,
+    HeardPlanner,
+    Now,
+    PageState,
+    ShownOffer,
+    now,
+)
 from rotcal_ros.foundation.node_state import NodeState, State, Why
 
 OFFER = ShownOffer("abc", "def", "ok", "", "", "", "", applied=False)

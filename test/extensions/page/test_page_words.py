@@ -5,11 +5,10 @@ import re
 import pytest
 from browser import launched
 
-from rotcal_ros.extensions.page.app import Answer
-from rotcal_ros.extensions.page.board import Board
-from rotcal_ros.extensions.page.server import PageServer
+from rotcal_ros.extensions.page.app import Answer, PageServer
 from rotcal_ros.extensions.page.settings import PageSettings
 from rotcal_ros.extensions.page.state import (
+    Board,
     Curve,
     Deviations,
     Now,

@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
-from rotcal_ros.extensions.instrument_plugins import check as plugin_check
+from rotcal_ros.extensions.instrument_plugins import driver as plugin_driver
 from rotcal_ros.extensions.instrument_plugins.instrument import Tracer, Tracker
 from rotcal_ros.methods.configuration import changed, read_configuration
 from rotcal_ros.nodes.check.snapshot import brought, brought_line, driver_lines
@@ -81,7 +81,7 @@ def test_a_driver_that_is_here_is_asked_for_nothing():
     ],
 )  # fmt: skip
 def test_a_plug_in_is_made_and_not_connected(monkeypatch, kinds, words, roles):
-    monkeypatch.setattr(plugin_check, "instrument_of", lambda _: instrument(*kinds))
+    monkeypatch.setattr(plugin_driver, "instrument_of", lambda _: instrument(*kinds))
     cell = heard(changed(TRACER, PLUGIN))
     (line,) = driver_lines(cell)
     assert (line.state, line.found) == ("open", f"plug-in acme, 10.0.0.5:700: {words}")

@@ -6,7 +6,7 @@ import math
 import shutil
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from rotcal_msgs.msg import DeviationArray
@@ -147,8 +147,3 @@ def _free_gb(folder: Path) -> float | None:
         return round(shutil.disk_usage(folder).free / 1e9, 1)
     except OSError:
         return None
-
-
-def number(value: Any) -> float | None:
-    """Return a number, or None where it is not known."""
-    return float(value) if value is not None and math.isfinite(value) else None

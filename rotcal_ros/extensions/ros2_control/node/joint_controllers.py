@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import Final, Protocol
+from typing import Final
 
 from builtin_interfaces.msg import Duration
 from std_msgs.msg import Float64MultiArray
@@ -31,26 +32,34 @@ class ControllerReport:
     done: bool = False
 
 
-class JointController(Protocol):
+class JointController(ABC):
     """Accepts ways to go; a new one replaces the present one."""
 
+    @abstractmethod
     def heard(self) -> bool:
         """Return whether a controller receives what is sent."""
 
-    def setpoint(self) -> tuple[float, float] | None:
-        """Return where (rad) and how fast (rad/s) it was sent last on its way, if known."""
-
+    @abstractmethod
     def send(self, way: Way) -> None:
         """Start the joint on a way."""
 
-    def forget(self) -> None:
-        """Send nothing more of the present way."""
-
+    @abstractmethod
     def halt(self) -> str:
         """End the present way though the position is not known; return what was done."""
 
+    def setpoint(self) -> tuple[float, float] | None:
+        """Return where (rad) and how fast (rad/s) it was sent last on its way, if known.
+
+        None also for a controller that goes over from one way to the next by itself.
+        """
+        return None
+
+    def forget(self) -> None:  # noqa: B027  a controller that has it all ends it by itself
+        """Send nothing more of the present way."""
+
     def report(self) -> ControllerReport:
-        """Return what the controller says of the latest way."""
+        """Return what the controller says of the latest way; a topic has no answer."""
+        return ControllerReport()
 
 
 def interface_of(settings: TableAdapterSettings) -> str:
@@ -78,7 +87,7 @@ def trajectory_message(joint: str, way: Way) -> JointTrajectory:
     return JointTrajectory(joint_names=[joint], points=points)
 
 
-class TrajectoryController:
+class TrajectoryController(JointController):
     """joint_trajectory_controller: all stops at once, each with time and no velocity."""
 
     def __init__(self, node: CellNode, controller: str, joint: str) -> None:
@@ -91,26 +100,16 @@ class TrajectoryController:
         """Return whether a controller receives what is sent."""
         return bool(self._publisher.get_subscription_count())
 
-    def setpoint(self) -> None:
-        """Return None: the controller goes over from one trajectory to the next by itself."""
-
     def send(self, way: Way) -> None:
         """Publish it."""
         self._publisher.publish(trajectory_message(self._joint, way))
-
-    def report(self) -> ControllerReport:
-        """Return nothing: a topic has no answer."""
-        return ControllerReport()
-
-    def forget(self) -> None:
-        """Do nothing: the controller has the whole trajectory, and ends it by itself."""
 
     def halt(self) -> str:
         """Do nothing: only a new target replaces the trajectory, an empty one is refused."""
         return "a trajectory sent by topic cannot be taken back, it goes on to its end"
 
 
-class PositionController:
+class PositionController(JointController):
     """A controller that passes positions on at once: it gets the way in small steps."""
 
     def __init__(self, node: CellNode, controller: str, joint: str) -> None:
@@ -139,10 +138,6 @@ class PositionController:
         """Leave the joint where it was sent last."""
         self.forget()
         return "it is sent no more positions"
-
-    def report(self) -> ControllerReport:
-        """Return nothing: a topic has no answer."""
-        return ControllerReport()
 
     def _step(self) -> None:
         """Publish where the joint shall be now; the last position once."""

@@ -11,6 +11,7 @@ from rclpy.action import ActionClient
 
 from rotcal_ros.extensions.ros2_control.node.joint_controllers import (
     ControllerReport,
+    JointController,
     trajectory_message,
 )
 from rotcal_ros.foundation.escapes import printable
@@ -30,7 +31,7 @@ MOST_SAID: Final = 200
 """Characters of a controller's own words that are passed on."""
 
 
-class GoalController:
+class GoalController(JointController):
     """joint_trajectory_controller by its action. The tolerances are those of the controller."""
 
     def __init__(self, node: CellNode, controller: str, joint: str) -> None:
@@ -47,18 +48,12 @@ class GoalController:
         """Return whether the action is offered."""
         return bool(self._client.server_is_ready())
 
-    def setpoint(self) -> None:
-        """Return None: the controller goes over from one trajectory to the next by itself."""
-
     def send(self, way: Way) -> None:
         """Send a goal; the controller gives up the previous one by itself."""
         self._latest, self._handle, self._report = way, None, ControllerReport()
         goal = FollowJointTrajectory.Goal(trajectory=trajectory_message(self._joint, way))
         answer = self._client.send_goal_async(goal)
         answer.add_done_callback(self._guarded(partial(self._answered, way)))
-
-    def forget(self) -> None:
-        """Do nothing: the controller has the whole goal, and ends it by itself."""
 
     def halt(self) -> str:
         """Cancel the goal, also one that is not accepted yet: the controller holds the joint."""

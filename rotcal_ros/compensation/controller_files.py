@@ -1,16 +1,23 @@
-"""Rows of a table for writers: columns in degrees, and what a controller's file demands."""
+"""What the files of controllers have in common: rows to write, parsing, and the usual rule.
+
+Columns are in degrees; an error of parsing names file and row. The rule of most controls is linear
+between the rows of one turn, the same in every turn.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from re import Match
 
 import numpy as np
 
-from rotcal_ros.compensation.resample import averaged
-from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.compensation.table import CompensationTable, averaged
+from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, TURN
-from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.errors import BagError, ConfigurationError
+from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 
@@ -117,3 +124,103 @@ def _nearby(spacing_deg: float, step_deg: float) -> str:
     ]
     best = sorted(sorted(whole, key=lambda k: abs(360.0 / k - spacing_deg))[:2])
     return " or ".join(f"{360.0 / k:.9g}" for k in best)
+
+
+def only_file(files: Mapping[str, str], suffix: str) -> tuple[str, str]:
+    """Return name and text of the one file ending with ``suffix``; raises BagError."""
+    found = [name for name in files if name.upper().endswith(suffix.upper())]
+    if len(found) != 1:
+        raise BagError(
+            f"{len(found)} files end with {suffix}, expected one, among {', '.join(files) or '-'}"
+        )
+    return found[0], files[found[0]]
+
+
+def parse_rows(name: str, lines: list[str], columns: int, separator: str | None) -> Floats:
+    """Return :func:`numbers` of at least two rows whose first column ascends."""
+    data = numbers(name, lines, columns, separator)
+    if len(data) < 2:
+        raise BagError(f"{name}: {len(data)} rows, expected at least 2")
+    falling = np.diff(data[:, 0]) <= 0.0
+    if np.any(falling):
+        row = int(np.argmax(falling)) + 2
+        raise BagError(f"{name}, row {row}: the position does not ascend from the row before")
+    return data
+
+
+def numbers(name: str, lines: list[str], columns: int, separator: str | None) -> Floats:
+    """Return the numbers (n, columns) of ``lines``; BagError names file and row."""
+    rows = []
+    for row, line in enumerate(lines, start=1):
+        cells = line.split(separator)
+        if len(cells) != columns:
+            raise BagError(f"{name}, row {row}: {len(cells)} columns, expected {columns}")
+        rows.append([number(cell, f"{name}, row {row}") for cell in cells])
+    return np.array(rows, dtype=np.float64).reshape(-1, columns)
+
+
+def matches(name: str, text: str, pattern: str, example: str) -> Iterator[tuple[str, Match[str]]]:
+    """Yield place and match of every line of ``text``; BagError for one unlike ``example``."""
+    for row, line in enumerate(text.splitlines(), start=1):
+        match = re.fullmatch(pattern, line.strip())
+        if match is None:
+            raise BagError(f"{name}, line {row}: {line!r} is not a line such as {example}")
+        yield f"{name}, line {row}", match
+
+
+def number(text: str, where: str) -> float:
+    """Return ``text`` as a finite number, or raise BagError naming ``where``."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not np.isfinite(value):
+        raise BagError(f"{where}: found {text.strip()!r}, expected a number")
+    return value
+
+
+def integer(text: str, where: str) -> int:
+    """Return ``text`` as a whole number, or raise BagError naming ``where``."""
+    try:
+        return int(text)
+    except ValueError as error:
+        raise BagError(f"{where}: found {text.strip()!r}, expected a whole number") from error
+
+
+def periodic(angle: Floats, rows_deg: Floats, values: Floats | Ints) -> Floats:
+    """Interpolate ``values`` at ``rows_deg`` 0 .. 360 linearly at ``angle`` (rad) of any turn."""
+    within = np.mod(np.asarray(angle) / DEGREE, 360.0)
+    return np.asarray(np.interp(within, rows_deg, values), dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class PeriodicTable:
+    """The numbers (n,) that ``file`` holds for each direction at rows (n,) 0 .. 360 deg.
+
+    The correction is ``unit`` (rad) times the number; ``unit`` is negative when the file holds
+    actual - commanded. Raises BagError unless the rows ascend from 0 to 360 and the table closes.
+    """
+
+    file: str
+    rows_deg: Floats
+    forward: Floats | Ints
+    reverse: Floats | Ints
+    unit: float
+
+    def __post_init__(self) -> None:
+        rows = self.rows_deg
+        if len(rows) < 2 or np.any(np.diff(rows) <= 0.0) or (rows[0], rows[-1]) != (0.0, 360.0):
+            raise BagError(f"{self.file}: expected positions that ascend from 0 to 360 deg")
+        for column in (self.forward, self.reverse):
+            if len(column) != len(rows):
+                raise BagError(f"{self.file}: {len(column)} values for {len(rows)} positions")
+            if column[0] != column[-1]:
+                raise BagError(
+                    f"{self.file} does not close: it holds {column[0]} at 0 and {column[-1]} at "
+                    "360 deg, expected the same"
+                )
+
+    def correction(self, angle: Floats, approach: Approach) -> Floats:
+        """Return the radians that the control adds to the command at ``angle`` (rad)."""
+        column = self.forward if approach is Approach.POSITIVE else self.reverse
+        return periodic(angle, self.rows_deg, column) * self.unit
