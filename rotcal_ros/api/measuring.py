@@ -109,7 +109,7 @@ def solve(observations: Iterable[Observation], configuration: Configuration) -> 
 
 
 def _require_simulation(configuration: Configuration) -> None:
-    """Raise ConfigurationError where the result would pass for that of a real cell."""
+    """Raise ConfigurationError if the result would pass for that of a real cell."""
     if not configuration.simulated:
         raise ConfigurationError(
             f"{configuration.source} has no group 'simulation': it describes a real cell; add "

@@ -105,7 +105,7 @@ _BLOCK_BYTES: Final = 4 << 20
 
 
 def decompressor(mode: str, compression: str) -> Unpack | None:
-    """Return what unpacks the messages of a bag; None where they are as they were published.
+    """Return what unpacks the messages of a bag; None if they are as they were published.
 
     ``mode`` and ``compression`` are rosbag2's ``compression_mode`` and ``compression_format``.
     Raises BagError for a format that cannot be unpacked.

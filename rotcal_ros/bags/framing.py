@@ -352,7 +352,7 @@ def is_sound(
 
 
 def _end(head: bytes, offset: int, size: int) -> int | None:
-    """Return where the record that begins with ``head`` ends, or None where it is none."""
+    """Return where the record that begins with ``head`` ends, or None if it is none."""
     if len(head) < mcap.HEADER_SIZE:
         return None
     opcode, length = mcap.record_header.unpack_from(head)

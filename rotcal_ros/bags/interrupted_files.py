@@ -70,7 +70,7 @@ JOURNAL_SUFFIX: Final = ".closing"
 class InterruptedSession:
     """What an interrupted session left: its ``files`` for the writer that continues it.
 
-    ``session`` is its identity, empty where nothing says one. Nothing is changed before
+    ``session`` is its identity, empty if nothing says one. Nothing is changed before
     :meth:`close`.
     """
 

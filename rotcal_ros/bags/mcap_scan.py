@@ -461,7 +461,7 @@ class MemoryBudget:
         self._costs: dict[Hashable, int] = {}
 
     def check_record(self, content: bytes) -> None:
-        """Raise DamagedRecord where parsing the record may take more memory than is allowed."""
+        """Raise DamagedRecord if parsing the record may take more memory than is allowed."""
         if len(content) > self._limit // _PARSING_FACTOR:
             what = f"definitions or metadata have {len(content)} bytes"
             raise DamagedRecord(refusal(what, "kept_bytes", _PARSING_FACTOR * len(content)))
@@ -521,7 +521,7 @@ class Definitions:
         self._channels_of_schema: defaultdict[int, set[int]] = defaultdict(set)
 
     def add(self, record: Schema | Channel, trust: Trust) -> str | None:
-        """Add a schema or channel; return what is wrong with it, None where nothing is."""
+        """Add a schema or channel; return what is wrong with it, None if nothing is."""
         if isinstance(record, Schema):
             return self._add_schema(record, trust)
         return self._add_channel(record, trust)

@@ -225,7 +225,7 @@ def finish_interrupted(folder: Path) -> None:
 def _compression_mode(files: Iterable[Path], old: BagDescription | None) -> str:
     """Return rosbag2's name of how the bag is compressed: only zstd can be read.
 
-    Raises BagError where some files are compressed as a whole and others are not.
+    Raises BagError if some files are compressed as a whole and others are not.
     """
     packed = {plain_name(file) != file for file in files}
     if len(packed) > 1:

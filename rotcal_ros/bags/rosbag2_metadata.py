@@ -167,7 +167,7 @@ _LARGEST_COUNT: Final = 1 << 63
 
 @dataclass(frozen=True, slots=True)
 class FileEntry:
-    """What a description says of one file: times in ns; None where it does not say (before 5)."""
+    """What a description says of one file: times in ns; None if it does not say (before 5)."""
 
     name: str
     messages: int | None = None

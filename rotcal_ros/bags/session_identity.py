@@ -27,7 +27,7 @@ class FileHead:
     """What the beginning of a file says of the session that it belongs to.
 
     ``stated`` is the identity that the recorder gave, ``configuration`` the hash of the attached
-    one, ``item`` what is measured: empty where the file does not say. ``first_ns`` is the log time
+    one, ``item`` what is measured: empty if the file does not say. ``first_ns`` is the log time
     of the first message, ``begins`` whether the file is the first one of its session.
     """
 

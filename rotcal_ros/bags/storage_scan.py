@@ -176,7 +176,7 @@ class Scan(StorageContents, ABC):
     """
 
     def __init__(self, path: Path) -> None:
-        """Read nothing yet; raises BagError where ``path`` is a pipe or a device: it may block."""
+        """Read nothing yet; raises BagError if ``path`` is a pipe or a device: it may block."""
         try:
             require_plain(path)
         except OSError as error:

@@ -51,7 +51,7 @@ _LARGEST: Final = (1 << 63) - 1
 
 @dataclass(frozen=True)
 class TimeOrder:
-    """The order of a bag: ``sort_by`` is LOG, PUBLISH or STAMP, None where it is good as it is.
+    """The order of a bag: ``sort_by`` is LOG, PUBLISH or STAMP, None if it is good as it is.
 
     ``back`` is how often log times of one channel go back by a second or more, ``back_ns`` how far
     at most, ``apart_ns`` how far messages stand behind later ones. ``doubtful``: the log times are

@@ -379,7 +379,7 @@ class WatchedFiles:
         self._expected[path] = (*self._expected[path][:2], size)
 
     def disturbance(self) -> str | None:
-        """Return what somebody else did to the files, None where all is as expected."""
+        """Return what somebody else did to the files, None if all is as expected."""
         # Asked first: a folder that is gone cannot be written either, which the files say better.
         may_write = disk.may_write(self._folder)
         for path, expected in self._expected.items():

@@ -26,7 +26,7 @@ PATIENCE_S: Final = 2.0
 class Origin:
     """Where a message comes from: its publisher, and its number among the publisher's messages.
 
-    ``publisher`` is empty and ``number`` None where the middleware does not provide them.
+    ``publisher`` is empty and ``number`` None if the middleware does not provide them.
     """
 
     publisher: str = ""
@@ -82,7 +82,7 @@ def started_anew(began: Offers, now: Offers) -> dict[str, list[str]]:
 class Intruder:
     """A publisher that is not accepted on a ``topic``, and how many of its messages were ignored.
 
-    ``since_s`` is the time of the first one; ``publisher`` is empty where that is not known.
+    ``since_s`` is the time of the first one; ``publisher`` is empty if that is not known.
     """
 
     topic: str
@@ -192,7 +192,7 @@ class PlansHeard(Generic[T]):
     def judged(self, goals_run: str | None, now_s: float) -> Iterator[tuple[T, Whose]]:
         """Yield each plan once, as soon as it is known whose it is.
 
-        ``goals_run`` is the run of the planner's goal, "" where it has none, and None where no
+        ``goals_run`` is the run of the planner's goal, "" where it has none, and None if no
         planner has been heard of.
         """
         for run, waiting in tuple(self._waiting.items()):

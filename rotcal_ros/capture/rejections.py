@@ -35,7 +35,7 @@ class Commonest:
 
     @classmethod
     def of(cls, reasons: Iterable[str]) -> Commonest | None:
-        """Return the commonest kind, with its latest example; None where there is no reason."""
+        """Return the commonest kind, with its latest example; None if there is no reason."""
         examples = {}
         kinds: Counter[str] = Counter()
         for reason in reasons:
@@ -117,7 +117,7 @@ class FailedSteps:
             self._steps.clear()
 
     def check(self) -> None:
-        """Raise TooManyFailedError where the calibration is to be given up."""
+        """Raise TooManyFailedError if the calibration is to be given up."""
         hidden = [step for step, reasons in self._steps if all(map(_in_the_beam, reasons))]
         failed = len(self._steps)
         if not self.limit or max(failed - len(hidden), failed / HIDDEN) < self.limit:

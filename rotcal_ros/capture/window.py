@@ -56,7 +56,7 @@ _STATUS_FAULT = {
 
 @dataclass(frozen=True, slots=True)
 class ReducedWindow:
-    """Numbers of a window, empty where there are none, and the ``reason`` to reject it, if any."""
+    """Numbers of a window, empty if there are none, and the ``reason`` to reject it, if any."""
 
     mean: tuple[float, ...] = ()
     std: tuple[float, ...] = ()

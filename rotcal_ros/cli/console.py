@@ -67,12 +67,6 @@ def draw(output: Path, forms: Mapping[str, Callable[[], str]]) -> None:
     say(f"drawn: {output.absolute()}")
 
 
-def print_line(text: str) -> None:
-    """Print a line, if there is anything to say."""
-    if text:
-        tell(text)
-
-
 def print_outcome(outcome: Mapping[str, Any], *, as_json: bool = False) -> int:
     """Print how a calibration ended and where everything is; return its exit code."""
     if outcome.get("interrupted"):
@@ -90,7 +84,8 @@ def print_outcome(outcome: Mapping[str, Any], *, as_json: bool = False) -> int:
         print_marks(outcome["marks"], ", ".join(parts))
         for name, path in outcome.get("files", {}).items():
             tell(f"{name + ':':<14}{path}")
-        print_line(outcome.get("goal_line", ""))
+        if goal_line := outcome.get("goal_line"):
+            tell(goal_line)
     return VERDICT_EXIT_CODES[outcome["verdict"]]
 
 

@@ -89,7 +89,7 @@ reference_option: Final = click.option(
 def polygon_faces(polygon: Path | None, sources: Iterable[Path]) -> MeasuredCurve | None:
     """Return the calibrated faces in the file ``polygon``, if one is given.
 
-    Raises UsageError where no reference table is among ``sources`` to take them off.
+    Raises UsageError if no reference table is among ``sources`` to take them off.
     """
     if polygon is None:
         return None
@@ -203,7 +203,7 @@ def _beginning(names: tuple[str, ...], typed: str) -> list[CompletionItem]:
 
 
 def _seen(folder: Path) -> list[Path]:
-    """Return what is in a folder and not hidden; nothing where it may not be read."""
+    """Return what is in a folder and not hidden; nothing if it may not be read."""
     try:
         return sorted(path for path in folder.iterdir() if not path.name.startswith("."))
     except OSError:

@@ -437,7 +437,7 @@ def _std(error: float) -> str:
 
 
 def forecast_dict(forecast: OrderForecast) -> dict[str, Any]:
-    """Return the forecast in SI; None where nothing is found, or nothing bounds an error."""
+    """Return the forecast in SI; None if nothing is found, or nothing bounds an error."""
     return {
         "unseen_std": {
             "drift": _finite(forecast.drift_unseen),

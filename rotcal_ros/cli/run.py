@@ -61,7 +61,7 @@ def command(
     from rotcal_ros.sessions.attaching import Viewers
     from rotcal_ros.sessions.lasting_output import go_to_background, lasting_output
     from rotcal_ros.sessions.processes import page_can_be_served, require_ros
-    from rotcal_ros.sessions.products import goal_line, write_products
+    from rotcal_ros.sessions.products import goal_standing, write_products
     from rotcal_ros.sessions.resume import resume_session
     from rotcal_ros.sessions.running import calibrate
     from rotcal_ros.sessions.session import prepare_session
@@ -90,7 +90,8 @@ def command(
                 session, report=not no_report, export=not no_export, tell=viewers.say
             )
             seconds = round(time.monotonic() - started, 1)
-            goal = goal_line(session.folder)
-            outcome |= {"seconds": seconds, "files": files, "goal_line": goal}
+            standing = goal_standing(session.folder)
+            goal_line = "" if standing is None else standing.in_words()
+            outcome |= {"seconds": seconds, "files": files, "goal_line": goal_line}
         viewers.end(outcome)
         return print_outcome(outcome, as_json=as_json)

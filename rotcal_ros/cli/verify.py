@@ -15,7 +15,6 @@ from rotcal_ros.cli.console import (
     VERDICT_EXIT_CODES,
     json_option,
     path_type,
-    print_line,
     print_verdict,
 )
 from rotcal_ros.cli.options import configurations, controller_names
@@ -127,7 +126,7 @@ def _verify(folder: Path, as_json: bool) -> int:
     from rotcal_ros.foundation.session_folder import VERIFICATION, SessionFolder
     from rotcal_ros.report.verification import verification_section
     from rotcal_ros.sessions.lasting_output import lasting_output
-    from rotcal_ros.sessions.products import goal_line, write_report
+    from rotcal_ros.sessions.products import goal_standing, write_report
     from rotcal_ros.sessions.verification import verify
 
     click.get_current_context().with_resource(lasting_output(folder / "verify.log"))
@@ -146,7 +145,8 @@ def _verify(folder: Path, as_json: bool) -> int:
         tell(f"verification:  {folder / VERIFICATION}")
         tell(f"report:        {session.report}")
         _print(verification)
-        print_line(goal_line(session))
+        if (standing := goal_standing(session)) is not None:
+            tell(standing.in_words())
     return VERDICT_EXIT_CODES[verification.verdict]
 
 

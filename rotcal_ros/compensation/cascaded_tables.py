@@ -41,7 +41,7 @@ def combined(
 ) -> CompensationTable:
     """Return the table that ``table``, a measurement, becomes for a controller.
 
-    ``in_force`` returns the table that it may be added to, None where there is none. A table that
+    ``in_force`` returns the table that it may be added to, None if there is none. A table that
     was measured with none in force replaces; one that was measured on top of another is added to
     that very one, unless the measurement shows that the one in force does not act as it should
     (:mod:`.effect`). Where it is not known what was in force, the ``word`` of a person decides.
@@ -76,7 +76,7 @@ def combined(
 
 
 def _refuse_word(table: CompensationTable, word: Combination) -> None:
-    """Raise DataError where the ``word`` does not fit what is known, or is missing."""
+    """Raise DataError if the ``word`` does not fit what is known, or is missing."""
     if table.adds_to:
         raise DataError(f"the table contains the table {table.adds_to[:12]} already")
     if table.measured_on == UNKNOWN and word == "as_measured":

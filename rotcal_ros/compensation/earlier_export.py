@@ -79,7 +79,7 @@ def read_earlier(folder: Path, controller_name: str, axis: str) -> HeldTable:
 def effect_in_force(result: Result, folder: Path) -> Effect | None:
     """Return what ``result`` says of the table on which it was measured, whose files are there.
 
-    Raises ConfigurationError where ``folder`` does not hold this very table.
+    Raises ConfigurationError if ``folder`` does not hold this very table.
     """
     pairs = {(side["controller"], side["axis"]) for side in map(_side, _sides(folder))}
     held = [read_earlier(folder, controller, axis) for controller, axis in sorted(pairs)]

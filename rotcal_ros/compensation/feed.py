@@ -67,7 +67,7 @@ class Feed:
 
     ``now_ns`` returns the time (ns since 1970). ``store`` replaces that of the settings.
     ``simulated``: the cell is simulated, so that its tables may be too. ``serial`` is the number
-    of the item in the cell, empty where it is not known, ``stated`` what its settings say is in
+    of the item in the cell, empty if it is not known, ``stated`` what its settings say is in
     force.
     """
 
@@ -116,7 +116,7 @@ class Feed:
         self.offer = None
 
     def refuse_simulated(self) -> None:
-        """Raise DataError where the offered table is simulated and the cell is real."""
+        """Raise DataError if the offered table is simulated and the cell is real."""
         if self.offer is not None and self.offer.table.simulated and not self._takes_simulated:
             raise DataError(
                 "the table is SIMULATED, no instrument measured it, and this is the bridge of a "
@@ -356,7 +356,7 @@ class Feed:
         return tuple(stem + suffix for suffix in (*suffixes, PROVENANCE)) if suffixes else ()
 
     def _held(self) -> HeldTable | None:
-        """Return the table in force, None where there is none."""
+        """Return the table in force, None if there is none."""
         if not self.settings.controller_folder or self.in_force() in (NONE, UNKNOWN):
             return None
         return held_table(self._controller, self._present())
@@ -570,7 +570,7 @@ MAX_AHEAD_NS: Final = 1_000_000_000
 class TableOffer:
     """A table, made at ``stamp_ns``, and the files that it becomes when it is applied.
 
-    ``paths`` are those for people, empty where none are written. ``files`` are their texts.
+    ``paths`` are those for people, empty if none are written. ``files`` are their texts.
     """
 
     table: CompensationTable

@@ -50,14 +50,14 @@ class CompensationTable:
     one turn, and the row at angles[0] + 2 pi is the first row again. ``period`` 0 means an arc: it
     neither closes nor wraps. ``correction_forward`` is for approaches with increasing angle and
     zero at ``reference_angle``, ``correction_reverse`` for decreasing angle. ``std`` and
-    ``std_reverse`` are their standard uncertainties (k = 1); the latter is None where it is the
+    ``std_reverse`` are their standard uncertainties (k = 1); the latter is None if it is the
     same. ``between_std`` (rad) comes on top of them between the measured angles, which are up to
     ``widest_gap`` (rad) apart; zero where that is not known, as for a table made by hand.
     ``warnings`` say in words what to know before use. ``verdict_line`` is the verdict with what it
-    does not cover; empty where that is not known, as in a message. ``measured_on`` is the table in
+    does not cover; empty if that is not known, as in a message. ``measured_on`` is the table in
     force during the measurement (hash of the controller's files, "none" or "unknown"), ``adds_to``
     the one that the corrections contain. ``item`` says what was measured and ``serial`` is its
-    number, empty where that is not known; ``simulated``: no instrument measured it.
+    number, empty if that is not known; ``simulated``: no instrument measured it.
     ``measured_from_ns`` and ``measured_until_ns`` are when (ns since 1970) the first and the last
     measurement that counts was made; 0: not known. ``open_zeros`` names the offsets within the
     table that were not measured, so that no uncertainty holds between its parts; empty: none. Such
@@ -193,7 +193,7 @@ def measured_axis(
 ) -> str:
     """Return the axis that was measured: as the results say, else ``axis``, else ``default``.
 
-    Raises ConfigurationError where they contradict each other or a stated ``axis``.
+    Raises ConfigurationError if they contradict each other or a stated ``axis``.
     """
     forward = result.circumstances.axis
     backward = "" if reverse is None else reverse.circumstances.axis

@@ -153,7 +153,7 @@ def combine(inputs: Sequence[CombinationInput], enlarge: Enlargement = "birge") 
 
 
 def _require_one_table(inputs: Sequence[CombinationInput]) -> None:
-    """Raise DataError where inputs say that they are of two items, two axes or two tables."""
+    """Raise DataError if inputs say that they are of two items, two axes or two tables."""
     circumstances = [(m.name, m.circumstances) for m in inputs if m.circumstances]
     require_one_table({
         "serial number": {name: around.identity.serial for name, around in circumstances},
@@ -279,7 +279,7 @@ def _linked(
 
 
 def _to_all(own: Joined, angles: Floats) -> Floats | None:
-    """Return the matrix from a component's angles to all; None where they leave its arc."""
+    """Return the matrix from a component's angles to all; None if they leave its arc."""
     if len(own.angles) == len(angles):
         return np.eye(len(angles))
     if own.period == 0.0 and (angles[0] < own.angles[0] or angles[-1] > own.angles[-1]):

@@ -66,7 +66,7 @@ def pair(
 
 
 def require_one_table(stated: Mapping[str, Mapping[str, str]]) -> None:
-    """Raise DataError where what the inputs say by name differs; an empty text says nothing."""
+    """Raise DataError if what the inputs say by name differs; an empty text says nothing."""
     for what, by_name in stated.items():
         first_to_say = {value: name for name, value in reversed(list(by_name.items())) if value}
         if len(first_to_say) > 1:

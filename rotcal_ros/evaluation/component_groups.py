@@ -391,7 +391,7 @@ def _clustered(
 
 
 def _shared(first: str, second: str, inputs: Mapping[str, Curves]) -> dict[str, Floats]:
-    """Return by component how two inputs vary together; empty where they share nothing."""
+    """Return by component how two inputs vary together; empty if they share nothing."""
     ours, theirs = inputs[first], inputs[second]
     found = {
         c: shared_covariance(ours[c], theirs[c], (first, second)) for c in ours if c in theirs

@@ -98,7 +98,7 @@ def conformities(result: Result, identity: Identity) -> tuple[Conformity, ...]:
 
 
 def tolerance_of(component: str, identity: Identity) -> float:
-    """Return the tolerance of a component in SI; 0 where none is agreed."""
+    """Return the tolerance of a component in SI; 0 if none is agreed."""
     if component in TRANSLATIONS:
         return identity.tolerance_um * MICROMETRE
     return identity.tolerance_arcsec * ARCSEC

@@ -88,7 +88,7 @@ def tolerance(
 ) -> Mark | None:
     """Return the mark of deviations (SI, by component) with their standard uncertainties.
 
-    None where no tolerance is agreed for any of them. One component beyond is beyond, whatever
+    None if no tolerance is agreed for any of them. One component beyond is beyond, whatever
     the others are. Where U may not be stated (``doubt``) nothing is decided.
     """
     agreed = {name: limit for name in deviations if (limit := tolerance_of(name, identity))}
@@ -116,7 +116,7 @@ SURELY_WRONG: Final = 2.0
 
 
 def withheld(result: Result, truth: Mapping[str, Any] | None = None) -> str | None:
-    """Return why no uncertainty of ``result`` may be stated; None where it may.
+    """Return why no uncertainty of ``result`` may be stated; None if it may.
 
     ``truth`` is the content of the truth.json of a simulation.
     """
@@ -126,7 +126,7 @@ def withheld(result: Result, truth: Mapping[str, Any] | None = None) -> str | No
 
 
 def withheld_by(verdict: str, warnings: Sequence[str]) -> str | None:
-    """Return why a verdict forbids to state an uncertainty; None where it does not."""
+    """Return why a verdict forbids to state an uncertainty; None if it does not."""
     if verdict == "ok":
         return None
     return f"the verdict is {verdict}: {'; '.join(warnings) or 'its reason is not recorded'}"

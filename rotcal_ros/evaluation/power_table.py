@@ -182,7 +182,7 @@ ENOUGH: Final = 3
 class Trial:
     """One measurement with an effect: ``error`` (n,) is its part in the deviations, in their std.
 
-    None where there is no result.
+    None if there is no result.
     """
 
     noticed: bool

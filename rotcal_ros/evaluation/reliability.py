@@ -39,7 +39,7 @@ class Reliability:
     error in standard deviations of the observation, for one of several coordinates in the mean
     over the directions; inf where nothing checks it. ``effect`` (n,) bounds what such an error
     does to any deviation, in standard uncertainties of that. ``std`` (n,) is the standard
-    deviation of the observations in metres, None where it is not known.
+    deviation of the observations in metres, None if it is not known.
     """
 
     alpha: float
@@ -64,7 +64,7 @@ class Reliability:
         return np.asarray(order[:count], dtype=np.int64)
 
     def detectable_m(self) -> Floats | None:
-        """Return the minimal detectable errors (n,) in metres; None where no std is stated."""
+        """Return the minimal detectable errors (n,) in metres; None if no std is stated."""
         return None if self.std is None else np.asarray(self.std * self.detectable)
 
     def to_dict(self, count: int, effects: Floats | None = None) -> dict[str, Any]:

@@ -29,7 +29,7 @@ def shared_covariance(
 ) -> Floats | None:
     """Return the covariance (n1, n2) of two curves of one component by what they share.
 
-    None where they share nothing. Raises DataError where its effect on both is not known.
+    None if they share nothing. Raises DataError where its effect on both is not known.
     """
     here, there = first.raw_data.shared_with(second.raw_data)
     if not len(here):

@@ -37,7 +37,7 @@ class StepCounts:
     """How many steps there were.
 
     ``planned``: in the plan, for a policy those on offer; ``used``: observed and accepted;
-    ``skipped``: not measured or given up, 0 where a policy chooses; ``retried``: accepted after
+    ``skipped``: not measured or given up, 0 if a policy chooses; ``retried``: accepted after
     one attempt or more had been rejected.
     """
 
@@ -52,7 +52,7 @@ class Circumstances:
     """Circumstances of a measurement.
 
     ``simulated``: no instrument measured, a simulation did. Times are nanoseconds since 1970 of
-    the machine's clock, None where a table has none; ``temperature_c`` degrees Celsius,
+    the machine's clock, None if a table has none; ``temperature_c`` degrees Celsius,
     ``pressure_pa`` of the air, ``humidity`` relative, 0 to 1. ``refraction`` says in words who
     corrects the lengths for the index of refraction of the air; empty without lengths.
     """

@@ -29,7 +29,7 @@ def cores() -> int:
 
 
 def load() -> float:
-    """Return how many processes wanted a core in the last minute; 0 where that is not known."""
+    """Return how many processes wanted a core in the last minute; 0 if that is not known."""
     try:
         return os.getloadavg()[0]
     except (AttributeError, OSError):
@@ -85,7 +85,7 @@ class AwakeClock:
         return now_s - self._stood_s
 
     def awake_s(self) -> float:
-        """Return how long ago the latest standstill has ended; 0 where this look ends one."""
+        """Return how long ago the latest standstill has ended; 0 if this look ends one."""
         self.now_s()
         return self._last_s - self._woke_s
 

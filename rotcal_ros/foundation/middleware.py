@@ -60,7 +60,7 @@ def _profiles(kind: str) -> dict[str, str]:
 
 
 def explain_start_failure(environment: Mapping[str, str], message: str) -> None:
-    """Raise ConfigurationError where ROS may have failed to start because its security is on.
+    """Raise ConfigurationError if ROS may have failed to start because its security is on.
 
     ``message`` is what ROS said.
     """

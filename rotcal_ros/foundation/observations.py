@@ -119,7 +119,7 @@ class HumiditySample:
 class Command:
     """What the planner ordered for one step: a table angle and where the probe shall be.
 
-    ``station`` is the index of the tracker station, 0 where there is no tracker.
+    ``station`` is the index of the tracker station, 0 if there is no tracker.
     """
 
     step: int

@@ -118,7 +118,7 @@ def extension(group: str, name: str, what: str) -> Any:
 def node_module(name: str) -> str:
     """Return the module of a node, which is a command of this package.
 
-    Raises ConfigurationError where the extension that brings it is not installed.
+    Raises ConfigurationError if the extension that brings it is not installed.
     """
     scripts = distribution(_OWN).entry_points.select(group="console_scripts", name=name)
     for script in scripts:

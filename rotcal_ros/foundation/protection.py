@@ -61,7 +61,7 @@ class Protection:
     matters of it turns the verdict with a probability of POWER. ``bounded``: the uncertainty
     contains a stated allowance. ``harmless``: it cannot touch the deviations. ``error`` is the
     largest error that it causes where the test begins to find it with POWER, in stated standard
-    uncertainties; None where that is not known or does not apply.
+    uncertainties; None if that is not known or does not apply.
     """
 
     effect: Effect

@@ -86,7 +86,7 @@ class Influence:
 class RawData:
     """The observations of a result: ``hashes`` (n,), and when each was ``begun`` and ``ended``.
 
-    Nanoseconds since 1970, empty where not all of them are dated. ``influence`` is None where
+    Nanoseconds since 1970, empty if not all of them are dated. ``influence`` is None where
     the method states none, or there is too much of it.
     """
 
@@ -116,7 +116,7 @@ class RawData:
         return self if found is None else replace(self, influence=found.tied(to))
 
     def of_curve(self, component: str) -> RawData:
-        """Return the same with the influences on one component alone; None where it has none."""
+        """Return the same with the influences on one component alone; None if it has none."""
         found = self.influence
         if found is not None and component in found.deviations:
             found = replace(found, deviations={component: found.deviations[component]})

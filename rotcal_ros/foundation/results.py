@@ -34,7 +34,8 @@ SCHEMA: Final = 1
 FILE_NAMES: Final = {"table_position": "table_index", "angles": "angles_rad"}
 """Names that files use for something, where they differ from ours."""
 RUNS: Final = "runs"
-"""Where a file has the repeated runs: among the details."""
+BUDGET: Final = "budget"
+"""Where a file has the repeated runs and the budget: among the details."""
 
 Verdict = Literal["ok", "suspect", "failed"]
 COUNTS_FROM: Final = (
@@ -207,7 +208,9 @@ class Result:
     meanwhile: the hash of the controller's files, "none" or "unknown". ``circumstances`` say who
     measured what, when and how warm it was; a method leaves them to those who call it. ``zeros``
     say what the deviations count from, and what of that is open. ``raw_data``: the observations
-    that it rests on, so that they are not counted twice.
+    that it rests on, so that they are not counted twice. ``budget`` splits the uncertainty of ECC:
+    standard uncertainties (n,) by source, which add in squares; empty if only the whole is
+    known.
 
     >>> import rotcal_ros as rc
     >>> result = rc.read_result("examples/data/result_ball_plate.json")
@@ -237,6 +240,7 @@ class Result:
     circumstances: Circumstances = field(default_factory=Circumstances)
     zeros: Zeros = field(default_factory=Zeros)
     raw_data: RawData = field(default_factory=RawData)
+    budget: Mapping[str, Floats] = field(default_factory=dict)
 
     @property
     def simulated(self) -> bool:
@@ -282,11 +286,12 @@ class Result:
 
     @property
     def all_details(self) -> Mapping[str, Any]:
-        """The details with the repeated runs among them, as a file has them."""
+        """The details with budget and repeated runs among them, as a file has them."""
+        details = {**self.details, BUDGET: self.budget} if self.budget else self.details
         if self.runs is None:
-            return self.details
+            return details
         runs = {name: value for name, value in asdict(self.runs).items() if value is not None}
-        return {**self.details, RUNS: runs}
+        return {**details, RUNS: runs}
 
     def __post_init__(self) -> None:
         """Refuse deviations and uncertainties that are no numbers, or not one per angle.
@@ -468,6 +473,8 @@ def _result(data: Mapping[str, Any]) -> Result:
         raise ValueError(f"verdict: {plain.verdict!r} is none of {', '.join(get_args(Verdict))}")
     angles = _column(data["angles_rad"], "angles_rad")
     n, runs = len(angles), _runs(plain.details.get(RUNS))
+    budget = _budget(plain.details.get(BUDGET), n)
+    typed = {RUNS: runs, BUDGET: budget}
     deviations = _columns(data["deviations"], "deviations", (n,))
     std = _columns(data["std"], "std", (n,))
     if n == 0 or not std.keys() >= deviations.keys():
@@ -490,8 +497,9 @@ def _result(data: Mapping[str, Any]) -> Result:
         adjacent_deviations=_optional(data, "adjacent_deviations_rad", (n - 1,)),
         adjacent_std=_optional(data, "adjacent_std_rad", (n - 1,)),
         residuals=None if data.get("residuals") is None else _residuals(data["residuals"]),
-        details={k: v for k, v in plain.details.items() if not (runs and k == RUNS)},
+        details={name: value for name, value in plain.details.items() if not typed.get(name)},
         runs=runs,
+        budget=budget,
         directions=_directions(data.get("directions", {})),
         measured_on=check_in_force(plain.measured_on),
         circumstances=Circumstances.from_dict(data["circumstances"]),
@@ -523,6 +531,13 @@ def _runs(data: Any) -> RepeatedRuns | None:
     if not isinstance(repeatability, float | int | None):
         raise ValueError(f"runs.repeatability_std: expected a number, found {repeatability!r:.60}")
     return RepeatedRuns(targets=targets, **sides, repeatability_std=repeatability)
+
+
+def _budget(data: Any, n: int) -> dict[str, Floats]:
+    """Return the shares by source; empty if the details have something else of that name."""
+    if not isinstance(data, Mapping) or any(np.shape(share) != (n,) for share in data.values()):
+        return {}
+    return {source: _floats(share, f"budget.{source}") for source, share in data.items()}
 
 
 def _side(values: Any, targets: int, name: str) -> Floats | None:

@@ -47,7 +47,7 @@ class Declaration:
     """One setting as it was declared: ``name`` is dotted below its group.
 
     ``kind`` is the type of a value, or of the elements of a list (``is_list``); a fixed ``length``
-    of a list is None where any number will do. ``default`` is MISSING for a setting that has to
+    of a list is None if any number will do. ``default`` is MISSING for a setting that has to
     be given.
     """
 

@@ -69,7 +69,7 @@ def open_plain(path: Path) -> BinaryIO:
 
 
 def require_plain(path: Path) -> None:
-    """Raise OSError where ``path`` leads to anything but a plain file; nothing there is fine.
+    """Raise OSError if ``path`` leads to anything but a plain file; nothing there is fine.
 
     Whoever puts a file in the place of a device takes the device away from the whole machine.
     """
@@ -329,7 +329,7 @@ def _check_number(event: Any) -> None:
 
 
 def _check_depth(value: Any) -> None:
-    """Raise ValueError where lists and groups nest deeper than ``DEEPEST``."""
+    """Raise ValueError if lists and groups nest deeper than ``DEEPEST``."""
     level: list[Any] = [[value]]
     for _ in range(DEEPEST + 1):
         insides = (x.values() if isinstance(x, dict) else x for x in level)

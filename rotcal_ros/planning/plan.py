@@ -29,7 +29,7 @@ class Step:
     ``table_angle`` (rad) is approached from the side ``approach``; ``position`` (m) is the
     nominal place of target number ``target``. ``n_points`` is the number of probe points that
     make the observation (1 for a reflector that just stands there); ``ball_diameter`` (m) is
-    that of the ball that is touched, 0 where there is none.
+    that of the ball that is touched, 0 if there is none.
     """
 
     index: int

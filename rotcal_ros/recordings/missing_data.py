@@ -18,7 +18,7 @@ from rotcal_ros.bags.settings import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.storage_scan import FileVerdict
 from rotcal_ros.capture import messages as records
 from rotcal_ros.capture.rejections import Commonest
-from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.observations import Observation
 
 _SENTENCES: Final = 20
@@ -133,19 +133,21 @@ _FEW: Final = 0.1
 """Share of steps without an accepted observation that is not worth a warning."""
 
 
-def why_nothing(
+def require_accepted(
     observations: Sequence[Observation],
     counts: Mapping[str, Mapping[str, int]],
     unreadable: Mapping[str, str],
     broken: Mapping[str, int],
     topics: Iterable[str],
-) -> str:
-    """Return why none of ``observations`` was accepted.
+) -> None:
+    """Raise DataError with the reason when none of ``observations`` was accepted.
 
     ``counts`` is what the capture counted per stream, empty when the recorded observations were
     taken; ``unreadable`` names topics without a usable definition and ``broken`` those whose
     messages could not be decoded; ``topics`` are all of the bag.
     """
+    if any(observation.accepted for observation in observations):
+        return
     reasons = list(unreadable.values())
     reasons += [f"{topic}: {count} messages cannot be decoded" for topic, count in broken.items()]
     silent = [
@@ -163,7 +165,7 @@ def why_nothing(
         reasons.append(unanswered(counts["command"]))
     else:
         reasons.append("its streams hold no complete step of the plan")
-    return "; ".join(reasons)
+    raise DataError(f"the bag yields no observation that was accepted: {'; '.join(reasons)}")
 
 
 def _rejections(observations: Sequence[Observation]) -> str:

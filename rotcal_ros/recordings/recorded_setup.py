@@ -204,7 +204,7 @@ def _first_difference(
     choices: Sequence[RecordedChoice],
     observations: Sequence[Observation],
 ) -> str | None:
-    """Return where the policy chooses otherwise for the first time, None where it never does."""
+    """Return where the policy chooses otherwise for the first time, None if it never does."""
     policy = calibration.policy(continuation)
     for place, recorded in enumerate(choices):
         again = policy.choose()

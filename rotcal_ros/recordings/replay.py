@@ -55,8 +55,8 @@ from rotcal_ros.recordings.missing_data import (
     PlacedDropout,
     doubtful,
     placed_in,
+    require_accepted,
     sentences,
-    why_nothing,
 )
 from rotcal_ros.recordings.recorded_setup import (
     Decoders,
@@ -143,7 +143,7 @@ class Recording:
         return self.calibration.trials(self.observations)
 
     def goal_standing(self, result: Result) -> GoalStanding | None:
-        """Return how ``result`` stands to the goal of the policy; None where there is none.
+        """Return how ``result`` stands to the goal of the policy; None if there is none.
 
         Raises ConfigurationError or PlanError when the bag's configuration cannot be used.
         """
@@ -155,14 +155,11 @@ class Recording:
 
     def _require_observations(self) -> None:
         """Raise DataError with the reason when no observation was accepted."""
-        if any(observation.accepted for observation in self.observations):
-            return
         topics = {name for verdict in self.verdicts for name in verdict.topics}
-        reason = why_nothing(self.observations, self.counts, self.unreadable, self.broken, topics)
-        raise DataError(f"the bag yields no observation that was accepted: {reason}")
+        require_accepted(self.observations, self.counts, self.unreadable, self.broken, topics)
 
     def _as_chosen(self) -> methods.Calibration | None:
-        """Return the calibration whose policy chose the steps; None where it only listed them."""
+        """Return the calibration whose policy chose the steps; None if it only listed them."""
         if not self.choices or names.CONFIGURATION not in self.attachments:
             return None
         text = self.attachments[names.CONFIGURATION].decode(errors="replace")

@@ -152,7 +152,7 @@ def read_curve(
     """Return one deviation curve of a result, a bag, or a reference table.
 
     ``polygon`` holds the face errors that are taken off reference tables, ``reference_std`` (rad)
-    is their standard uncertainty where they state none. Raises DataError where neither does.
+    is their standard uncertainty where they state none. Raises DataError if neither does.
     """
     if not is_table(path):
         return measured_curve(read_source(path).result, component)

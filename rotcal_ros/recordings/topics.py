@@ -44,7 +44,7 @@ class RoleMessages:
 
     @contextmanager
     def checked(self) -> Iterator[None]:
-        """Raise BagError where messages have other fields or types than their role needs.
+        """Raise BagError if messages have other fields or types than their role needs.
 
         The bag may define a type otherwise; using its fields then raises an error of Python.
         """

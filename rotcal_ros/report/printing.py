@@ -33,7 +33,7 @@ _OPTIONS: Final = (
 
 
 def require_writable(page: Path) -> None:
-    """Raise ConfigurationError where no page can be written under this name."""
+    """Raise ConfigurationError if no page can be written under this name."""
     if page.suffix.lower() not in (HTML, PDF, ""):
         raise ConfigurationError(
             f"{page}: a report is written as a page ({HTML}) or as {PDF}, expected one of these "

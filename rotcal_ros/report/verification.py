@@ -55,7 +55,7 @@ def verification_section(verification: Verification) -> tuple[str, str]:
 def acting_section(result: Result, in_force: Path | None) -> list[tuple[str, str]]:
     """Return title and HTML that say whether the table acts on which ``result`` was measured.
 
-    None where it was measured without, or that is unknown; ``in_force`` holds the table's files.
+    None if it was measured without, or that is unknown; ``in_force`` holds the table's files.
     """
     if in_force is not None:
         effect = effect_in_force(result, in_force)

@@ -19,6 +19,7 @@ from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.foundation.untrusted import load_json, read_text
 from rotcal_ros.methods.configuration import read_policy
+from rotcal_ros.methods.goal import GoalStanding
 from rotcal_ros.methods.simulation.table import true_deviations
 from rotcal_ros.planning.choices import UNTIL_GOAL
 from rotcal_ros.recordings.replay import read_recording
@@ -62,13 +63,12 @@ def write_products(
     return {name: str(path) for name, path in paths.items()}
 
 
-def goal_line(folder: SessionFolder) -> str:
-    """Return in one line whether a session met its goal; empty where it had none."""
+def goal_standing(folder: SessionFolder) -> GoalStanding | None:
+    """Return whether a session met its goal; None if it had none."""
     if read_policy(read_text(folder.configuration)) != UNTIL_GOAL:
-        return ""
+        return None
     recording = read_recording(folder.bag, "observations")
-    standing = recording.goal_standing(read_source(folder.result).result)
-    return "" if standing is None else standing.in_words()
+    return recording.goal_standing(read_source(folder.result).result)
 
 
 def write_truth(session: Session) -> None:

@@ -245,7 +245,7 @@ class RunningSession:
         return {n: code for n, code in ended.items() if n not in (CLIENT, *VIEWERS.values())}
 
     def deaths(self) -> list[str]:
-        """Return how the processes died that were killed or failed, in words."""
+        """Return how those processes ended that were killed or failed, in words."""
         return [
             _death(name, code, self.log_tail(name))
             for name, code in self._processes.ended().items()
@@ -279,7 +279,7 @@ class RunningSession:
 
 
 def _death(name: str, code: int, log: str) -> str:
-    """Return how a process died; the last thing it wrote may say why."""
+    """Return how a process died, with the last line it wrote, for a person to read."""
     if code == -signal.SIGKILL:
         return f"{name} was killed (SIGKILL: out of memory?)"
     how = f"exit code {code}"

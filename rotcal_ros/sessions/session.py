@@ -88,7 +88,7 @@ def prepare_session(
 
     ``changes`` are ``group.name=value`` with the value in YAML. With ``keep_previous`` an existing
     folder is moved aside to the first free ``<folder>-<number>``. A folder that a run left before
-    anything was recorded is used again. Raises ConfigurationError where the disk has no room for
+    anything was recorded is used again. Raises ConfigurationError if the disk has no room for
     the bag.
     """
     calibration = checked_calibration(source, changes)
@@ -108,7 +108,7 @@ def prepare_session(
 
 
 def require_as_found(session: Session) -> None:
-    """Raise ConfigurationError where another run went on in the folder since it was read.
+    """Raise ConfigurationError if another run went on in the folder since it was read.
 
     The caller holds the lock of the folder.
     """
@@ -165,7 +165,7 @@ TRACER_HZ: Final = 1000.0
 
 
 def require_space(calibration: Calibration, folder: Path, steps: int | None = None) -> None:
-    """Raise ConfigurationError where the disk of ``folder`` has no room for the bag.
+    """Raise ConfigurationError if the disk of ``folder`` has no room for the bag.
 
     ``steps`` are left to measure, all of the plan unless given. Settings of the recorder say how
     much of the disk is to stay free.

@@ -194,7 +194,7 @@ def verify(
 def confirm_loaded(folder: Path) -> None:
     """Note that a person says the real control has loaded the waiting table.
 
-    Raises ConfigurationError where none waits: a table that is not written yet cannot be loaded.
+    Raises ConfigurationError if none waits: a table that is not written yet cannot be loaded.
     """
     request = _read_request(folder)
     applied = request.applied(read_configuration(SessionFolder(folder).configuration))
@@ -219,7 +219,7 @@ def _round(
 ) -> FinishedSession | None:
     """Put the table that is ``applied`` into force and measure in the session ``name``.
 
-    None where the user ended it, or has not loaded the table yet.
+    None if the user ended it, or has not loaded the table yet.
     """
     tables = folder / TABLES[name]
     _write_once(exports, tables)
@@ -354,7 +354,7 @@ def _measure(
 def _write_once(exports: dict[str, ExportFiles], folder: Path) -> None:
     """Write the files that an interrupted verification has not written yet.
 
-    Raises DataError where one that is there holds another table.
+    Raises DataError if one that is there holds another table.
     """
     left = {}
     for name, export in exports.items():

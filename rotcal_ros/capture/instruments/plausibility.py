@@ -38,7 +38,7 @@ def likely_unit(
 ) -> str | None:
     """Return the unit in which a ``value`` in SI, read as ``stated``, is at most ``largest``.
 
-    None where it is plausible as it stands, or in none of them.
+    None if it is plausible as it stands, or in none of them.
     """
     if abs(value) <= largest:
         return None

@@ -33,7 +33,7 @@ class Rates:
         self._stamps.pop(role, None)
 
     def hertz(self) -> dict[str, float]:
-        """Return the rates of the streams with enough messages; 0 where the stamps stand still."""
+        """Return the rates of the streams with enough messages; 0 if the stamps stand still."""
         rates = {}
         for role, stamps in self._stamps.items():
             span_ns = stamps[-1] - stamps[0]

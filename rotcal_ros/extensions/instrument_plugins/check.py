@@ -11,7 +11,7 @@ from rotcal_ros.methods.check_lines import CheckLine, DriverCheck
 
 
 def brings(settings: InstrumentSettings) -> tuple[str, ...]:
-    """Return what the plug-in brings; nothing where it cannot be made, which its line tells."""
+    """Return what the plug-in brings; nothing if it cannot be made, which its line tells."""
     try:
         instrument = instrument_of(settings)
     except RotcalError:

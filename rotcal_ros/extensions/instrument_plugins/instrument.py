@@ -82,7 +82,7 @@ class Tracker(Instrument):
     def measure(self, near: Point, timeout_s: float) -> Place:
         """Measure the reflector ``near`` a nominal place (m, machine frame), once.
 
-        Raises InstrumentError where there is none, which ends the attempt, not the connection.
+        Raises InstrumentError if there is none, which ends the attempt, not the connection.
         """
 
 

@@ -63,7 +63,7 @@ class StepProgress:
 class Curve:
     """A deviation with its expanded uncertainty (k = 2), both in ``unit``.
 
-    ``expanded`` is empty where it is withheld.
+    ``expanded`` is empty if it is withheld.
     """
 
     name: str
@@ -85,7 +85,7 @@ class PageMark:
 class Deviations:
     """What is known of the table so far; there are ``marks`` once it is ``final``.
 
-    ``withheld`` says why no uncertainty may be stated; empty where it may.
+    ``withheld`` says why no uncertainty may be stated; empty if it may.
     """
 
     angles_deg: tuple[float | None, ...]
@@ -104,7 +104,7 @@ class ShownUncertainty:
     ``largest_arcsec`` is U, the largest expanded uncertainty (k = 2) of the curve, as everywhere;
     ``course`` holds it over the accepted steps. ``goal_arcsec`` is for another figure, the root
     mean square of U about the mean: ``rms_arcsec``, as the policy knows it. ``withheld`` says why
-    none of it may be stated; empty where it may.
+    none of it may be stated; empty if it may.
     """
 
     largest_arcsec: float | None = None
@@ -125,7 +125,7 @@ class PlanView:
 
 @dataclass(frozen=True, slots=True)
 class Pointing:
-    """The step that was ordered last; ``stand`` is None where there is no beam."""
+    """The step that was ordered last; ``stand`` is None if there is no beam."""
 
     place: str
     table_angle_deg: float

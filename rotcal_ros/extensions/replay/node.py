@@ -84,7 +84,7 @@ def offered_qos(text: str) -> QoSProfile:
 
 
 def _finite_ns(duration: Any) -> int | None:
-    """Return a duration of a bag in ns; None where it is no limit."""
+    """Return a duration of a bag in ns; None if it is no limit."""
     try:
         nanoseconds = int(duration["sec"]) * 1_000_000_000 + int(duration["nsec"])
     except (KeyError, TypeError, ValueError):

@@ -43,7 +43,7 @@ class ReplayedBag:
 
     ``outputs`` are the topics that our own nodes had published, ``accepted`` the observations that
     the recorded capture had accepted, ``steps`` those of the last run, ``plan_id`` and
-    ``configuration`` those of the plan; empty where the bag has none. Times in ns.
+    ``configuration`` those of the plan; empty if the bag has none. Times in ns.
     """
 
     files: tuple[Path, ...]
@@ -64,7 +64,7 @@ class ReplayedBag:
     def read(
         cls, path: Path, *, everything: bool = False, progress: Progress | None = None
     ) -> ReplayedBag:
-        """Look through a bag; BagError where there is none, or nothing in it to publish.
+        """Look through a bag; BagError if there is none, or nothing in it to publish.
 
         ``everything``: what our own nodes had made of the streams is published too.
         """

@@ -50,7 +50,7 @@ class JointWatch:
         self.order: ObeyedOrder | None = None
 
     def doubt(self) -> str | None:
-        """Return why nothing may move yet, in one sentence; None where it may."""
+        """Return why nothing may move yet, in one sentence; None if it may."""
         if self.order is not None or self._settings.many_turns:
             return None
         if self.latest is None or not abs(self.latest.angle) > _FAR:
@@ -63,13 +63,13 @@ class JointWatch:
         )
 
     def here(self, now_s: float) -> float | None:
-        """Return the angle (rad) of the joint now; None where its feedback is old or none."""
+        """Return the angle (rad) of the joint now; None if its feedback is old or none."""
         if self.latest is None or now_s - self._heard_s > self._settings.silence_s:
             return None
         return self.latest.angle if isfinite(self.latest.angle) else None
 
     def motion(self, now_s: float) -> tuple[float, float] | None:
-        """Return where the joint is (rad) and its velocity (rad/s); None where unknown."""
+        """Return where the joint is (rad) and its velocity (rad/s); None if unknown."""
         here = self.here(now_s)
         return None if here is None else (here, self.velocity)
 

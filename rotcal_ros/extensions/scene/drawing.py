@@ -107,7 +107,7 @@ class SceneLayout:
         return places @ rotation_about_z(angle).T if self.stations.carried else places
 
     def beam(self, step: Step, angle: float) -> Floats | None:
-        """Return the ends (2, 3) of the beam to a step's place; None where there is no beam."""
+        """Return the ends (2, 3) of the beam to a step's place; None if there is no beam."""
         if step.station >= len(self.stations.places):
             return None
         return np.array([self.instruments(angle)[step.station], step.position])

@@ -84,7 +84,7 @@ def measured_curve(result: Result, component: str = "ECC") -> MeasuredCurve:
 def merging(curve: MeasuredCurve, component: str) -> tuple[Floats, Floats]:
     """Return ascending angles (n',) within a turn, and (n', n) that averages those that coincide.
 
-    An arc is sorted and otherwise stays as it is. Raises DataError where two that coincide
+    An arc is sorted and otherwise stays as it is. Raises DataError if two that coincide
     contradict each other.
     """
     angles = curve.angles

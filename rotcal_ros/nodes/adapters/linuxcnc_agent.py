@@ -1,4 +1,4 @@
-"""Speaks with a running LinuxCNC for the driver node, in JSON lines.
+"""Talks to a running LinuxCNC for the driver node, in JSON lines.
 
 LinuxCNC's modules belong to the system's own Python and not to the one that ROS runs on: this
 file is a program of its own, run by /usr/bin/python3, and imports nothing of rotcal_ros.
@@ -9,7 +9,7 @@ time ``{"stamp_ns", "angle_deg", "motor_deg", "actual_deg", "obeying", "errors"}
 joint, the motor's command, the pin ``--actual`` (null without one), whether an order is still to
 be carried out, and what LinuxCNC complained about. Standard input takes
 ``{"angle_deg": 90.0, "side": 1, "overshoot_deg": 2.0}``: go there in machine coordinates from
-below (1), from above (-1), or from anywhere (0). The same order again moves nothing; one that
+below (1), from above (-1), or from anywhere (0). A repeated order moves nothing; an order that
 finds the machine at work is not carried out. The end of standard input ends the program.
 
 ``--busy`` asks whether the machine is at work: exit code 1 and the reason if so, else 0.
@@ -137,7 +137,7 @@ def say(message: dict[str, Any]) -> None:
 def obey(
     machine: LinuxCncMachine, orders: queue.Queue[dict[str, float]], errors: list[str]
 ) -> None:
-    """Carry out orders, one after the other; what fails is reported, and the next is tried."""
+    """Carry out orders one after the other; a failure is reported, and the next order is tried."""
     while True:
         try:
             machine.move(orders.get())

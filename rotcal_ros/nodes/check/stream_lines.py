@@ -40,7 +40,7 @@ KINDS: Final[Mapping[str, tuple[str, str]]] = {
 }
 """The streams: topic -> part of the cell, type."""
 _CLOCKS: Final = (
-    "set the clocks of all machines alike (chrony, ptp), and stamp when it is measured"
+    "synchronise the clocks of all machines (chrony, ptp), and stamp at the time of measurement"
 )
 _UNITS: Final[Mapping[str, str]] = {
     names.PROBE_POINT: "m", names.TRACER_LENGTH: "m", names.TEMPERATURE: "°C",
@@ -112,7 +112,7 @@ def _absent(snapshot: CellSnapshot, topic: str) -> CheckLine:
 def _problem(
     snapshot: CellSnapshot, topic: str, offers: list[Any], watch: HeaderWatch
 ) -> Finding | None:
-    """Return why nothing can be measured with a stream; None: it can be."""
+    """Return why a stream cannot be used to measure; None: it can."""
     _, kind = KINDS[topic]
     name, limit_s = snapshot.name(topic), snapshot.configuration.planner.stream_timeout_s
     if text := snapshot.values.get(REFUSED + topic):
@@ -126,12 +126,12 @@ def _problem(
     if wrong := next(_faults(snapshot, topic), None):
         return Finding(wrong, f"publish {name} as expected, or set what its line names")
     if watch.unstamped and watch.unstamped == watch.count:
-        todo = f"fill header.stamp of {name}: when it was measured"
+        todo = f"fill header.stamp of {name} with the time of measurement"
         return Finding("its messages have no stamp", todo)
     silence_s = time.monotonic() - watch.heard_s
     steady = topic in FAST and topic not in single_shots(snapshot.configuration.topics)
     if steady and silence_s > limit_s:
-        todo = f"let {name} stream without a pause, or raise planner.stream_timeout_s"
+        todo = f"let {name} stream without pauses, or raise planner.stream_timeout_s"
         found = f"silent for {silence_s:.1f} s (planner.stream_timeout_s {limit_s:g})"
         return Finding(found, todo)
     return None
@@ -150,11 +150,11 @@ def _faults(snapshot: CellSnapshot, topic: str) -> Iterator[str]:
 def _silent(watch: HeaderWatch, name: str) -> str:
     if not watch.count:
         return f"let its node publish on {name} before it is asked, at least once a second"
-    return f"{name} delivers nothing usable: see its status, and whether its numbers are finite"
+    return f"{name} delivers nothing usable: check its status, and whether its numbers are finite"
 
 
 def _doubt(snapshot: CellSnapshot, topic: str, watch: HeaderWatch) -> Finding | None:
-    """Return what looks wrong about a stream though it can be measured with."""
+    """Return what looks wrong about a stream that can be used nevertheless."""
     limit_s, name = snapshot.configuration.capture.stamp_offset_s, snapshot.name(topic)
     planned, is_table = snapshot.calibration, topic == names.JOINT_STATES
     if planned and (small := next(size_doubts(snapshot.values, planned, topic), None)):
@@ -168,7 +168,7 @@ def _doubt(snapshot: CellSnapshot, topic: str, watch: HeaderWatch) -> Finding | 
         way = "ahead of" if watch.ahead_s > 0 else "behind"
         return Finding(f"stamps {abs(watch.ahead_s):.2f} s {way} this machine's clock", _CLOCKS)
     if watch.set_back:
-        return Finding(f"{watch.set_back} stamps go back", f"let the stamps of {name} ascend")
+        return Finding(f"{watch.set_back} stamps go back", f"let the stamps of {name} increase")
     return None
 
 

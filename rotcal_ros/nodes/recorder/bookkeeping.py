@@ -46,7 +46,7 @@ class TopicLosses:
         """Take the number that ``publisher`` gave a message; None or 0 where there are none.
 
         Return how many messages are known to be lost before it which were not known before, 0
-        where they had been reported; None where nothing is missing.
+        where they had been reported; None if nothing is missing.
         """
         if not number:
             return None

@@ -17,6 +17,7 @@ from rotcal_msgs.msg import ProbeTarget, TableAngle
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture.messages import Orders
+from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.machine_load import Patience
 from rotcal_ros.foundation.node_state import NodeState
 from rotcal_ros.foundation.observations import Command
@@ -65,6 +66,10 @@ async def until(
             return False
         await _next_turn()
     return True
+
+
+class NotActiveError(RotcalError):
+    """A node that is not active was asked for something."""
 
 
 class CellNode(ManagedNode, ABC):
@@ -116,7 +121,7 @@ class CellNode(ManagedNode, ABC):
                 self._latched[handle] = message
             elif topic not in self._left_alone:
                 self._left_alone.add(topic)
-                self.get_logger().warning(f"{topic} is ignored: {self.why_not()}")
+                self.get_logger().warning(f"{topic} is ignored: {self.not_active_error()}")
 
         self.create_subscription(kind, topic, take, qos)
 
@@ -136,7 +141,7 @@ class CellNode(ManagedNode, ABC):
 
         async def answer(request: Any, response: Any) -> Any:
             if not (self.active or always):
-                response.message = self.why_not()
+                response.message = str(self.not_active_error())
                 return response
             self._answering += 1
             try:
@@ -183,9 +188,9 @@ class CellNode(ManagedNode, ABC):
         """Return :meth:`gather_s` of a node that works in calibrations only."""
         return 0.0 if self.health.is_calibrating() else IDLE_S
 
-    def why_not(self) -> str:
-        """Return why this node does not do what it is asked: it is not active."""
-        return f"node {self.get_name()} is {self.inactivity().in_words()}"
+    def not_active_error(self) -> NotActiveError:
+        """Return the error of a request to this node while it is not active."""
+        return NotActiveError(f"node {self.get_name()} is {self.inactivity().in_words()}")
 
     def over(self) -> bool:
         """Return whether the node has to end: shut down, finished, or second of its name."""

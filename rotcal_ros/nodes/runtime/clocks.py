@@ -130,14 +130,14 @@ class SimClock:
             f"/clock stands still at {self._now_ns * NANOSECOND:.3f} s: is the simulation paused?"
         )
 
-    def remark(self) -> str:
+    def remark(self) -> str | None:
         """Return what an error has to add where the clock may be the cause of a time-out."""
         if not self.used:
-            return ""
+            return None
         words = self.standstill()
         if words is None and self._pace is not None:
             words = f"/clock runs at {self._pace:.2g} of it"
-        return "; time-outs are wall time" + ("" if words is None else f", {words}")
+        return "time-outs are wall time" + ("" if words is None else f", {words}")
 
     def _still_s(self) -> float:
         return float(self._steady() - self._moved_s)

@@ -35,7 +35,7 @@ from rotcal_ros.nodes.runtime.liveness import (
     Liveness,
     NameHolders,
     ProcessIdentity,
-    second_of_its_name,
+    SecondNodeError,
 )
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import (
     UNWAITED,
@@ -120,7 +120,7 @@ class Health:
     ``concerns`` is what a person should look at, ``alarms`` what a person must look at. ``report``
     returns (state, values) at any time for every beat; without it the node only listens, and is
     not missed. ``on_lost`` is called with the name of every other node that is lost. ``refused``
-    says why this node must end: an older one of its name is there; None: it need not.
+    is the error with which this node must end, because an older one of its name is there.
     """
 
     def __init__(
@@ -139,7 +139,7 @@ class Health:
         self._liveness = Liveness(self.settings)
         self._holders = NameHolders()
         self.identity = ProcessIdentity.own(os.environ, time.monotonic())
-        self.refused: str | None = None
+        self.refused: SecondNodeError | None = None
         self.others: dict[str, NodeStateMsg] = {}
         self._read: dict[str, tuple[NodeStateMsg, dict[str, str]]] = {}
         self.errors: Counter[str] = Counter()
@@ -210,7 +210,7 @@ class Health:
         return self._read[name][1]
 
     def node_state(self, name: str) -> NodeState:
-        """Return how node ``name`` stands by its last beat; UNKNOWN where it was never heard."""
+        """Return how node ``name`` stands by its last beat; UNKNOWN if it was never heard."""
         beat = self.others.get(name)
         return UNHEARD if beat is None else conversions.node_state(beat)
 
@@ -220,7 +220,7 @@ class Health:
         return State.UNKNOWN if beat is None else State(beat.state)
 
     def process(self, name: str) -> str | None:
-        """Return which process node ``name`` is, or was last; None where it was never heard."""
+        """Return which process node ``name`` is, or was last; None if it was never heard."""
         beat = self.others.get(name)
         return None if beat is None else str(beat.process)
 
@@ -229,11 +229,11 @@ class Health:
         return self.state(PLANNER) is State.CALIBRATING
 
     def in_words(self, name: str) -> str:
-        """Return how node ``name`` stands, for a person to read."""
-        return self.node_state(name).in_words() or "silent"
+        """Return the state of node ``name``, for a person to read."""
+        return self.node_state(name).in_words()
 
     def last_words(self, name: str) -> str:
-        """Return why a lost node is lost and what it did before, for a person to read."""
+        """Return the cause of a node's loss and what it did before, for a person to read."""
         return f"{self.lost[name]}; before that: {self.in_words(name)}"
 
     def leave(self) -> None:
@@ -266,13 +266,12 @@ class Health:
         """Handle a beat under this node's own name: of two such nodes the younger one ends."""
         if self._report is None or other.process == self.identity.process:
             return
-        name, place = self._node.get_name(), self._node.get_namespace()
+        name, namespace = self._node.get_name(), self._node.get_namespace()
         if self.identity.is_older(other):
-            text = f"a second node {name} was started in {place}: it is refused"
+            text = f"a second node {name} was started in {namespace}: it is refused"
             self._node.get_logger().warning(text, once=True)
         else:
-            domain = os.environ.get("ROS_DOMAIN_ID", "")
-            self.refused = second_of_its_name(name, place, domain)
+            self.refused = SecondNodeError(name, namespace, os.environ.get("ROS_DOMAIN_ID", ""))
 
     def _turn(self) -> None:
         """Beat, and look at the clocks and at the others."""

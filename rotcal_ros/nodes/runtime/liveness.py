@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 from uuid import getnode, uuid4
 
-from rotcal_ros.foundation.errors import RotcalError
+from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.node_names import NODES
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.planning.settings import HealthSettings
@@ -188,10 +188,14 @@ class NameHolders:
         return True
 
 
-def second_of_its_name(name: str, place: str, domain: str) -> str:
-    """Say why a node ends whose ``name`` in the namespace ``place`` an older one has."""
-    where = f"{place} of ROS domain {domain or '0'}"
-    return f"node {name} runs already in {where}: this second one ends, the first goes on; {_HOW}"
+class SecondNodeError(ConfigurationError):
+    """An older node has the name of this one."""
+
+    def __init__(self, name: str, namespace: str, domain: str) -> None:
+        super().__init__(
+            f"node {name} already runs in {namespace} of ROS domain {domain or '0'}: this second "
+            f"one ends, the first goes on; {_HOW}"
+        )
 
 
 class OtherSessionError(RotcalError):
@@ -199,7 +203,7 @@ class OtherSessionError(RotcalError):
 
 
 def require_own_session(health: Any, environment: Mapping[str, str]) -> None:
-    """Raise OtherSessionError where a node of the cell is of another session than this process."""
+    """Raise OtherSessionError if a node of the cell is of another session than this process."""
     if SESSION_VARIABLE not in environment:
         return
     own = ProcessIdentity.own(environment, 0.0).session

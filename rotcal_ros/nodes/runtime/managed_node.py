@@ -124,7 +124,7 @@ class ManagedNode(LifecycleNode):
         return result
 
     def judge_parameters(self, changes: Mapping[str, Any]) -> None:
-        """Raise ConfigurationError where parameters cannot take values, name -> value."""
+        """Raise ConfigurationError if parameters cannot take values, name -> value."""
 
     def autostart(self) -> None:
         """Configure and activate, unless told not to; raise what makes that impossible."""

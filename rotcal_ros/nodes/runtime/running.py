@@ -152,7 +152,7 @@ def _spin(make: Callable[[], CellNode]) -> None:
         refused = node.health.refused
         node.destroy_node()
     if refused:
-        raise ConfigurationError(refused)
+        raise refused
 
 
 def _finish(node: CellNode, executor: SingleThreadedExecutor) -> None:

@@ -180,7 +180,7 @@ class InstrumentSubscription:
         self._timer = steady_timer(node, GRAPH_PERIOD_S, self._look)
 
     def move(self, topic: str) -> bool:
-        """Subscribe to another topic from now on; return False where it is the same one."""
+        """Subscribe to another topic from now on; return False if it is the same one."""
         if self._node.resolve_topic_name(topic) == self._node.resolve_topic_name(self.topic):
             return False
         self.topic = topic

@@ -173,7 +173,7 @@ class SolverNode(CellNode):
         try:
             result = await self._final(request)
             if not self.active:
-                raise DataError(self.why_not())
+                raise self.not_active_error()
             self._publish(result, final=True)
             response.result_json, response.verdict = result.to_json(), result.verdict
             response.success = True

@@ -97,7 +97,8 @@ class OperatorPage(CellNode):
 
         async def do() -> None:
             try:
-                answer = await work() if self.active else Answer(False, self.why_not())
+                inactive = Answer(False, str(self.not_active_error()))
+                answer = await work() if self.active else inactive
                 future.set_result(answer)
             except Exception as error:
                 self.health.note_error("request of a person", error)

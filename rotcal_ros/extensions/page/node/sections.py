@@ -150,5 +150,5 @@ def _free_gb(folder: Path) -> float | None:
 
 
 def number(value: Any) -> float | None:
-    """Return a number, or None where it is not known."""
+    """Return a number, or None if it is not known."""
     return float(value) if value is not None and math.isfinite(value) else None

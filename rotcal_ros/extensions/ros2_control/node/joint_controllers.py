@@ -106,7 +106,7 @@ class TrajectoryController:
         """Do nothing: the controller has the whole trajectory, and ends it by itself."""
 
     def halt(self) -> str:
-        """Do nothing: only a new target replaces the trajectory, an empty one is refused."""
+        """Do nothing: only a new target replaces the trajectory."""
         return "a trajectory sent by topic cannot be taken back, it goes on to its end"
 
 
