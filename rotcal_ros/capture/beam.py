@@ -1,7 +1,7 @@
-"""Where a tracer may have lost its beam: a new segment of lengths with a zero of its own begins.
+"""Finds where a tracer may have lost its beam: a new segment of lengths with its own zero begins.
 
-A tracer counts fringes: its zero holds while the beam is unbroken. It is lost when the status
-says so, when the readings' numbers start anew, when readings are missing for long, and when the
+A tracer counts fringes: its zero holds while the beam is unbroken. It is lost when the status says
+so, when the numbers of the readings start anew, when readings are missing for long, and when the
 length changes faster than any reflector is carried. The solver estimates a zero per segment.
 """
 
@@ -22,9 +22,9 @@ WRAP: Final = 1 << 32
 class Beam:
     """Finds, in readings that come in the order of their stamps, where segments begin.
 
-    ``silence_s``: readings missing for longer may hide a break; ``fastest``: largest speed of the
-    length, m/s. However the readings are cut into pieces, the segments are the same. ``epoch`` is
-    how often the clock of the readings was set back; their zero outlives that.
+    ``silence_s``: a longer gap may hide a break; ``fastest``: largest speed of the length, m/s.
+    The segments do not depend on how the readings are cut into pieces. ``epoch`` is how often the
+    clock of the readings was set back; the zero survives that.
     """
 
     def __init__(self, silence_s: float, fastest: float) -> None:
@@ -59,7 +59,7 @@ class Beam:
         )
 
     def _compare(self, stamps: Stamps, length: Floats, lost: Floats) -> None:
-        """Compare each usable reading with the one before; ``lost`` counts what was between."""
+        """Compare each usable reading with the last one; ``lost`` counts those in between."""
         first = self._good or (int(stamps[0]), float(length[0]))
         before = -1 if self._lost else 0
         moved = np.abs(np.diff(np.append(first[1], length)))
@@ -74,8 +74,7 @@ class Beam:
     ) -> int:
         """Return the number of the segment of a window, counted from ``since_ns``.
 
-        The window is one of the latest epoch; so is ``since_ns`` where nothing else is said.
-
+        The window belongs to the latest epoch; so does ``since_ns`` unless stated otherwise.
         Windows of one unbroken beam have the same number; one that lost the beam shares its number
         with no other, because its mean has no single zero.
         """

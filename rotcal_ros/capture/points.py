@@ -34,9 +34,9 @@ def decide_points(
 ) -> Observation | Wait:
     """Return the observation of a step that only the probe measures, or what is needed.
 
-    ``reduce`` makes one value of the points. All ``n_points`` of them must come before the
-    deadline, with the table at rest in position from the first point to the last; raises
-    AttemptRejectedError where they did not come, or are no longer known.
+    ``reduce`` makes one value of the points. All ``n_points`` must come before the deadline, with
+    the table at rest in position from the first to the last; raises AttemptRejectedError if they
+    did not come, or are no longer in memory.
     """
     wanted, samples, table = attempt.step.n_points, attempt.samples, streams.table
     deadline = attempt.deadline_ns(settings)
@@ -71,14 +71,14 @@ def decide_points(
 
 
 def points(reduce: PointReducer) -> Decide:
-    """Return the way to decide a step whose points ``reduce`` makes one value of."""
+    """Return the function that decides a step whose points ``reduce`` turns into one value."""
     return partial(decide_points, reduce=reduce)
 
 
 def mean_point(
     samples: Sequence[ProbeSample], _step: Step, _settings: CaptureSettings
 ) -> ReducedWindow:
-    """Return the mean of repeated points (m), or the one point with its own deviation."""
+    """Return the mean of repeated points (m), or a single point with its own deviation."""
     if len(samples) == 1:
         std = samples[0].position_std
         return ReducedWindow(mean=samples[0].position, std=std, scatter=std, n_used=1)

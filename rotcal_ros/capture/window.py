@@ -1,4 +1,4 @@
-"""A window of tracer readings becomes a mean with its standard deviation, or a reason why not."""
+"""Turns a window of tracer readings into mean and standard deviation, or a reason to reject it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _MAD_TO_STD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
 BEAM_BROKEN: Final = "beam broken"
-"""What a reason says when something stood in the beam."""
+"""What a reason says if something stood in the beam."""
 
 
 class ReadingFault(IntEnum):
@@ -126,11 +126,11 @@ def sequence_steps(sequence: Floats, before: float) -> Ints:
 def reduce_window(stamps: Stamps, readings: Floats, settings: CaptureSettings) -> ReducedWindow:
     """Reduce the window ``stamps`` (n,), ``readings`` (n, 3) of an admitted tracer stream.
 
-    The mean is that of the usable readings, spikes beyond ``spike_limit`` robust standard
-    deviations (from the median absolute deviation) left out; ``scatter`` is the standard
-    deviation of one reading, ``std`` = scatter / sqrt(n_used) that of the mean (type A; the
-    floor set by the instrument belongs to the solver). Sums are rounded once, at the end, so
-    that the same readings give the same bits on every machine.
+    The mean is that of the usable readings, without spikes beyond ``spike_limit`` robust standard
+    deviations (from the median absolute deviation); ``scatter`` is the standard deviation of one
+    reading, ``std`` = scatter / sqrt(n_used) that of the mean (type A; the floor set by the
+    instrument belongs to the solver). Sums are rounded once, at the end, so that the same readings
+    give the same bits on every machine.
     """
     length = readings[:, LENGTH]
     faults = readings[:, STATUS].astype(np.int64)
@@ -178,7 +178,7 @@ def _drift(stamps: Stamps, length: Floats, mean: float) -> float:
 
 
 def _gap(sequence: Floats) -> str | None:
-    """Return as a reason which readings are missing inside a window."""
+    """Return, as a reason, which readings are missing inside a window."""
     steps = sequence_steps(sequence[1:], sequence[0])
     at = np.flatnonzero(steps != 1)
     if not len(at):
@@ -211,7 +211,7 @@ def _too_few(faults: Ints, length: Floats, settings: CaptureSettings) -> str:
 
 
 def _unrest(scatter: float, drift: float, settings: CaptureSettings) -> str | None:
-    """Return as a reason how a window is not stable."""
+    """Return, as a reason, why a window is not stable."""
     if scatter > settings.max_std_m:
         return (
             f"unstable: standard deviation {scatter / MICROMETRE:.3g} um of the readings, "

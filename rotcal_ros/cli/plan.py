@@ -1,4 +1,4 @@
-"""``rotcal plan``: what to measure; here plans of ball plates, and what any plan could hide."""
+"""``rotcal plan``: plans of ball plates, and what any plan could hide."""
 
 from __future__ import annotations
 
@@ -96,10 +96,10 @@ def plate(
 ) -> int:
     """Find the ball steps with the smallest predicted uncertainty.
 
-    Tries all layouts where they can be enumerated (up to rotation and reflection), otherwise
+    Tries all layouts (up to rotation and reflection) if they can be enumerated, otherwise
     exchanges one ball at a time from many starts. The gap is the distance to a bound that no
-    layout can beat. For every order of measurement it predicts what a drift of the CMM and a knock
-    of the plate would do, and from which size on they are found.
+    layout can beat. For every measuring order it predicts what a drift of the CMM and a knock of
+    the plate would do, and from which size on they are found.
     """
     from rotcal_ros.methods.ball_plate.design.ball_layout import best_layout
     from rotcal_ros.methods.ball_plate.design.ball_plan import Kinematics
@@ -157,7 +157,7 @@ def effort(
     touches: int,
     as_json: bool,
 ) -> int:
-    """Print how many balls and CMM positions an uncertainty needs, the least work first."""
+    """Print how many balls and CMM positions an uncertainty takes, the least work first."""
     from rotcal_ros.methods.ball_plate.design.ball_plan import Kinematics, plan_measurement
     from rotcal_ros.methods.ball_plate.design.effort import required_effort
 
@@ -276,7 +276,7 @@ def reliability(
 ) -> int:
     """Print the smallest error in one observation of a plan that would be found (Baarda).
 
-    The observations are listed by what a slightly smaller error, which may stay unseen, would do
+    The observations are sorted by what a slightly smaller error, which may stay unseen, would do
     to the deviations, in their standard uncertainties.
     """
     from rotcal_ros.evaluation.reliability import effects_on_deviations
@@ -300,7 +300,7 @@ def reliability(
 
 
 def _predicted_observations(calibration: Calibration) -> tuple[Observation, ...]:
-    """Return observations of the plan with their stated noise, exact ones where none is known."""
+    """Return observations of the plan with their stated noise; exact ones if none is known."""
     if calibration.method.disturbances is None:
         return calibration.nominal_observations()
     return calibration.measured({}, NOISE_SEED).observations
@@ -332,7 +332,7 @@ def _sizes(heading: str, values: list[float | None], unit: float = 1.0) -> Colum
 
 
 def _orders(layout: BallLayout, radius: float, kinematics: Kinematics) -> dict[str, BallPlan]:
-    """Return the measurement of a layout in every known order."""
+    """Return the measurement of a layout in every order that we know."""
     from rotcal_ros.methods.ball_plate.design.ball_plan import Order, plan_measurement
 
     steps = list(layout.steps)
@@ -406,7 +406,7 @@ _WORDS = {"drift": "CMM drifts in", "shift": "plate shifted along", "turn": "pla
 
 
 def forecast_lines(forecast: OrderForecast) -> list[str]:
-    """Return the table of an order: errors by one unit, and the size from which it is found."""
+    """Return the table of an order: errors caused by one unit, and the size found from."""
     names = "".join(f"{name:>9s}" for name in COMPONENTS)
     labels = "".join(f"{unit_of(name)[1]:>9s}" for name in COMPONENTS)
     lines = [

@@ -34,9 +34,9 @@ TARGETS_FILE = "targets.csv"
 PAIRS_FILE = "pairs.csv"
 PLAN_FILE = "plan.yaml"
 LEAST_REDUNDANCY: Final = 0.25
-"""That of rotcal_ros.methods.tracer.design.check_lengths, which takes long to load."""
+"""As in rotcal_ros.methods.tracer.design.check_lengths, which takes long to load."""
 NOISE_SEED: Final = 1
-"""Of the noise with which a plan is measured; what is found does not depend on it."""
+"""Seed of the noise with which a plan is simulated; the plan does not depend on it."""
 
 
 @click.command("tracer")
@@ -46,7 +46,7 @@ NOISE_SEED: Final = 1
     "--like",
     type=path_type,
     metavar="CONFIG",
-    help="Take table angles, mount and noise from this configuration, and write one like it.",
+    help="Take table angles, mount and noise from this configuration, and write a similar one.",
 )
 @click.option(
     "--set", "changes", multiple=True, metavar="NAME=VALUE", help="Change a setting of the goal."
@@ -56,7 +56,9 @@ NOISE_SEED: Final = 1
     type=click.FloatRange(0.5, 0.99),
     help="Probability with which the result's own U meets the goal.  [default: 0.95]",
 )
-@click.option("--plain", is_flag=True, help="The plain minimum, whose lengths check nothing.")
+@click.option(
+    "--plain", is_flag=True, help="The plain minimum, whose lengths do not check each other."
+)
 @click.option(
     "-o", "--output", type=path_type, metavar="FOLDER", help="Write targets, pairs and plan here."
 )
@@ -73,9 +75,9 @@ def tracer(
 ) -> int:
     """Find few lengths of a laser tracer that reach a wanted uncertainty of ECC.
 
-    Prints the uncertainty that results will state, as simulated measurements of the plan do, what
+    Prints the uncertainty that results will state, by simulated measurements of the plan, what
     that assumes, the bound that no plan can beat, how well its lengths check each other, and what
-    the protection against drift costs.
+    protection against drift costs.
 
     GOAL.yaml has settings by name: docs/settings.md lists them.
     """
@@ -86,8 +88,7 @@ def tracer(
     if output is not None and len(set(settings.target_std_m)) > 1:
         raise ConfigurationError(
             f"target_std_m {list(settings.target_std_m)}: a configuration has one number for all "
-            "axes, so that it would solve something else than planned: give three equal ones, or "
-            "leave out -o"
+            "axes, so it would not solve what was planned: give three equal ones, or leave out -o"
         )
     if plain:
         settings = replace(settings, checked=False)
@@ -190,7 +191,7 @@ def _assumed(settings: TracerDesignSettings) -> str:
     motion = settings.error_motion
     if motion is None:
         table = (
-            "a table without error motion, which is not stated, so that the solver estimates it "
+            "a table without error motion; as none is stated, the solver estimates it "
             "(error_motion_std_m states it, for fewer lengths)"
         )
     elif motion:
@@ -223,16 +224,16 @@ def _print_tracer(data: dict[str, Any], settings: TracerDesignSettings) -> None:
     )
     click.echo(
         f"of {data['runs']} simulated runs {100 * data['met']:.1f} % end ok and meet the goal; "
-        f"{100 * data['suspected']:.1f} % are sound but not called ok, which more lengths do not "
-        "change: they count as missed, and are to be measured again"
+        f"{100 * data['suspected']:.1f} % are sound but not called ok, which more lengths would "
+        "not change: they count as missed, and have to be measured again"
     )
     click.echo(_assumed(settings))
     click.echo(
-        f"ideal plan, with fractions of lengths: {data['ideal']:.1f}; bound: no plan in this "
+        f"ideal plan, with fractional lengths: {data['ideal']:.1f}; bound: no plan in this "
         f"volume, checked or not, has fewer than {data['bound']} (gap {100.0 * data['gap']:.1f} %)"
     )
     if data["checked_bound"]:
-        click.echo(f"the wanted redundancy alone takes {data['checked_bound']}")
+        click.echo(f"the wanted redundancy alone needs {data['checked_bound']}")
     _print_order_of_lengths(data, settings)
     detectable, share = data["largest_detectable_m"], data["largest_undetected_in_u"]
     click.echo(
@@ -244,7 +245,7 @@ def _print_tracer(data: dict[str, Any], settings: TracerDesignSettings) -> None:
         say(
             "warning: this is the plain minimum, its lengths do not check each other: "
             f"an error of any size stays unseen in {data['unchecked']} of {data['lengths']}, and "
-            "one wrong length spoils the result; it is not planned to keep the promise, and "
+            "one wrong length spoils the result; it does not try to keep the promise, and "
             f"{100 * data['met']:.0f} % of simulated results have a verdict ok and meet the goal"
         )
 
@@ -279,7 +280,7 @@ def _print_order_of_lengths(data: dict[str, Any], settings: TracerDesignSettings
 
 
 def _number(value: float | None, unit: float, digits: str = ".3g") -> str:
-    """Return a number; what nothing checks has none."""
+    """Return a number as text; what nothing checks has none."""
     return "any" if value is None else format(value / unit, digits)
 
 
@@ -287,7 +288,9 @@ def _number(value: float | None, unit: float, digits: str = ".3g") -> str:
 @click.argument("configuration", type=path_type, metavar="CONFIG", shell_complete=configurations)
 @click.option("--set", "changes", multiple=True, metavar="GROUP.NAME=VALUE", help="Change it.")
 @click.option(
-    "--cell", is_flag=True, help="Times of the simulated cell of CONFIG; otherwise the two below."
+    "--cell",
+    is_flag=True,
+    help="Use the times of the simulated cell of CONFIG; otherwise the two below.",
 )
 @click.option("--turn-s", type=float, default=10.0, show_default=True, help="s, one rotation.")
 @click.option("--length-s", type=float, default=5.0, show_default=True, help="s, one length.")
@@ -298,10 +301,13 @@ def _number(value: float | None, unit: float, digits: str = ".3g") -> str:
     show_default=True,
     help="Standard uncertainties that an unseen drift or knock may cause.",
 )
-@click.option("--clock", is_flag=True, help="Also time CONFIG as it is in the simulated cell.")
+@click.option("--clock", is_flag=True, help="Also time CONFIG, unchanged, in the simulated cell.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the search.")
 @click.option(
-    "-o", "--output", type=NamedFile(".csv"), help="Write the pairs in the best order there."
+    "-o",
+    "--output",
+    type=NamedFile(".csv"),
+    help="Write the pairs in the best order into this file.",
 )
 @json_option
 def sequence(
@@ -354,7 +360,7 @@ def sequence(
 def _measuring_orders(
     calibration: Calibration, model: TimeModel, limit: float, seed: int
 ) -> tuple[MeasuringOrder, ...]:
-    """Return the competing orders of the plan's lengths."""
+    """Return the orders of the plan's lengths that compete."""
     from rotcal_ros.methods.tracer.calibration import problem
     from rotcal_ros.methods.tracer.design.sequence import SequenceForecast, measuring_orders
 
@@ -415,7 +421,7 @@ def _size_or_any(value: float | None) -> float | str:
     metavar="N",
     default=1,
     show_default=True,
-    help="Check only every N-th angle; nothing is known of the others.",
+    help="Check only every N-th angle; nothing will be known of the others.",
 )
 @click.option(
     "--candidates",
@@ -429,14 +435,18 @@ def _size_or_any(value: float | None) -> float | str:
     help="Where the reflector may go and what is in the way, as for 'rotcal plan tracer'.",
 )
 @click.option(
-    "--volume-set", "limits", multiple=True, metavar="NAME=VALUE", help="The same, by name."
+    "--volume-set",
+    "limits",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="The same settings, by name.",
 )
 @click.option(
     "--least-redundancy",
     type=click.FloatRange(0.0, 0.9),
     default=LEAST_REDUNDANCY,
     show_default=True,
-    help="Of each length; 0 checks nothing.",
+    help="Smallest redundancy of a length; 0 checks nothing.",
 )
 @set_option
 @click.option("-o", "--output", type=path_type, help="Folder for configuration and its tables.")
@@ -446,7 +456,7 @@ def check(earlier: Path, output: Path | None, as_json: bool, **asked: Any) -> in
 
     A table that has only aged as stated will be found still valid with a probability of 1 less
     the risk of a false alarm. The folder of -o is ready for 'rotcal run FOLDER/check.yaml', and
-    what it measures for 'rotcal check EARLIER NEW' with the same options.
+    its result for 'rotcal check EARLIER NEW' with the same options.
     """
     plan = _check_plan(earlier, **asked)
     if as_json:
@@ -520,8 +530,8 @@ def _print_checks(plan: CheckPlan, every: int, least_redundancy: float) -> None:
         print_words(f"nothing will be known of {unknown} of the earlier result")
     if least_redundancy < LEAST_REDUNDANCY:
         print_words(
-            "warning: some lengths are hardly checked: an error in one of them may turn "
-            "the verdict"
+            "warning: some lengths are hardly checked: an error in one of them may change the "
+            "verdict"
         )
     print_words(
         f"a table that has only aged as stated is found within {plan.rule.limit / ARCSEC:.4g} "
@@ -532,7 +542,7 @@ def _print_checks(plan: CheckPlan, every: int, least_redundancy: float) -> None:
 def goal_settings(
     pattern: Configuration | None, goal: Path | None, changes: Iterable[str]
 ) -> TracerDesignSettings:
-    """Return the settings: of the pattern, then of the file, then ``changes`` as NAME=VALUE.
+    """Return the settings from pattern, file and ``changes`` (NAME=VALUE); the last counts.
 
     Raises ConfigurationError, with the place, for unknown ones.
     """
@@ -557,17 +567,17 @@ def _of_file(goal: Path) -> dict[str, Any]:
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"cannot read the goal {goal}: {why(error)}") from error
     if not isinstance(values, dict | None):
-        raise ConfigurationError(f"{goal}: expected lines of NAME: VALUE, found {values!r:.60}")
+        raise ConfigurationError(f"{goal}: expected lines NAME: VALUE, found {values!r:.60}")
     if values and "/**" in values:
         raise ConfigurationError(
-            f"{goal} is the configuration of a calibration; expected: settings of a goal by name; "
-            "'rotcal plan tracer --like' plans one like it"
+            f"{goal} is the configuration of a calibration; expected the settings of a goal by "
+            "name; 'rotcal plan tracer --like' plans a similar one"
         )
     return values or {}
 
 
 def _of_pattern(pattern: Configuration) -> dict[str, Any]:
-    """Return what a configuration of the method says about a goal's settings."""
+    """Return the settings of a goal that a configuration of the method states."""
     from rotcal_ros.methods.tracer.design.settings import PER_STATION, SHARED
 
     plan, solver, simulation = pattern.plan, pattern.solver, pattern.simulation

@@ -1,6 +1,6 @@
-"""``rotcal plan trade``: what a wanted uncertainty takes, for each of the methods.
+"""``rotcal plan trade``: what a wanted uncertainty takes, for each method.
 
-The trade tables of the methods, for programs and for people.
+It makes the trade tables of the methods, for programs and for people.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rotcal_ros.report.terminal.columns import Column, column_of, print_table, p
 @json_option
 @click.pass_context
 def command(context: click.Context, as_json: bool) -> int:
-    """How large, how quiet, how many for U(ECC) <= x; without a method: the usual case of each."""
+    """Show what U(ECC) <= x takes in size, noise and effort; without a method: the usual cases."""
     if context.invoked_subcommand is None:
         tables = {"tracer": tracer_table(), "plate": plate_table(), "mirror": mirror_table()}
         if as_json:
@@ -177,7 +177,7 @@ PAPER_ANGLES: dict[str, Any] = {
 }
 """Table angles of the laser-tracer paper, as settings."""
 SPACING_M = 0.17
-"""Between the targets that are offered."""
+"""Distance between the targets that are offered."""
 
 
 def tracer_table(
@@ -230,7 +230,7 @@ def tracer_table(
     ]
     beyond = any(row.lengths is None for row in rows)
     notes = (
-        "where no number of lengths is given it is out of reach: U is that of all lengths",
+        "if no number of lengths is given, it is out of reach: U is that of all lengths",
     ) * beyond
     return TradeTable({"need_rad": need_arcsec * ARCSEC, **_rows(rows)}, columns, title, notes)
 
@@ -269,8 +269,8 @@ def plate_table(
         column_of("no plan saves more than/%", [row.saving for row in rows], 0.01, ".1f"),
     ]
     note = (
-        f"whichever balls at whichever positions: {100.0 * least:.0f} to {100.0 * most:.0f} % of "
-        "the centres is all that a plan could gain; only R, sigma and the number of centres matter"
+        f"whichever balls at whichever positions, a plan could save at most {100.0 * least:.0f} "
+        f"to {100.0 * most:.0f} % of the centres; only R, sigma and the number of centres matter"
     )
     return TradeTable({"need_rad": need_arcsec * ARCSEC, **_rows(rows)}, columns, title, (note,))
 

@@ -45,14 +45,16 @@ if TYPE_CHECKING:
     "controllers",
     multiple=True,
     shell_complete=controller_names,
-    help="Controller to write files for, too.",
+    help="Controller to write files for as well.",
 )
 @click.option(
     "--accept-unverified",
     is_flag=True,
-    help="Write files although something about the controller is not verified.",
+    help="Write files even if something about the controller is not verified.",
 )
-@click.option("--again", is_flag=True, help="Add what is left to the table, and measure again.")
+@click.option(
+    "--again", is_flag=True, help="Add the remaining deviations to the table, and measure again."
+)
 @click.option("--keep-previous", is_flag=True, help="Move an existing output folder aside.")
 @click.option(
     "--resume", type=path_type, metavar="FOLDER", help="Go on with an interrupted verification."
@@ -75,15 +77,14 @@ def command(
     loaded: bool,
     as_json: bool,
 ) -> int:
-    """Measure the cell of CONFIG, give its control the table, and measure again.
+    """Measure the cell of CONFIG, load the table into its control, and measure again.
 
-    A simulated control gets the table by itself. The table of a real cell you load into its
-    control (the first --to, or the controller of its group bridge), and say that you have: on the
-    terminal, or later with --resume FOLDER --loaded.
-
-    OUTPUT is the first run and holds all that 'rotcal run' leaves; OUTPUT/after is the second
-    one, OUTPUT/verification.json has the figures. The exit code is 0 when no more is left than the
-    uncertainties explain. Ctrl-C cancels; --resume goes on, with the options as they were.
+    A simulated control gets the table by itself. For a real cell you load the table into its
+    control (the first --to, or the controller of its group bridge) and confirm it on the terminal,
+    or later with --resume FOLDER --loaded. OUTPUT is the first run and holds all that 'rotcal run'
+    leaves; OUTPUT/after is the second one, OUTPUT/verification.json has the figures. The exit code
+    is 0 if no more is left than the uncertainties explain. Ctrl-C cancels; --resume goes on with
+    the options as they were.
     """
     from rotcal_ros.sessions.verification import Request, begin, confirm_loaded
 
@@ -91,8 +92,8 @@ def command(
         raise click.UsageError("give a CONFIG, or --resume FOLDER")
     if loaded and resume is None:
         raise click.UsageError(
-            "--loaded goes with --resume FOLDER: before the first measurement "
-            "there is no table to load"
+            "--loaded needs --resume FOLDER: before the first measurement there is no table to "
+            "load"
         )
     if configuration is not None:
         folder = (output or Path("out") / configuration.stem).absolute()
@@ -109,8 +110,8 @@ def command(
 def _loaded(folder: Path, files: Sequence[Path]) -> bool:
     """Ask on the terminal whether the files are in the control."""
     say(
-        "load this table into the control, restart it or do what makes it active there, and let "
-        f"the axis find its reference: {', '.join(map(str, files))}"
+        "load this table into the control, make it active (by a restart, for instance), and "
+        "reference the axis again: {', '.join(map(str, files))}"
     )
     later = f"to go on when it is loaded: rotcal verify --resume {folder} --loaded"
     if sys.stdin.isatty():
@@ -122,7 +123,7 @@ def _loaded(folder: Path, files: Sequence[Path]) -> bool:
 
 
 def _verify(folder: Path, as_json: bool) -> int:
-    """Carry out what is left to do in ``folder``, print the outcome, return the exit code."""
+    """Do what is left to do in ``folder``, print the outcome, return the exit code."""
     from rotcal_ros.foundation.session_folder import VERIFICATION, SessionFolder
     from rotcal_ros.report.verification import verification_section
     from rotcal_ros.sessions.lasting_output import lasting_output
@@ -161,8 +162,8 @@ def _print(verification: Verification) -> None:
         )
     if verification.again is not None:
         click.echo(
-            f"measured E:    {verification.again.systematic / ARCSEC:.3f} arcsec after what was "
-            "left was added to the table"
+            f"measured E:    {verification.again.systematic / ARCSEC:.3f} arcsec after the rest "
+            "was added to the table"
         )
     if verification.effect is not None:
         click.echo(verification.fault or f"table acts:    {verification.effect.in_words()}")

@@ -275,7 +275,7 @@ def test_what_does_not_fit_is_refused_and_told_on_diagnostics(bench):
     bench.publish(table(axis="B"))
     bench.wait_for_state("axis B was measured and this cell has axis C")
     bench.publish(table(), table_hash="0" * 64)
-    bench.wait_for_state("it was changed on its way")
+    bench.wait_for_state("it was changed on the way")
     bench.publish(replace(table(), open_zeros="the offset between odd and even is not measured"))
     bench.wait_for_state("joined by 'rotcal combine'")
     assert "no table has arrived" in bench.apply("0" * 64).message
@@ -284,7 +284,7 @@ def test_what_does_not_fit_is_refused_and_told_on_diagnostics(bench):
     assert "max_change_arcsec is 5" in bench.apply().message
     confirmation = bench.status["confirmation"]
     bench.publish(table(), correction_forward=np.zeros(24))  # other numbers under the same hash
-    bench.wait_for_state("it was changed on its way")
+    bench.wait_for_state("it was changed on the way")
     assert "no table has arrived" in bench.apply(confirmation).message
     assert bench.files() == set()
 

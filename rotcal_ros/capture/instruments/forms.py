@@ -43,7 +43,7 @@ class Form:
         return tuple(float(attrgetter(name)(message)) for name in (*self.numbers, *self.limits))
 
     def stamp_ns(self, message: Any, sent_ns: int) -> int:
-        """Return the stamp of a live message; the time of sending where it has none."""
+        """Return the stamp of a live message; the time of sending if it has none."""
         return stamp_ns(message.header.stamp) if self.stamped else sent_ns
 
 
@@ -67,7 +67,7 @@ FORMS: Final[Mapping[str, Mapping[str, Form]]] = {
     AIR_PRESSURE: _SCALARS,
     RELATIVE_HUMIDITY: _SCALARS,
 }
-"""The types that each role accepts beside its own, by name."""
+"""The types that each role accepts besides its own, by name."""
 OWN: Final[Mapping[str, str]] = {
     TRACER_LENGTH: "rotcal_msgs/msg/TracerLength",
     JOINT_STATES: "sensor_msgs/msg/JointState",
@@ -76,7 +76,7 @@ OWN: Final[Mapping[str, str]] = {
     AIR_PRESSURE: "sensor_msgs/msg/FluidPressure",
     RELATIVE_HUMIDITY: "sensor_msgs/msg/RelativeHumidity",
 }
-"""The type made for each role: with numbers, status, step."""
+"""The type made for each role, with numbers, status and step."""
 
 
 def form_of(role: str, type_name: str) -> Form | None:
@@ -88,4 +88,4 @@ def check_type(role: str, type_name: str) -> None:
     """Raise ConfigurationError unless messages of a type can be used in a role."""
     if type_name != OWN.get(role) and form_of(role, type_name) is None:
         usable = ", ".join([OWN[role], *FORMS[role]])
-        raise ConfigurationError(f"{role}: {type_name} is no message for it; it may be {usable}")
+        raise ConfigurationError(f"{role}: {type_name} cannot be used; expected {usable}")

@@ -1,4 +1,4 @@
-"""How often an instrument sends, from the stamps of its messages."""
+"""Rates at which instruments send, from the stamps of their messages."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from rotcal_ros.foundation.units import NANOSECOND
 _REMEMBERED: Final = 500
 """Stamps of a stream over which its rate is taken."""
 _LEAST: Final = 5
-"""Messages from which on there is a rate."""
+"""From this many messages on there is a rate."""
 _LONGEST_NS: Final = 60_000_000_000
 """After a longer pause, or a clock that was set, the rate is counted anew."""
 
 
 class Rates:
-    """The mean rate (Hz) of each stream over its latest messages, pauses of bursts included."""
+    """The mean rate (Hz) of each stream over its latest messages, including pauses in bursts."""
 
     def __init__(self) -> None:
         self._stamps: dict[str, deque[int]] = {}

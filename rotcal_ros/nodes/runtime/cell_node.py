@@ -34,7 +34,7 @@ T = TypeVar("T")
 IDLE_S: Final = 0.1
 """While nothing is measured, messages are collected for this time and handled together."""
 _QUIET: Final = frozenset({"recorder", "solver"})
-"""Nodes that log nothing of an ignored publisher: capture and planner name it already."""
+"""Nodes that do not log ignored publishers: capture and planner already do."""
 
 
 @coroutine
@@ -75,7 +75,7 @@ class NotActiveError(RotcalError):
 class CellNode(ManagedNode, ABC):
     """A node of the cell; ``given`` holds the parameters it was started with, in groups.
 
-    Subscriptions, timers and services that are made by :meth:`listen`, :meth:`every` and
+    Subscriptions, timers and services made by :meth:`listen`, :meth:`every` and
     :meth:`offer` work only while the node is active. A latched message that comes earlier waits
     until then, since its publisher will not send it again. The node beats in every state.
     """
@@ -133,10 +133,10 @@ class CellNode(ManagedNode, ABC):
     def offer(
         self, kind: type, name: str, handle: Callable[[Any, Any], Any], *, always: bool = False
     ) -> None:
-        """Offer a service, whose response has a ``message`` that says why it was refused.
+        """Offer a service; a ``message`` in its response says why a request was refused.
 
-        ``always``: it is not refused while the node is inactive. An answer that takes its time
-        holds up other services, but neither what the node hears nor its beat.
+        ``always``: it is not refused while the node is inactive. A slow answer holds up other
+        services, but neither subscriptions nor the beat.
         """
 
         async def answer(request: Any, response: Any) -> Any:
@@ -166,7 +166,7 @@ class CellNode(ManagedNode, ABC):
         self.executor.create_task(do)
 
     def take_orders(self, obey: Callable[[Command], None]) -> Orders:
-        """Call ``obey`` with every complete order; return the halves (table, probe) that wait."""
+        """Call ``obey`` with every complete order; return the waiting halves (table, probe)."""
         orders = Orders()
 
         def listen(kind: type, topic: str, take: Callable[[Any], Command | None]) -> None:

@@ -1,4 +1,4 @@
-"""Message types by name: their classes, and whether a recorded one is the installed one."""
+"""Finds message types by name, and tells whether a recorded one is the installed one."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _FEEDBACK: Final = "_FeedbackMessage"
 
 
 def importable_type(type_name: str, type_hash: str) -> type:
-    """Return the class of a recorded message type; BagError if it is not the same here.
+    """Return the class of a recorded message type; BagError if the type differs here.
 
     ``type_hash`` is that of the recorded definition, empty if it is not known.
     """

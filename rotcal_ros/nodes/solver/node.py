@@ -89,11 +89,11 @@ class SolverNode(CellNode):
         self._worker.shutdown(wait=False, cancel_futures=True)
 
     def gather_s(self) -> float:
-        """Let observations gather: no one waits for a preliminary result."""
+        """Collect observations: no one waits for a preliminary result."""
         return 0.0 if self._answering else self.idle_s() or OBSERVATIONS_S
 
     def _take_plan(self, message: CalibrationPlan) -> None:
-        """Begin with a plan, with what the recorder or this node itself has of earlier runs."""
+        """Begin with a plan; recorder or this node have the observations of earlier runs."""
         old, own = self._calibration, self._observations
         self._calibration, self._run, self._observations, self._state = None, "", {}, LOADING
         self._values = {}
@@ -115,7 +115,7 @@ class SolverNode(CellNode):
         self._earlier.ask(message, kept, partial(self._begin_run, message))
 
     def _begin_run(self, message: CalibrationPlan, known: Mapping[RunStep, Observation]) -> None:
-        """Collect from now on; ``known`` is what was observed before this node or run began."""
+        """Collect from now on; ``known`` are the observations before this node or run began."""
         self._know(known)
         self._run = run_name(message)
         self._state = NodeState.of(State.WORKING, Why.COLLECTING, message.method)
@@ -134,7 +134,7 @@ class SolverNode(CellNode):
             self._observations[message.run, message.step] = messages.observation(message)
 
     def _preliminary(self) -> None:
-        """Begin a solution of what is there, unless one is running or nothing is new."""
+        """Begin to solve the observations so far, unless that is going on or nothing is new."""
         if self._is_solving() or len(self._observations) == self._solved_count:
             return
         calibration, run = self._calibration, self._run
@@ -229,17 +229,17 @@ class SolverNode(CellNode):
 
 
 PATIENCE_S: Final = 10.0
-"""After this long without an answer the recorder is asked again."""
+"""The recorder is asked again after this long without an answer."""
 NO_GOAL_S: Final = 2.0
-"""A planner that has had no goal for this long did not announce the plan."""
+"""If the planner has had no goal for this long, it did not announce the plan."""
 Known = Mapping[RunStep, Observation]
 
 
 class EarlierObservations:
     """Asks the recorder for the observations of a plan so far, all runs of its session.
 
-    Only where the planner works for this plan: a plan that another node announces has none. While
-    it does, they are waited for: without them the joined runs could not be solved.
+    It asks only while the planner works on this plan: a plan of another node has none. Meanwhile
+    the observations are waited for: without them the joined runs cannot be solved.
     """
 
     def __init__(self, node: CellNode) -> None:
@@ -253,9 +253,9 @@ class EarlierObservations:
         node.every(BEAT_PERIOD_S, self._look)
 
     def ask(self, message: CalibrationPlan, kept: Known, take: Callable[[Known], None]) -> None:
-        """Call ``take`` with the accepted ones, later.
+        """Call ``take`` later with the accepted ones.
 
-        ``kept`` is what the node itself has; it counts where the recorder knows no earlier run.
+        ``kept`` is what the node itself has; it counts if the recorder knows no earlier run.
         """
         self._plan, self._kept = message, kept
         self.ask_again(take)
@@ -280,12 +280,12 @@ class EarlierObservations:
             self._asked_s, self._asked = now_s, self._client.call_async(Trigger.Request())
             self._asked.add_done_callback(self._node.health.guarded(lambda _: self._look()))
         elif now_s - max(self._asked_s, since_s) > PATIENCE_S:
-            text = "the recorder does not answer what was measured earlier: waiting for it"
+            text = "the recorder does not say what was measured earlier: waiting for it"
             self._node.get_logger().warning(text, throttle_duration_sec=PATIENCE_S)
             self._asked = None
 
     def _is_foreign(self, message: CalibrationPlan, waited_s: float) -> bool:
-        """Return whether the plan is not that of the planner's goal: there is nothing to ask."""
+        """Return whether the plan is not the planner's goal, so that there is nothing to ask."""
         health = self._node.health
         if "planner" not in health.present():
             return True
