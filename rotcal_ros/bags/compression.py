@@ -1,4 +1,4 @@
-"""Unpacking what is compressed in a bag, never more than a file may ask for.
+"""Unpacks what is compressed in a bag, within the limits that a file has to keep.
 
 Chunks of MCAP are compressed by zstd or lz4. rosbag2 compresses whole storage files (mode FILE) or
 message by message (mode MESSAGE), both by zstd; other formats need plugins of rosbag2.
@@ -30,9 +30,9 @@ from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.untrusted import open_plain
 
 COMPRESSED: Final = ".zstd"
-"""The ending of a storage file that is compressed as a whole, behind that of its format."""
+"""The ending of a storage file that is compressed as a whole, after that of its format."""
 _FILE_STEP: Final = 1 << 12
-"""Bytes of a file that are unpacked at once: as many are lost before a fault."""
+"""Bytes of a file that are unpacked at once: up to so many are lost before a fault."""
 
 
 def plain_name(path: PurePath) -> PurePath:
@@ -44,8 +44,8 @@ def plain_name(path: PurePath) -> PurePath:
 def open_storage_file(path: Path, limits: ReadingLimits) -> Iterator[BinaryIO]:
     """Open a storage file; one that is compressed as a whole is unpacked into a temporary file.
 
-    Of a file that is cut off, what can be unpacked is given. Raises OSError, and BagError where
-    nothing can be unpacked or where it would become too large.
+    Of a file that is cut off, the part that can be unpacked is used. Raises OSError, and BagError
+    if nothing can be unpacked or the result would be too large.
     """
     with open_plain(path) as file:
         if plain_name(path) == path:
@@ -86,12 +86,14 @@ def _unpack_file(
             done += len(part)
             if done > most:
                 ratio = 2 * (done // max(1, size)) + 1
-                raise BagError(refusal(f"{path} unpacks to too much", "unpacked_ratio", ratio))
+                raise BagError(
+                    refusal(f"{path} unpacks to too many bytes", "unpacked_ratio", ratio)
+                )
             plain.write(part)
     except zstandard.ZstdError as error:
         if not done:
             raise BagError(f"{path} cannot be unpacked: {error}") from None
-        what = f"the file cannot be unpacked behind byte {done} of its content: {error}"
+        what = f"the file cannot be unpacked after byte {done} of its content: {error}"
         return Damage(0, what)
     return None
 
@@ -105,7 +107,7 @@ _BLOCK_BYTES: Final = 4 << 20
 
 
 def decompressor(mode: str, compression: str) -> Unpack | None:
-    """Return what unpacks the messages of a bag; None if they are as they were published.
+    """Return the function that unpacks the messages of a bag; None if they are not compressed.
 
     ``mode`` and ``compression`` are rosbag2's ``compression_mode`` and ``compression_format``.
     Raises BagError for a format that cannot be unpacked.
@@ -132,7 +134,7 @@ def declared_compression(file: Path) -> tuple[str, str]:
 def stated_compression(metadata: bytes) -> tuple[str, str]:
     """Return mode and format in the text of a ``metadata.yaml``; two '' when it has none.
 
-    Two lines of a text that may be damaged or hostile are searched, not parsed as YAML.
+    The text may be damaged or hostile: two of its lines are searched, it is not parsed as YAML.
     """
     stated = {match[1]: match[2].decode() for match in _STATED.finditer(metadata)}
     return stated.get(b"mode", ""), stated.get(b"format", "")
@@ -141,7 +143,7 @@ def stated_compression(metadata: bytes) -> tuple[str, str]:
 def looks_packed(message: bytes) -> bool:
     """Return whether ``message`` is compressed, declared or not.
 
-    CDR begins with 00 and never like a frame of zstd.
+    CDR begins with 00, unlike any frame of zstd.
     """
     return message.startswith(zstandard.FRAME_HEADER) or bool(SKIPPABLE.match(message))
 
@@ -183,7 +185,7 @@ def _unpack_message(data: bytes) -> bytes:
 _LZ4_STEP: Final = 1 << 16
 _ZSTD_STEP: Final = 512
 SKIPPABLE: Final = re.compile(rb"[\x50-\x5f]\x2a\x4d\x18")
-"""Begins a frame that is to be skipped."""
+"""Begin of a frame that is to be skipped."""
 _CUT_OFF: Final = "a compressed message is cut off"
 
 
@@ -199,7 +201,7 @@ class Unpacker:
     def chunk(self, chunk: ChunkRecord) -> bytes:
         """Return the records inside a chunk, checked against size and CRC.
 
-        Raises DamagedRecord, also where the chunk is larger than the limits allow.
+        Raises DamagedRecord, also if the chunk is larger than the limits allow.
         """
         data = self._plain(chunk)
         if len(data) != chunk.size:
@@ -240,7 +242,7 @@ class Unpacker:
 
 
 def zstd_message(data: bytes, largest: int, beyond: str) -> bytes:
-    """Return what all frames of ``data`` hold (RFC 8878, 3.1); some are to be skipped.
+    """Return the content of all frames of ``data`` (RFC 8878, 3.1), without skippable ones.
 
     Raises DamagedRecord, with the words ``beyond`` above ``largest`` bytes.
     """
@@ -261,7 +263,10 @@ def zstd_message(data: bytes, largest: int, beyond: str) -> bytes:
 
 
 def _frames(data: bytes, room: int, beyond: str) -> Iterator[bytes]:
-    """Yield what the frames of ``data`` hold, in steps; a step gives 32,768 times as much."""
+    """Yield the content of the frames of ``data`` in steps.
+
+    A step gives at most 32,768 times as much.
+    """
     position = 0
     while position < len(data) or not data:
         if SKIPPABLE.match(data, position):
@@ -283,7 +288,7 @@ def _frames(data: bytes, room: int, beyond: str) -> Iterator[bytes]:
 
 
 class _Decompressors(threading.local):
-    """One for each thread: to make one takes longer than to unpack a small chunk."""
+    """One for each thread: making one takes longer than unpacking a small chunk."""
 
     def __init__(self) -> None:
         self.zstd = zstandard.ZstdDecompressor()
@@ -293,7 +298,7 @@ _decompressors: Final = _Decompressors()
 
 
 def _zstd(packed: memoryview, size: int) -> bytes:
-    """Return what is packed, hardly more than ``size`` bytes; one frame in one step."""
+    """Return the unpacked bytes, hardly more than ``size``; one frame in one step."""
     claimed = zstandard.frame_content_size(packed)
     if claimed > size:
         raise DamagedRecord(f"a frame claims {claimed} bytes instead of {size}")
@@ -311,7 +316,7 @@ def _zstd(packed: memoryview, size: int) -> bytes:
 
 
 def _lz4(packed: memoryview, size: int) -> bytes:
-    """Return what is packed; a step of the input gives 255 times as much at most."""
+    """Return the unpacked bytes; a step of the input gives at most 255 times as much."""
     decompressor, data = lz4.frame.LZ4FrameDecompressor(), BytesIO()
     for begin in range(0, len(packed), _LZ4_STEP):
         data.write(decompressor.decompress(packed[begin : begin + _LZ4_STEP]))

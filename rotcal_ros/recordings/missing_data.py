@@ -1,4 +1,4 @@
-"""What a recording lacks: its dropouts and the steps they touch, and why observations are few."""
+"""What a recording lacks: its dropouts, the steps they touch, and why observations are few."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.observations import Observation
 
 _SENTENCES: Final = 20
-"""Largest number of sentences; more of them would not say more."""
+"""Largest number of sentences; more of them would say nothing new."""
 _NAMED: Final = 5
 _TYPE: Final = "rotcal_msgs/msg/Observation"
 
@@ -40,7 +40,7 @@ class Window:
     to_ns: int
 
     def touches(self, dropout: Dropout) -> bool:
-        """Return whether the two have a moment in common."""
+        """Return whether window and dropout overlap."""
         return dropout.from_ns <= self.to_ns and self.from_ns <= dropout.to_ns
 
 
@@ -130,7 +130,7 @@ _TOPICS: Final = {
 """What delivers each stream of the capture."""
 _MAX_NAMED: Final = 8
 _FEW: Final = 0.1
-"""Share of steps without an accepted observation that is not worth a warning."""
+"""Up to this share of steps without an accepted observation is not worth a warning."""
 
 
 def require_accepted(
@@ -158,7 +158,7 @@ def require_accepted(
     if observations:
         reasons.insert(0, _rejections(observations))
     elif not counts:
-        reasons.append(f"it holds none on a topic {names.OBSERVATION}; solve its streams instead")
+        reasons.append(f"no topic {names.OBSERVATION} holds any; solve its streams instead")
     elif silent:
         reasons.append(f"nothing was read on {', '.join(silent)}; {_present(topics)}")
     elif counts.get("command", {}).get("unanswered"):
@@ -178,9 +178,9 @@ def _rejections(observations: Sequence[Observation]) -> str:
 def doubtful(
     observations: Sequence[Observation], counts: Mapping[str, Mapping[str, int]]
 ) -> tuple[str, ...]:
-    """Return what a reader should know of attempts that failed, though not all did.
+    """Return what a reader should know about failed attempts if some succeeded.
 
-    And how many messages contradict others: it is not known which of them are true.
+    Also how many messages contradict others: it is not known which of them are true.
     """
     texts = []
     rejected = [o.reason for o in observations if not o.accepted]
@@ -204,7 +204,7 @@ def doubtful(
 
 
 def _failed_steps(observations: Sequence[Observation]) -> str | None:
-    """Return how many steps were tried in vain, and why; None for few, as by a blocked beam."""
+    """Return how many steps were tried in vain, and why; None for few, as after a blocked beam."""
     done = {o.step for o in observations if o.accepted}
     failed = [o for o in observations if o.step not in done]
     found, steps = Commonest.of(o.reason for o in failed), len({o.step for o in failed})
@@ -214,7 +214,7 @@ def _failed_steps(observations: Sequence[Observation]) -> str | None:
 
 
 def unanswered(commands: Mapping[str, int]) -> str:
-    """Say that the machine did not echo its orders."""
+    """Return a sentence: the machine did not echo its orders."""
     return (
         f"{commands['unanswered']} of {commands['received']} orders have no answer: a point on "
         f"{names.PROBE_POINT} must echo step and attempt of its order"

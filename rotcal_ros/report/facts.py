@@ -1,7 +1,7 @@
-"""What a certificate states beside the numbers: one fact per entry of ISO/IEC 17025, 7.8.
+"""What a certificate states besides the numbers: one fact per entry of ISO/IEC 17025, 7.8.
 
-``item`` of a fact is the clause of ISO/IEC 17025:2017 that asks for it; a test holds the page
-against the whole list.
+``item`` of a fact is the clause of ISO/IEC 17025:2017 that requires it; a test compares the page
+with the whole list.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def about_the_work(result: Result, identity: Identity, method: str, issued: str)
 
 
 def about_the_plan(result: Result, rejected_attempts: int) -> list[Fact]:
-    """Return what was sampled, what was left out, and who else had a part in it."""
+    """Return what was sampled, what was left out, and who else contributed."""
     counts = result.circumstances.counts
     skipped = "" if counts is None else f"{counts.skipped} of {counts.planned} steps were skipped"
     return [
@@ -89,7 +89,7 @@ def in_numbers(result: Result, counts: StepCounts | None, rejected_attempts: int
     if counts is None:
         return f"{result.n_observations} observations, {rejected}"
     return (
-        f"{counts.planned} steps planned or on offer, {counts.used} used, {counts.skipped} "
+        f"{counts.planned} steps planned or offered, {counts.used} used, {counts.skipped} "
         f"skipped, {counts.retried} retried, {rejected}, {rejected_attempts} during the capture"
     )
 
@@ -124,7 +124,7 @@ def _tolerance(identity: Identity) -> str:
 
 
 def _dates(circumstances: Circumstances) -> str:
-    """Return when it was measured, to the minute; the day once where it is one."""
+    """Return when it was measured, to the minute, with a single day only once."""
     if circumstances.begun_ns is None or circumstances.ended_ns is None:
         return ""
     begun, ended = (

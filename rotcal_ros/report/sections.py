@@ -36,7 +36,7 @@ BUDGET = "Uncertainty budget"
 
 
 def budget(result: Result, withheld: str | None) -> str:
-    """Return the budget as HTML, below the reason for which no U is stated, if there is one."""
+    """Return the budget as HTML, after the reason for which no U is stated, if there is one."""
     return render(
         "budget",
         figure=sources(result),
@@ -70,7 +70,7 @@ def sources(result: Result) -> str:
 
 
 def _tables(result: Result) -> list[dict[str, Any]]:
-    """Return a table for each component that is split, or one for all where none is."""
+    """Return a table for each component that is split, or one for all if none is."""
     if any(len(contributions(result, name)) > 1 for name in result.components):
         return [_table(result, name) for name in result.components]
     rows = []
@@ -149,7 +149,7 @@ def _plan_rows(own: PlanFigures, papers: PlanFigures) -> list[list[str]]:
 
 @style.styled
 def bars(found: Mapping[str, HarmonicContent]) -> str:
-    """Draw the amplitudes over the order; pale where the order does not differ from zero."""
+    """Draw the amplitudes over the order, pale if the order does not differ from zero."""
     panels = style.grid(-(-len(found) // 2), min(2, len(found)), height=2.5)
     for ax, (name, content) in zip(panels, found.items(), strict=False):
         unit, label = unit_of(name)
@@ -254,7 +254,7 @@ _INSTRUMENTS: Final = (
 
 
 def traceability_statement(result: Result) -> str:
-    """Return in one sentence how far the numbers are traceable, claiming nothing unstated."""
+    """Return in one sentence how far the numbers are traceable, as far as stated."""
     if result.simulated:
         return "None: a simulation was measured, no instrument."
     known = result.circumstances.identity.instruments.known

@@ -1,4 +1,4 @@
-"""Unused ROS domains of this machine, so that two cells never hear each other."""
+"""Finds unused ROS domains on this machine, so that two cells never hear each other."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import Final
 DOMAINS: Final = 100
 """Domains 1 to 100 use ports below the range that the kernel gives to outgoing connections."""
 DEFAULT_DOMAIN: Final = 0
-"""The domain that ROS uses where none is set."""
+"""The domain that ROS uses if none is set."""
 _FIRST_PORT: Final = 7410
 _PORTS_PER_DOMAIN: Final = 250
 
@@ -29,11 +29,11 @@ _held: dict[int, int] = {}
 
 
 def free_domain() -> int:
-    """Return a domain (1 to 100) whose first participant's port is free; a new one every call.
+    """Return a domain (1 to 100) whose first participant's port is free; a new one at every call.
 
-    It stays reserved for this process to its end, or to `release_domains`: another process of this
+    It stays reserved for this process until its end or `release_domains`: another process of this
     user gets another one even before the first participant is there. The port is 7410 + 250 domain
-    (DDSI-RTPS 2.3, 9.6.1). When all are taken, the next is returned all the same: sharing a domain
+    (DDSI-RTPS 2.3, 9.6.1). When all are taken, the next is returned nevertheless: sharing a domain
     is better than not starting.
     """
     for _ in range(DOMAINS):
@@ -44,7 +44,7 @@ def free_domain() -> int:
 
 
 def release_domains() -> None:
-    """Release the domains of this process: its participants are gone."""
+    """Release the domains of this process, after its participants have left."""
     while _held:
         os.close(_held.popitem()[1])
 
@@ -75,7 +75,7 @@ def _is_free(domain: int) -> bool:
 
 
 def domains_in_use() -> tuple[int, ...]:
-    """Return the domains with participants on this machine, as far as they can be seen.
+    """Return the domains that have visible participants on this machine.
 
     Empty where the system does not list its sockets (other systems than Linux).
     """

@@ -1,4 +1,4 @@
-"""What a finished calibration leaves beside its bag: truth, report, controller files."""
+"""Writes what a finished calibration leaves beside its bag: truth, report, controller files."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def write_products(
     export: bool = True,
     tell: Callable[[str], None] = say,
 ) -> dict[str, str]:
-    """Write what follows from the result; return name -> absolute path of everything there is.
+    """Write what follows from the result; return name -> absolute path of all files.
 
     A report or controller files that cannot be written never spoil a calibration: the reason is
     printed, and they are left out.
@@ -74,7 +74,7 @@ def goal_standing(folder: SessionFolder) -> GoalStanding | None:
 def write_truth(session: Session) -> None:
     """Write what the simulation injected at the plan's table angles.
 
-    ``injected`` holds it all, ``deviations`` what the method can see of it: see Method.gauge.
+    ``injected`` holds all of it, ``deviations`` what the method can see of it (Method.gauge).
     """
     calibration = session.calibration
     angles = np.array(calibration.plan.distinct_angles)
@@ -104,7 +104,7 @@ def write_report(folder: SessionFolder, extra: Sequence[tuple[str, str]] = ()) -
     result = write_recorded(recording, folder.report, truth, extra)
     live = recording.with_warnings(read_source(folder.result).result)
     if result.to_json() != live.to_json():
-        say(f"warning: {folder.bag}, solved again, gives another result than live: rotcal solve")
+        say(f"warning: {folder.bag}, solved again, gives another result than live")
 
 
 def export_files(
@@ -143,7 +143,7 @@ def write_exports(exports: dict[str, ExportFiles], folder: Path) -> None:
 
 
 def _write_compensation(session: Session) -> None:
-    """Write controller files where the result allows it."""
+    """Write controller files if the result allows it."""
     source = read_source(session.folder.result)
     table = table_from_result(source.result, axis=session.configuration.cell.axis)
     table = combined(table, lambda: None)

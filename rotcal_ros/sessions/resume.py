@@ -1,4 +1,4 @@
-"""How far an interrupted session came, and the session that continues it."""
+"""Finds how far an interrupted session came, and prepares the session that continues it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _POLL_S: Final = 0.2
 def resume_session(source: Path, path: Path, changes: Sequence[str]) -> Session:
     """Return the session that continues the one in the folder ``path``.
 
-    Its raw streams say what is left to measure.
+    Its raw streams show what is left to measure.
 
     Raises ConfigurationError when there is no such session, it is finished, or it was configured
     differently; BagError when another process works there.
@@ -87,13 +87,13 @@ def _wait_for_lock(folder: Path) -> None:
 def _observed(bag: Path, calibration: Calibration) -> tuple[Observation, ...]:
     """Return what was recorded; nothing when the recorder died before the first message."""
     try:
-        with progress("reading what is there") as shown:
+        with progress("reading what was recorded") as shown:
             recording = read_recording(
                 bag, configuration=calibration.configuration, progress=shown
             )
     except BagError as error:
         require_one_session(bag_files(bag))
-        say(f"nothing to go on from: {error}")
+        say(f"nothing to continue from: {error}")
         return ()
     if recording.session.missing:
         raise BagError(f"{'; '.join(recording.session.missing)}: put it back before you go on")
@@ -103,7 +103,7 @@ def _observed(bag: Path, calibration: Calibration) -> tuple[Observation, ...]:
 
 
 def _say_what_is_left(calibration: Calibration, continuation: Continuation) -> None:
-    """Print how far the plan is; with a goal only the policy knows how many steps it will take."""
+    """Print what is left of the plan; with a goal only the policy knows how many steps."""
     total, missing = len(calibration.plan.steps), len(continuation.steps)
     missing -= len(continuation.again)
     again = f"; {len(continuation.again)} done steps are measured again" * bool(continuation.again)

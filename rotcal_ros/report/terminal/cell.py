@@ -1,4 +1,4 @@
-"""What a check of a cell found, for people: a line for each thing, then what to do next."""
+"""Shows the findings of a check of a cell: a line for each thing, then what to do next."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def _draw(console: Console, report: CellReport) -> None:
 
 
 def _table(lines: tuple[CheckLine, ...]) -> Table:
-    """Return the lines as a table without rules, the parts of the cell on the left."""
+    """Return the lines as a table without rules, with the parts of the cell on the left."""
     from rich.table import Table
     from rich.text import Text
 
@@ -83,7 +83,7 @@ def _table(lines: tuple[CheckLine, ...]) -> Table:
 
 
 def _with_parts(lines: tuple[CheckLine, ...]) -> Iterator[tuple[str, bool, CheckLine]]:
-    """Yield the lines part by part, in the order in which the parts were first named."""
+    """Yield the lines part by part, in the order in which the parts first occur."""
     order = list(dict.fromkeys(line.part for line in lines))
     in_order = sorted(lines, key=lambda line: order.index(line.part))
     for part, group in groupby(in_order, key=lambda line: line.part):
