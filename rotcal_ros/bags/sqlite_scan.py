@@ -164,7 +164,7 @@ def opened(path: Path, limits: ReadingLimits = DEFAULT_LIMITS) -> Iterator[Datab
     try:
         with unpacked_storage_file(path, limits) as (plain, damage):
             if not plain.is_file() or not plain.stat().st_size:
-                what = "is empty" if plain.is_file() else "is no file"
+                what = "is empty" if plain.is_file() else "is not a file"
                 raise BagError(f"cannot read {path}: it {what}; there is nothing in it to be read")
             with (
                 _with_pending_changes(plain) as (file, how),

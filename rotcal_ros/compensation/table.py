@@ -36,8 +36,8 @@ DIRECTIONS: Final = (Approach.POSITIVE, Approach.NEGATIVE)
 LINK: Final = (
     "What links them: a second result of the same table that sees both from one zero (mirror, "
     "tracer, autocollimator with polygon, a plate whose ball steps share no factor with the grid, "
-    "such as 12 balls), joined by 'rotcal combine'; or solver.group_allowance_m, if it is known "
-    "how far apart they are at most"
+    "such as 12 balls), joined by 'rotcal combine'; or solver.group_allowance_m, if a bound on "
+    "their distance is known"
 )
 SIGN_CONVENTION: Final = "correction = -(actual - commanded); add it to the commanded angle"
 
@@ -52,7 +52,7 @@ class CompensationTable:
     zero at ``reference_angle``, ``correction_reverse`` for decreasing angle. ``std`` and
     ``std_reverse`` are their standard uncertainties (k = 1); the latter is None if it is the
     same. ``between_std`` (rad) comes on top of them between the measured angles, which are up to
-    ``widest_gap`` (rad) apart; zero where that is not known, as for a table made by hand.
+    ``widest_gap`` (rad) apart; zero if that is not known, as for a table made by hand.
     ``warnings`` say in words what to know before use. ``verdict_line`` is the verdict with what it
     does not cover; empty if that is not known, as in a message. ``measured_on`` is the table in
     force during the measurement (hash of the controller's files, "none" or "unknown"), ``adds_to``
@@ -148,7 +148,7 @@ class CompensationTable:
 
     @property
     def table_hash(self) -> str:
-        """SHA-256 over all that the table says: names, verdict and every bit of the numbers."""
+        """SHA-256 over everything in the table: names, verdict and every bit of the numbers."""
         digest = hashlib.sha256()
         for text in (self.axis, self.method, self.verdict):
             digest.update(text.encode() + b"\0")
@@ -175,7 +175,7 @@ class CompensationTable:
 def check_verdict(origin: Result | CompensationTable) -> None:
     """Raise DataError unless the verdict is "ok" and all values count from one zero.
 
-    Nothing else may move an axis. Export and bridge alike ask here.
+    Nothing else may move an axis. Export and bridge both call this.
     """
     open_zeros = origin.zeros.in_words() if isinstance(origin, Result) else origin.open_zeros
     if open_zeros:
@@ -191,7 +191,7 @@ def check_verdict(origin: Result | CompensationTable) -> None:
 def measured_axis(
     result: Result, reverse: Result | None = None, axis: str = "", default: str = "C"
 ) -> str:
-    """Return the axis that was measured: as the results say, else ``axis``, else ``default``.
+    """Return the axis that was measured: from the results, else ``axis``, else ``default``.
 
     Raises ConfigurationError if they contradict each other or a stated ``axis``.
     """
@@ -205,7 +205,7 @@ def measured_axis(
     if known and axis and check_axis(axis) != known:
         raise ConfigurationError(
             f"axis {known} was measured, and the table would be named for axis {axis}: leave the "
-            "axis out; that a table is meant for another axis is accepted where files are made"
+            "axis out; a table for another axis is accepted when files are made"
         )
     return known or axis or default
 
@@ -230,10 +230,10 @@ def table_from_result(
     moved to ``reference_angle`` (default: the first angle of the result).
 
     Without ``spacing`` the table has one row per measured angle, else rows every ``spacing``
-    radians from zero, on a curve through the measured points. ``harmonics`` =
-    order replaces that curve by the weighted least-squares fit of so many harmonics; what it
-    leaves out is stated in the warnings. The uncertainty is carried through with the full
-    covariance. Raises DataError when ECC is absent, not finite, or does not close.
+    radians from zero, on a curve through the measured points. ``harmonics`` = order replaces that
+    curve by the weighted least-squares fit of so many harmonics; the warnings state what it leaves
+    out. The uncertainty is propagated with the full covariance. Raises DataError when ECC is
+    absent, not finite, or does not close.
     """
     weights = _weights_of(harmonics)
     reference = float(result.angles[0] if reference_angle is None else reference_angle)
@@ -272,7 +272,7 @@ def table_from_result(
 
 
 def _open_zeros(result: Result, reverse: Result | None) -> str:
-    """Return which offsets of ECC either of the directions leaves open, in words."""
+    """Return in words the offsets of ECC that either direction leaves open."""
     every = [result] if reverse is None else [result, reverse]
     return "; ".join(dict.fromkeys(words for r in every if (words := r.zeros.in_words(["ECC"]))))
 
@@ -287,9 +287,9 @@ class _Columns(NamedTuple):
 
 
 def _columns(curve: DirectionalCurve, weights: Floats) -> _Columns:
-    """Return the columns of a table from what its rows take of the ``curve``: (n + 1, values).
+    """Return the columns of a table: ``weights`` (n + 1, values) times the ``curve``.
 
-    The last row of ``weights`` is the zero: of the forward curve, for both columns.
+    The last row of ``weights`` is the zero of the forward curve, for both columns.
     """
     up, down = weights @ curve.forward, weights @ curve.reverse
     std, std_reverse = _standard_uncertainties(weights, curve)
@@ -297,7 +297,7 @@ def _columns(curve: DirectionalCurve, weights: Floats) -> _Columns:
 
 
 def _weights_of(harmonics: int | None) -> Weights:
-    """Return how rows take their values: through the points, or from so many harmonics."""
+    """Return the weights of the rows: for a curve through the points, or so many harmonics."""
 
     def weights(curve: DirectionalCurve, at: Floats) -> Floats:
         if harmonics is None:
@@ -309,7 +309,9 @@ def _weights_of(harmonics: int | None) -> Weights:
 
 def _harmonic_weights(curve: DirectionalCurve, at: Floats, order: int) -> Floats:
     if curve.period == 0.0:
-        raise ConfigurationError("harmonics need the full circle, the result covers an arc only")
+        raise ConfigurationError(
+            "harmonics need the full circle, and the result covers only an arc"
+        )
     estimator = harmonic_estimator(curve.angles, order, curve.forward_covariance)
     return harmonic_basis(at, order) @ estimator
 
@@ -327,7 +329,7 @@ def _standard_uncertainties(
 
 
 def _item(result: Result, reverse: Result | None) -> str:
-    """Return what both directions were measured on; DataError for two serial numbers."""
+    """Return the item that both directions were measured on; DataError for two serial numbers."""
     ours = result.circumstances.identity
     theirs = ours if reverse is None else reverse.circumstances.identity
     if ours.serial and theirs.serial and ours.serial != theirs.serial:
@@ -340,7 +342,7 @@ def _item(result: Result, reverse: Result | None) -> str:
 
 
 def _serial(result: Result, reverse: Result | None) -> str:
-    """Return the number of the item of both directions, which do not contradict each other."""
+    """Return the serial number of the item of both directions, which do not contradict."""
     serials = (r.circumstances.identity.serial for r in (result, reverse) if r is not None)
     return next(filter(None, serials), "")
 
@@ -362,7 +364,7 @@ def _worse(result: Result, reverse: Result | None) -> Verdict:
 
 
 def _lines(result: Result, reverse: Result | None) -> str:
-    """Return the verdict lines of both directions, once where they are the same."""
+    """Return the verdict lines of both directions, only one if they are the same."""
     lines = (
         [result.verdict_line] if reverse is None else [result.verdict_line, reverse.verdict_line]
     )
@@ -386,7 +388,7 @@ def _notes(curve: DirectionalCurve, zero: Floats) -> list[str]:
     if curve.period == 0.0:
         first, last = curve.angles[[0, -1]] / DEGREE
         notes.append(
-            f"the angles cover an arc only ({first:.6g} .. {last:.6g} deg): no closure, no wrap, "
+            f"the angles cover only an arc ({first:.6g} .. {last:.6g} deg): no closure, no wrap, "
             "nothing is known outside"
         )
     own_zero = max(abs(zero @ curve.forward), abs(zero @ curve.reverse)) < 1e-15
@@ -406,6 +408,6 @@ def _check_angles(angles: Floats, period: float) -> None:
         raise DataError(f"compensation table: period {period} rad, expected 2 pi or 0 (an arc)")
     if period and angles[-1] - angles[0] > TURN - SAME_ANGLE / 2:
         raise DataError(
-            "compensation table: the last row repeats the first after a full turn; leave it "
-            "out, the period of 2 pi says it"
+            "compensation table: the last row repeats the first after a full turn; leave it out: "
+            "the period of 2 pi implies it"
         )

@@ -1,4 +1,4 @@
-"""Rows of a table for writers: columns in degrees, and what a controller's file demands."""
+"""Rows of a table for writers: columns in degrees, and the demands of a controller's file."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def columns_deg(table: CompensationTable) -> tuple[Floats, Floats, Floats]:
     if table.closed:
         if abs(angles[0]) > SAME_ANGLE:
             raise ConfigurationError(
-                f"the first row of the table stands at {angles[0] / DEGREE:.6g} deg and a "
+                f"the first row of the table is at {angles[0] / DEGREE:.6g} deg and a "
                 "controller's table starts at 0: give a spacing"
             )
         angles = np.append(angles, TURN)
@@ -43,7 +43,7 @@ def fixed(value: float, decimals: int) -> str:
 
 
 def with_line(files: Mapping[str, str], suffix: str, place: int, line: str) -> dict[str, str]:
-    """Return ``files`` with one ``line`` more at ``place`` in those that end with ``suffix``."""
+    """Return ``files`` with a further ``line`` at ``place`` in those that end with ``suffix``."""
     texts = dict(files)
     for name in (name for name in files if name.endswith(suffix)):
         lines = files[name].splitlines(keepends=True)
@@ -67,7 +67,7 @@ def require_circle(table: CompensationTable, title: str) -> None:
     if not table.closed:
         first, last = table.angles[[0, -1]] / DEGREE
         raise ConfigurationError(
-            f"{title} takes the table of a whole turn and this one covers only {first:.6g} .. "
+            f"{title} takes a table of a whole turn, and this one covers only {first:.6g} .. "
             f"{last:.6g} deg: measure the full circle, or use linuxcnc or csv, which take an arc"
         )
 

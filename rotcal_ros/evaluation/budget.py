@@ -20,7 +20,7 @@ SOURCES: Final[Mapping[str, str]] = {
     "targets": "Places of the targets",
     "error_motion": "Error motion of the table",
     "circle": "Stated circle of the stations",
-    "slips": "Slips of the counter that nobody sees",
+    "slips": "Unseen slips of the counter",
     "clocks": "Clocks that may differ, while the table creeps",
 }
 """The names that methods give their sources, in words."""

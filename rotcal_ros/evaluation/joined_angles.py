@@ -1,4 +1,4 @@
-"""At which angles several curves are combined: those at which any of them was measured."""
+"""Finds the angles at which several curves are combined: those at which any was measured."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.units import DEGREE
 
 SAME: Final = 1e3 * SAME_ANGLE
-"""rad; angles of two curves that are closer than this are common, as in a comparison."""
+"""rad; angles of two curves that are closer than this count as common, as in a comparison."""
 LINKING: Final = 2
-"""Common angles that join two curves; with a single one a shift between them would not show."""
+"""Least common angles that join two curves; with a single one a shift would not show."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +85,7 @@ def _merged(at: Sequence[Floats], turn: bool) -> tuple[Floats, list[Ints]]:
 
 
 def _linked(groups: list[set[int]]) -> list[set[int]]:
-    """Return the unions of groups that share enough places, until none does any more."""
+    """Merge groups that share enough angles until none do; return their unions."""
     for i, first in enumerate(groups):
         for second in groups[i + 1 :]:
             if len(first & second) >= LINKING:

@@ -1,12 +1,11 @@
-"""What may be shown of a result: its two marks, and whether its uncertainty is believed.
+"""Decides what may be shown of a result: its two marks, and whether its uncertainty counts.
 
-*Measurement*: may the numbers be believed (ok, suspect, failed)? *Tolerance*: is the table as it
-was agreed (within, beyond, undecided)? A good measurement of a bad table is ok and beyond. Page,
-report and terminal show the marks of this module and no others.
-
-A band that is drawn or a U that is printed is believed, whatever is written beside it. So neither
-is shown as valid where the model behind it is contradicted: by the verdict, or by the deviations
-that a simulation injected. The numbers stay in result.json.
+*Measurement*: can the numbers be believed (ok, suspect, failed)? *Tolerance*: is the table as
+agreed (within, beyond, undecided)? A good measurement of a bad table is ok and beyond. Page,
+report and terminal show the marks of this module and no others. People believe a band that is
+drawn or a U that is printed, whatever is written beside it. So neither is shown as valid if the
+model behind it is contradicted by the verdict, or by the deviations that a simulation injected.
+The numbers stay in result.json.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ COLOURS: Final[Mapping[str, str]] = {
 class Mark:
     """One answer: ``name`` is measurement or tolerance, ``kind`` one of COLOURS.
 
-    ``words`` begin with the answer. The kind of an ok that does not cover everything is "partly".
+    ``words`` begin with the answer. An ok that does not cover everything has the kind "partly".
     """
 
     name: str
@@ -63,7 +62,7 @@ class Mark:
 
 
 def marks(result: Result, truth: Mapping[str, Any] | None = None) -> tuple[Mark, ...]:
-    """Return the marks of a result; no second one where no tolerance is agreed.
+    """Return the marks of a result; only one if no tolerance is agreed.
 
     ``truth`` is the content of the truth.json of a simulation.
     """
@@ -88,8 +87,8 @@ def tolerance(
 ) -> Mark | None:
     """Return the mark of deviations (SI, by component) with their standard uncertainties.
 
-    None if no tolerance is agreed for any of them. One component beyond is beyond, whatever
-    the others are. Where U may not be stated (``doubt``) nothing is decided.
+    None if no tolerance is agreed for any of them. If one component is beyond, all are. If U may
+    not be stated (``doubt``) nothing is decided.
     """
     agreed = {name: limit for name in deviations if (limit := tolerance_of(name, identity))}
     if not agreed:
@@ -112,7 +111,7 @@ def _all(agreed: Mapping[str, float]) -> str:
 
 
 SURELY_WRONG: Final = 2.0
-"""Times U, hence four standard uncertainties: no honest curve is that far from the truth."""
+"""In U, so four standard uncertainties: no honest curve is that far from the truth."""
 
 
 def withheld(result: Result, truth: Mapping[str, Any] | None = None) -> str | None:
@@ -151,7 +150,7 @@ def at_angles(angles: Floats, truth: Mapping[str, Any], component: str) -> tuple
 
 
 def _contradicted(result: Result, truth: Mapping[str, Any]) -> str | None:
-    """Return in words where the injected deviations lie far outside the band, if anywhere."""
+    """Return in words where the injected deviations lie far outside the band, or None."""
     for name in result.components:
         injected, known = at_angles(result.angles, truth, name)
         expanded = COVERAGE_FACTOR * result.std[name]
@@ -165,6 +164,6 @@ def _contradicted(result: Result, truth: Mapping[str, Any]) -> str | None:
                 f"{name} at {result.angles[worst] / DEGREE:g} degrees is "
                 f"{error[worst] / unit:.2g} {label} off what the simulation injected, "
                 f"{times[worst]:.1f} times its U of {stated} {label}: "
-                "the model lacks something"
+                "the model is incomplete"
             )
     return None

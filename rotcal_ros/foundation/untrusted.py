@@ -43,7 +43,7 @@ _KINDS: Final = (
 
 
 class NotAFileError(OSError):
-    """What a path leads to is no plain file; ``strerror`` says what it is."""
+    """What a path leads to is not a plain file; ``strerror`` says what it is."""
 
 
 def plain_file(path: Path) -> bool:

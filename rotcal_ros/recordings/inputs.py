@@ -51,7 +51,7 @@ class Input:
                     f"{self.path} is a table, and a table needs its set-up: --setup SETUP.yaml"
                 )
             if of_reading:
-                raise ConfigurationError(f"--set {of_reading[0]}: {self.path} is no bag")
+                raise ConfigurationError(f"--set {of_reading[0]}: {self.path} is not a bag")
             stated = changed(read_setup(self.setup), self.changes)
             return read_measurements(self.path, stated, self.targets)
         if self.targets is not None:

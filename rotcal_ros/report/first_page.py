@@ -42,7 +42,7 @@ class ValueBlock:
 
 
 def sentences(result: Result, withheld: str | None) -> list[str]:
-    """Return the result in words: ranges with U, and the figures of ISO 230-2 if there are runs."""
+    """Return the result in words: ranges with U, and figures of ISO 230-2 if there are runs."""
     few = len(result.components) <= FEW_SENTENCES
     texts = [_range(result, name, withheld) for name in result.components if few]
     if figures := _positioning(result, withheld):
@@ -111,7 +111,7 @@ def minus(number: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _Ends:
-    """Lowest and highest value of a component as text, with the digits that its largest U needs."""
+    """Lowest and highest value of a component as text, with the digits for its largest U."""
 
     low: str
     high: str

@@ -41,7 +41,7 @@ def test_every_code_has_its_words():
 @pytest.mark.parametrize(
     ("state", "words"),
     [
-        (UNHEARD, ""),
+        (UNHEARD, "silent"),
         (NodeState(State.READY), "ready"),
         (NodeState.of(State.WAITING, Why.NO_PLAN), "waiting for a plan"),
         (NodeState.of(State.MOVING, Why.ORDERED, 3, 1), "busy: step 3, attempt 1"),

@@ -266,7 +266,7 @@ def test_the_correction_is_looked_up_with_its_direction(bench):
     assert answer.correction == pytest.approx(-10 * ARCSEC, rel=1e-9)
     assert answer.table_hash == made.table_hash
     assert 0 < answer.std < ARCSEC
-    assert "from which side" in bench.correction(1.0, 0).message
+    assert "the side from which" in bench.correction(1.0, 0).message
     assert not bench.correction(1.0, 77).success
 
 
@@ -362,7 +362,7 @@ def test_a_change_that_was_never_finished_is_reported_and_undone(bench):
     bench.wait(lambda: "unfinished" in bench.others.get("again", {}), "the warning")
     status = bench.others["again"]
     assert status["level"] == b"\x01"
-    assert "neither the old nor the new files whole" in status["unfinished"]
+    assert "neither all old nor all new files" in status["unfinished"]
     assert first["after_hash"] in status["unfinished"]
     bench.wait_for_log("again", "was never finished")
     assert "was never finished" in bench.apply(status["confirmation"]).message
