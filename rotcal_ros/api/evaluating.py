@@ -1,4 +1,4 @@
-"""Is it true, how sure is it, and what another plate would give."""
+"""Checks whether a result is true, how sure it is, and what another plate would give."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ def compare(
     """Compare two independent measurements of one table within their stated uncertainties.
 
     Each is a result, its file, a bag, or a reference table (.csv). The offset that no method can
-    know is taken off, and ``align_order`` harmonics. ``difference`` (n,) = first - second, m or
-    rad; ``normalised_error`` is E_n with k = 2; ``agree`` is the verdict. Raises DataError for a
-    component that is absent and for too few common angles.
+    know is removed, and ``align_order`` harmonics. ``difference`` (n,) = first - second, m or rad;
+    ``normalised_error`` is E_n with k = 2; ``agree`` is the verdict. Raises DataError for an
+    absent component and for too few common angles.
 
     >>> import rotcal_ros as rc
     >>> folder = "examples/data"
@@ -69,7 +69,7 @@ def check(
     ``within`` and ``ageing_std``, the usual change since then of each angle (k = 1), in rad or m.
     ``verdict`` is "still valid", "changed" or "undecided"; ``miss`` and ``false_alarm`` are the
     risks that the first two are wrong, see docs/quick_check.md. Raises DataError for a result
-    that failed or a new one without uncertainty, ConfigurationError for risks that are none.
+    that failed or a new one without uncertainty, ConfigurationError for impossible risks.
 
     >>> import rotcal_ros as rc
     >>> folder = "examples/data"
@@ -89,11 +89,11 @@ def combine(*results: Curve, enlarge: Enlargement = "birge") -> Result:
     """Return the best estimate of one table's deviations from independent measurements.
 
     Each is a result, its file or session, a bag, a reference curve or its table (.csv).
-    Generalised least squares with all covariances; every input has its own zero, and nothing
-    in the result counts from another zero than its mean. ``verdict`` is suspect when an input is
-    or when they contradict each other: then ``enlarge`` ("birge", "mandel-paule", "none") tells
-    what is done to the uncertainties. ``details`` hold weights and chi-square. Raises DataError
-    for a failed input, and for inputs without common angles that cannot be interpolated.
+    Generalised least squares with all covariances; every input has its own zero, and everything in
+    the result counts from its mean. ``verdict`` is suspect if an input is or if they contradict
+    each other: then ``enlarge`` ("birge", "mandel-paule", "none") says what is done to the
+    uncertainties. ``details`` hold weights and chi-square. Raises DataError for a failed input,
+    and for inputs without common angles that cannot be interpolated.
 
     >>> import rotcal_ros as rc
     >>> folder = "examples/data"
@@ -141,8 +141,8 @@ def uncertainty(
     A configuration: about what its plan would see, before anything is measured. A recording or a
     table (see :func:`read_table`): about what was measured. ``components`` maps each to value,
     linear_std, mean, std, low and high (95 %), arrays (n,) in m or rad; ``warnings`` say where
-    the trials contradict the solver. ``trials`` at most; they end when the figures are stable to
-    ``digits``. Raises ConfigurationError if the method brings no trials.
+    the trials contradict the solver. There are at most ``trials``; they end when the figures are
+    stable to ``digits``. Raises ConfigurationError if the method brings no trials.
 
     >>> import rotcal_ros as rc
     >>> configuration = rc.read_configuration("examples/data/ball_plate.yaml")
@@ -167,8 +167,8 @@ def plan_plate(
 
     ``min_gap`` grid steps lie between neighbours, ``subset_of`` are the steps of an existing
     plate, ``weights`` those of ECC, EXC and EYC, EAC and EBC, EZC. ``steps`` is the layout,
-    ``predicted_std(sigma, radius)`` (m) its standard deviations (m, rad), ``optimal`` tells that
-    none is better. Raises PlanError when no layout separates table, plate and machine.
+    ``predicted_std(sigma, radius)`` (m) its standard deviations (m, rad), ``optimal`` means that
+    none is better. Raises PlanError if no layout separates table, plate and machine.
 
     >>> import rotcal_ros as rc
     >>> layout = rc.plan_plate(12, 6)

@@ -4,10 +4,9 @@ A method takes a frozen problem and returns a :class:`Result`; the solver node, 
 replay, the report, the comparison and the export never ask which method it was. Deviations are
 *actual - commanded*; absent components are absent, never zero.
 
-A result from its machine-readable form: every entry checked before anybody computes with it.
-
-What is read here can be printed, drawn, compared and exported; a file that was cut or edited ends
-in one error with the entry that is wrong.
+This module also reads a result from its machine-readable form and checks every entry. What it
+returns can be printed, drawn, compared and exported; a file that was cut or edited ends in one
+error that names the wrong entry.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ COUNTS_FROM: Final = (
     "mean of each group",
     UNKNOWN,
 )
-"""What the deviations of a method count from: there, or on average over there, they are zero."""
+"""What the deviations of a method count from: they are zero there, or on average there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +82,7 @@ class RepeatedRuns:
     """Deviations of every arrival at ``targets`` (m,) rad in n runs, in radians.
 
     ``forward`` and ``reverse`` (m, n) are None for a direction without arrivals and NaN where one
-    is missing. ``repeatability_std`` is the scatter that the measurement does not explain.
+    is missing. ``repeatability_std`` is the scatter beyond that of the measurement.
     """
 
     targets: Floats
@@ -134,9 +133,9 @@ class Directions:
 class FreeDirection:
     """One number t that the data leave open: deviations are known up to t times ``columns``.
 
-    ``columns`` maps components to (n,) arrays over the angles of the result; what they do to the
-    mean of a curve is of no concern, for no method knows that one. ``name`` says between what
-    the zeros differ, such as "the odd and even table positions".
+    ``columns`` maps components to (n,) arrays over the angles of the result; their effect on the
+    mean of a curve does not matter, since no method knows the mean. ``name`` says what the offset
+    lies between, such as "the odd and even table positions".
     """
 
     name: str
@@ -145,11 +144,11 @@ class FreeDirection:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Zeros:
-    """What deviations count from, and what of that no observation joins.
+    """What deviations count from, and which offsets no observation determines.
 
-    ``counts_from`` is one of COUNTS_FROM. The zero of a whole curve is nobody's: all methods lack
-    it, and none of the ``free`` directions is it. A result with ``free`` directions is never ok,
-    for its uncertainties hold within each part alone; ``within`` is the verdict on them there.
+    ``counts_from`` is one of COUNTS_FROM. No method knows the zero of a whole curve, so it is not
+    among the ``free`` directions. A result with ``free`` directions is never ok, since its
+    uncertainties hold only within each part; ``within`` is the verdict there.
     """
 
     counts_from: str = UNKNOWN
@@ -168,7 +167,7 @@ class Zeros:
         return np.column_stack(columns) if columns else np.zeros((n, 0))
 
     def mapped(self, matrix: Floats) -> Zeros:
-        """Return the same for deviations that are ``matrix`` (m, n) @ those of here."""
+        """Return the same for deviations that are ``matrix`` (m, n) times the present ones."""
         moved = (
             FreeDirection(d.name, {c: matrix @ column for c, column in d.columns.items()})
             for d in self.free
@@ -180,7 +179,7 @@ class Zeros:
         return tuple(c for c in COMPONENTS if any(c in d.columns for d in self.free))
 
     def in_words(self, components: Iterable[str] = COMPONENTS) -> str:
-        """Return in one clause each which offsets of ``components`` are open."""
+        """Return a clause for each open offset of ``components``."""
         wanted = set(components)
         touched: dict[str, set[str]] = {}
         for direction in self.free:
@@ -203,14 +202,13 @@ class Result:
     the a posteriori standard deviation of unit weight; 1 means that the stated noise fits.
     ``details`` are for people: nothing but the figures of a method reads them. ``protections``
     say what was done about each effect that could spoil the result; empty when not stated.
-    ``directions`` maps the components that were measured from both sides to what they are from
-    each; ``deviations`` then holds the mean. ``measured_on`` is the compensation table in force
+    ``directions`` maps components measured from both sides to their values from each side;
+    ``deviations`` then holds the mean. ``measured_on`` is the compensation table in force
     meanwhile: the hash of the controller's files, "none" or "unknown". ``circumstances`` say who
     measured what, when and how warm it was; a method leaves them to those who call it. ``zeros``
-    say what the deviations count from, and what of that is open. ``raw_data``: the observations
+    say what the deviations count from, and which offsets are open. ``raw_data``: the observations
     that it rests on, so that they are not counted twice. ``budget`` splits the uncertainty of ECC:
-    standard uncertainties (n,) by source, which add in squares; empty if only the whole is
-    known.
+    standard uncertainties (n,) by source, which add in squares; empty if only the whole is known.
 
     >>> import rotcal_ros as rc
     >>> result = rc.read_result("examples/data/result_ball_plate.json")
@@ -254,7 +252,7 @@ class Result:
 
     @property
     def verdict_line(self) -> str:
-        """The verdict as people read it: never without what it does not cover."""
+        """The verdict for people: never without what it does not cover."""
         verdict = f"{self.verdict} ({SIMULATED})" if self.simulated else self.verdict
         if self.zeros.free:
             verdict = f"{verdict}, {self.zeros.in_words()}"
@@ -265,7 +263,7 @@ class Result:
 
     @property
     def verdict_within(self) -> Verdict:
-        """The verdict on each part with a zero of its own, else the verdict itself."""
+        """The verdict within each part that has its own zero, else the verdict itself."""
         return self.zeros.within if self.zeros.free else self.verdict
 
     def doubted(self) -> Result:
@@ -294,7 +292,7 @@ class Result:
         return {**details, RUNS: runs}
 
     def __post_init__(self) -> None:
-        """Refuse deviations and uncertainties that are no numbers, or not one per angle.
+        """Refuse deviations and uncertainties that are not one number per angle.
 
         Raises DataError: a component that was not measured is absent, never NaN.
         """
@@ -367,7 +365,7 @@ class Result:
         A component whose zeros are open has ``EXC_free_0`` ... too, the free directions: its
         values are known up to any multiple of these, and its std holds where they are equal.
 
-        pandas is needed for this alone; ImportError says so when it is not there.
+        Only this needs pandas; without it ImportError says so.
         """
         try:
             pandas = import_module("pandas")
@@ -429,14 +427,14 @@ _WHOLE: Final[Mapping[str, type]] = {
     "target": np.int64,
     "used": np.bool_,
 }
-"""Columns of the residuals that are no floats."""
+"""Columns of the residuals that are not floats."""
 _ROUNDING: Final = 1e-6
-"""Of the largest variance, by which a covariance may exceed what the variances allow."""
+"""Share of the largest variance by which a covariance may exceed what the variances allow."""
 
 
 @dataclass(frozen=True)
 class _Plain:
-    """The entries of a file that are no arrays."""
+    """The entries of a file that are not arrays."""
 
     method: str
     sigma0: float
@@ -460,7 +458,7 @@ def result_from(data: Any) -> Result:
     try:
         return _result(data)
     except KeyError as error:
-        raise DataError(f"no whole rotcal result: the entry {error} is missing") from error
+        raise DataError(f"no complete rotcal result: the entry {error} is missing") from error
     except (ArithmeticError, AttributeError, ConfigurationError, TypeError, ValueError) as error:
         raise DataError(f"damaged rotcal result: {error}") from error
 
@@ -595,7 +593,7 @@ def _covariances(data: Any, n: int) -> dict[str, Floats]:
         std = np.sqrt(np.maximum(np.diagonal(matrix), 0.0))
         bound = np.outer(std, std) + _ROUNDING * float(np.max(std**2, initial=0.0))
         if np.any(np.abs(matrix) > bound):
-            raise ValueError(f"covariance.{name}: no covariance, it contradicts its variances")
+            raise ValueError(f"covariance.{name}: it contradicts its variances")
     return found
 
 
@@ -617,14 +615,17 @@ def _optional(data: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> Flo
 
 
 def _floats(values: Any, where: str) -> Floats:
-    """Return numbers as an array; null is NaN. ValueError for texts, which numpy would read."""
+    """Return numbers as an array, with NaN for null.
+
+    ValueError for texts, which numpy would accept.
+    """
     try:
         found = np.asarray(values)
         if found.dtype.kind in "US":
             raise ValueError("it holds texts")
         numbers = found.astype(np.float64)
     except (ArithmeticError, TypeError, ValueError) as error:
-        raise ValueError(f"{where}: no array of numbers: {error}") from error
+        raise ValueError(f"{where}: not an array of numbers: {error}") from error
     if np.any(np.isinf(numbers)):
         raise ValueError(f"{where}: it holds infinite numbers")
     return numbers

@@ -189,9 +189,9 @@ def test_an_arc_says_that_it_is_one():
     table = table_from_result(result_of(angles, wavy(angles)))
     assert table.period == 0.0
     assert any("only an arc (0 .. 150 deg)" in text for text in table.warnings)
-    with pytest.raises(DataError, match=r"200 deg lies outside of the measured arc 0 \.\. 150"):
+    with pytest.raises(DataError, match=r"200 deg lies outside the measured arc 0 \.\. 150"):
         Correction(table)(np.deg2rad(200.0), Approach.POSITIVE)
-    with pytest.raises(DataError, match="outside of the measured arc"):
+    with pytest.raises(DataError, match="outside the measured arc"):
         table_from_result(result_of(angles, wavy(angles)), reference_angle=3.0)
     with pytest.raises(ConfigurationError, match="full circle"):
         table_from_result(result_of(angles, wavy(angles)), harmonics=1)
