@@ -1,4 +1,4 @@
-"""What a check of a cell says of an instrument by plug-in before its driver connects."""
+"""What a check of a cell says about an instrument by plug-in before its driver connects."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rotcal_ros.methods.check_lines import CheckLine, DriverCheck
 
 
 def brings(settings: InstrumentSettings) -> tuple[str, ...]:
-    """Return what the plug-in brings; nothing if it cannot be made, which its line tells."""
+    """Return the topics of the plug-in; nothing if it cannot be made, which its line reports."""
     try:
         instrument = instrument_of(settings)
     except RotcalError:
@@ -22,7 +22,7 @@ def brings(settings: InstrumentSettings) -> tuple[str, ...]:
 
 
 def look(settings: InstrumentSettings, here: bool, _simulated: bool) -> CheckLine:
-    """Say what the plug-in makes; only its driver may connect, since that may move something."""
+    """Return a line on the plug-in; only its driver may connect, since that may move something."""
     title = f"plug-in {settings.plugin}, {settings.address or 'no address'}"
     if here:
         found = f"{title}: node instrument_driver is here"
@@ -34,7 +34,7 @@ def look(settings: InstrumentSettings, here: bool, _simulated: bool) -> CheckLin
         return CheckLine("instrument", "plug-in", "missing", str(error), todo)
     does = {Tracer: "tells lengths", Tracker: "finds reflectors"}
     found = " and ".join(words for kind, words in does.items() if isinstance(instrument, kind))
-    todo = "whether it answers is seen when rotcal run connects"
+    todo = "rotcal run will show whether it answers"
     return CheckLine("instrument", "plug-in", "open", f"{title}: {found}", todo)
 
 

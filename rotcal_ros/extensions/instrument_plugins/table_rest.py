@@ -10,9 +10,9 @@ from rotcal_ros.planning.table_motion import is_near
 
 
 class TableRest:
-    """Hears the feedback; at rest are ``settle_s`` of it in position and slow enough.
+    """Hears the feedback; the table is at rest after ``settle_s`` in position and slow enough.
 
-    ``tolerance_arcsec`` and ``speed_deg_s`` are those of the capture, which judges again.
+    ``tolerance_arcsec`` and ``speed_deg_s`` are those of the capture, which checks again.
     """
 
     def __init__(self, tolerance_arcsec: float, speed_deg_s: float, settle_s: float) -> None:
@@ -30,11 +30,11 @@ class TableRest:
         self._latest = sample
 
     def forget(self) -> None:
-        """Know nothing: the feedback is another one from now on."""
+        """Forget everything: another feedback begins."""
         self._since = self._latest = None
 
     def why_not(self, order: Command) -> str | None:
-        """Return why the table does not rest where ``order`` has it; None: it does."""
+        """Return why the table does not rest where ``order`` sent it; None: it does."""
         since, latest = self._since, self._latest
         if latest is None:
             return "no feedback of the table has come"

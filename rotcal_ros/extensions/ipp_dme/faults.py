@@ -1,4 +1,4 @@
-"""What can go wrong with a DME server: its errors by number, and ours about it.
+"""What can go wrong with a DME server: its numbered errors, and our own.
 
 Source: I++ DME 1.4.3, 8.1 (severities) and 8.2 (numbers); VDMA 8722 keeps both.
 """
@@ -14,7 +14,7 @@ from rotcal_ros.foundation.errors import RotcalError
 
 
 class Severity(IntEnum):
-    """How bad an error is; from ERROR on the server obeys no more until ClearAllErrors()."""
+    """How bad an error is; from ERROR on the server obeys nothing until ClearAllErrors()."""
 
     INFO = 0
     WARNING = 1
@@ -90,7 +90,7 @@ class DmeFault:
 
     @property
     def stops(self) -> bool:
-        """Whether the server obeys no more until somebody clears its errors."""
+        """Whether the server obeys nothing until somebody clears its errors."""
         return self.severity >= Severity.ERROR
 
     def __str__(self) -> str:
@@ -118,7 +118,7 @@ class ConnectionLostError(DmeError):
 
 
 class ProtocolError(DmeError):
-    """What came is not I++ DME."""
+    """The received data are not I++ DME."""
 
 
 class NotClearedError(DmeError):

@@ -70,7 +70,7 @@ def call(name: str, *arguments: Value) -> Call:
 
 
 def written(value: Value) -> str:
-    """Return a value as it stands on the wire; ProtocolError when it cannot stand there."""
+    """Return the text of a value for the wire; ProtocolError if there is none."""
     if isinstance(value, float):
         if not abs(value) <= LARGEST:
             raise ProtocolError(f"{value:g} mm or deg cannot be meant (at most {LARGEST:g})")
@@ -78,7 +78,7 @@ def written(value: Value) -> str:
         return "0" if text == "-0" else text
     if isinstance(value, str):
         if not re.fullmatch(r"[ !#-~]*", value):
-            raise ProtocolError(f"{value!r:.80} has characters that I++ DME has not")
+            raise ProtocolError(f"{value!r:.80} has characters that I++ DME does not allow")
         return f'"{value}"'
     return str(value)
 

@@ -17,7 +17,7 @@ from rotcal_ros.extensions.ipp_dme.grammar import Call, Word, parse_call, writte
 LONGEST: Final = 65_536
 """Characters of a line, its end included."""
 UNASKED: Final = "E0000"
-"""The tag of what a server tells by itself."""
+"""The tag of an unasked report of a server."""
 END: Final = b"\r\n"
 _TAG: Final = re.compile(r"(?!00000)\d{5}|E(?!0000)\d{4}")
 _RESPONSE: Final = re.compile(r"(\d{5}|E\d{4}) ([&%#!])(?: (.*))?")
@@ -77,7 +77,7 @@ def parse_response(line: str) -> ResponseLine:
     """Return the response that a line is; ProtocolError when it is none."""
     found = _RESPONSE.fullmatch(line)
     if found is None:
-        raise ProtocolError(f"the server sent no line of I++ DME: {line!r:.200}")
+        raise ProtocolError(f"the server sent a line that is not I++ DME: {line!r:.200}")
     return ResponseLine(found[1], Kind(found[2]), found[3] or "")
 
 
@@ -122,5 +122,5 @@ class LineBuffer:
 
 def _ascii(line: bytes) -> str:
     if not re.fullmatch(rb"[ -~]*", line):
-        raise ProtocolError(f"a line has characters that I++ DME has not: {line!r:.120}")
+        raise ProtocolError(f"a line has characters that I++ DME does not allow: {line!r:.120}")
     return line.decode("ascii")

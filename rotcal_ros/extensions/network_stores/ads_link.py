@@ -29,7 +29,7 @@ REQUESTS_BY_NAME: Final = 3
 
 @runtime_checkable
 class ArrayForm(Protocol):
-    """A controller whose table is nothing but rows of numbers: an array can carry it."""
+    """A controller whose table consists only of rows of numbers, so that an array can carry it."""
 
     @property
     def columns(self) -> int:
@@ -71,7 +71,7 @@ class AdsLink:
         return {name: self._form.text_of(array)} if rows else {}
 
     def write(self, tables: Mapping[str, str | None]) -> None:
-        """Replace the table; None takes it away."""
+        """Replace the table; None removes it."""
         name = self._only(list(tables))
         text = tables[name]
         rows = (
@@ -136,12 +136,12 @@ class Runtime:
         self._plc, self._end_s = plc, end_s
 
     def read(self, name: str, kind: Any) -> Any:
-        """Return the value of a variable; TimeoutError when it is too late."""
+        """Return the value of a variable; TimeoutError if the time is over."""
         self._limit()
         return self._plc.read_by_name(name, kind)
 
     def write(self, name: str, value: Any, kind: Any) -> None:
-        """Set the value of a variable; TimeoutError when it is too late."""
+        """Set the value of a variable; TimeoutError if the time is over."""
         self._limit()
         self._plc.write_by_name(name, value, kind)
 

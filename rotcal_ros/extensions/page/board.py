@@ -20,12 +20,12 @@ class Board:
         self.state = PageState()
 
     def show(self, **sections: Any) -> None:
-        """Show new sections in the place of the old ones."""
+        """Replace sections by new ones."""
         self.state = replace(self.state, **sections)
 
 
 class Course:
-    """What a value did over any time, in at most ``limit`` points: every other is left out."""
+    """The course of a value over any time, thinned to at most ``limit`` points."""
 
     def __init__(self, limit: int = COURSE_POINTS) -> None:
         self._limit = limit

@@ -23,10 +23,10 @@ _HEADLINES: Final = {
 class HeardPlanner:
     """What was heard of the planner and its goal.
 
-    ``planner`` is its state, UNKNOWN when it is not there; ``silent`` that it was there and fell
-    silent. ``calibrating`` that a goal runs: ``doing`` and ``activity`` are what it does, as a
-    code and in words, ``instruction`` what it waits for. ``ended`` that the last goal has: with a
-    verdict, or with an error.
+    ``planner`` is its state, UNKNOWN if it is not there; ``silent``: it was there and fell silent.
+    ``calibrating``: a goal runs; ``doing`` and ``activity`` say what it does, as a code and in
+    words, ``instruction`` what it waits for. ``ended``: the last goal has ended, with a verdict or
+    an error.
     """
 
     planner: NodeState = UNHEARD

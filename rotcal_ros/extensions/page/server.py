@@ -17,7 +17,7 @@ from rotcal_ros.extensions.page.settings import LOOPBACK, PageSettings
 from rotcal_ros.foundation.errors import ConfigurationError
 
 CLOSING_S: Final = 2
-"""For viewers to be told the end."""
+"""Time for viewers to hear the end."""
 MOST_VIEWERS: Final = 64
 
 
@@ -56,12 +56,12 @@ class PageServer:
 
     @property
     def closed(self) -> bool:
-        """Whether nobody is served any more."""
+        """Whether the server has ended."""
         return not self._thread.is_alive()
 
 
 def _name(host: str) -> str:
-    """Return how a browser calls a host; all interfaces together go by the machine's name."""
+    """Return a host's name for a browser; for all interfaces it is the machine's name."""
     if ip_address(host).is_unspecified:
         return socket.gethostname()
     return f"[{host}]" if ":" in host else host

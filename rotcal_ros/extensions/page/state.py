@@ -1,7 +1,7 @@
 """What the page shows, as frozen sections; a viewer is sent those that have changed.
 
-Numbers stand in the units in which people read them, named by their suffix; times are seconds
-since 1970. None is what nobody knows.
+Numbers are in units for people, named by their suffix; times are seconds since 1970. None:
+unknown.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ class ShownUncertainty:
 
     ``largest_arcsec`` is U, the largest expanded uncertainty (k = 2) of the curve, as everywhere;
     ``course`` holds it over the accepted steps. ``goal_arcsec`` is for another figure, the root
-    mean square of U about the mean: ``rms_arcsec``, as the policy knows it. ``withheld`` says why
+    mean square of U about the mean: ``rms_arcsec``, from the policy. ``withheld`` says why
     none of it may be stated; empty if it may.
     """
 
@@ -262,7 +262,7 @@ NAMES: Final = tuple(field.name for field in fields(PageState))
 
 
 def changes(seen: PageState | None, state: PageState) -> Mapping[str, Any]:
-    """Return what a viewer has to be sent who has ``seen`` a state: all of it for None."""
+    """Return what has to be sent to a viewer who has ``seen`` a state; all of it for None."""
     return {
         name: _plain(getattr(state, name))
         for name in NAMES
@@ -271,7 +271,7 @@ def changes(seen: PageState | None, state: PageState) -> Mapping[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Return what JSON can hold; a number that is none becomes None."""
+    """Return what JSON can hold; NaN and infinity become None."""
     if is_dataclass(value) and not isinstance(value, type):
         return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, tuple):

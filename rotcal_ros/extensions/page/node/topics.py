@@ -1,6 +1,7 @@
 """What the page takes from topics, and from the beat of the capture.
 
-Topics: plan, deviations, rejected attempts, orders, warnings. Beat: rates, readings, temperatures.
+Topics give plan, deviations, rejected attempts, orders and warnings; the beat gives rates,
+readings and temperatures.
 """
 
 from __future__ import annotations
@@ -188,7 +189,7 @@ class CapturedValues:
         return tuple(found)
 
     def lengths(self) -> LiveReading | None:
-        """Return the live reading: a length, else where the probe is; None before any."""
+        """Return the live reading: a length, else the probe's position; None before the first."""
         if words := self._reading(names.TRACER_LENGTH):
             length = float(words[0]) * 1e3
             shown = f"{length:.4f} mm" if math.isfinite(length) else "–"
@@ -204,7 +205,7 @@ class CapturedValues:
         return tuple((t, x) for t, x in self._lengths if until_s - LENGTHS_S < t <= until_s)
 
     def temperatures(self) -> tuple[Temperature, ...]:
-        """Return what every sensor has told."""
+        """Return the temperatures of every sensor."""
         return tuple(
             Temperature(sensor, now, *self._ranges[sensor], drift(points), points)
             for sensor, now in sorted(self._latest.items())

@@ -46,7 +46,7 @@ class WaitingTable:
         self._apply = node.create_client(ApplyTable, "apply")
 
     def offer(self) -> ShownOffer | None:
-        """Return what the bridge says now."""
+        """Return the present offer of the bridge."""
         health = self._node.health
         values = health.values(BRIDGE) if BRIDGE in health.present() else {}
         if "table_hash" not in values:
@@ -91,7 +91,7 @@ class WaitingTable:
         self._table = message
 
     def _see_to_the_drawing(self, confirmation: str, table_hash: str) -> None:
-        """Ask for the drawing, again where an answer was lost."""
+        """Ask for the drawing, again if an answer was lost."""
         silent = time.monotonic() - self._heard_s > SILENCE_S
         if (silent or self._asked_for != confirmation) and self._can_draw(table_hash):
             self._asked_for, self._attempt = confirmation, object()
@@ -104,7 +104,10 @@ class WaitingTable:
         return known and bool(self._look_up.service_is_ready())
 
     async def _draw(self, confirmation: str, table: Any, attempt: object) -> None:
-        """Draw the correction at the rows; what was measured is left of the one before."""
+        """Draw the correction at the rows.
+
+        The measured deviations are what the previous one left.
+        """
         every = max(1, ceil(len(table.angles) / MOST_ANGLES))
         angles = np.array(table.angles[::every])
         drawing = {"angles_deg": _rounded(angles / DEGREE)}

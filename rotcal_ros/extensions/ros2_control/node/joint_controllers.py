@@ -1,4 +1,4 @@
-"""How controllers of ros2_control are told where a joint has to go: by topics, or by goals."""
+"""Tells controllers of ros2_control where a joint has to go: by topics, or by goals."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class JointController(Protocol):
 
 
 def interface_of(settings: TableAdapterSettings) -> str:
-    """Return goals, trajectory or positions, whichever it is here.
+    """Return the interface to use: goals, trajectory or positions.
 
     Raises ConfigurationError for goals where their messages are not installed.
     """
@@ -92,7 +92,7 @@ class TrajectoryController:
         return bool(self._publisher.get_subscription_count())
 
     def setpoint(self) -> None:
-        """Return None: the controller goes over from one trajectory to the next by itself."""
+        """Return None: the controller blends from one trajectory to the next itself."""
 
     def send(self, way: Way) -> None:
         """Publish it."""
@@ -111,7 +111,7 @@ class TrajectoryController:
 
 
 class PositionController:
-    """A controller that passes positions on at once: it gets the way in small steps."""
+    """A controller that passes on positions at once: it gets the way in small steps."""
 
     def __init__(self, node: CellNode, controller: str, joint: str) -> None:
         self._publisher = node.create_publisher(Float64MultiArray, f"{controller}/commands", EVENT)
@@ -138,7 +138,7 @@ class PositionController:
     def halt(self) -> str:
         """Leave the joint where it was sent last."""
         self.forget()
-        return "it is sent no more positions"
+        return "it gets no further positions"
 
     def report(self) -> ControllerReport:
         """Return nothing: a topic has no answer."""

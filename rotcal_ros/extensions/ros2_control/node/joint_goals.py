@@ -48,7 +48,7 @@ class GoalController:
         return bool(self._client.server_is_ready())
 
     def setpoint(self) -> None:
-        """Return None: the controller goes over from one trajectory to the next by itself."""
+        """Return None: the controller blends from one trajectory to the next itself."""
 
     def send(self, way: Way) -> None:
         """Send a goal; the controller gives up the previous one by itself."""
