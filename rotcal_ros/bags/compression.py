@@ -206,6 +206,7 @@ class Unpacker:
         data = self._plain(chunk)
         if len(data) != chunk.size:
             raise DamagedRecord(f"a chunk holds {len(data)} bytes instead of {chunk.size}")
+        # A checksum of 0 means that the writer did not compute one (MCAP).
         if chunk.crc and zlib.crc32(data) != chunk.crc:
             raise DamagedRecord("the checksum of a chunk is wrong")
         return data
@@ -270,12 +271,14 @@ def _frames(data: bytes, room: int, beyond: str) -> Iterator[bytes]:
     position = 0
     while position < len(data) or not data:
         if SKIPPABLE.match(data, position):
+            # Magic number and length, 4 bytes each, then the content of a skippable frame.
             position += 8 + int.from_bytes(data[position + 4 : position + 8], "little")
             if position > len(data):
                 raise DamagedRecord(_CUT_OFF)
             continue
         frame = _decompressors.zstd.decompressobj()
         while not frame.eof:
+            # Small steps bound what a hostile frame can unpack to before the limit is checked.
             step = data[position : position + _ZSTD_STEP]
             if not step:
                 raise DamagedRecord(_CUT_OFF)
@@ -300,6 +303,7 @@ _decompressors: Final = _Decompressors()
 def _zstd(packed: memoryview, size: int) -> bytes:
     """Return the unpacked bytes, hardly more than ``size``; one frame in one step."""
     claimed = zstandard.frame_content_size(packed)
+    # -1 stands for a frame that does not state its size; the limits below hold for it too.
     if claimed > size:
         raise DamagedRecord(f"a frame claims {claimed} bytes instead of {size}")
     data = b""

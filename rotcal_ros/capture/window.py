@@ -155,6 +155,7 @@ def reduce_window(stamps: Stamps, readings: Floats, settings: CaptureSettings) -
 
 def mean_and_scatter(values: Floats) -> tuple[float, float]:
     """Return mean and standard deviation of one of the ``values`` (n,), n >= 2."""
+    # fsum rounds once: the order of summing, which numpy chooses by machine, cannot matter.
     mean = fsum(values) / len(values)
     return mean, sqrt(fsum((values - mean) ** 2) / (len(values) - 1))
 
@@ -163,6 +164,7 @@ def _mark_spikes(length: Floats, faults: Ints, settings: CaptureSettings) -> Non
     good = faults == ReadingFault.NONE
     if not good.any():
         return
+    # Median and MAD: a spike must not enlarge the limit that finds it.
     distance = np.abs(length[good] - np.median(length[good]))
     limit = settings.spike_limit * _MAD_TO_STD * float(np.median(distance))
     faults[np.flatnonzero(good)[distance > max(limit, settings.spike_floor_m)]] = (
@@ -173,6 +175,7 @@ def _mark_spikes(length: Floats, faults: Ints, settings: CaptureSettings) -> Non
 def _drift(stamps: Stamps, length: Floats, mean: float) -> float:
     """Return the change of the fitted line from the first to the last reading (m)."""
     time = (stamps - stamps[0]).astype(np.float64)
+    # About their mean, so that the slope does not depend on the mean of the lengths.
     time -= fsum(time) / len(time)
     return float(fsum(time * (length - mean)) / fsum(time * time) * (time[-1] - time[0]))
 

@@ -272,6 +272,7 @@ def load(text: str, file_type: int) -> LoadedComp:
             break
         nominal, up, down = values
         if file_type == 0:
+            # Type 0 holds the actual angles: LinuxCNC makes the trim from them.
             up, down = nominal - up, nominal - down
         if len(rows) >= MAX_ROWS:
             messages.append("too many compensation entries")
@@ -282,6 +283,7 @@ def load(text: str, file_type: int) -> LoadedComp:
     data = np.array(rows, dtype=np.float64).reshape(-1, 3)
     return LoadedComp(
         nominal_deg=data[:, 0],
+        # LinuxCNC keeps trims in single precision, and positions in double.
         forward_deg=data[:, 1].astype(np.float32),
         reverse_deg=data[:, 2].astype(np.float32),
         messages=tuple(messages),

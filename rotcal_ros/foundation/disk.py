@@ -39,6 +39,7 @@ def close(descriptor: int) -> None:
 
 def lock(descriptor: int) -> None:
     """Take the exclusive lock; BlockingIOError when another process has it."""
+    # flock ends with the last descriptor, so no dead process leaves a lock behind.
     fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 

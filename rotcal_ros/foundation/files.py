@@ -25,6 +25,7 @@ class DurableFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        # O_EXCL: nothing is ever overwritten, also by a second process at the same moment.
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND
         self._descriptor = disk.open_file(path, flags)
         self._size = 0
@@ -111,6 +112,7 @@ def replace_atomically(path: Path, write: Callable[[Path], object]) -> None:
     with scratch_folder(path.parent) as scratch:
         temporary = scratch / path.name
         write(temporary)
+        # Without this, a crash after the rename may leave the new name with no content.
         sync_file(temporary)
         disk.replace(temporary, path)
     sync_folder(path.parent)
@@ -146,6 +148,7 @@ def replace_tail(path: Path, end: int, data: bytes) -> None:
 
     A crash meanwhile leaves a part of it; the bytes before ``end`` never change.
     """
+    # O_NOFOLLOW: a link planted under this name would redirect the writing.
     descriptor = disk.open_file(path, os.O_WRONLY | os.O_APPEND | os.O_NOFOLLOW)
     try:
         disk.truncate(descriptor, end)
@@ -191,6 +194,7 @@ def make_folder(path: Path) -> None:
     for folder in reversed([above for above in path.parents if not above.exists()]):
         with suppress(FileExistsError):  # another process made it at the same time
             disk.make_folder(folder)
+        # A new name is durable only once the folder that holds it is synced.
         sync_folder(folder.parent)
     disk.make_folder(path)
     sync_folder(path.parent)
@@ -213,6 +217,7 @@ def sync_file(path: Path) -> None:
 def _write_whole(descriptor: int, data: bytes) -> None:
     remaining = memoryview(data)
     while remaining:
+        # The system may take only a part, as on a disk that fills up.
         remaining = remaining[disk.write(descriptor, remaining) :]
 
 

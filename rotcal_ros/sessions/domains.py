@@ -53,6 +53,7 @@ def _hold(domain: int) -> bool:
     """Take the lock of a domain; return False when another process has it."""
     file = Path(tempfile.gettempdir(), f"rotcal_domain_{os.getuid()}_{domain}.lock")
     try:
+        # The folder belongs to all users: O_NOFOLLOW refuses a link put there by another one.
         held = os.open(file, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
     except OSError:
         return True  # nowhere to lock: the free port has to be enough
@@ -68,6 +69,7 @@ def _hold(domain: int) -> bool:
 def _is_free(domain: int) -> bool:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
+            # Each participant of a domain binds a port of its own; the first one takes this.
             probe.bind(("127.0.0.1", _FIRST_PORT + _PORTS_PER_DOMAIN * domain))
         except OSError:
             return False
@@ -88,5 +90,6 @@ def _udp_ports() -> set[int]:
     for path in _SOCKETS:
         with suppress(OSError, ValueError, IndexError):
             for line in path.read_text().splitlines()[1:]:
+                # Second column of /proc/net/udp: local ADDRESS:PORT, in hexadecimal.
                 ports.add(int(line.split()[1].rpartition(":")[2], 16))
     return ports

@@ -54,6 +54,7 @@ def go_to_background(log: Path) -> bool:
     """
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
+    # The child gets its own session below, so that the terminal's hang-up does not reach it.
     if os.fork():
         return False
     os.setsid()
@@ -98,5 +99,6 @@ def _turn(number: int, log: Path) -> None:
             opened = os.open(log, _LOG_FLAGS, 0o644)
             os.close(descriptor)
             descriptor = opened
+    # The number stays the same: all writers, C libraries too, use the new file from here on.
     os.dup2(descriptor, number)
     os.close(descriptor)

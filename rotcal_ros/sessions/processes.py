@@ -85,6 +85,7 @@ class Processes:
                 stdin=subprocess.PIPE if piped else subprocess.DEVNULL,
                 stdout=subprocess.PIPE if piped else log,
                 stderr=log,
+                # A new session keeps Ctrl-C of the terminal from the child.
                 start_new_session=True,
                 pass_fds=self.inherited,
             )

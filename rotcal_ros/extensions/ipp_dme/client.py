@@ -468,7 +468,9 @@ class DmeLink:
         except OSError as error:
             why = error.strerror or str(error)
             raise ConnectionLostError(f"no DME server answers at {self.address}: {why}") from error
+        # A computer that was switched off says no goodbye: keep-alive notices in the end.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        # Commands are short, and an abort must not wait until a packet is full.
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._reader = Thread(target=self._read, name="DME reader", daemon=True)
         self._reader.start()
@@ -504,6 +506,7 @@ class DmeLink:
         self._reader.join(self.reply_timeout_s)
 
     def _send(self, command: CommandLine) -> None:
+        # Two threads send, orders and aborts: each line must go out whole.
         line = str(command).encode("ascii") + END
         try:
             with self._sending:
@@ -577,6 +580,7 @@ class DmeLink:
                 transaction.take(response)
                 self._changed.notify_all()
                 return
+        # Daemons report with the tag of the event that started them, long after its transaction.
         if response.kind is Kind.DATA and response.tag.startswith("E"):
             self._on_report(response.tag, response.text)
         elif response.kind is Kind.ERROR and response.tag == UNASKED:

@@ -85,8 +85,10 @@ class AdsLink:
         array = np.zeros((capacity, self._form.columns))
         array[: len(rows)] = rows
         with self._connected("write") as plc:
+            # The PLC must not use rows of two tables: none is in force while the array changes.
             self._set_count(plc, 0)
             self._set_array(plc, array)
+            # Compared bit by bit: NaN is unequal to itself, and -0.0 equals 0.0.
             if self._array(plc).tobytes() != array.tobytes():
                 raise ControllerError(
                     f"{self.address}: read back, the array differs from what was written; "
@@ -149,6 +151,7 @@ class Runtime:
         left_s = self._end_s - time.monotonic()
         if left_s <= 0.0:
             raise TimeoutError("not done in time")
+        # One access by name makes several requests, and each may take the whole time-out.
         self._plc.set_timeout(math.ceil(1000 * left_s / REQUESTS_BY_NAME))
 
 

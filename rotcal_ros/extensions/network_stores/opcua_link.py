@@ -73,6 +73,7 @@ class OpcUaLink:
                 return await transfer(await ServerFolder.find(client, self._settings.directory))
 
         try:
+            # A loop of its own: the caller is a thread without one.
             return asyncio.run(asyncio.wait_for(session(), self._timeout_s))
         except RotcalError:
             raise

@@ -48,8 +48,10 @@ class LinuxCncMachine:
         self._wait(lambda: self.stat.task_state == lx.STATE_ON, deadline, "machine that is on")
         self.command.mode(lx.MODE_MANUAL)
         self.command.wait_complete(START_TIMEOUT_S)
+        # LinuxCNC homes single joints only in joint mode, not in teleop mode.
         self.command.teleop_enable(0)
         self.command.wait_complete(START_TIMEOUT_S)
+        # -1: all joints, in the sequence of the ini file.
         self.command.home(-1)
         self._wait(self._all_homed, deadline, "homed machine")
 
@@ -90,6 +92,7 @@ class LinuxCncMachine:
         if self._reached == (angle, side) and abs(ahead) < STANDS_DEG:
             return  # one arrival for all targets of a table position
         self._reached = None
+        # On the wrong side, or at the goal: go beyond first, to arrive from the ordered side.
         if side and ahead * side <= 0.0:
             self.go(angle - side * beyond)
         self.go(angle)

@@ -154,6 +154,7 @@ class DrainedSubscription:
         handle = self.subscription.handle
         with handle:
             while len(batch) < LIMIT:
+                # rclpy itself takes one message per turn; this empties the queue in one turn.
                 pair = handle.take_message(self._type, self._raw)
                 if pair is None:
                     return
