@@ -268,7 +268,7 @@ def _show(event: Event, display: Display, person: Person, folder: SessionFolder)
 
 def _raise_gone(folder: SessionFolder) -> NoReturn:
     if not folder.meeting_point.exists():  # it ended while we came
-        raise ConfigurationError(_why_nothing_runs(folder))
+        raise _nothing_runs(folder)
     raise DataError(f"the calibration in {folder.path} was killed; {_how_to_go_on(folder)}")
 
 
@@ -306,11 +306,11 @@ def _connect(connection: socket.socket, folder: SessionFolder) -> None:
             f"the calibration in {folder.path} belongs to another user; only that user may attach"
         ) from None
     except (FileNotFoundError, ConnectionRefusedError):
-        raise ConfigurationError(_why_nothing_runs(folder)) from None
+        raise _nothing_runs(folder) from None
 
 
 def _address(folder: SessionFolder) -> str:
-    """Return the address of the socket; FileNotFoundError where there is none."""
+    """Return the address of the socket; FileNotFoundError if there is none."""
     try:
         return str(load_json(read_text(folder.meeting_point))["socket"])
     except (ValueError, TypeError, KeyError, NotAFileError):
@@ -326,18 +326,21 @@ def _runs(folder: SessionFolder) -> bool:
     return True
 
 
-def _why_nothing_runs(folder: SessionFolder) -> str:
+def _nothing_runs(folder: SessionFolder) -> ConfigurationError:
+    """Return the error of an attachment to a session that does not run, with its reason."""
     if folder.result.exists():
-        return (
+        return ConfigurationError(
             f"the calibration in {folder.path} is finished, see {folder.result}; "
             f"to look at it: rotcal report {folder.path}"
         )
     if _is_locked(folder):
-        return (
+        return ConfigurationError(
             f"a calibration still writes in {folder.path}, but nobody can attach to it: its "
             "socket is gone; see its log, or wait for its end"
         )
-    return f"no calibration runs in {folder.path}, it was interrupted; {_how_to_go_on(folder)}"
+    return ConfigurationError(
+        f"no calibration runs in {folder.path}, it was interrupted; {_how_to_go_on(folder)}"
+    )
 
 
 def _is_locked(folder: SessionFolder) -> bool:
