@@ -70,9 +70,9 @@ def placed(
 ) -> tuple[PlacedDropout, ...]:
     """Return all dropouts in the order of time, with the steps that they touch."""
     dropouts = [dropout for verdict in verdicts for dropout in verdict.dropouts]
-    known = list(windows)
+    all_windows = list(windows)
     return tuple(
-        PlacedDropout(dropout, tuple(sorted({w.step for w in known if w.touches(dropout)})))
+        PlacedDropout(dropout, tuple(sorted({w.step for w in all_windows if w.touches(dropout)})))
         for dropout in sorted(dropouts, key=lambda dropout: dropout.from_ns)
     )
 
@@ -115,9 +115,9 @@ def _windows(files: tuple[Path, ...], limits: ReadingLimits) -> Iterator[Window]
 def _accepted(block: Block, decoder: Decoder) -> Iterator[Window]:
     for row, log_time_ns in enumerate(block.headers["log_time"].tolist()):
         message = decoder.message(block.payload(row))
-        if message is not None and (found := records.observation(message)).accepted:
-            lasted_ns = found.window_end_ns - found.window_start_ns
-            yield Window(found.step, log_time_ns - lasted_ns, log_time_ns)
+        if message is not None and (observation := records.observation(message)).accepted:
+            lasted_ns = observation.window_end_ns - observation.window_start_ns
+            yield Window(observation.step, log_time_ns - lasted_ns, log_time_ns)
 
 
 _TOPICS: Final = {
@@ -170,9 +170,9 @@ def require_accepted(
 
 def _rejections(observations: Sequence[Observation]) -> str:
     """Return how many were rejected, and the commonest reason."""
-    found = Commonest.of(o.reason for o in observations)
-    assert found is not None
-    return f"all {found.total} were rejected, {found.in_words()}"
+    commonest = Commonest.of(o.reason for o in observations)
+    assert commonest is not None
+    return f"all {commonest.total} were rejected, {commonest.in_words()}"
 
 
 def doubtful(
@@ -184,10 +184,11 @@ def doubtful(
     """
     texts = []
     rejected = [o.reason for o in observations if not o.accepted]
-    found = Commonest.of(rejected)
-    if found and 2 * found.total > len(observations):
+    commonest = Commonest.of(rejected)
+    if commonest and 2 * commonest.total > len(observations):
         texts.append(
-            f"{found.total} of {len(observations)} attempts were rejected, {found.in_words()}"
+            f"{commonest.total} of {len(observations)} attempts were rejected, "
+            f"{commonest.in_words()}"
         )
     elif failed := _failed_steps(observations):
         texts.append(failed)
@@ -207,10 +208,10 @@ def _failed_steps(observations: Sequence[Observation]) -> str | None:
     """Return how many steps were tried in vain, and why; None for few, as after a blocked beam."""
     done = {o.step for o in observations if o.accepted}
     failed = [o for o in observations if o.step not in done]
-    found, steps = Commonest.of(o.reason for o in failed), len({o.step for o in failed})
-    if found is None or steps <= _FEW * (len(done) + steps):
+    commonest, steps = Commonest.of(o.reason for o in failed), len({o.step for o in failed})
+    if commonest is None or steps <= _FEW * (len(done) + steps):
         return None
-    return f"{steps} of {len(done) + steps} steps were tried in vain, {found.in_words()}"
+    return f"{steps} of {len(done) + steps} steps were tried in vain, {commonest.in_words()}"
 
 
 def unanswered(commands: Mapping[str, int]) -> str:
@@ -222,11 +223,12 @@ def unanswered(commands: Mapping[str, int]) -> str:
 
 
 def _present(topics: Iterable[str]) -> str:
-    found = sorted(topics)
-    if not found:
+    topic_names = sorted(topics)
+    if not topic_names:
         return "it has no topics at all"
-    more = f" and {len(found) - _MAX_NAMED} more" if len(found) > _MAX_NAMED else ""
+    left = len(topic_names) - _MAX_NAMED
+    more = f" and {left} more" if left > 0 else ""
     return (
-        f"its topics are {', '.join(found[:_MAX_NAMED])}{more} (see --namespace, and the group "
-        "topics of the set-up for other names)"
+        f"its topics are {', '.join(topic_names[:_MAX_NAMED])}{more} (see --namespace, and the "
+        "group topics of the set-up for other names)"
     )

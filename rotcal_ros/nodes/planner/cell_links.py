@@ -183,38 +183,42 @@ class CellLinks:
         """
         graph, heard = self.graph, self.health.values("capture")
         measured = [self.instrument(topic) for topic in topics]
-        found = [
+        lacking = [
             text
             for topic, name in zip(topics, measured, strict=True)
             for text in graph.without_instrument(
                 name, topic in silent or heard.get(f"valid.{topic}", "0") != "0"
             )
         ]
-        here = [] if all(map(self.publishers, measured)) else [discovery_in_words(os.environ)]
-        found += [text for topic in ORDERS for text in graph.without_machine(topic)]
+        published = all(map(self.publishers, measured))
+        discovery = [] if published else [discovery_in_words(os.environ)]
+        lacking += [text for topic in ORDERS for text in graph.without_machine(topic)]
         stops = [stop] if stop and self.publishers(stop) else []
         recorded = (*measured, *ORDERS, names.PLAN, names.OBSERVATION, names.STEP_CHOICE, *stops)
         unheard = (topic for topic in recorded if "recorder" not in graph.listeners(topic))
-        return found + here + [self._unrecorded(self.resolve(topic)) for topic in unheard]
+        unrecorded = [self._unrecorded(self.resolve(topic)) for topic in unheard]
+        return lacking + discovery + unrecorded
 
     def _unrecorded(self, name: str) -> str:
         """Say that the recorder does not listen to a topic yet, or why it cannot."""
-        why = self.health.values("recorder").get(name, "")
-        return f"the recorder does not listen to {name}{': ' + why if why else ' yet'}"
+        reason = self.health.values("recorder").get(name, "")
+        return f"the recorder does not listen to {name}{': ' + reason if reason else ' yet'}"
 
     def believed(self, instruments: Collection[str]) -> Believed:
         """Return the present publishers of a run's topics: our nodes and the ``instruments``."""
-        place = self.node.get_namespace()
-        found = {
+        namespace = self.node.get_namespace()
+        publishers = {
             self.instrument(role): self.graph.offers(self.instrument(role)) for role in instruments
         }
         for topic, owner in OWNERS.items():
             offers = self.graph.offers(topic)
-            own = [i for i in offers if (i.node_name, i.node_namespace) == (owner, place)]
-            found[self.resolve(topic)] = own
+            from_owner = [
+                i for i in offers if (i.node_name, i.node_namespace) == (owner, namespace)
+            ]
+            publishers[self.resolve(topic)] = from_owner
         return Believed({
             topic: tuple(sorted(publisher_of(info.endpoint_gid) for info in infos))
-            for topic, infos in found.items()
+            for topic, infos in publishers.items()
             if infos
         })  # fmt: skip
 
@@ -232,18 +236,18 @@ class CellLinks:
 
     def unclear(self, instruments: Collection[str]) -> list[str]:
         """Return which topics do not have exactly one publisher yet, in words."""
-        believed, found = self.believed(()).publishers, list[str]()
+        believed, texts = self.believed(()).publishers, list[str]()
         for topic, owner in OWNERS.items():
             name = self.resolve(topic)
             count = len(believed.get(name, ()))
             if count > 1:
-                found.append(
+                texts.append(
                     f"{count} nodes are called {owner} and publish {name}: end the others"
                 )
             elif not count:
-                found.append(f"node {owner} does not publish {name} yet")
+                texts.append(f"node {owner} does not publish {name} yet")
         called = (self.instrument(role) for role in instruments)
-        return found + [text for name in called for text in self.graph.crowded(name)]
+        return texts + [text for name in called for text in self.graph.crowded(name)]
 
     def missing_connections(self, believed: Believed) -> list[str]:
         """Return which nodes are not connected to the publishers of a run yet, in words."""

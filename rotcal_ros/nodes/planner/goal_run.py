@@ -178,14 +178,16 @@ class GoalRun:
 
     async def _go_on(self) -> None:
         """Measure what is left, to be joined with what earlier runs recorded."""
-        known = await self.bag.recorded()
+        recorded = await self.bag.recorded()
         try:
-            left = self._calibration.continued(known.run, known.observations, self._from_step)
+            left = self._calibration.continued(
+                recorded.run, recorded.observations, self._from_step
+            )
             self.measuring = GoalMeasurement(self._calibration, left, self.watch)
         except RotcalError as error:
             raise GoalError(Codes.BAD_CONFIGURATION, str(error)) from error
         self._continuation, self.watch.progress.left = left, len(left.steps)
-        text = f"run {known.run}: {len(left.steps)} steps, {len(left.again)} of them once more"
+        text = f"run {recorded.run}: {len(left.steps)} steps, {len(left.again)} of them once more"
         self.watch.links.node.get_logger().info(text)
 
     async def _announce(self) -> None:
@@ -227,8 +229,8 @@ class GoalRun:
         if not answer.success:
             few = not watch.progress.accepted and not self._continuation.observations
             code = Codes.TOO_FEW_OBSERVATIONS if few else Codes.SOLVER_FAILED
-            why = Commonest.of(self.measuring.reasons)
-            more = f"; rejected: {why.in_words()}" if why else ""
+            commonest = Commonest.of(self.measuring.reasons)
+            more = f"; rejected: {commonest.in_words()}" if commonest else ""
             raise GoalError(code, f"no result: {answer.message}{more}")
         return answer
 

@@ -97,7 +97,7 @@ class GoalMeasurement:
         about ``max_attempts`` times, one that makes a result impossible until the goal is
         canceled. The next run begins with unfinished work.
         """
-        for asked in count(1):
+        for times in count(1):
             self._watch.owed = pause, work, begin
             if work:
                 self._place(pause.first)
@@ -107,11 +107,11 @@ class GoalMeasurement:
                 shows = Choice(index, f"shows {pause.instruction}", Standing(1))
                 await self._measure(index, shows)
             begin = pause.first if pause.again_from is None else pause.again_from
-            found, hopeless = self._complaints()
-            if not found or (asked >= self._watch.settings.max_attempts and not hopeless):
+            faults, hopeless = self._complaints()
+            if not faults or (times >= self._watch.settings.max_attempts and not hopeless):
                 self._watch.owed = None
                 return
-            work = f"not right yet: {found}; correct it ({pause.instruction})"
+            work = f"not right yet: {faults}; correct it ({pause.instruction})"
 
     def _complaints(self) -> tuple[str, bool]:
         """Return what the observations find wrong with the work, and whether it is hopeless."""

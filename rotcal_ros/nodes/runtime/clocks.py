@@ -148,15 +148,15 @@ def unlike_clocks(health: Any, configuration: Configuration) -> list[str]:
     own = health.sim.used
     other = [name for name in PREFLIGHT_NODES if (SIM_TIME in health.values(name)) != own]
     standstill = health.sim.standstill()
-    found = [] if standstill is None else [standstill]
+    texts = [] if standstill is None else [standstill]
     if other:
-        found.append(
+        texts.append(
             f"use_sim_time is {str(own).lower()} for node planner, but not for "
             f"{', '.join(other)}: set it to the same value for all nodes of the cell"
         )
     elif configuration.use_sim_time and not own:
-        found.append(
+        texts.append(
             "the configuration says use_sim_time: true, the nodes run without: start them with "
             "--ros-args -p use_sim_time:=true"
         )
-    return found
+    return texts
