@@ -1,6 +1,6 @@
 """Find and remove the errors of rotary tables: ``import rotcal_ros as rc``.
 
-The names of ``__all__`` are the front door for Python; docs/api.md lists them. Each is loaded
+The names of ``__all__`` are the interface for Python; docs/api.md lists them. Each is loaded
 when it is first used, so that the import costs nothing. Everything is SI, deviation = actual -
 commanded, angles counter-clockwise about +z; a result of any method is a ``Result``.
 """
@@ -49,7 +49,7 @@ __all__ = sorted([*_PLACES, *_MODULES, *_OF_EXTENSIONS])
 
 
 def __getattr__(name):
-    """Load a name of the front door; AttributeError says what is missing for it."""
+    """Load a name of the interface; AttributeError says what is missing for it."""
     if name in _PLACES:
         value = getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)
     elif name in _MODULES:
@@ -80,5 +80,5 @@ def _of_extension(name):
 
 
 def __dir__():
-    """Return the names of the front door and what is loaded."""
+    """Return the names of the interface and those that are loaded."""
     return sorted({*globals(), *__all__})

@@ -1,4 +1,4 @@
-"""The front door for Python: the functions behind the names of ``rotcal_ros``.
+"""The interface for Python: the functions behind the names of ``rotcal_ros``.
 
-They are thin: each says in SI what goes in and what comes out, and calls the room that does it.
+They are thin: each takes and returns SI, and calls the room that does the work.
 """

@@ -2,9 +2,9 @@
 
 ``solve(Problem(...))`` gives a ``Result``, ``closed_form`` the same by means alone for as many
 balls as table positions, ``select`` leaves balls or positions out. Centres in m in a frame on
-the axis, deviation = actual - commanded in m and rad. Raises DataError for a table that is not
-what it says, ObservabilityError where balls and positions do not separate the errors, PlanError
-for an incomplete grid.
+the axis, deviation = actual - commanded in m and rad. Raises DataError for a contradictory table,
+ObservabilityError if balls and positions do not separate the errors, PlanError for an incomplete
+grid.
 
 >>> import numpy as np
 >>> import rotcal_ros as rc

@@ -1,4 +1,4 @@
-"""From a result to what a controller is fed, or to a correction in your own software."""
+"""Turns a result into the files of a controller, or a correction for your own software."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ def make_table(
 
     Correction = -deviation = commanded - actual: add it to the command. ``angles``,
     ``correction_forward``, ``correction_reverse`` and ``std`` (k = 1) are (n,) rad. ``reverse`` is
-    the result of the approach with decreasing angle; ``axis`` is that of the result, which need
-    not be stated, and C where nobody knows it; ``reference_angle`` (rad) is where the
-    correction is zero; ``spacing`` (rad) puts rows between the measured angles, on a spline or on
-    the fit of so many ``harmonics``. Raises DataError for a result without ECC, that does not
-    close, or whose parts have zeros that nothing joins; ConfigurationError for an axis
-    that is not the measured one, and an impossible one or spacing.
+    the result of the approach with decreasing angle; ``axis`` need not be stated if the result has
+    it, and is C if nobody knows it; ``reference_angle`` (rad) is where the correction is zero;
+    ``spacing`` (rad) puts rows between the measured angles, on a spline or on the fit of so many
+    ``harmonics``. Raises DataError for a result without ECC, that does not close, or whose parts
+    have unconnected zeros; ConfigurationError for an axis that is not the measured one, or an
+    impossible axis or spacing.
 
     >>> import rotcal_ros as rc
     >>> table = rc.make_table(rc.read_result("examples/data/result_ball_plate.json"))
@@ -73,8 +73,8 @@ def correction(
     """Look the correction up (rad), in the shape of ``angle`` (rad): add it to the command.
 
     The periodic cubic spline through the rows of the table. ``approach`` is the side from which
-    the table comes. Raises DataError outside of a table that covers an arc only,
-    ConfigurationError for another side.
+    the table comes. Raises DataError outside a table that covers only an arc, ConfigurationError
+    for another side.
 
     >>> import rotcal_ros as rc
     >>> table = rc.make_table(rc.read_result("examples/data/result_ball_plate.json"))
@@ -111,11 +111,11 @@ def write_controller_files(
     go to the controller, ``name`` begins the file names. ``axis`` and ``serial`` are those of the
     machine, as far as stated: a table of another one, or of a measurement older than
     ``largest_age_days``, is refused unless ``accept`` has the word "axis", "serial" or "age".
-    Where the result does not know which table was in force, one of both has to be said:
-    ``replaces`` (none was), or the folder ``add_to`` with the files of that table.
-    Raises DataError for all that, for a verdict other than ok and for a file that would make
-    things worse, ConfigurationError for what the controller
-    cannot take or nobody has verified (unless ``accept_unverified``), BagError when not written.
+    If the result does not know which table was in force, one of two has to be given: ``replaces``
+    (none was), or the folder ``add_to`` with the files of that table. Raises DataError for a
+    contradiction, for a verdict other than ok and for a file that would make things worse,
+    ConfigurationError for what the controller cannot take or nobody has verified (unless
+    ``accept_unverified``), BagError if the files cannot be written.
 
     >>> import tempfile
     >>> import rotcal_ros as rc

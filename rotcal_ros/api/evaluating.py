@@ -37,9 +37,9 @@ def compare(
     """Compare two independent measurements of one table within their stated uncertainties.
 
     Each is a result, its file, a bag, or a reference table (.csv). The offset that no method can
-    know is taken off, and ``align_order`` harmonics. ``difference`` (n,) = first - second, m or
-    rad; ``normalised_error`` is E_n with k = 2; ``agree`` is the verdict. Raises DataError for a
-    component that is absent and for too few common angles.
+    know is removed, and ``align_order`` harmonics. ``difference`` (n,) = first - second, m or rad;
+    ``normalised_error`` is E_n with k = 2; ``agree`` is the verdict. Raises DataError for an
+    absent component and for too few common angles.
 
     >>> import rotcal_ros as rc
     >>> folder = "examples/data"
@@ -67,7 +67,7 @@ def check(
     ``within`` and ``ageing_std``, the usual change since then of each angle (k = 1), in rad or m.
     ``verdict`` is "still valid", "changed" or "undecided"; ``miss`` and ``false_alarm`` are the
     risks that the first two are wrong, see docs/quick_check.md. Raises DataError for a result
-    that failed or a new one without uncertainty, ConfigurationError for risks that are none.
+    that failed or a new one without uncertainty, ConfigurationError for impossible risks.
 
     >>> import rotcal_ros as rc
     >>> folder = "examples/data"
@@ -87,11 +87,11 @@ def combine(*results: Curve, enlarge: Enlargement = "birge") -> Result:
     """Return the best estimate of one table's deviations from independent measurements.
 
     Each is a result, its file or session, a bag, a reference curve or its table (.csv).
-    Generalised least squares with all covariances; every input has its own zero, and nothing
-    in the result counts from another zero than its mean. ``verdict`` is suspect when an input is
-    or when they contradict each other: then ``enlarge`` ("birge", "mandel-paule", "none") tells
-    what is done to the uncertainties. ``details`` hold weights and chi-square. Raises DataError
-    for a failed input, and for inputs without common angles that cannot be interpolated.
+    Generalised least squares with all covariances; every input has its own zero, and everything in
+    the result counts from its mean. ``verdict`` is suspect if an input is or if they contradict
+    each other: then ``enlarge`` ("birge", "mandel-paule", "none") says what is done to the
+    uncertainties. ``details`` hold weights and chi-square. Raises DataError for a failed input,
+    and for inputs without common angles that cannot be interpolated.
 
     >>> import rotcal_ros as rc
     >>> folder = "examples/data"
@@ -139,8 +139,8 @@ def uncertainty(
     A configuration: about what its plan would see, before anything is measured. A recording or a
     table (see :func:`read_table`): about what was measured. ``components`` maps each to value,
     linear_std, mean, std, low and high (95 %), arrays (n,) in m or rad; ``warnings`` say where
-    the trials contradict the solver. ``trials`` at most; they end when the figures are stable to
-    ``digits``. Raises ConfigurationError where the method brings no trials.
+    the trials contradict the solver. There are at most ``trials``; they end when the figures are
+    stable to ``digits``. Raises ConfigurationError if the method brings no trials.
 
     >>> import rotcal_ros as rc
     >>> configuration = rc.read_configuration("examples/data/ball_plate.yaml")

@@ -1,4 +1,4 @@
-"""From records to observations to a result, be the records measured or simulated."""
+"""From records to observations to a result, whether the records are measured or simulated."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rotcal_ros.methods.simulation.table import true_deviations
 
 _SLICE_S = 0.2
 _MOST_SLICES = 18_000
-"""One hour at a step: something is missing."""
+"""After one hour at a step something is missing."""
 
 
 def capture_records(
@@ -43,7 +43,7 @@ def capture_records(
 
 
 def simulate_records(configuration: Configuration) -> Iterator[Record]:
-    """Yield what the instruments of the simulated cell deliver, step by step, without ROS.
+    """Yield the records of the simulated cell's instruments, step by step, without ROS.
 
     The cell is that of the group ``simulation``: its seed makes the same records again. Units as
     in :func:`capture_records`; errors as there, and ConfigurationError without this group.
@@ -97,7 +97,7 @@ def solve(observations: Iterable[Observation], configuration: Configuration) -> 
 
     The last accepted attempt at every step counts; the order of the observations does not. For
     the result see ``read_result``: SI, deviation = actual - commanded. Raises DataError for data
-    that are contradictory or too few, ObservabilityError where the geometry cannot tell.
+    that are contradictory or too few, ObservabilityError if the geometry cannot tell.
 
     >>> import rotcal_ros as rc
     >>> configuration = rc.read_configuration("examples/data/ball_plate.yaml")
@@ -109,7 +109,7 @@ def solve(observations: Iterable[Observation], configuration: Configuration) -> 
 
 
 def _require_simulation(configuration: Configuration) -> None:
-    """Raise ConfigurationError where the result would pass for that of a real cell."""
+    """Raise ConfigurationError if the result would look like that of a real cell."""
     if not configuration.simulated:
         raise ConfigurationError(
             f"{configuration.source} has no group 'simulation': it describes a real cell; add "
@@ -142,6 +142,6 @@ def _simulated(configuration: Configuration) -> Iterator[tuple[Record, Observati
 
 
 def _delivered(cell: SimulatedCell) -> tuple[Record, ...]:
-    """Let a little time pass and return what the instruments deliver in it."""
+    """Let a little time pass and return the records that the instruments deliver meanwhile."""
     out = cell.advance(_SLICE_S)
     return (*out.temperature, *out.air, *out.table, *out.tracer, *out.probe)

@@ -1,4 +1,4 @@
-"""Reading what was measured: bags and their raw streams, tables, results, configurations."""
+"""Reads what was measured: bags and their raw streams, tables, results, configurations."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ def read_configuration(path: Name, *changes: str) -> Configuration:
     """Return the configuration in the YAML file ``path``, with ``group.name=value`` changes.
 
     It has one typed object for each group of settings; units stand in the names (``_deg``,
-    ``_m``). Raises ConfigurationError, with the nearest name, for what is misspelt or impossible.
+    ``_m``). Raises ConfigurationError, with the nearest name, for a misspelt or impossible
+    setting.
 
     >>> import rotcal_ros as rc
     >>> configuration = rc.read_configuration(
@@ -56,13 +57,13 @@ def read_bag(
     configuration: Configuration | None = None,
     namespace: str = "",
 ) -> Recording:
-    """Read a recorded bag: a folder, an .mcap or a .db3 file, be it cut off or damaged.
+    """Read a recorded bag: a folder, an .mcap or a .db3 file, even if cut off or damaged.
 
     ``source`` "streams" captures the raw streams again, "observations" takes those that were
-    captured live. ``configuration`` takes the place of the one in the bag; ``namespace`` chooses
-    one of several cells. The recording has ``observations`` (m), ``calibration`` (configuration
-    and plan), ``solve()``, which gives the result as live, to the last bit, and ``warnings()``.
-    Raises BagError when there is no bag or it holds no configuration.
+    captured live. ``configuration`` replaces the one in the bag; ``namespace`` chooses one of
+    several cells. The recording has ``observations`` (m), ``calibration`` (configuration and
+    plan), ``solve()``, which gives the result as live, to the last bit, and ``warnings()``. Raises
+    BagError when there is no bag or it holds no configuration.
 
     >>> import rotcal_ros as rc
     >>> recording = rc.read_bag("examples/data/ball_plate_bag")
@@ -86,9 +87,9 @@ def read_table(
 
     ``setup`` is a configuration or its file. The columns are ``position,target,length_m``,
     ``position,ball_step,x_m,y_m,z_m`` or ``position,tracker_station,kind,nest,x_m,y_m,z_m``;
-    metres, positions count from 0. ``targets`` (``target,x_m,y_m,z_m``) is looked for beside a
-    table of lengths as targets.csv. ``solve()`` of what is returned gives the result. Raises
-    BagError when a file cannot be read, DataError with file and row, ConfigurationError.
+    metres, positions count from 0. ``targets`` (``target,x_m,y_m,z_m``) defaults to targets.csv
+    beside a table of lengths. ``solve()`` of the returned object gives the result. Raises BagError
+    when a file cannot be read, DataError with file and row, ConfigurationError.
 
     >>> import rotcal_ros as rc
     >>> table = rc.read_table("examples/data/lengths.csv", "examples/data/tracer.yaml")
@@ -151,7 +152,7 @@ class RawStreams:
 
 @dataclass
 class _Collector:
-    """Takes the place of the capture and keeps what comes."""
+    """Takes the place of the capture and keeps the records."""
 
     counts: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     lengths: list[Rows] = field(default_factory=list)

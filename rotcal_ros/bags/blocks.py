@@ -17,10 +17,10 @@ from rotcal_ros.foundation.arrays import Bools, Bytes, Ints
 HEADER_TYPE: Final = np.dtype(
     [("channel", "<u2"), ("sequence", "<u4"), ("log_time", "<u8"), ("publish_time", "<u8")]
 )
-"""What stands before the payload of a message; packed, 22 bytes."""
+"""The fields before the payload of a message; packed, 22 bytes."""
 
 _LOOP_BYTES: Final = 1 << 16
-"""Up to here a loop over the records is quicker than numpy over all bytes."""
+"""Up to this size a loop over the records is quicker than numpy over all bytes."""
 _PIECE: Final = 1 << 20
 """Bytes of a chunk that are split together."""
 _UNFILLED: Final = "the records of a chunk do not fill it"
@@ -104,15 +104,15 @@ def block_of_contents(contents: Sequence[bytes]) -> Block:
 
 
 Others = list[tuple[int, int, bytes]]
-"""Records that are no messages: begin in the chunk, opcode and content."""
+"""Records that are not messages: begin in the chunk, opcode and content."""
 
 
 def split_chunk(data: bytes, most_others: int) -> Iterator[tuple[Block, Others]]:
     """Yield the messages of an unpacked chunk and its other records, piece by piece.
 
     All blocks share ``data``; the memory beside it does not grow with the chunk. Raises
-    DamagedRecord, after the records that are sound, when the records do not fill the chunk
-    exactly, when a message is too short, or when more than ``most_others`` are no messages.
+    DamagedRecord, after the sound records, if the records do not fill the chunk exactly, if a
+    message is too short, or if more than ``most_others`` are not messages.
     """
     raw = np.frombuffer(data, np.uint8)
     position = 0
@@ -123,7 +123,7 @@ def split_chunk(data: bytes, most_others: int) -> Iterator[tuple[Block, Others]]
         is_message = raw[begins] == MESSAGE
         most_others -= len(begins) - int(np.count_nonzero(is_message))
         if most_others < 0:
-            what = "a chunk has too many records that are no messages"
+            what = "a chunk has too many records that are not messages"
             fault = refusal(what, "other_records", len(data) // HEADER_SIZE)
             begins, is_message = begins[:0], is_message[:0]
         whole = is_message & (sizes[: len(begins)] >= HEADER_TYPE.itemsize)
@@ -170,9 +170,9 @@ def _piece_by_loop(data: bytes, first: int, stop: int) -> tuple[Ints, int, str |
 def _only_messages(raw: Bytes, first: int, stop: int) -> tuple[Ints, int]:
     """Return where records begin if all are messages, and the last end, without a loop.
 
-    Every byte that might be the opcode of a message is a candidate; those whose length leads
-    to another candidate stay, and they must form one chain from the first byte to the last.
-    Nothing is returned where they do not.
+    Every byte that might be the opcode of a message is a candidate; those whose length leads to
+    another candidate stay, and they must form one chain from the first byte to the last. If they
+    do not, nothing is returned.
     """
     none = np.zeros(0, np.int64), first
     begins = first + np.flatnonzero(raw[first : min(stop, len(raw) - HEADER_SIZE)] == MESSAGE)

@@ -1,4 +1,4 @@
-"""Unpacking what is compressed in a bag, never more than a file may ask for.
+"""Unpacks what is compressed in a bag, within the limits that a file has to keep.
 
 Chunks of MCAP are compressed by zstd or lz4. rosbag2 compresses whole storage files (mode FILE) or
 message by message (mode MESSAGE), both by zstd; other formats need plugins of rosbag2.
@@ -30,9 +30,9 @@ from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.untrusted import open_plain
 
 COMPRESSED: Final = ".zstd"
-"""The ending of a storage file that is compressed as a whole, behind that of its format."""
+"""The ending of a storage file that is compressed as a whole, after that of its format."""
 _FILE_STEP: Final = 1 << 12
-"""Bytes of a file that are unpacked at once: as many are lost before a fault."""
+"""Bytes of a file that are unpacked at once: up to so many are lost before a fault."""
 
 
 def plain_name(path: PurePath) -> PurePath:
@@ -71,12 +71,14 @@ def _unpack_file(
             done += len(part)
             if done > most:
                 ratio = 2 * (done // max(1, size)) + 1
-                raise BagError(refusal(f"{path} unpacks to too much", "unpacked_ratio", ratio))
+                raise BagError(
+                    refusal(f"{path} unpacks to too many bytes", "unpacked_ratio", ratio)
+                )
             plain.write(part)
     except zstandard.ZstdError as error:
         if not done:
             raise BagError(f"{path} cannot be unpacked: {error}") from None
-        what = f"the file cannot be unpacked behind byte {done} of its content: {error}"
+        what = f"the file cannot be unpacked after byte {done} of its content: {error}"
         return Damage(0, what)
     return None
 
@@ -114,7 +116,7 @@ def declared_compression(file: Path) -> tuple[str, str]:
 def stated_compression(metadata: bytes) -> tuple[str, str]:
     """Return mode and format in the text of a ``metadata.yaml``; two '' when it has none.
 
-    Two lines of a text that may be damaged or hostile are searched, not parsed as YAML.
+    The text may be damaged or hostile: two of its lines are searched, it is not parsed as YAML.
     """
     stated = {match[1]: match[2].decode() for match in _STATED.finditer(metadata)}
     return stated.get(b"mode", ""), stated.get(b"format", "")
@@ -123,7 +125,7 @@ def stated_compression(metadata: bytes) -> tuple[str, str]:
 def looks_packed(message: bytes) -> bool:
     """Return whether ``message`` is compressed, declared or not.
 
-    CDR begins with 00 and never like a frame of zstd.
+    CDR begins with 00, unlike any frame of zstd.
     """
     return message.startswith(zstandard.FRAME_HEADER) or bool(SKIPPABLE.match(message))
 
@@ -147,11 +149,12 @@ class Unpacker:
     def chunk(self, chunk: ChunkRecord) -> bytes:
         """Return the records inside a chunk, checked against size and CRC.
 
-        Raises DamagedRecord, also where the chunk is larger than the limits allow.
+        Raises DamagedRecord, also if the chunk is larger than the limits allow.
         """
         data = self._plain(chunk)
         if len(data) != chunk.size:
             raise DamagedRecord(f"a chunk holds {len(data)} bytes instead of {chunk.size}")
+        # A checksum of 0 means that the writer did not compute one (MCAP).
         if chunk.crc and zlib.crc32(data) != chunk.crc:
             raise DamagedRecord("the checksum of a chunk is wrong")
         return data
@@ -239,12 +242,14 @@ def _frames(data: bytes | memoryview, room: int, beyond: str) -> Iterator[bytes]
     position = 0
     while position < len(data) or not data:
         if SKIPPABLE.match(data, position):
+            # Magic number and length, 4 bytes each, then the content of a skippable frame.
             position += 8 + int.from_bytes(data[position + 4 : position + 8], "little")
             if position > len(data):
                 raise DamagedRecord(_CUT_OFF)
             continue
         frame = _decompressors.zstd.decompressobj()
         while not frame.eof:
+            # Small steps bound what a hostile frame can unpack to before the limit is checked.
             step = data[position : position + _ZSTD_STEP]
             if not step:
                 raise DamagedRecord(_CUT_OFF)
@@ -257,7 +262,7 @@ def _frames(data: bytes | memoryview, room: int, beyond: str) -> Iterator[bytes]
 
 
 class _Decompressors(threading.local):
-    """One for each thread: to make one takes longer than to unpack a small chunk."""
+    """One for each thread: making one takes longer than unpacking a small chunk."""
 
     def __init__(self) -> None:
         self.zstd = zstandard.ZstdDecompressor()

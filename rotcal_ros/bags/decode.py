@@ -1,9 +1,9 @@
-"""Decoding the messages of one channel by the definition that is in the bag.
+"""Decodes the messages of one channel by the definition in the bag.
 
-Many messages are decoded at once: as long as the lengths of their texts and lists agree, every
-field of messages of one type stands at the same byte. A layout is worked out from one message; it
-fits all those that are equal to it in size and lengths, and in the texts that are asked for.
-Neither definitions nor messages are trusted.
+Many messages are decoded at once: if the lengths of their texts and lists agree, every field of
+messages of one type stands at the same byte. A layout is worked out from one message; it fits all
+that equal it in size and lengths, and in the texts that are asked for. Neither definitions nor
+messages are trusted.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class Columns:
     """Fields of messages of one shape.
 
     ``rows`` are those of the messages in the block; ``values`` has one element per row, with the
-    wanted fields by their dotted names; ``layout`` has the texts that all have in common, as far
-    as they were asked for.
+    wanted fields by their dotted names; ``layout`` has the texts that were asked for, which all
+    rows have in common.
     """
 
     rows: Ints
@@ -133,20 +133,20 @@ class Decoder:
 
 
 MAX_DEFINITION: Final = 1 << 18
-"""Longest definition that is parsed, in characters; ROS's own are up to a tenth of that."""
+"""Longest definition that is parsed, in characters; ROS's own have at most a tenth of that."""
 MAX_DEPTH: Final = 64
-"""How deep messages may contain each other."""
+"""How deeply messages may be nested."""
 _REMEMBERED: Final = 1 << 14
-"""Longest definition whose types are remembered: all of ROS's and ours that are recorded here."""
+"""Longest definition whose types are remembered: those of ROS and ours are shorter."""
 _MAX_ELEMENTS: Final = 10_000
 """Most elements of arrays of texts and messages together: rosbags writes code for each."""
 _ENCODINGS: Final = ("cdr", "")
 _TIMES: Final = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 _TIMES_DEFINITION: Final = "int32 sec\nuint32 nanosec\n"
-"""The definition of both, in every distribution of ROS 2; a bag may leave it out."""
+"""The definition of Time and Duration in every distribution of ROS 2; a bag may leave it out."""
 _SHOWN: Final = 60
 _LINE_END: Final = re.compile(r"[ \t]*(?:\r\n?|\n)")
-"""As on Windows and elsewhere, with the blanks that editors leave before it."""
+"""An end of a line, as on Windows too, with the blanks that editors leave before it."""
 _PLACE: Final = re.compile(r"\n(\d+)\n")
 
 
@@ -185,7 +185,7 @@ def message_types(channel: ChannelDefinition) -> tuple[Typestore, Definitions]:
 
 @lru_cache(maxsize=64)
 def _store(type_name: str, encoding: str, definition: str) -> Typestore:
-    """Return the store with the types of a definition: bags of one cell have the same ones."""
+    """Return the store with the types of a definition; bags of one cell share it."""
     types = _time_types() | _parsed(type_name, encoding, definition)
     _TypeCheck(types).least_size(type_name)
     store = get_typestore(Stores.EMPTY)
@@ -212,21 +212,21 @@ class _TypeCheck:
         self._elements = 0
 
     def least_size(self, name: str) -> int:
-        """Return how many bytes a message of type ``name`` has at least."""
+        """Return the least number of bytes of a message of type ``name``."""
         if name in self._sizes:
             return self._sizes[name]
         if name not in self._types:
-            raise _Unusable(f"it does not say what {_short(name)} is")
+            raise _Unusable(f"it does not define {_short(name)}")
         if name in self._path:
             raise _Unusable(f"{_short(name)} contains itself")
         if len(self._path) >= MAX_DEPTH:
-            raise _Unusable(f"more than {MAX_DEPTH} messages within each other")
+            raise _Unusable(f"more than {MAX_DEPTH} messages nested in each other")
         self._path.append(name)
         size = sum(self._field(field, *kind) for field, kind in self._types[name][1])
         self._path.pop()
         if size > LARGEST_MESSAGE:
             raise _Unusable(
-                f"{_short(name)} has {size} bytes at least, more than {LARGEST_MESSAGE}"
+                f"{_short(name)} has at least {size} bytes, more than {LARGEST_MESSAGE}"
             )
         # A message without fields has one byte in CDR, structure_needs_at_least_one_member.
         self._sizes[name] = max(1, size)
@@ -251,7 +251,7 @@ class _TypeCheck:
 
 
 def _in_one_line(error: Exception) -> str:
-    """Return where the parser stopped, or what it says, without the whole text."""
+    """Return where the parser stopped, or its message, without the whole text."""
     lines = str(error).splitlines() or [type(error).__name__]
     place = _PLACE.search(str(error))
     if place is None:
@@ -275,10 +275,10 @@ Definitions = Mapping[str, tuple[Any, Fields]]
 """Message type -> (constants, fields), as rosbags parses it."""
 
 _ENCAPSULATION: Final = 4
-"""Bytes before the fields in CDR, from behind which fields are aligned: the second one is 0 for
+"""Bytes before the fields in CDR; fields are aligned from their end: the second one is 0 for
 big, 1 for little endian; other values stand for other encodings."""
 _ASCII: Final = 0x7F
-"""Largest byte of a text that is UTF-8 whatever stands beside it."""
+"""Largest byte that is UTF-8 whatever bytes stand beside it."""
 NUMBERS: Final = {
     "bool": "u1", "byte": "u1", "char": "u1", "octet": "u1", "uint8": "u1", "int8": "i1",
     "uint16": "u2", "int16": "i2", "uint32": "u4", "int32": "i4", "uint64": "u8", "int64": "i8",
@@ -426,7 +426,7 @@ class _LayoutFinder:
             raise DamagedRecord("a text in a message is not UTF-8") from None
 
     def _check_count(self, count: int) -> None:
-        """Refuse a list that cannot be in a message of this size, before walking over it."""
+        """Refuse a list that does not fit into a message of this size, before walking over it."""
         if count > len(self._message):
             raise DamagedRecord(f"a list of {count} elements in {len(self._message)} bytes")
 

@@ -63,7 +63,7 @@ def schema_text(data: bytes) -> str:
 
 
 def schema_bytes(text: str) -> bytes:
-    """Return the bytes of which ``text`` was made by :func:`schema_text`, all of them."""
+    """Return the bytes from which :func:`schema_text` made ``text``, all of them."""
     return text.encode(errors="surrogateescape")
 
 

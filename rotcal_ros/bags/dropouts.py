@@ -1,4 +1,4 @@
-"""Dropouts: what is missing of a topic, from when to when, as messages in the bag itself.
+"""Dropouts: what is missing from a topic, and from when to when, as messages in the bag itself.
 
 The recorder writes them as ``diagnostic_msgs/DiagnosticArray``, which every tool shows: stamped
 with the last good moment, one status per message, whose name is the topic.
@@ -19,7 +19,7 @@ from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.foundation.errors import BagError
 
 _LARGEST: Final = 1 << 64
-"""Beyond what log times and counts in a bag can be."""
+"""Beyond any log time or count in a bag."""
 MESSAGE_TYPE: Final = "diagnostic_msgs/msg/DiagnosticArray"
 
 GAP: Final = "a gap in the numbers of its publisher"
@@ -33,8 +33,8 @@ UNHEARD: Final = "a publisher whose quality of service nobody can receive"
 class Dropout:
     """``count`` messages of ``topic`` (0: unknown how many) missing within two log times (ns).
 
-    ``from_ns`` is the last moment before without a loss, ``to_ns`` the first one behind it;
-    ``gaps`` is how many gaps close together it stands for.
+    ``from_ns`` is the last moment without a loss before it, ``to_ns`` the first one after it;
+    ``gaps`` is the number of gaps close together that it stands for.
     """
 
     topic: str
@@ -45,7 +45,7 @@ class Dropout:
     gaps: int = 1
 
     def joined(self, later: Dropout) -> Dropout:
-        """Return one for this and a ``later`` one of the same topic and reason."""
+        """Return one dropout for this and a ``later`` one of the same topic and reason."""
         return replace(
             self,
             from_ns=min(self.from_ns, later.from_ns),
@@ -68,7 +68,7 @@ class Dropout:
         )
 
     def values(self) -> dict[str, str]:
-        """Return what the status of its message holds, as texts; see :func:`of_status`."""
+        """Return the values of the status in its message, as texts; see :func:`of_status`."""
         return {name: str(value) for name, value in asdict(self).items()}
 
     def to_dict(self) -> dict[str, Any]:

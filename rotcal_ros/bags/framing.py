@@ -1,6 +1,6 @@
-"""Cutting an MCAP file into its top-level records, whatever happened to it.
+"""Cuts an MCAP file into its top-level records, whatever happened to it.
 
-Finding the next sound record behind damaged bytes.
+It finds the next sound record after damaged bytes.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rotcal_ros.bags.storage_scan import Damage
 MAX_DAMAGES: Final = 100
 _EXACT: Final = {mcap.FOOTER: mcap.FOOTER_CONTENT, mcap.DATA_END: 4}
 _MOST_REREAD: Final = 4
-"""Times its size that a file may be read again behind faults: the time stays in proportion."""
+"""A file may be read again this many times its size after faults: the time stays in proportion."""
 _STEP: Final = 1 << 20
 
 
@@ -25,7 +25,7 @@ _STEP: Final = 1 << 20
 class Record:
     """A top-level record: where it begins and ends, its kind and its content.
 
-    Of one that is larger than the limit the content is not read and is empty.
+    The content of one that is larger than the limit is not read and is empty.
     """
 
     offset: int
@@ -35,7 +35,7 @@ class Record:
 
     @property
     def size(self) -> int:
-        """Bytes of content that stand in the file."""
+        """Bytes of the content in the file."""
         return self.end - self.offset - mcap.HEADER_SIZE
 
 
@@ -75,13 +75,13 @@ class Framing:
         self._rereads_left = _MOST_REREAD * size + _STEP
 
     def reject(self, record: Record, what: str) -> None:
-        """Note that the content of the record yielded last is broken."""
+        """Note that the content of the last record is broken."""
         fault = self.index_fault if self.in_summary and self.data_sound else self.damage
         fault(record.offset, what)
         self._rejected = True
 
     def note_fields_end(self, record: Record, fields_end: int) -> None:
-        """Note where the known fields end in the content of the record yielded last."""
+        """Note where the known fields end in the content of the last record."""
         self._fields_end = record.offset + mcap.HEADER_SIZE + fields_end
 
     def damage(self, offset: int, what: str) -> None:
@@ -130,7 +130,7 @@ class Framing:
         return self._next_offset_of_longer(record, fields_end)
 
     def _next_offset_of_longer(self, record: Record, fields_end: int) -> int:
-        """Return where the next record begins behind one that is longer than its known fields.
+        """Return where the next record begins after one that is longer than its known fields.
 
         Later versions of MCAP may add fields at the end of a record, so what follows the known
         ones is skipped, unless records can be read there: then its length is wrong.
@@ -200,14 +200,14 @@ class Framing:
         self._file.seek(begin_at)
         self._crc = None
         what = "the opcode of a chunk" if inner == length else "the length of a chunk"
-        self.damage(offset, f"{what} is wrong; its content was read all the same")
+        self.damage(offset, f"{what} is wrong; its content was read nevertheless")
         return Record(offset, mcap.CHUNK, self._file.read(inner), begin_at + inner)
 
     def _sound(self, offset: int) -> bool:
         return is_sound(self._file, offset, self._size, links=1)
 
     def _after_fault(self, offset: int, length: int) -> int | None:
-        """Note the fault at ``offset`` and return where the next record begins, or None."""
+        """Note the fault at ``offset``; return where the next sound record begins, or None."""
         was_read = length <= self._largest and offset + mcap.HEADER_SIZE + length <= self._size
         found = self._search(offset + 1, length if was_read else 0)
         self.skipped = True
@@ -218,7 +218,7 @@ class Framing:
         return found
 
     def _search(self, start: int, read_before: int) -> int | None:
-        """Look for a record; of the bytes from here ``read_before`` were read already."""
+        """Look for a record; ``read_before`` of the bytes from here were read before."""
         self._crc = None
         self._rereads_left -= read_before
         if self._rereads_left < 0:
@@ -278,13 +278,13 @@ class Framing:
 _FIRST_WINDOW: Final = 1 << 12
 _LARGEST_WINDOW: Final = 1 << 20
 _HEAD: Final = mcap.HEADER_SIZE + 64
-"""Bytes of a record that tell whether it is consistent."""
+"""Bytes of a record that show whether it is consistent."""
 # An opcode of the data section, then a length below 2^32 (four zero bytes on top).
 _CANDIDATE: Final = re.compile(rb"(?s)[\x02-\x07\x09\x0c\x0f](?=.{4}\x00{4})")
 _INSIDE_CHUNKS: Final = (mcap.SCHEMA, mcap.CHANNEL, mcap.MESSAGE)
 _LINKS: Final = 3
 _MOST_UNKNOWN: Final = 4
-"""Records of unknown kinds in a row, which prove little, that are stepped over."""
+"""So many records of unknown kinds in a row are stepped over: they prove little."""
 # Where the first text of a record stands, and the length of the record without any text.
 _NAMED: Final = {
     mcap.SCHEMA: (2, 14),
@@ -324,9 +324,9 @@ def find_record(file: BinaryIO, start: int, size: int, *, chunked: bool) -> int 
 def is_sound(
     file: BinaryIO, offset: int, size: int, *, links: int, unknown: int = _MOST_UNKNOWN
 ) -> bool:
-    """Tell whether a record at ``offset`` is consistent, with ``links`` more behind it.
+    """Tell whether a record at ``offset`` is consistent, and ``links`` more after it.
 
-    Of unknown kinds there may be ``unknown`` beside these.
+    Besides these there may be ``unknown`` records of unknown kinds.
     """
     while offset != size:
         file.seek(offset)
@@ -352,7 +352,7 @@ def is_sound(
 
 
 def _end(head: bytes, offset: int, size: int) -> int | None:
-    """Return where the record that begins with ``head`` ends, or None where it is none."""
+    """Return where the record that begins with ``head`` ends, or None if it is not a record."""
     if len(head) < mcap.HEADER_SIZE:
         return None
     opcode, length = mcap.record_header.unpack_from(head)

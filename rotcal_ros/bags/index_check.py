@@ -1,6 +1,6 @@
-"""Checking the index of an MCAP file against its data, and the order of its records.
+"""Checks the index of an MCAP file against its data, and the order of its records.
 
-This package reads without the index, so a fault in it costs nothing here; other programs look up
+This package reads without the index, so a fault in it does no harm here; other programs look up
 messages in it and would miss them, and readers of streams rely on the order.
 """
 
@@ -42,7 +42,7 @@ Report = Callable[[int, str], None]
 
 _BEFORE_PAYLOAD: Final = mcap.HEADER_SIZE + mcap.MESSAGE_FIXED
 _MOST_FACTS: Final = 1 << 22
-"""Chunks, attachments or metadata records of a file beyond which their index is not checked."""
+"""If a file has more chunks, attachments or metadata records, their index is not checked."""
 
 
 class IndexCheck:
@@ -126,7 +126,7 @@ class IndexCheck:
             offset = index.chunk_start_offset
             if self._indexes.differs(offset, places):
                 self._report(
-                    record.offset, f"the places of the indexes behind chunk {offset} are wrong"
+                    record.offset, f"the positions of the indexes after chunk {offset} are wrong"
                 )
 
     def in_summary(self, record: Record) -> None:
@@ -225,7 +225,7 @@ def _described(index: ChunkIndex) -> tuple[object, ...]:
 
 
 class _Facts:
-    """The facts of the records of one kind, by offset, as hashes: 17 bytes for each."""
+    """The facts of all records of one kind, by offset, as hashes: 17 bytes each."""
 
     def __init__(self) -> None:
         self._offsets, self._hashes = array("Q"), array("q")
@@ -246,7 +246,7 @@ class _Facts:
         self._is_named.append(0)
 
     def differs(self, offset: int, facts: object) -> bool:
-        """Tell whether the record at ``offset`` is known, and not as ``facts`` say."""
+        """Tell whether the record at ``offset`` is known and differs from ``facts``."""
         place = self._place(offset)
         return place is not None and self._hashes[place] != hash(facts)
 
@@ -266,7 +266,7 @@ class _Facts:
 
 
 class _ChunkFacts:
-    """A chunk, its messages and the indexes behind it."""
+    """A chunk, its messages and the indexes after it."""
 
     def __init__(self, record: Record, chunk: ChunkRecord, report: Report) -> None:
         self.record = record
@@ -290,7 +290,7 @@ class _ChunkFacts:
         """Compare the index of one channel with its messages."""
         self._index_bytes += record.end - record.offset
         if channel in self._indexes:
-            self._report(record.offset, f"channel {channel} has two indexes behind a chunk")
+            self._report(record.offset, f"channel {channel} has two indexes after a chunk")
         self._indexes[channel] = record.offset
         headers, offsets = self._sorted()
         first, last = np.searchsorted(headers["channel"], [channel, channel + 1])
@@ -306,7 +306,7 @@ class _ChunkFacts:
             self._report(record.offset, f"the message index of channel {channel} is wrong")
 
     def finish(self) -> None:
-        """Compare what can only be known behind the indexes."""
+        """Compare what is known only after the indexes."""
         if not any(len(headers) for headers in self._headers):
             return
         headers, _ = self._sorted()
@@ -368,7 +368,7 @@ class RecordOrder:
         if opcode == mcap.FOOTER and not self._data_ended:
             return "the end of the data is not marked"
         if opcode in _OF_DATA and self._data_ended:
-            return f"a record {opcode} of the data stands in the summary"
+            return f"a data record {opcode} stands in the summary"
         if opcode in _OF_SUMMARY and not self._data_ended:
-            return f"a record {opcode} of the summary stands among the data"
+            return f"a summary record {opcode} stands among the data"
         return None

@@ -1,9 +1,9 @@
-"""Closing a file whose recorder died: what is missing is appended, no whole record changes.
+"""Closes a file whose recorder died: what is missing is appended, no whole record changes.
 
 The index at the end is made from the records before it. The bytes of a torn last record, which no
-reader can use, stay in the file as an attachment: the file as the interruption left it is its
-first ``interrupted_at_byte`` bytes and that attachment. While a file is being closed a journal
-stands beside it, from which an interrupted closing is done again.
+reader can use, stay in the file as an attachment: its first ``interrupted_at_byte`` bytes and that
+attachment are the file as the interruption left it. While a file is being closed a journal lies
+beside it, with which an interrupted closing is repeated.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ JOURNAL_SUFFIX: Final = ".closing"
 class InterruptedSession:
     """What an interrupted session left: its ``files`` for the writer that continues it.
 
-    ``session`` is its identity, empty where nothing says one. Nothing is changed before
+    ``session`` is its identity, empty if nothing says one. Nothing is changed before
     :meth:`close`.
     """
 
@@ -80,8 +80,8 @@ class InterruptedSession:
     def close(self, continued_in: str = "") -> None:
         """Close the files that the interruption left open; the caller holds the folder's lock.
 
-        There are two when the recorder died while it began a new file.
-        Raises BagError when that fails: nothing is lost, and the next call does it again.
+        There are two if the recorder died while it began a new file. Raises BagError if that
+        fails: nothing is lost, and the next call does it again.
         """
         in_order = [file.name for file in self.files]
         following = dict(zip(in_order, [*in_order[1:], continued_in], strict=True))
@@ -161,7 +161,7 @@ def _journal(path: Path) -> Path:
 
 
 def _read_journal(journal: Path) -> tuple[int, bytes] | None:
-    """Return where the data end and the torn bytes behind, of a closing that was interrupted."""
+    """Return, after an interrupted closing, where the data end and the torn bytes after them."""
     if not journal.is_file():
         return None
     head, _, torn = journal.read_bytes().partition(b"\n")
@@ -170,7 +170,7 @@ def _read_journal(journal: Path) -> tuple[int, bytes] | None:
 
 PROFILE: Final = "ros2"
 _MESSAGE: Final = struct.Struct("<HIQ")
-"""Of a message: channel, sequence and log time."""
+"""Fields of a message: channel, sequence and log time."""
 
 
 def _built(builder: RecordBuilder) -> bytes:
@@ -192,7 +192,7 @@ def _records_in(data: bytes) -> Iterator[tuple[int, int, int]]:
 class SummarySection:
     """The index at the end of a file, collected from its records in one pass.
 
-    For files of our recorder whose records are known to be sound: all messages are in chunks.
+    It is for files of our recorder whose records are sound: all messages are in chunks.
     ``like_ours`` is False for any other file.
     """
 

@@ -1,9 +1,9 @@
 """The records of an MCAP file, parsed strictly: a field beyond its record raises DamagedRecord.
 
 The file readers of the mcap package stop at the first fault and trust lengths, which a reader of
-damaged files cannot, so only the package's record classes are used. A record may be longer than
-the fields of today: :func:`parse` says where they end. Layout: https://mcap.dev/spec (all
-numbers little-endian).
+damaged files cannot do, so only its record classes are used. A record may be longer than its
+present fields: :func:`parse` says where they end. Layout: https://mcap.dev/spec (all numbers
+little-endian).
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class ChunkRecord:
 
 
 class _Fields(ReadDataStream):
-    """Gives the fields of a record one after the other and never reads beyond its end."""
+    """Reads the fields of a record one after the other, never beyond its end."""
 
     def __init__(self, content: bytes) -> None:
         super().__init__(BytesIO(content))
@@ -141,9 +141,9 @@ def is_message_index(content: bytes) -> bool:
 
 
 def chunk_size(content: bytes) -> int:
-    """Return how long the chunk record that begins with ``content`` says to be, or 0.
+    """Return the length that the chunk record beginning with ``content`` states, or 0.
 
-    ``content`` may be cut off after the fixed fields. Zero means: this is no chunk.
+    ``content`` may be cut off after the fixed fields. Zero means: this is not a chunk.
     """
     fixed = _chunk_fixed.size
     length = int.from_bytes(content[fixed : fixed + 4], "little")

@@ -1,7 +1,7 @@
-"""Reading one MCAP file from begin to end, tolerantly: blocks of messages and a verdict.
+"""Reads one MCAP file from begin to end, tolerantly: blocks of messages and a verdict.
 
 The index is not needed. Schemas and channels stand in several places of a file, each of which may
-be damaged: they are taken from the one that is trusted most.
+be damaged: the most trusted one counts.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from rotcal_ros.foundation.untrusted import open_plain
 _UNCHUNKED_BYTES: Final = 1 << 20
 """Messages outside chunks are put together to blocks of this size."""
 _COUNT: Final = re.compile(r"-?[0-9]{1,18}")
-"""A count that a recorder may have written."""
+"""Pattern of a count that a recorder may have written."""
 _CDR: Final = "cdr"
 _DATA: Final = (mcap.MESSAGE, mcap.CHUNK, mcap.MESSAGE_INDEX, mcap.ATTACHMENT)
 """Records of data, which may be large; the others hold definitions, texts and numbers."""
@@ -73,7 +73,7 @@ class McapScan(Scan):
         self._truncated: int | None = None
 
     def blocks(self) -> Iterator[Block]:
-        """Yield the readable messages in file order; raises BagError when unreadable at all."""
+        """Yield the readable messages in file order; raises BagError if nothing can be read."""
         return (item for item in self.items() if isinstance(item, Block))
 
     def items(self) -> Iterator[Item]:
@@ -182,7 +182,7 @@ class McapScan(Scan):
             self._summary_record(record)
 
     def _note_record(self, record: Record) -> None:
-        """Note a record, for the index check too; raises DamagedRecord where it is too large."""
+        """Note a record, also for the index check; raises DamagedRecord if it is too large."""
         opcode = record.opcode
         if opcode == mcap.CHUNK:
             self._loss_unknown |= self._awaits_message_index
@@ -347,7 +347,7 @@ class McapScan(Scan):
     def _judge(self, framing: Framing) -> None:
         """Conclude, at the end of the file, what is damaged and what is missing."""
         if framing.damages and self.position == 0:
-            raise BagError(f"{self.path} is no MCAP file: nothing in it can be read")
+            raise BagError(f"{self.path} is not an MCAP file: nothing in it can be read")
         self._truncated = framing.truncated
         self._loss_unknown |= (
             self._awaits_message_index or framing.skipped or (framing.truncated is not None)
@@ -363,7 +363,7 @@ class McapScan(Scan):
     def _compare_statistics(
         self, framing: Framing, offset: int, stated: Statistics, with_summary: tuple[int, int]
     ) -> None:
-        """Judge what is missing by the statistics, or by sound data that these are wrong."""
+        """Judge by the statistics what is missing, or by sound data what in them is wrong."""
         if not framing.data_proven and (stated.channel_message_counts or not stated.message_count):
             self._stated_counts = stated.channel_message_counts
         if not framing.data_sound:
@@ -403,7 +403,7 @@ _JOINED_BYTES: Final = 1 << 20
 
 
 class SmallBlocks:
-    """Joins small blocks in their order: handling a small block costs as much as a large one."""
+    """Joins small blocks in order: handling a small block costs as much as a large one."""
 
     def __init__(self) -> None:
         self._blocks: list[Block] = []
@@ -426,15 +426,18 @@ class SmallBlocks:
 
 
 _OVERHEAD: Final = 1000
-"""Bytes that an entry takes beside its content, at most."""
+"""Most bytes that an entry takes besides its content."""
 _TEXT_OVERHEAD: Final = 150
-"""Bytes that a text takes beside its characters, at most."""
+"""Most bytes that a text takes besides its characters."""
 _PARSING_FACTOR: Final = 4
-"""Parsing a record takes this many times its size, at most."""
+"""Parsing a record takes at most this many times its size."""
 
 
 class MemoryBudget:
-    """Counts the bytes that stay in memory by key; an entry replaces the one of its key."""
+    """Counts the bytes that stay in memory, by key.
+
+    An entry replaces the previous one of its key.
+    """
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
@@ -442,7 +445,7 @@ class MemoryBudget:
         self._costs: dict[Hashable, int] = {}
 
     def check_record(self, content: bytes) -> None:
-        """Raise DamagedRecord where parsing the record may take more memory than is allowed."""
+        """Raise DamagedRecord if parsing the record may take more memory than is allowed."""
         if len(content) > self._limit // _PARSING_FACTOR:
             what = f"definitions or metadata have {len(content)} bytes"
             raise DamagedRecord(refusal(what, "kept_bytes", _PARSING_FACTOR * len(content)))
@@ -476,7 +479,7 @@ _NO_SCHEMA: Final = Schema(id=0, data=b"", encoding="", name="")
 
 
 class Trust(IntEnum):
-    """Where a definition stands, least trusted first: a checksum counts most, then the data."""
+    """The place of a definition, least trusted first: a checksum counts most, then the data."""
 
     PLAIN_INDEX = 0
     PLAIN_DATA = 1
@@ -487,7 +490,7 @@ class Trust(IntEnum):
 class Definitions:
     """Schemas and channels by id; ``channels`` holds those that the data define.
 
-    Those that stand only in the summary or in a copy are used where :meth:`recover` asks for them.
+    Those that only the summary or a copy has are used when :meth:`recover` asks for them.
     """
 
     def __init__(self) -> None:
@@ -502,7 +505,7 @@ class Definitions:
         self._channels_of_schema: defaultdict[int, set[int]] = defaultdict(set)
 
     def add(self, record: Schema | Channel, trust: Trust) -> str | None:
-        """Add a schema or channel; return what is wrong with it, None where nothing is."""
+        """Add a schema or channel; return what is wrong with it, None if nothing is."""
         if isinstance(record, Schema):
             return self._add_schema(record, trust)
         return self._add_channel(record, trust)
@@ -529,7 +532,7 @@ class Definitions:
             self.recover(number)
 
     def numbers(self) -> tuple[int, int]:
-        """Return how many schemas and channels there are, in data and summary together."""
+        """Return the numbers of schemas and channels in data and summary together."""
         return len(self._schemas), len(self._records)
 
     def _add_schema(self, schema: Schema, trust: Trust) -> str | None:

@@ -1,4 +1,4 @@
-"""The names inside a bag: attachments, metadata records, topics and message types."""
+"""Names inside a bag: attachments, metadata records, topics and message types."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ QUEUE: Final = "queue"
 SILENT: Final = "silent"
 """First word of the counters of silences of a stream."""
 CLOCK_JUMPS: Final = "rotcal_clock_jumps"
-"""Metadata record: how the recorder's system clock jumped since the bag was begun, by number."""
+"""Metadata record: jumps of the recorder's system clock since the bag was begun, by number."""
 UNHEARD: Final = "incompatible publisher"
-"""First words of the counters of publishers that nobody can receive."""
+"""First words of the counters of publishers that no subscriber can receive."""
 DROPOUTS: Final = "dropouts"
-"""Last name of the recorder's topic with what is missing, and from when to when."""
+"""Last name of the recorder's topic that says what is missing, and from when to when."""
 LEFT_ALONE: Final = "left_alone"
-"""Last word of the recorder's topics with what somebody else published on a topic of the run."""
+"""Last word of the recorder's topics for messages of ignored publishers on a topic of the run."""
 RUN: Final = "rotcal_run"
 """Metadata record: ``number`` of the run of an interrupted plan that the file belongs to, and
 ``session``, which all files of all its runs have in common; ``earlier`` is RECORDED where the run
@@ -68,7 +68,7 @@ TABLE_IN_FORCE: Final = "table_in_force"
 PAUSE: Final = "pause"
 HEARTBEAT: Final = "heartbeat"
 GOAL: Final = "calibrate/_action/send_goal/_service_event"
-"""What was asked of the action: ROS 2 publishes it from Kilted on."""
+"""The request of the action: ROS 2 publishes it from Kilted on."""
 GOAL_STATUS: Final = "calibrate/_action/status"
 ACTION: Final = (GOAL, "calibrate/_action/feedback", GOAL_STATUS)
 """Topics of the action, hidden from people: goal, feedback and status."""
@@ -83,11 +83,11 @@ ROLES: Final = frozenset({
 
 
 _DIGITS: Final = 9
-"""A number with more of them is none that a recorder wrote."""
+"""A number with more digits was not written by a recorder."""
 
 
 def run_number(metadata: Mapping[str, Mapping[str, str]], unknown: int = 0) -> int:
-    """Return the number of the run in the metadata of a file; ``unknown`` where it says none."""
+    """Return the number of the run in the metadata of a file; ``unknown`` if there is none."""
     number = metadata.get(RUN, {}).get("number", "")
     is_one = number.isascii() and number.isdecimal() and len(number) <= _DIGITS
     return int(number) if is_one else unknown

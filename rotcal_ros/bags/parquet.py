@@ -32,7 +32,7 @@ _ARROW: Final = {
 
 @dataclass(frozen=True)
 class TopicFile:
-    """What was written of a topic; ``broken`` messages could not be decoded, for a reason."""
+    """The file of a topic; ``broken`` messages could not be decoded, for the ``reason``."""
 
     topic: str
     path: Path | None
@@ -136,7 +136,7 @@ class _Stream:
 
 
 def _time(time_ns: int) -> int | None:
-    """Return a time as int64 can hold it; None for one beyond the year 2262."""
+    """Return a time that fits into int64; None for one beyond the year 2262."""
     return time_ns if time_ns < 1 << 63 else None
 
 

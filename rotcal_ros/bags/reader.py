@@ -1,4 +1,4 @@
-"""Reading a bag of any recorder: a folder or a file, whole, cut off or damaged."""
+"""Reads a bag of any recorder: a folder or a file, whole, cut off or damaged."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Progress = Callable[[int, int], None]
 """Called with the bytes done and the bytes in all."""
 
 SUFFIXES: Final = (".mcap", ".db3")
-"""The endings of storage files, in any case; ``.zstd`` behind one: compressed as a whole."""
+"""The endings of storage files, in any case; followed by ``.zstd``: compressed as a whole."""
 
 _NUMBER: Final = re.compile(r"(.*?)_?(\d+)$")
 _HASH_BYTES: Final = 1 << 20
@@ -53,7 +53,7 @@ def bag_files(path: Path) -> tuple[Path, ...]:
             return tuple(sorted(files.values(), key=_order))
     deeper = sorted(f.parent for ending in SUFFIXES for f in path.glob(f"*/*{ending}"))
     hint = f"; did you mean {deeper[0]}?" if deeper else ""
-    raise BagError(f"{path} is no bag: there is no .mcap or .db3 file in the folder{hint}")
+    raise BagError(f"{path} is not a bag: there is no .mcap or .db3 file in the folder{hint}")
 
 
 def scan_file(
@@ -65,7 +65,7 @@ def scan_file(
         return McapScan(path, limits, check_index=check_index)
     if storage != ".db3":
         raise BagError(
-            f"{path} is no bag: expected a folder or a file ending in .mcap or .db3; a plain "
+            f"{path} is not a bag: expected a folder or a file ending in .mcap or .db3; a plain "
             "table is text with commas between its columns"
         )
     from rotcal_ros.bags.sqlite_scan import SqliteScan  # few bags need it
@@ -143,12 +143,12 @@ def sha256_of(path: Path) -> str:
 
 
 def is_storage_name(path: PurePath) -> bool:
-    """Return whether a file is called like a storage file of a bag, compressed or not."""
+    """Return whether a file has the name of a storage file of a bag, compressed or not."""
     return _storage(path) in SUFFIXES
 
 
 def _storage(path: PurePath) -> str:
-    """Return the ending of a storage file as in SUFFIXES, of any other file something else."""
+    """Return the ending of a file; for a storage file it is in SUFFIXES."""
     return plain_name(path).suffix.lower()
 
 

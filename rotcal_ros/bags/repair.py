@@ -1,4 +1,4 @@
-"""Repairing a bag: into a new one, or its ``metadata.yaml`` as ``ros2 bag reindex`` does."""
+"""Repairs a bag: into a new one, or its ``metadata.yaml`` as ``ros2 bag reindex`` does."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.files import FolderLock, sync_folder, write_atomically
 
 _MESSAGE_BYTES: Final = 31
-"""What a message takes in a file beside its payload."""
+"""Bytes that a message takes in a file besides its payload."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class _Copier:
             )
 
     def attachment(self, found: Attachment) -> None:
-        """Copy an attachment, but only once what every file of a session repeats."""
+        """Copy an attachment; those that every file of a session repeats only once."""
         key = sha256(repr((found.name, found.media_type)).encode() + found.data).digest()
         self._of_this_file.add(key)
         if found.name != names.DEFINITIONS and key not in self._of_earlier_files:
@@ -122,7 +122,10 @@ class _Copier:
             )
 
     def metadata(self, record: Metadata) -> None:
-        """Copy a metadata record; losses are added up at the end, rosbag2's own is made anew."""
+        """Copy a metadata record.
+
+        Losses are added up at the end, rosbag2's own record is made anew.
+        """
         if record.name == names.RUN:
             self._begin_run(record.metadata)
         elif record.name not in (names.ROSBAG2, names.LOSSES, names.CONTINUED, names.REPAIR):
@@ -171,11 +174,11 @@ def reindex(folder: Path, progress: Progress | None = None) -> Reindexed:
     """Write ``metadata.yaml`` of the bag in ``folder`` from its files; a copy of the old stays.
 
     It also names what is missing. Raises BagError, and changes nothing, for a single file and for
-    files that are damaged, left open or of several sessions: with no metadata.yaml could other
+    files that are damaged, left open or of several sessions: no metadata.yaml would let other
     programs read them.
     """
     if not folder.is_dir():
-        raise BagError(f"{folder} is no folder: metadata.yaml describes the files in a folder")
+        raise BagError(f"{folder} is not a folder: metadata.yaml describes the files in a folder")
     files = bag_files(folder)
     require_one_session(files)
     infos: list[FileInfo] = []
@@ -225,7 +228,7 @@ def finish_interrupted(folder: Path) -> None:
 def _compression_mode(files: Iterable[Path], old: BagDescription | None) -> str:
     """Return rosbag2's name of how the bag is compressed: only zstd can be read.
 
-    Raises BagError where some files are compressed as a whole and others are not.
+    Raises BagError if some files are compressed as a whole and others are not.
     """
     packed = {plain_name(file) != file for file in files}
     if len(packed) > 1:
@@ -241,8 +244,8 @@ def _require_sound(folder: Path, verdicts: Iterable[FileVerdict]) -> None:
     bad = [f"{v.path.name} is {v.sentence()}" for v in verdicts if v.state != "complete"]
     if bad:
         raise BagError(
-            f"{'; '.join(bad)}: no metadata.yaml makes that readable for others; "
-            f"rotcal bag repair {folder} writes a sound bag with its own"
+            f"{'; '.join(bad)}: no metadata.yaml makes that readable for other programs; rotcal "
+            f"bag repair {folder} writes a sound bag with its own"
         )
 
 

@@ -1,6 +1,6 @@
 """rosbag2's ``metadata.yaml``, which every rosbag2 tool reads first.
 
-It is written in version 9; versions 1 to 9 are read, of any writer.
+It is written in version 9; versions 1 to 9 of any writer are read.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _QOS_KEYS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class OfferedQos:
-    """Quality of service that a publisher offers, in rosbag2's words; durations in ns."""
+    """Quality of service that a publisher offers, as rosbag2 writes it; durations in ns."""
 
     history: str = "unknown"
     depth: int = 0
@@ -103,8 +103,8 @@ def bag_information(
 ) -> dict[str, Any]:
     """Return the mapping that rosbag2 calls ``rosbag2_bagfile_information``.
 
-    It has the topics of ``channels`` and those that the files know besides. What is compressed
-    by rosbag2, in the mode of that name, is so by zstd.
+    It has the topics of ``channels`` and all others in the files. rosbag2's compression is always
+    zstd here, in the mode of that name.
     """
     by_topic = {c.topic: c for c in (*(c for f in files for c in f.channels), *channels)}
     return {
@@ -167,7 +167,7 @@ _LARGEST_COUNT: Final = 1 << 63
 
 @dataclass(frozen=True, slots=True)
 class FileEntry:
-    """What a description says of one file: times in ns; None where it does not say (before 5)."""
+    """What a description says of one file: times in ns; None if it does not say (before 5)."""
 
     name: str
     messages: int | None = None
@@ -221,13 +221,13 @@ def read_description(folder: Path) -> BagDescription | None:
 
 
 def parse_description(text: str, source: str) -> BagDescription:
-    """Return what the text of a ``metadata.yaml`` says; BagError, naming ``source``, else."""
+    """Return the content of the text of a ``metadata.yaml``; BagError names ``source``."""
     try:
         data = load_yaml(text, source, strict=False)
     except ConfigurationError as error:
         raise BagError(str(error)) from error
     if not isinstance(data, dict) or not isinstance(data.get(INFORMATION), dict):
-        raise BagError(f"{source} is no description of a bag: no group {INFORMATION}")
+        raise BagError(f"{source} is not a description of a bag: it has no group {INFORMATION}")
     try:
         return _description(data[INFORMATION])
     except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -284,7 +284,7 @@ def _files(data: Mapping[str, Any]) -> tuple[FileEntry, ...]:
         for entry in data.get("files") or ()
     }
     if not isinstance(data["relative_file_paths"], list):
-        raise ValueError("relative_file_paths is no list")
+        raise ValueError("relative_file_paths is not a list")
     listed = [_name(path) for path in data["relative_file_paths"]]
     return tuple(known.get(name, FileEntry(name)) for name in listed)
 
@@ -293,7 +293,7 @@ def _name(path: Any) -> str:
     """Return the name of a file; before version 4 the folder stood before it."""
     name = PurePosixPath(path).name if isinstance(path, str) else ""
     if name in ("", "..") or "\0" in name:
-        raise ValueError(f"{path!r} names no file")
+        raise ValueError(f"{path!r} does not name a file")
     return name
 
 

@@ -1,4 +1,4 @@
-"""Which session a file belongs to: its runs, splits and repaired copies are one measurement."""
+"""Finds the session of a file: its runs, splits and repaired copies are one measurement."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _NAMED: Final = 10
 
 @dataclass(frozen=True, slots=True)
 class FileHead:
-    """What the beginning of a file says of the session that it belongs to.
+    """What the beginning of a file says about its session.
 
     ``stated`` is the identity that the recorder gave, ``configuration`` the hash of the attached
-    one, ``item`` what is measured: empty where the file does not say. ``first_ns`` is the log time
+    one, ``item`` what is measured: empty if the file does not say. ``first_ns`` is the log time
     of the first message, ``begins`` whether the file is the first one of its session.
     """
 
@@ -53,7 +53,7 @@ class FileHead:
         return not (self.stated or known)
 
     def in_words(self) -> str:
-        """Return what distinguishes the session from others."""
+        """Return in words what distinguishes the session from others."""
         begun = "" if self.first_ns is None else str(np.datetime64(self.first_ns // 10**9, "s"))
         known = (
             self.item,
@@ -96,7 +96,7 @@ def sessions_in(
 ) -> dict[str, tuple[FileHead, ...]]:
     """Return the files by the session that they belong to, in their order.
 
-    Files that say nothing of their session belong to the one beside them.
+    Files that say nothing about their session belong to the session beside them.
     """
     heads = [file_head(file, limits) for file in files]
     unnamed: dict[tuple[str, str], str] = {}
@@ -150,5 +150,5 @@ def require_one_session(files: Sequence[Path], limits: ReadingLimits = DEFAULT_L
         if twin is not head:
             raise BagError(
                 f"{head.path} begins with the same message as {twin.path.name}: one is a copy of "
-                f"the other, repaired perhaps; name the one to be read, such as {head.path}"
+                f"the other, perhaps repaired; name the one to be read, such as {head.path}"
             )

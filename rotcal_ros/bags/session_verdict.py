@@ -1,6 +1,6 @@
 """The verdict on a whole session: which files are missing, where ``metadata.yaml`` is wrong.
 
-A repaired bag keeps a record of the one that it was made from; what that says counts too.
+A repaired bag keeps a record of the bag that it was made from; that record counts too.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from rotcal_ros.foundation.errors import BagError
 
 _TOLERANCE_NS: Final = 1_000_000
 _MOST_SENTENCES: Final = 100
-"""Sentences of one kind: a damaged metadata.yaml may list a million files."""
+"""Most sentences of one kind: a damaged metadata.yaml may list a million files."""
 
 
 @dataclass(frozen=True)
 class SessionVerdict:
-    """Sentences on what is not in order beyond the single files.
+    """Sentences on what is wrong beyond the single files.
 
-    ``missing`` is about data that are not there: a result from the rest is suspect. ``differing``
+    ``missing`` is about missing data: a result from the rest is suspect. ``differing``
     says where metadata.yaml is wrong, ``repaired`` what was lost before the bag was repaired,
     ``closed`` which files were closed after an interruption, without a loss.
     """
@@ -50,7 +50,7 @@ class SessionVerdict:
 
     @property
     def sound(self) -> bool:
-        """Whether everything is there and agrees with metadata.yaml, if there is one."""
+        """Whether nothing is missing, and all agrees with metadata.yaml, if there is one."""
         return not self.missing and not self.differing
 
     def sentences(self) -> tuple[str, ...]:
@@ -113,7 +113,7 @@ def _first_sentences(sentences: Iterable[str]) -> tuple[str, ...]:
 
 
 class _FilesRead:
-    """The files that were read, by their names and the names under which they were recorded."""
+    """The files that were read, by their present names and those they were recorded under."""
 
     def __init__(self, verdicts: Sequence[FileVerdict]) -> None:
         self.verdicts = verdicts
@@ -124,7 +124,7 @@ class _FilesRead:
         self.by_name = {**by_recorded_name, **{v.path.name: v for v in verdicts}}
 
     def find(self, entry: FileEntry) -> FileVerdict | None:
-        """Return the file that ``entry`` describes, also one that was renamed or unpacked."""
+        """Return the file that ``entry`` describes, even if it was renamed or unpacked."""
         for name in (entry.name, entry.name.removesuffix(COMPRESSED)):
             if name in self.by_name:
                 return self.by_name[name]
@@ -156,7 +156,7 @@ def _missing_files(
 def _missing_sentence(folder: Path, name: str, evidence: str) -> str:
     if "/" in name or not _exists(folder / name):
         return f"the file {name} of the session is missing: {evidence}"
-    return f"the file {name} of the session was not read, only a part of it was named: {evidence}"
+    return f"the file {name} of the session was not read, only other files were named: {evidence}"
 
 
 def _exists(path: Path) -> bool:
@@ -169,7 +169,7 @@ def _exists(path: Path) -> bool:
 def _missing_numbers(
     folder: Path, files: _FilesRead, metadata: BagDescription | None
 ) -> dict[str, str]:
-    """Return the files that are missing in the row of numbers of a recorder's files.
+    """Return the files that are missing in the numbering of a recorder's files.
 
     Other recorders may delete their oldest files: for theirs ``metadata`` counts, if any.
     """
@@ -230,12 +230,12 @@ def _differences(metadata: BagDescription, files: _FilesRead, *, whole: bool) ->
 
 
 def _another_name(entry: FileEntry, found: FileVerdict) -> Iterator[str]:
-    """Yield that a file has another name than the one listed, or the content of another file."""
+    """Yield files that have another name than listed, or the content of another file."""
     name = found.path.name
     if name not in (entry.name, entry.name.removesuffix(COMPRESSED)):
         yield (
-            f"{METADATA_FILE} lists {entry.name}, which is called {name} here: others do not find "
-            "it; give it its name again, or rebuild the list (rotcal bag reindex)"
+            f"{METADATA_FILE} lists {entry.name}, which is called {name} here: other programs do "
+            "not find it; rename it back, or rebuild the list (rotcal bag reindex)"
         )
     elif entry.messages and found.whole and None not in (found.start_ns, entry.start_ns):
         apart_ns = (found.start_ns or 0) - (entry.start_ns or 0)
@@ -286,15 +286,15 @@ _DATE: Final = "date"
 _MISSING: Final = "missing"
 _EARLIER: Final = "earlier"
 _DETAILS: Final = (" sha256", " lost", " damages")
-"""What follows the name of a file in the keys about it."""
+"""Endings of the keys about a file, after its name."""
 
 
 def repair_record(before: Sequence[FileVerdict], missing: Sequence[str]) -> dict[str, str]:
     """Return the metadata record for the bag that is made from the files ``before``.
 
-    By file name the verdict, and behind it the hash, the messages known to be lost by topic and
-    the bytes at which it is damaged; ``missing`` are sentences about files that were not there.
-    A record of an earlier repair is kept inside.
+    By file name it holds the verdict, followed by the hash, the messages known to be lost by topic
+    and the bytes at which the file is damaged; ``missing`` are sentences about files that were not
+    there. A record of an earlier repair is kept inside.
     """
     record = {_DATE: f"{datetime.now(timezone.utc):%Y-%m-%dT%H:%M:%SZ}"}
     for verdict in before:
@@ -324,7 +324,7 @@ def repairs_in_words(notes: Notes) -> tuple[str, ...]:
 
 
 def missing_before_repair(notes: Notes) -> tuple[str, ...]:
-    """Return what was missing already when a repaired file was made."""
+    """Return what was already missing when a repaired file was made."""
     try:
         sentences = json.loads(notes.get(names.REPAIR, {}).get(_MISSING, "[]"))
         return tuple(str(sentence) for sentence in sentences)

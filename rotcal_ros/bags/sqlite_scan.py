@@ -1,6 +1,6 @@
-"""Reading a rosbag2 sqlite3 file of any version, as the same blocks that an MCAP file gives.
+"""Reads a rosbag2 sqlite3 file of any version into the same blocks that an MCAP file gives.
 
-A file is never changed; a damaged one is read as far as sqlite3 itself reads it. Version 1 of
+The file is never changed; a damaged one is read as far as sqlite3 itself can. Version 1 of
 rosbag2's schema knows names and types of topics, 2 adds the quality of service, 3 the table
 ``schema``, 4 hashes of types and the table ``message_definitions``.
 """
@@ -39,7 +39,7 @@ from rotcal_ros.foundation.errors import BagError
 _BLOCK_BYTES: Final = 1 << 20
 _MAX_CHANNELS: Final = 1 << 16
 _LEAST_ROW: Final = 16
-"""Bytes of a row of messages, at least."""
+"""Least bytes of a row of messages."""
 _NEEDED: Final = {"topics": ("id", "name", "type"), "messages": ("topic_id", "timestamp", "data")}
 _UNKNOWN: Final = "(unknown topic)"
 _LEFT_BESIDE: Final = ("-wal", "-journal")
@@ -58,7 +58,7 @@ Row = tuple[object, ...]
 class Database:
     """A connection and the file that it reads: the bag's own, or a copy of it.
 
-    ``damages`` are what was found so far, none while the file is sound.
+    ``damages`` are those found so far; none while the file is sound.
     """
 
     connection: sqlite3.Connection
@@ -76,8 +76,8 @@ class Database:
     def select(self, table: str, wanted: tuple[str, ...], order: str = "") -> Iterator[Row]:
         """Yield columns and expressions of all rows that sqlite3 can read; note where it fails.
 
-        A column that is not there is NULL. Rows come by ``order`` and their ids, in a damaged
-        database by their ids alone.
+        A missing column is NULL. Rows come by ``order`` and their ids, in a damaged database by
+        their ids alone.
         """
         try:
             if not (present := self.columns(table)):
@@ -97,9 +97,9 @@ class Database:
             self._note(table, _words(error))
 
     def _rows_of_damaged(self, table: str, what: str) -> Iterator[Row]:
-        """Yield the rows of a damaged table by their ids, before and behind what is damaged.
+        """Yield the rows of a damaged table by their ids, before and after what is damaged.
 
-        Behind a damage it is tried again one id further, then twice as far every time.
+        After a damage reading is tried one id further, then twice as far each time.
         """
         start, step = 0, 1
         while start < _LARGEST_ID:
@@ -118,7 +118,7 @@ class Database:
         try:
             for row_id, *values in self.connection.execute(query, (start,)):
                 if row_id <= last:  # then the one before may have been wrong as well
-                    self._note(table, "its rows are in disorder")
+                    self._note(table, "its rows are not in order")
                     return before
                 before, last = last, row_id
                 yield tuple(values)
@@ -129,7 +129,7 @@ class Database:
 
     def _note(self, table: str, reason: str) -> None:
         at = min((damage.offset for damage in self.damages), default=0)
-        what = f"its {table} cannot all be read ({reason}); sqlite3 .recover may save more"
+        what = f"not all of its {table} can be read ({reason}); sqlite3 .recover may save more"
         if Damage(at, what) not in self.damages:
             self.damages.append(Damage(at, what))
 
@@ -161,7 +161,7 @@ def opened(path: Path, limits: ReadingLimits = DEFAULT_LIMITS) -> Iterator[Datab
     try:
         with unpacked_storage_file(path, limits) as (plain, damage):
             if not plain.is_file() or not plain.stat().st_size:
-                what = "is empty" if plain.is_file() else "is no file"
+                what = "is empty" if plain.is_file() else "is not a file"
                 raise BagError(f"cannot read {path}: it {what}; there is nothing in it to be read")
             with (
                 _with_pending_changes(plain) as (file, how),
@@ -250,7 +250,10 @@ class SqliteScan(Scan):
         self._packed = False
 
     def blocks(self) -> Iterator[Block]:
-        """Yield the messages in the order of their log times, of a damaged file of their ids."""
+        """Yield the messages in the order of their log times.
+
+        Those of a damaged file by their ids.
+        """
         with opened(self.path, self._limits) as database:
             self._size = self.path.stat().st_size
             self._plain_size = database.file.stat().st_size
@@ -261,7 +264,7 @@ class SqliteScan(Scan):
             if not damaged:
                 self._require_tables(database)
                 if count := topics_without_text(database):
-                    self._oddities["topics of which something is no text in UTF-8"] = count
+                    self._oddities["topics with a name or type that is not UTF-8"] = count
             yield from self._read(database)
             if damaged:
                 self._missing_rows(database)
@@ -294,7 +297,7 @@ class SqliteScan(Scan):
             missing = [name for name in needed if name not in database.columns(table)]
             if missing:
                 raise BagError(
-                    f"{self.path} is no bag of rosbag2: its database has no table {table} with "
+                    f"{self.path} is not a bag of rosbag2: its database has no table {table} with "
                     f"the columns {', '.join(missing)}"
                 )
 
@@ -313,7 +316,7 @@ class SqliteScan(Scan):
             yield from self._plain(block)
 
     def _compression(self, database: Database) -> tuple[str, str]:
-        """Return mode and format of the messages' compression; the file's own word counts."""
+        """Return mode and format of the messages' compression; what the file states counts."""
         stated = ("", "")
         for (metadata,) in database.select("metadata", ("metadata",)):
             stated = stated_compression(metadata) if isinstance(metadata, bytes) else stated
@@ -341,7 +344,7 @@ class SqliteScan(Scan):
     def _message(
         self, topic_id: object, time_ns: object, data: object, size: object
     ) -> tuple[int, int, bytes] | None:
-        """Return channel, log time and message of a row; what is wrong with it is counted."""
+        """Return channel, log time and message of a row; count what is wrong with it."""
         number = self._numbers.get(topic_id) if isinstance(topic_id, int) else None
         if number is None:
             self._oddities["messages of no topic"] += 1
@@ -369,7 +372,7 @@ class SqliteScan(Scan):
             self._oddities["compressed messages that cannot be unpacked"] += broken.total()
 
     def _missing_rows(self, database: Database) -> None:
-        """Count the ids that were not read: rosbag2 gives them one after the other."""
+        """Count the ids that were not read: rosbag2 numbers them without gaps."""
         with suppress(*_FAILURES):
             (last,) = database.connection.execute("SELECT max(rowid) FROM messages").fetchone()
             known = self._counts.total() + self._lost.total() + self._unreadable
@@ -427,9 +430,9 @@ def read_channels(database: Database) -> Iterator[tuple[int, ChannelDefinition]]
 
 
 def topics_without_text(database: Database) -> int:
-    """Return how many topics there are of which something is no text in UTF-8.
+    """Return how many topics have something that is not UTF-8.
 
-    Beside name and type it may be missing.
+    All but name and type may be missing.
     """
     present = [name for name in _TOPIC[1:] if name in database.columns("topics")]
     needed = " AND ".join(f"typeof({name}) = 'text'" for name in _TEXTS)

@@ -43,13 +43,14 @@ class TopicCount:
 class FileVerdict:
     """The state of one file.
 
-    "index wrong" says that the data are sound: nothing is lost, but others may not find it.
+    "index "
+    "wrong" says that the data are sound: nothing is lost, but other programs may not find it.
 
-    ``lost_exactly`` is False when messages may be missing beyond those counted in ``topics``:
-    what stood behind the end of a truncated file is unknown, and so is the content of a
-    damaged chunk whose index is damaged too. ``losses_recorded`` counts from the beginning of
-    the ``run`` of an interrupted plan, over all files of it; ``dropouts`` are those of this file,
-    ``notes`` its metadata records by name, the last of each.
+    ``lost_exactly`` is False if more messages may be missing than those counted in ``topics``:
+    what followed the end of a truncated file is unknown, and so is the content of a damaged chunk
+    whose index is damaged too. ``losses_recorded`` counts from the beginning of the ``run`` of an
+    interrupted plan, over all files of it; ``dropouts`` are those of this file, ``notes`` its
+    metadata records by name, the last of each.
     """
 
     path: Path
@@ -82,7 +83,7 @@ class FileVerdict:
 
     @property
     def losses_unread(self) -> dict[str, str]:
-        """Recorded losses whose count is no number, by their names."""
+        """Recorded losses whose count is not a number, by their names."""
         noted = self.notes.get(names.LOSSES, {})
         return {name: text for name, text in noted.items() if name not in self.losses_recorded}
 
@@ -134,7 +135,7 @@ def session_losses(verdicts: Iterable[FileVerdict]) -> dict[str, int]:
 def unread_losses(verdicts: Iterable[FileVerdict]) -> tuple[str, ...]:
     """Return a sentence for each recorded loss whose count cannot be read."""
     return tuple(
-        f"{verdict.path.name}: a loss was recorded ({name}), but its count is no number: "
+        f"{verdict.path.name}: a loss was recorded ({name}), but its count is not a number: "
         f"{text[:_SHOWN]!r}"
         for verdict in verdicts
         for name, text in verdict.losses_unread.items()
@@ -152,12 +153,12 @@ def losses_in_words(losses: Mapping[str, int]) -> tuple[str, ...]:
 
 
 Item = Block | Attachment | Metadata
-"""What a file holds, in its order."""
+"""What a file holds, in its own order."""
 
 
 @dataclass(eq=False)
 class StorageContents:
-    """What a storage file, or several that are read as one, hold beside their messages."""
+    """What a storage file, or several read as one, hold besides their messages."""
 
     path: Path
     channels: dict[int, ChannelDefinition] = field(default_factory=dict)
@@ -176,7 +177,7 @@ class Scan(StorageContents, ABC):
     """
 
     def __init__(self, path: Path) -> None:
-        """Read nothing yet; raises BagError where ``path`` is a pipe or a device: it may block."""
+        """Read nothing yet; raises BagError if ``path`` is a pipe or a device: it may block."""
         try:
             require_plain(path)
         except OSError as error:
@@ -190,7 +191,7 @@ class Scan(StorageContents, ABC):
 
     @abstractmethod
     def blocks(self) -> Iterator[Block]:
-        """Yield the readable messages; raises BagError when the file is unreadable at all."""
+        """Yield the readable messages; raises BagError if nothing can be read."""
 
     def items(self) -> Iterator[Item]:
         """Yield all that the file holds, in its order; raises what :meth:`blocks` does."""

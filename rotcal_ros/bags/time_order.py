@@ -1,12 +1,12 @@
-"""In which order of time the messages of a bag stand, and which of their times is true.
+"""Finds in which order of time the messages of a bag stand, and which of their times is true.
 
 The capture lets streams run apart by seconds, and its windows go by stamps, so the order of a file
-is nearly always good as it is. It is not where topics or channels stand one behind the other, as
+is nearly always good as it is. It is not if topics or channels stand one after the other, as
 converters and merges write them: then the messages are sorted, by
 
 1. their log times, as long as those of each topic ascend;
-2. their publish times, else the stamps in their headers, where the streams have those in common
-   but hardly any log time: then the log times are of the program that wrote the file.
+2. their publish times, else the stamps in their headers, if the streams have those in common but
+   hardly any log time: then the log times are those of the program that wrote the file.
 
 Where the log times of one and the same channel go back while its numbers ascend, or where it has
 none, the clock of the recorder was set: the order of the file is the only one there is. Where its
@@ -35,7 +35,7 @@ from rotcal_ros.foundation.arrays import Bools, Ints
 LEAST_NS: Final = 1_000_000_000
 """Smaller disorder between topics is normal."""
 STANDSTILL_NS: Final = 20_000_000_000
-"""A recorder that stood still writes what waited topic by topic: up to here nobody is warned."""
+"""A recorder that stood still writes what waited topic by topic: no warning up to this."""
 LOG, PUBLISH, STAMP = range(3)
 IN_WORDS: Final = ("log times", "publish times", "the stamps in their headers")
 _SHARED, _APART = 0.5, 0.1
@@ -47,12 +47,12 @@ _LARGEST: Final = (1 << 63) - 1
 
 @dataclass(frozen=True)
 class TimeOrder:
-    """The order of a bag: ``sort_by`` is LOG, PUBLISH or STAMP, None where it is good as it is.
+    """The order of a bag: ``sort_by`` is LOG, PUBLISH or STAMP, None if it is good as it is.
 
     ``back`` is how often log times of one channel go back by a second or more, ``back_ns`` how far
-    at most, ``apart_ns`` how far messages stand behind later ones. ``doubtful``: the log times are
-    not true and not every stream has another time. ``rearranged``: a standstill of the recorder
-    does not explain the order.
+    at most, ``apart_ns`` how far messages follow later ones. ``doubtful``: the log times are false
+    and not every stream has another time. ``rearranged``: a standstill of the recorder does not
+    explain the order.
     """
 
     sort_by: int | None = None
@@ -63,7 +63,7 @@ class TimeOrder:
     rearranged: bool = True
 
     def in_words(self) -> tuple[str, ...]:
-        """Return what a reader of the messages should know, none where all is in order."""
+        """Return what a reader of the messages should know; nothing if all is in order."""
         if self.sort_by is not None and self.rearranged:
             reason = (
                 "its log times are those of the program that wrote it"
@@ -88,7 +88,7 @@ class TimeOrder:
 
 @dataclass
 class _Progress:
-    """How the three times of one channel or topic, or of all together, proceed.
+    """Progress of the three times of one channel or topic, or of all together.
 
     ``newest`` are the latest times so far, ``most`` how far any was behind them.
     """
@@ -107,7 +107,7 @@ class _Progress:
 
 @dataclass
 class _Channel(_Progress):
-    """A channel of one file, and what distinguishes a clock that was set from a sorted file."""
+    """A channel of one file, with what distinguishes a clock that was set from a sorted file."""
 
     part: tuple[str, int] = ("", 0)
     stamp: int = -1
@@ -127,7 +127,7 @@ class _Topic(_Progress):
 
 
 class TimeOrders:
-    """Looks at the messages in the order of the files, and judges that order."""
+    """Examines the messages in the order of the files, and judges that order."""
 
     def __init__(self) -> None:
         self._channels: dict[tuple[str, str, int], _Channel] = {}
@@ -261,7 +261,7 @@ def sorted_blocks(
     """Yield the messages of the ``wanted`` channels by time; ``blocks``: of :func:`read_blocks`.
 
     Files of one run belong together: their messages are sorted as one, and come with what is known
-    of all. Log times of the blocks are those that they are sorted by.
+    of all. The log times of the blocks are the times they are sorted by.
     """
     run, group = 0, _Group(sort_by, wanted)
     for scan, block in blocks:
@@ -318,12 +318,12 @@ class _Group:
 
 
 RUN_BYTES: Final = 32 << 20
-"""Messages that are sorted at once, and about what is held while runs are merged."""
+"""Bytes of messages that are sorted at once; about as many are held while runs are merged."""
 _PIECE: Final = 1 << 18
 _ROWS: Final = 1 << 16
 _LEAST_BYTES: Final = 1 << 16
 _Rows = tuple[NDArray[Any], bytes]
-"""Messages: key, size and header of each, and their payloads one behind the other."""
+"""Messages: key, size and header of each, and their payloads one after the other."""
 _ROW: Final = np.dtype([("key", "<i8"), ("size", "<i8"), ("header", HEADER_TYPE)])
 
 
@@ -434,7 +434,10 @@ class _Run:
         return len(self._rows) > 0
 
     def up_to(self, key: int | None, side: Literal["left", "right"]) -> _Rows:
-        """Return what of the portion has keys below ``key`` ("right": or equal; None: all)."""
+        """Return the messages of the portion with keys below ``key`` ("right": or equal.
+
+        None: all).
+        """
         keys = self._rows["key"]
         self._taken = len(keys) if key is None else int(np.searchsorted(keys, key, side))
         taken = self._rows[: self._taken]
@@ -464,7 +467,7 @@ def _pieces(order: Ints, size: Ints) -> Iterator[Ints]:
 
 
 def _payloads(raw: NDArray[np.uint8], start: Ints, size: Ints) -> bytes:
-    """Return the bytes of messages one behind the other."""
+    """Return the bytes of messages one after the other."""
     if not len(start):
         return b""
     shift = start - (np.cumsum(size) - size)

@@ -1,4 +1,4 @@
-"""Which topics of a cell play which role, by the word of its nodes and of what they recorded."""
+"""Tells which topics of a cell play which role, as its nodes say or have recorded."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def plain_name(namespace: str, role: str) -> str:
 
 
 class CalledOtherwise:
-    """Which topics play which role, by the latest beats of the nodes that decide it."""
+    """Tells which topics play which role, by the latest beats of the nodes that decide it."""
 
     def __init__(self, namespace: str) -> None:
         self._namespace = namespace
@@ -46,7 +46,7 @@ class CalledOtherwise:
         return self.topics.get(role, plain_name(self._namespace, role))
 
     def role(self, topic: str) -> str:
-        """Return the role of a topic by its absolute name; its last name where it has none."""
+        """Return the role of a topic by its absolute name; its last name if it has none."""
         for role, other in self.topics.items():
             if topic == other:
                 return role

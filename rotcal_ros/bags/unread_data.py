@@ -1,4 +1,4 @@
-"""What was missing in the bags that were read, noted for the end of any verb."""
+"""Notes what was missing in the bags that were read, for the end of any verb."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _sentences: Final[ContextVar[dict[str, bool] | None]] = ContextVar("unread", def
 
 @contextmanager
 def unread() -> Iterator[dict[str, bool]]:
-    """Yield what is noted until the end: sentences, and whether they were printed already."""
+    """Yield what is noted until the end: sentence -> whether it was printed already."""
     sentences: dict[str, bool] = {}
     token = _sentences.set(sentences)
     try:

@@ -1,7 +1,7 @@
-"""Writing a session into MCAP so that a crash costs little and nothing is ever overwritten.
+"""Writes a session into MCAP so that a crash costs little and nothing is ever overwritten.
 
 Chunks are closed and synced at short intervals, and every definition is written a second time,
-beside the chunks. A file that is deleted, replaced or cut while it is recorded is noticed.
+outside the chunks. A file that is deleted, replaced or cut while it is recorded is noticed.
 """
 
 from __future__ import annotations
@@ -146,8 +146,8 @@ class BagWriter:
     def _as_before(self, wanted: ChannelDefinition) -> ChannelDefinition:
         """Return a channel with the QoS that its topic has in the earlier files of the session.
 
-        There may be other publishers now, but a topic whose QoS differs from file to file is
-        another connection for rosbags, which then leaves out its messages.
+        There may be other publishers now, but rosbags takes a topic whose QoS differs from file to
+        file for another connection and leaves out its messages.
         """
         earlier = (channel for file in self.files for channel in file.channels)
         before = next((c for c in earlier if c.topic == wanted.topic), None)
@@ -192,7 +192,7 @@ class BagWriter:
         return True
 
     def sync(self) -> None:
-        """Return when all messages so far are on disk, in closed chunks, under their names."""
+        """Wait until all messages so far are on disk, in closed chunks, under their names."""
         if self._unsynced:
             self._guarded(self._sync)
         self._require_undisturbed()
@@ -261,7 +261,7 @@ class BagWriter:
         return file.messages > 0 and (too_big or 0 < limits.split_duration_s <= seconds)
 
     def _split(self) -> None:
-        """Go on in a new file, which is on the medium before the one before it names it."""
+        """Go on in a new file, which is on the medium before the previous one names it."""
         ending = self._file
         self._note_description()
         self._begin_file()
@@ -307,7 +307,8 @@ class BagWriter:
             raise BagError(
                 f"only {free / 1e6:.1f} MB are free below {self.folder}, less than the "
                 f"{self.settings.min_free_bytes / 1e6:.1f} MB that recording keeps free; "
-                "recording stopped, all so far is on disk; make room and continue the session"
+                "recording stopped, everything so far is on disk; make room and continue the "
+                "session"
             )
 
     @property
@@ -325,7 +326,7 @@ class BagWriter:
     def _disturbed(self, disturbance: str) -> BagError:
         return BagError(
             f"cannot go on with the bag {self.folder}: {disturbance}; recording stopped, since "
-            "nothing would be safe there; see who else uses this folder, or choose another"
+            "data would not be safe there; find out who else uses this folder, or choose another"
         )
 
     def _failed(self, error: OSError) -> BagError:
@@ -360,10 +361,10 @@ FileState = tuple[int, int, int]
 
 
 class WatchedFiles:
-    """The files of the bag in ``folder``: notices who else deletes, replaces or changes them.
+    """Watches the files of a bag in ``folder``: notices if others delete or change them.
 
-    Writing to an open file succeeds after its name is gone: the loss would be noticed at the end
-    of the recording. All of it raises OSError when the disk does not answer.
+    Writing to an open file succeeds even after its name is gone: the loss would be noticed only at
+    the end of the recording. All methods raise OSError if the disk does not answer.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -379,7 +380,7 @@ class WatchedFiles:
         self._expected[path] = (*self._expected[path][:2], size)
 
     def disturbance(self) -> str | None:
-        """Return what somebody else did to the files, None where all is as expected."""
+        """Return what somebody else did to the files, None if all is as expected."""
         # Asked first: a folder that is gone cannot be written either, which the files say better.
         may_write = disk.may_write(self._folder)
         for path, expected in self._expected.items():
@@ -389,8 +390,8 @@ class WatchedFiles:
                 if error.errno not in _GONE:
                     raise
                 return (
-                    f"{path} is no longer there: somebody deleted or moved it or its folder, "
-                    "or its disk was taken away"
+                    f"{path} is no longer there: somebody deleted or moved it or its folder, or "
+                    "removed its disk"
                 )
             if found[:2] != expected[:2]:
                 return f"{path} is not the file that was recorded: somebody put another there"
@@ -417,7 +418,10 @@ _MOST_CHANNELS: Final = 65_535
 
 @dataclass(frozen=True, slots=True)
 class Attached:
-    """An attachment of ``time_ns``; created then too, unless ``created_ns`` says otherwise."""
+    """An attachment logged at ``time_ns``.
+
+    Created then too, unless ``created_ns`` says otherwise.
+    """
 
     name: str
     media_type: str
@@ -429,7 +433,7 @@ class Attached:
 class McapFile:
     """A new file at ``path``, which must not exist; :meth:`begin` it first.
 
-    Everything raises OSError when the disk fails: then only :meth:`abandon` is left to do.
+    All methods raise OSError if the disk fails: then only :meth:`abandon` is left to do.
     """
 
     def __init__(self, path: Path, chunk_bytes: int) -> None:
@@ -475,7 +479,7 @@ class McapFile:
             dict(channel.metadata) | {name: text for name, text in known.items() if text},
         )
         if number > _MOST_CHANNELS:
-            raise BagError(f"a bag has {_MOST_CHANNELS} channels at most")
+            raise BagError(f"a bag has at most {_MOST_CHANNELS} channels")
         self._undescribed.append(replace(channel, channel_id=number))
         return self._undescribed[-1]
 
@@ -499,7 +503,7 @@ class McapFile:
         self._writer.add_message(channel, log_time_ns, data, publish_time_ns, sequence)
 
     def sync(self) -> None:
-        """Return when all so far is on the medium, in closed chunks."""
+        """Wait until everything so far is on the medium, in closed chunks."""
         if self._undescribed:
             self._describe()
         self._writer.flush()  # type: ignore[no-untyped-call]
@@ -512,7 +516,7 @@ class McapFile:
         self._file.close()
 
     def abandon(self) -> None:
-        """Close the file where it ends, behind a whole record, as well as the disk allows."""
+        """Close the file after its last whole record, as well as the disk allows."""
         with suppress(OSError):
             self._file.sync()
         with suppress(OSError):

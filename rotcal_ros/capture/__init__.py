@@ -2,7 +2,7 @@
 
 The outcome depends on each stream's own order and stamps, never on how the streams interleave
 on arrival. The live node and the replay of a bag therefore give equal observations. The capture is
-loaded when it is first used: who needs only its settings does not pay for it.
+loaded when it is first used: those who need only its settings load no more.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""The air that goes with an attempt: temperature, pressure, humidity, each where it is expected.
+"""The air that belongs to an attempt: temperature, pressure and humidity, if expected.
 
-Which reading goes with an attempt depends on the stamps alone, never on when readings arrive.
+Which reading belongs to an attempt depends on the stamps alone, never on the time of arrival.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Quantity:
     column: str
 
     def expected(self, settings: CaptureSettings) -> bool:
-        """Return whether an observation holds it and waits for it."""
+        """Return whether an observation holds this quantity and waits for it."""
         return bool(getattr(settings, f"{self.name}_expected"))
 
 
@@ -66,10 +66,10 @@ class AirStreams:
     def begin_anew(self, belated: Sequence[tuple[int, int]], *, follows: bool) -> None:
         """Forget the readings from before a clock was set back; the counts stay.
 
-        Readings stamped within ``belated`` may be from before that and are left out: by their
-        stamp alone, so that it does not matter when they arrive. Readings stamped by the new
-        clock stay: where a second stream ``follows`` the first one all of them, else those that
-        came behind the latest.
+        Readings stamped within ``belated`` may be from before that and are left out, by their
+        stamp alone, so that it does not matter when they arrive. Readings stamped by the new clock
+        stay: all of them if a second stream ``follows`` the first, else those that came after the
+        latest.
         """
         self._belated = belated
         for name, stream in self.by_name.items():
@@ -106,7 +106,7 @@ class AirStreams:
                 yield Missing(quantity, stream, wanted)
 
     def at(self, begin_ns: int, since_ns: int | None, settings: CaptureSettings) -> ObservedAir:
-        """Return the air that goes with an attempt that began at ``begin_ns``.
+        """Return the air of an attempt that began at ``begin_ns``.
 
         Each quantity is the last reading stamped ``temperature_lag_s`` or more before the probe
         reached its target, else the first one of the calibration (from ``since_ns`` on): a choice

@@ -1,4 +1,4 @@
-"""One attempt at a step: the streams and the rules that judge it, and the observation it becomes.
+"""One attempt at a step: the streams and rules that judge it, and its observation.
 
 The rules are those of a method: how its steps become observations, and which contradict others.
 """
@@ -23,14 +23,14 @@ UNKNOWN_AIR: Final = ObservedAir()
 
 
 class AttemptRejectedError(DataError):
-    """An attempt cannot become a measured value; the text is the reason in its observation."""
+    """An attempt cannot become a measured value; the text is the reason in the observation."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wait:
     """No decision yet: ``stream`` must come to ``stamp_ns`` and bring ``samples`` more.
 
-    From ``latest_ns`` on fewer samples decide as well.
+    From ``latest_ns`` on fewer samples are enough.
     """
 
     stream: Stream
@@ -43,8 +43,8 @@ class Wait:
 class AttemptStreams:
     """The streams that an attempt is judged by.
 
-    ``since_ns`` is the stamp of the first probe sample. Earlier readings of the air are not used:
-    how many there are depends on when the capture began to listen; nor are those from before a
+    ``since_ns`` is the stamp of the first probe sample. Earlier readings of the air are not used,
+    since their number depends on when the capture began to listen; nor are those from before a
     clock was set back. ``counted_from`` is the epoch and the stamp from which the segments of the
     beam are counted, ``settled_ns`` the stamp from which all streams have followed a clock that
     was set back.
@@ -67,7 +67,7 @@ class AttemptStreams:
     def begin_anew(self, settling_ns: int) -> None:
         """Forget the air that was read before the clock of a stream was set back.
 
-        Nothing of the others that was stamped before that comes later than ``settling_ns``.
+        Samples of the other streams with older stamps arrive at ``settling_ns`` at the latest.
         """
         set_back = [s for s in (self.tracer, self.table) if s.counts.set_back]
         newest = max(s.forgotten for s in set_back if s.forgotten is not None)
@@ -95,9 +95,9 @@ class AttemptStreams:
         return newest - self.reached(wait.stream, attempt)
 
     def reached(self, stream: Stream, attempt: Attempt) -> int:
-        """Return how far a stream has come; one without samples is at the attempt's begin.
+        """Return how far a stream has come; one without samples is at the begin of the attempt.
 
-        So is a single shot that comes only after it.
+        So is a single shot that comes only later.
         """
         if stream.latest is None:
             return attempt.begin_ns
@@ -109,7 +109,7 @@ class AttemptStreams:
         return nanoseconds(settings.clock_tolerance_s) + nanoseconds(timeout_s)
 
     def air_at(self, attempt: Attempt, settings: CaptureSettings) -> ObservedAir:
-        """Return the air that goes with an attempt."""
+        """Return the air of an attempt."""
         return self.air.at(attempt.begin_ns, self.since_ns, settings)
 
 
@@ -118,9 +118,9 @@ class Attempt:
     """An attempt at a step, from the first probe sample that echoes it.
 
     ``samples`` are the probe samples so far. ``superseded_ns`` is the stamp of the first probe
-    sample of the next attempt, once known: nothing later can belong to this one. ``search_ns``
-    is from when the table may be in position. ``rejected`` is set as soon as it is certain that
-    nothing can come of it.
+    sample of the next attempt, once known: nothing later can belong to this one. From
+    ``search_ns`` on the table may be in position. ``rejected`` is set as soon as it is certain
+    that the attempt cannot succeed.
     """
 
     step: Step
@@ -176,12 +176,12 @@ class Attempt:
         )
 
     def rejection(self, error: AttemptRejectedError) -> Observation:
-        """Return the observation of an attempt that never came to a window."""
+        """Return the observation of an attempt that never got a window."""
         return self.observation(ReducedWindow(reason=str(error)))
 
 
 def belated_stamps(stream: Stream, settling_ns: int) -> tuple[int, int]:
-    """Return the range of stamps that may still come of before a stream was set back."""
+    """Return the range of stamps that may still arrive from before a stream was set back."""
     assert stream.set_back_at is not None
     margin = min(settling_ns, stream.set_back_ns // 2)
     return stream.set_back_at - margin, stream.set_back_at + margin
@@ -209,13 +209,13 @@ Check = Callable[[Observation], Observation]
 
 
 def no_checks(_plan: Plan) -> Sequence[Check]:
-    """Return nothing: every observation stands for itself."""
+    """Return no checks: every observation stands for itself."""
     return ()
 
 
 @dataclass(frozen=True)
 class CaptureRules:
-    """How the streams of a method are understood.
+    """How the streams of a method become observations.
 
     ``decide`` has one entry for every kind of step in the method's plans; see
     :mod:`~rotcal_ros.capture.decisions` for the two ways there are. ``checks`` makes the checks

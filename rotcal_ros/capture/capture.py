@@ -1,6 +1,6 @@
 """The capture: records of all streams in, observations out.
 
-The machine's answers are compared with the orders: one that does not echo its order is reported
+Answers of the machine are compared with the orders: one that does not echo its order is reported
 at once.
 """
 
@@ -53,23 +53,23 @@ _PATIENCE_NS: Final = 3_000_000_000
 _NEAR_M: Final = 1e-6
 """Points closer than this are the same place, however small their stated deviations are."""
 _WORDS: Final = {"tracer": "tracer readings", "table": "table feedbacks"}
-"""What the samples of a stream are called; those of the air after their stream."""
+"""What messages call the samples of a stream; those of the air are called after it."""
 
 
 class Capture:
     """Turns the streams of one calibration into observations, one per attempt at a step.
 
     An attempt begins with the probe sample that echoes (step, attempt): the machine says that
-    the probe stands at its target. It is decided as soon as the streams have passed everything
-    that the decision needs, whichever of them arrives first; attempts come out in the order of
-    their probe samples. As long as no stream arrives more than ``clock_tolerance_s`` (machine
-    time) behind another, equal streams give equal observations to the last bit. A stream that
-    falls further behind rejects the attempt: it is silent, or stamped by another clock. Where a
-    clock is set back, what was undecided is rejected and what was before it is forgotten.
+    the probe stands at its target. It is decided as soon as the streams have delivered everything
+    that the decision needs, in whatever order they arrive; attempts come out in the order of their
+    probe samples. As long as no stream arrives more than ``clock_tolerance_s`` (machine time)
+    behind another, equal streams give equal observations to the last bit. A stream that falls
+    further behind rejects the attempt: it is silent, or stamped by another clock. When a clock is
+    set back, undecided attempts are rejected and everything before is forgotten.
 
     ``rules`` are those of the method; ``run`` is the number of the run that is captured;
     ``required_air`` names the air quantities without which an observation is useless; with
-    ``single_shot`` the tracer is silent until it is asked. It does not matter how long before the
+    ``single_shot`` the tracer measures only on request. It does not matter how long before the
     first attempt the capture began to listen. Commands are only compared with the plan: what
     counts is what the machine did.
     """
@@ -124,7 +124,7 @@ class Capture:
     def feed_tracer(
         self, stamp_ns: Stamps, sequence: NDArray[Any], length: NDArray[Any], status: NDArray[Any]
     ) -> Observations:
-        """Take many tracer readings at once, all arrays (n,); same answer as one by one."""
+        """Take many tracer readings at once, all arrays (n,); same result as one by one."""
         stamps = np.asarray(stamp_ns, dtype=np.int64)
         due = self._streams.tracer.stage_many(stamps, (sequence, length, status))
         return self._decide() if due else ()
@@ -132,14 +132,14 @@ class Capture:
     def feed_table(
         self, stamp_ns: Stamps, angle: NDArray[Any], velocity: NDArray[Any]
     ) -> Observations:
-        """Take many feedbacks of the table at once, all arrays (n,); same answer as one by one."""
+        """Take many table feedbacks at once, all arrays (n,); same result as one by one."""
         stamps = np.asarray(stamp_ns, dtype=np.int64)
         due = self._streams.table.stage_many(stamps, (angle, velocity))
         return self._decide() if due else ()
 
     @property
     def counts(self) -> dict[str, dict[str, int]]:
-        """What each stream delivered and what was wrong with it, by stream; zeros left out."""
+        """By stream: what it delivered and what was wrong with it, without zeros."""
         all_counts = {}
         unasked = {q.name for q in QUANTITIES.values() if not q.expected(self._settings)}
         for name, stream in self._streams.by_name().items():
@@ -171,17 +171,14 @@ class Capture:
 
     @property
     def asks_for_length(self) -> bool:
-        """Whether an instrument that has to be asked may measure now: the table rests, settled."""
+        """Whether an instrument that measures on request may do so now: the table has settled."""
         if not self._pending or self._waiting is None:
             return False
         tracer, table = self._streams.tracer, self._streams.table
         return self._waiting.stream is tracer and table.newest_ns >= self._waiting.stamp_ns
 
     def complaint(self) -> str | None:
-        """Return what keeps the latest order from being measured, for people.
-
-        It is reported long before the attempt is given up.
-        """
+        """Return what keeps the latest order from being measured, well before it is given up."""
         if not self._pending:
             return self._answers.complaint()
         attempt, table = self._pending[-1], self._streams.table
@@ -206,7 +203,7 @@ class Capture:
         return fault and f"step {newest.step.index}, attempt {newest.number}: {fault}"
 
     def remarks(self) -> tuple[str, ...]:
-        """Return and clear what was wrong with records that belong to no observation."""
+        """Return and forget what was wrong with records that belong to no observation."""
         texts = tuple(self._remarks)
         self._remarks.clear()
         return texts
@@ -281,14 +278,14 @@ class Capture:
         attempt.samples.append(sample)
 
     def _count_again(self, newest: Attempt | None, sample: ProbeSample) -> None:
-        """Count a point that answers an order once more, and whether it says something else."""
+        """Count a further point that answers an order, and whether it contradicts the first."""
         self._probe.duplicates += 1
         if newest and (newest.step.index, newest.number) == (sample.step, sample.attempt):
             same = (earlier for earlier in newest.samples if earlier.point == sample.point)
             self._probe.contradicting += any(_elsewhere(earlier, sample) for earlier in same)
 
     def _check_sample(self, attempt: Attempt, sample: ProbeSample) -> None:
-        """Reject an attempt whose probe sample is wrong by itself."""
+        """Reject an attempt whose probe sample cannot be right."""
         try:
             self._refuse_wrong_stamp(sample)
             self._refuse_off_plan(attempt.step, sample)
@@ -302,7 +299,7 @@ class Capture:
             self._probe.backwards += 1
             back = seconds(self._probe_stamp - sample.stamp_ns)
             raise AttemptRejectedError(
-                f"probe stamps go backwards: {back:.3g} s before the sample before it"
+                f"probe stamps go backwards: {back:.3g} s before the previous sample"
             )
         fast = (self._streams.tracer.latest, self._streams.table.latest)
         behind_ns = max((at for at in fast if at is not None), default=0) - sample.stamp_ns
@@ -353,7 +350,7 @@ class Capture:
         return tuple(decided)
 
     def _admit(self) -> None:
-        """Admit what is staged; begin anew where a clock was set back."""
+        """Admit what is staged; begin anew if a clock was set back."""
         for stream in self._streams.by_name().values():
             stream.flush()
             stream.wait(NEVER)
@@ -387,7 +384,7 @@ class Capture:
         return outcome
 
     def _refuse_endless(self, attempt: Attempt, wait: Wait) -> None:
-        """Raise where what an attempt waits for is unlikely to come."""
+        """Raise AttemptRejectedError if what an attempt waits for is unlikely to come."""
         lag_ns = self._streams.lag_ns(attempt, wait)
         if lag_ns > self._streams.patience_ns(wait.stream, self._settings):
             if wait.stream.single_shot:
@@ -418,7 +415,7 @@ class Capture:
         return outcome
 
     def _refuse_without_air(self, observation: Observation) -> None:
-        """Raise where an observation lacks what its method requires of the air."""
+        """Raise AttemptRejectedError if an observation lacks a required quantity of the air."""
         missing = [q.name for q in self._required if getattr(observation, q.column) is None]
         if missing:
             raise AttemptRejectedError(
@@ -443,7 +440,7 @@ class Capture:
         return _WORDS.get(name, f"{name} readings")
 
     def _never_came(self, stream: Stream) -> str:
-        """Return a clause for a stream of which nothing has come so far."""
+        """Return a clause for a stream that has delivered nothing so far."""
         if stream.latest is not None or stream.counts.received:
             return ""
         of_table = ": does cell.joint name a joint of the feedback?"
@@ -455,7 +452,7 @@ class Capture:
 
 
 def _elsewhere(earlier: ProbeSample, again: ProbeSample) -> bool:
-    """Return whether two points differ in place by more than their noise."""
+    """Return whether two points are further apart than their noise explains."""
     axes = zip(earlier.position, again.position, again.position_std, strict=True)
     return any(abs(a - b) > max(6.0 * std, _NEAR_M) for a, b, std in axes)
 
@@ -466,7 +463,7 @@ Key = tuple[int, int]
 
 
 class Answers:
-    """Orders and the probe points that follow; ``unanswered`` counts those replaced by the next.
+    """Orders and the probe points that follow; ``unanswered`` counts orders replaced by the next.
 
     What it reports depends on the order of arrival: it is for people, never for a decision.
     """
@@ -504,11 +501,11 @@ class Answers:
         step, attempt = self._ordered
         text = f"step {step}, attempt {attempt}: no point on probe_point answers the order"
         if self._wrong is None:
-            return f"{text}: an answer has its step, its attempt, and a kind"
+            return f"{text}: an answer names its step, its attempt and its kind"
         step, attempt = self._wrong
         return (
             f"{text}; the one that came names step {step}, attempt {attempt}: the machine must "
-            "echo both of the order"
+            "echo both from the order"
         )
 
     def complaint(self) -> str | None:

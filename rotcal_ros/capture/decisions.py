@@ -39,7 +39,7 @@ from rotcal_ros.foundation.units import ARCSEC, NANOSECOND
 from rotcal_ros.planning.plan import Step
 
 CLOCK_JUMP_S: Final = 0.5
-"""A pause this long between readings in a row is a jump of their clock, where it is also"""
+"""A pause this long between readings in a row is a jump of their clock, if it is also"""
 LONG_PAUSE: Final = 10.0
 """so many times as long as they usually are apart."""
 _MEMORY: Final = (
@@ -53,9 +53,9 @@ def decide_length(
     """Return the observation of a tracer step, or what is needed to decide.
 
     The window is the first ``window_samples`` readings stamped at least ``settle_time_s`` after
-    the table came to rest in position (not before the probe reached its target). When the table
+    the table came to rest in position (not before the probe reached its target). If the table
     leaves its position before the window ends, the next rest counts. The window must end before
-    the deadline of the attempt; raises AttemptRejectedError where there is none.
+    the deadline of the attempt; raises AttemptRejectedError if there is none.
     """
     deadline = attempt.deadline_ns(settings)
     while True:
@@ -114,7 +114,7 @@ def _window(
 def _too_few(
     attempt: Attempt, tracer: TracerStream, settings: CaptureSettings, deadline: int, begin: int
 ) -> AttemptRejectedError:
-    """Return that there is no whole window from ``begin`` on, and what to change."""
+    """Return a reason: there is no whole window from ``begin`` on, and what to change."""
     first = tracer.index(begin)
     count = max(0, tracer.index(deadline + 1) - first)
     left_s = max(0.0, seconds(deadline - begin))
@@ -157,10 +157,9 @@ def _observe(
 
 
 def _refuse_clock_jump(tracer: TracerStream, begin_ns: int, last: int) -> None:
-    """Raise where the tracer's clock was set ahead between ``begin_ns`` and the reading ``last``.
+    """Raise if the tracer's clock was set ahead between ``begin_ns`` and the reading ``last``.
 
-    Of readings in a row, by their numbers, none may be stamped long behind the one before; those
-    of a single shot may.
+    Readings with successive numbers must not have stamps far apart, except those of a single shot.
     """
     if tracer.single_shot:
         return
@@ -181,17 +180,17 @@ def _refuse_clock_jump(tracer: TracerStream, begin_ns: int, last: int) -> None:
 
 
 def single_shot_missing(attempt: Attempt, wait: Wait, lag_ns: int) -> AttemptRejectedError:
-    """Return that a single shot did not come."""
+    """Return the reason that a single shot did not come."""
     return AttemptRejectedError(
         f"{wait.samples} tracer readings of the window have not come in {seconds(lag_ns):.3g} s: "
-        "one for each order and step, taken at the earliest capture.settle_time_s after the table "
-        "came to rest, or asked for by topics.length_trigger"
+        "expected one for each order and step, taken at the earliest capture.settle_time_s after "
+        "the table came to rest, or requested by topics.length_trigger"
         f"{_early_reading(attempt, wait.stream, wait.stamp_ns)}"
     )
 
 
 def _early_reading(attempt: Attempt, tracer: Stream, begin_ns: int) -> str:
-    """Return a clause on the last reading of this attempt before it was settled, if there is one.
+    """Return a clause on the last reading of this attempt before the table had settled, if any.
 
     It ends the sentence about a window without readings.
     """

@@ -1,7 +1,7 @@
-"""Which publishers count: a run accepts those of its topics when it began, and no others.
+"""Decides which publishers count: those that published a run's topics when it began.
 
-Every listener of a cell judges message by message, each by itself, by the same list of the
-planner: what one ignores all ignore, and the recorder keeps apart.
+Every listener of a cell judges each message itself, by the same list from the planner: what one
+ignores all ignore, and the recorder keeps it apart.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ PATIENCE_S: Final = 2.0
 class Origin:
     """Where a message comes from: its publisher, and its number among the publisher's messages.
 
-    ``publisher`` is empty and ``number`` None where the middleware does not provide them.
+    ``publisher`` is empty and ``number`` None if the middleware does not provide them.
     """
 
     publisher: str = ""
@@ -40,17 +40,17 @@ def publisher_of(identity: Sequence[int]) -> str:
 
 @dataclass(frozen=True)
 class Believed:
-    """The accepted publishers of each topic (absolute name); other topics accept everybody."""
+    """The accepted publishers of each topic (absolute name); on other topics all are accepted."""
 
     publishers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def in_a_beat(self) -> str:
-        """Return it as one line for a heartbeat; equal ones give equal lines."""
+        """Return one line for a heartbeat; equal objects give equal lines."""
         return json.dumps(self.publishers, sort_keys=True) if self.publishers else ""
 
     @classmethod
     def read(cls, text: str) -> Believed:
-        """Return what a line holds; one that cannot be read accepts everybody."""
+        """Return the content of a line; one that cannot be read accepts everybody."""
         try:
             publishers = json.loads(text or "{}")
             return cls({str(topic): tuple(map(str, gids)) for topic, gids in publishers.items()})
@@ -65,8 +65,8 @@ Offers = Mapping[str, Mapping[str, str]]
 def started_anew(began: Offers, now: Offers) -> dict[str, list[str]]:
     """Return the topics of the nodes that were restarted since a run ``began``, by node.
 
-    The publisher of then is gone, and a new one of the same node name is there ``now``. It may
-    have lost its zero or its reference, so that only another run can accept it.
+    The publisher of that time is gone, and ``now`` there is a new one with the same node name. It
+    may have lost its zero or its reference, so that only another run can accept it.
     """
     restarted: dict[str, list[str]] = {}
     for topic, then in began.items():
@@ -86,20 +86,19 @@ class Intruder:
     publisher: str
 
     def in_words(self, node: str | None, *, anew: bool = False) -> str:
-        """Return it for people; ``node`` published the messages, None: it is gone or not known.
+        """Return a sentence for people; ``node`` published the messages, None: gone or not known.
 
-        ``anew``: it has the name of an accepted node, or that one is gone.
+        ``anew``: it has the name of an accepted node, or an accepted node is gone.
         """
         who = f"node {node}" if node else "a node that is gone"
         if anew:
             return (
                 f"{self.topic}: {who} was restarted, or replaces the one with which the run "
-                "began; its messages are left alone until another run begins"
+                "began; its messages are ignored until another run begins"
             )
         return (
-            f"{self.topic}: {who} publishes there too, and was not there when the run began; its "
-            "messages were left alone, the run goes on without them; end that node, or give it "
-            "another namespace"
+            f"{self.topic}: {who} publishes there too, but was not there when the run began; its "
+            "messages are ignored and the run goes on; end that node, or give it another namespace"
         )
 
 
@@ -112,7 +111,7 @@ class WhoIsHeard:
     _last: dict[str, int] = field(default_factory=dict)
 
     def believe(self, believed: Believed) -> None:
-        """Accept these from now on; the same again changes nothing."""
+        """Accept these from now on; repeating them changes nothing."""
         if believed != self.believed:
             self.believed = believed
             self.intruders.clear()
@@ -121,8 +120,8 @@ class WhoIsHeard:
     def hears(self, topic: str, origin: Origin) -> bool:
         """Return whether a message counts; the publisher of one that does not is noted.
 
-        Without identities the numbers decide: those of one publisher ascend, and a publisher that
-        began later counts from 1.
+        Without identities the message numbers decide: those of one publisher increase, and a
+        publisher that began later counts from 1.
         """
         accepted = self.believed.publishers.get(topic)
         if not accepted:
@@ -145,7 +144,7 @@ class WhoIsHeard:
 
 
 class Whose(Enum):
-    """Whose a plan is: that of the running goal, one without a goal, or one of another planner."""
+    """Whose plan it is: the running goal's, one without a goal, or another planner's."""
 
     THE_GOALS = "the goal's"
     ANYBODYS = "anybody's"
@@ -163,22 +162,22 @@ class _WaitingPlan(Generic[T]):
 class PlansHeard(Generic[T]):
     """The plans that arrived, each until it is known whose it is.
 
-    While a goal runs its plan alone counts: one that arrived meanwhile and that the planner does
-    not confirm in time is a stranger's, even if the goal has ended by then. While the planner has
-    no goal every plan counts. Without a planner it does so too, after a moment: a node that has
-    just been started may not have heard of the planner yet.
+    While a goal runs only its plan counts: one that arrives meanwhile and is not confirmed by the
+    planner in time belongs to someone else, even if the goal has ended by then. While the planner
+    has no goal every plan counts. So it does without a planner, after a moment: a node that was
+    just started may not have heard the planner yet.
     """
 
     _waiting: dict[str, _WaitingPlan[T]] = field(default_factory=dict)
 
     def offer(self, run: str, plan: T, now_s: float) -> None:
-        """Take in a plan, which announces ``run``; the same again changes nothing."""
+        """Take a plan, which announces ``run``; repeating it changes nothing."""
         self._waiting.setdefault(run, _WaitingPlan(plan, now_s))
 
     def judged(self, goals_run: str | None, now_s: float) -> Iterator[tuple[T, Whose]]:
         """Yield each plan once, as soon as it is known whose it is.
 
-        ``goals_run`` is the run of the planner's goal, "" where it has none, and None where no
+        ``goals_run`` is the run of the planner's goal, "" where it has none, and None if no
         planner has been heard of.
         """
         for run, waiting in tuple(self._waiting.items()):

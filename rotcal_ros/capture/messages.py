@@ -37,7 +37,7 @@ def stamp_ns(stamp: Any) -> int:
 
 
 def tracer_sample(message: Any) -> TracerSample:
-    """Return a rotcal_msgs/TracerLength as record; an unheard-of status is UNKNOWN."""
+    """Return a rotcal_msgs/TracerLength as record; an unfamiliar status is UNKNOWN."""
     return TracerSample(
         stamp_ns(message.header.stamp),
         message.sequence,
@@ -48,9 +48,9 @@ def tracer_sample(message: Any) -> TracerSample:
 
 
 def table_sample(message: Any, joint: str = "") -> TableSample | None:
-    """Return the feedback of ``joint`` (empty: the first one); None when it is not there.
+    """Return the feedback of ``joint`` (empty: the first one); None if it is not there.
 
-    Without a velocity of the drive it is NaN, which the capture counts as not usable.
+    Without a velocity from the drive the velocity is NaN, which the capture counts as unusable.
     """
     index = joint_index(message.name, joint)
     if index is None or index >= len(message.position):
@@ -68,7 +68,7 @@ def joint_index(names: Iterable[str], joint: str) -> int | None:
 
 
 def probe_sample(message: Any) -> ProbeSample:
-    """Return a rotcal_msgs/ProbePoint as record; an unheard-of kind is UNKNOWN."""
+    """Return a rotcal_msgs/ProbePoint as record; an unfamiliar kind is UNKNOWN."""
     return ProbeSample(
         stamp_ns=stamp_ns(message.header.stamp),
         sequence=message.sequence,
@@ -106,7 +106,7 @@ def humidity_sample(message: Any) -> HumiditySample:
 
 
 def command(table: Any, probe: Any) -> Command:
-    """Return the order that a TableAngle and a ProbeTarget of one attempt give together."""
+    """Return the order that the TableAngle and ProbeTarget of an attempt form together."""
     return Command(
         step=table.step,
         attempt=table.attempt,
@@ -166,7 +166,7 @@ def _quaternion(rotation: Any) -> tuple[float, float, float, float]:
 
 
 def _member(kind: type[E], number: int) -> E:
-    """Return a member of an enumeration; its UNKNOWN, always 0, for a number without one."""
+    """Return a member of an enumeration; for an unfamiliar number its UNKNOWN, which is 0."""
     try:
         return kind(number)
     except ValueError:
@@ -174,7 +174,7 @@ def _member(kind: type[E], number: int) -> E:
 
 
 def _number(value: float) -> float | None:
-    """Return a number of a message, in which NaN means that there is none."""
+    """Return a number of a message, or None for NaN, which means that there is none."""
     return None if math.isnan(value) else value
 
 
@@ -188,14 +188,14 @@ def _point(values: Iterable[Any]) -> Point:
 
 
 WAITING_LIMIT: Final = 64
-"""Messages that wait for their partner at most; beyond that the oldest is forgotten."""
+"""At most this many messages wait for their partner; beyond that the oldest is forgotten."""
 
 
 class Orders:
     """Pairs the messages of an order by step and attempt, whichever comes first.
 
-    A message that comes again before its partner replaces the earlier one. ``stamp_ns`` is the
-    stamp of the latest order that was complete.
+    A message that is repeated before its partner comes replaces the earlier one. ``stamp_ns`` is
+    the stamp of the latest order that was complete.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Why attempts were rejected: the commonest reason, which to log now, and when to give up."""
+"""Reasons of rejected attempts: the commonest one, which to log now, and when to give up."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NUMBER: Final = re.compile(r"-?\b\d+(\.\d+)?(e[-+]?\d+)?")
 
 
 def kind_of(reason: str) -> str:
-    """Return a reason without its numbers: equal for what goes wrong in the same way."""
+    """Return a reason without its numbers: equal for attempts that fail in the same way."""
     return _NUMBER.sub("#", reason)
 
 
@@ -35,7 +35,7 @@ class Commonest:
 
     @classmethod
     def of(cls, reasons: Iterable[str]) -> Commonest | None:
-        """Return the commonest kind, with its latest example; None where there is no reason."""
+        """Return the commonest kind, with its latest example; None if there is no reason."""
         examples = {}
         kinds: Counter[str] = Counter()
         for reason in reasons:
@@ -81,7 +81,7 @@ class Rejections:
 
     @property
     def alarming(self) -> bool:
-        """Whether so many were rejected in a row that all may be."""
+        """Whether so many were rejected in a row that all further ones may be."""
         return len(self.running) >= ALARM_AFTER
 
     def in_words(self) -> str | None:
@@ -90,34 +90,34 @@ class Rejections:
         if commonest is None:
             return None
         attempts = f"{commonest.total} attempts" if commonest.total > 1 else "an attempt"
-        return f"{attempts} rejected running, {commonest.in_words()}"
+        return f"{attempts} rejected in a row, {commonest.in_words()}"
 
 
 HIDDEN: Final = 10
-"""This many times the limit of steps may fail running because something stands in the beam: a
+"""This many times the limit of steps may fail in a row because something stands in the beam: a
 fixture hides a row of targets, and the rest of the plan is worth measuring."""
 
 
 class TooManyFailedError(DataError):
-    """So many steps failed running that a calibration is given up."""
+    """So many steps in a row failed that a calibration is given up."""
 
 
 @dataclass
 class FailedSteps:
-    """Counts the steps that failed running, all attempts used up; ``limit`` 0: never give up."""
+    """Counts steps in a row that failed in all attempts; ``limit`` 0: never give up."""
 
     limit: int
     _steps: list[tuple[int, tuple[str, ...]]] = field(default_factory=list)
 
     def note(self, step: int, reasons: Sequence[str]) -> None:
-        """Take the end of a step: why its attempts were rejected; none when it was captured."""
+        """Note the end of a step: the reasons of its failed attempts; none if it was captured."""
         if reasons:
             self._steps.append((step, tuple(reasons)))
         else:
             self._steps.clear()
 
     def check(self) -> None:
-        """Raise TooManyFailedError where the calibration is to be given up."""
+        """Raise TooManyFailedError if the calibration is to be given up."""
         hidden = [step for step, reasons in self._steps if all(map(_in_the_beam, reasons))]
         failed = len(self._steps)
         if not self.limit or max(failed - len(hidden), failed / HIDDEN) < self.limit:
@@ -126,9 +126,9 @@ class FailedSteps:
         assert commonest is not None
         steps = f"{failed} steps running" if failed > 1 else "a step"
         raise TooManyFailedError(
-            f"given up: {steps} failed; of their attempts {commonest.in_words()}. Put that right, "
+            f"given up: {steps} failed; of their attempts {commonest.in_words()}. Correct that, "
             "then go on with 'rotcal run --resume', which measures these steps again "
-            f"(planner.max_failed_steps = {self.limit} says how many may fail running)"
+            f"(planner.max_failed_steps = {self.limit} says how many may fail in a row)"
         )
 
 

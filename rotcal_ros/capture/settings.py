@@ -14,7 +14,7 @@ MAX_WINDOW_SAMPLES = 50_000
 class CaptureSettings:
     """When a stream of samples becomes an observation, and when it is rejected.
 
-    All times are machine time, that is: differences of stamps.
+    All times are machine time, which means differences of stamps.
     """
 
     position_tolerance_arcsec: float = setting(

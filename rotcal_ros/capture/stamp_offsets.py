@@ -1,8 +1,8 @@
 """Clocks of instruments that differ: stamps are compared with the times of arrival.
 
 Streams stamped by one clock arrive equally late: a constant difference is an offset of their
-clocks (or a delay as long, which does the same harm). Stamps that do not run at the pace of
-arrival, as those of an accelerated simulation, are not judged.
+clocks (or an equal delay, which does the same harm). Stamps that do not run at the pace of
+arrival, as in an accelerated simulation, are not judged.
 """
 
 from __future__ import annotations
@@ -23,28 +23,28 @@ LENGTHS: Final = "tracer_length"
 REFERENCE: Final = "joint_states"
 """The stream that the others are compared with: it never pauses."""
 _OPENING: Final = "by the times of arrival the stamps of "
-"""How the reason begins with which an observation is rejected because clocks differ."""
+"""Beginning of the reason for which an observation is rejected because clocks differ."""
 _OWNERS: Final = {"tracer_length": "length", "joint_states": "table", "probe_point": "probe"}
-"""How the settings of a stream's clock begin, in the group ``topics``."""
+"""Stream -> how the settings of its clock begin in the group ``topics``."""
 _BUCKET_NS: Final = 250_000_000
 _BUCKETS: Final = 3
 """An offset is known when it is the same in this many intervals in a row."""
 _SPREAD_NS: Final = 200_000_000
 """Offsets that differ by less are the same."""
 _EVENTS: Final = 4
-"""Of a stream that comes now and then, this many messages must agree."""
+"""This many messages of a stream that comes now and then must agree."""
 DOUBT_S: Final = 0.2
-"""An offset reported, though nothing is rejected for it, when it lasts ``_LASTING`` intervals."""
+"""An offset (s) that is only reported, if it lasts ``_LASTING`` intervals."""
 _LASTING: Final = 8
 _NEWEST: Final = _LASTING + 1
-"""Of many messages at once, those of this many intervals matter."""
+"""Of many messages at once, only those of this many intervals are used."""
 _Far = tuple[str, int, int | None]
-"""A stream, by how much it is ahead of the reference, and that of its arrival, ns."""
+"""A stream, and by how much its stamps and its arrival are ahead of the reference, ns."""
 
 
 @dataclass(frozen=True, slots=True)
 class OffsetLimits:
-    """Offsets, s, beyond which observations are spoilt.
+    """Offsets (s) beyond which observations are spoilt.
 
     ``at_once_s`` counts for any stream, either way; ``ahead_s`` for lengths whose stamps have been
     ahead of the table's for a while.
@@ -75,7 +75,7 @@ class StampOffsets:
         self._keep_event(stream, bucket, ahead_ns)
 
     def forget(self, stream: str) -> None:
-        """Begin anew with a stream: it is another, or stamped by another clock."""
+        """Begin anew with a stream: it is another one, or stamped by another clock."""
         self._ahead.pop(stream, None)
         self._events.pop(stream, None)
         self._first.clear()
@@ -93,13 +93,14 @@ class StampOffsets:
         if far := self._far(self.limits.at_once_s, _BUCKETS, _BUCKETS):
             return (
                 f"{_OPENING}{_constantly(far, 1)}, allowed {self.limits.at_once_s:g} s "
-                f"(capture.stamp_offset_s): two clocks, set them alike{self._advice(*far)}"
+                f"(capture.stamp_offset_s): two clocks, synchronise them{self._advice(*far)}"
             )
         if far := self._lengths_ahead():
             return (
                 f"{_OPENING}{_constantly(far, 2)}, and stay so: more than the "
                 f"{self.limits.ahead_s:g} s of settling (capture.settle_time_s), so a length may "
-                "be of the motion before; two clocks, or feedback that comes late (a longer time "
+                "be from the motion before; two clocks, or feedback that comes late (a longer "
+                "time "
                 f"outlasts it){self._advice(*far)}"
             )
         return None
@@ -111,27 +112,27 @@ class StampOffsets:
         if far := self._far(DOUBT_S, _LASTING, _EVENTS):
             return (
                 f"stamps of {_constantly(far, 2)} by the times of arrival: a clock is off, or a "
-                "stream comes late; nothing is rejected for so little, but it may be of another "
-                f"moment than it seems{self._advice(*far)}"
+                "stream comes late; nothing is rejected for so little, but readings may be older "
+                f"or younger than they seem{self._advice(*far)}"
             )
         return None
 
     def compared(self) -> tuple[str, ...]:
-        """Return the streams of which it is known how far they are from the table's."""
+        """Return the streams whose offset from the table's is known."""
         others = sorted(self._ahead.keys() - {REFERENCE})
         return tuple(s for s in others if self._difference_ns(s, _LASTING, _EVENTS) is not None)
 
     def _lengths_ahead(self) -> _Far | None:
-        """Return by how much lengths are said to be later than they were, if that spoils them.
+        """Return by how much stamps of lengths are too late, if that spoils them.
 
-        Those that are said to be earlier were taken in the same rest, only later.
+        Lengths with too early stamps were taken in the same rest, only later.
         """
         ahead_ns = self._difference_ns(LENGTHS, _LASTING) or 0
         spoilt = ahead_ns * NANOSECOND > self.limits.ahead_s
         return (LENGTHS, ahead_ns, self._offset_ns(REFERENCE, _LASTING)) if spoilt else None
 
     def _far(self, limit_s: float, intervals: int, shots: int) -> _Far | None:
-        """Return the first stream that differs by more, either way."""
+        """Return the first stream that differs by more than the limit, either way."""
         for stream in sorted(self._ahead.keys() - {REFERENCE}):
             difference = self._difference_ns(stream, intervals, shots) or 0
             if abs(difference) * NANOSECOND > limit_s:
@@ -139,9 +140,9 @@ class StampOffsets:
         return None
 
     def _difference_ns(self, stream: str, intervals: int, shots: int | None = None) -> int | None:
-        """Return how far a stream is ahead of the table's, in so many intervals or ``shots``.
+        """Return how far a stream is ahead of the table's, over so many intervals or ``shots``.
 
-        None: that is not known. Who is asked may answer late: ``shots`` None lets it be.
+        None: not known. An instrument that is asked may answer late: ``shots`` None leaves it out.
         """
         offset_ns, reference_ns = (self._offset_ns(s, intervals) for s in (stream, REFERENCE))
         if offset_ns is not None and reference_ns is not None:
@@ -151,31 +152,31 @@ class StampOffsets:
         return _agreed(self._events.get(stream, {}).values(), shots) if shots else None
 
     def judged(self, observation: Observation) -> Observation:
-        """Return an observation, rejected where the clocks of its streams differ."""
+        """Return an observation, rejected if the clocks of its streams differ."""
         return rejected_for(self.reason_to_reject(), observation)
 
     def _advice(self, stream: str, difference_ns: int, reference_ns: int | None) -> str:
-        """Return whose clock it is, as far as that is known, and what to do."""
+        """Return whose clock is off, as far as known, and what to do."""
         far, sign, text = stream, 1.0, ""
         if reference_ns is not None:
             arrival_ns = difference_ns + reference_ns  # stamps of the stream - times of arrival
             if abs(arrival_ns) <= abs(reference_ns):
                 far, sign = REFERENCE, -1.0
-            text = f"; it is {far} whose stamps are not the time of arrival"
+            text = f"; the stamps of {far} are not its times of arrival"
         owner = _OWNERS.get(far, "length")
         text += (
-            f"; where it stays so, add {sign * difference_ns * NANOSECOND:.2f} to "
+            f"; if it stays so, add {sign * difference_ns * NANOSECOND:.2f} to "
             f"topics.{owner}_clock_offset_s"
         )
         if (drift := self._drift(stream, difference_ns)) is not None:
             text += (
-                f"; but it drifts, by {1e3 * sign * drift:+.3g} ms in a second: take the times of "
+                f"; but it drifts, by {1e3 * sign * drift:+.3g} ms in a second: use the times of "
                 f"sending (topics.{owner}_clock: sent)"
             )
         return text
 
     def _drift(self, stream: str, difference_ns: int) -> float | None:
-        """Return the drift (s/s) of the clock of ``stream`` against the table's, if it is sure."""
+        """Return the drift (s/s) of a stream's clock against the table's, if it is certain."""
         bucket, first_ns = self._first.get(stream, (0, difference_ns))
         seconds = (max(self._ahead[stream]) - bucket) * _BUCKET_NS * NANOSECOND
         if abs(difference_ns - first_ns) < _SPREAD_NS or seconds <= 0.0:
@@ -212,7 +213,7 @@ class StampOffsets:
 
 
 def rejected_for(reason: str | None, observation: Observation) -> Observation:
-    """Return an observation, rejected where there is a ``reason``; one of its own stays."""
+    """Return an observation, rejected for a ``reason``; a reason of its own stays."""
     if not reason or not observation.accepted:
         return observation
     return replace(observation, accepted=False, reason=reason)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rotcal_ros.foundation.arrays import Floats, Stamps, steps_from
 
 CAPACITY = 1 << 17
-"""Samples that a stream remembers at least: two minutes of a 1 kHz stream."""
+"""A stream remembers at least this many samples: two minutes at 1 kHz."""
 
 _NEW_CLOCK_AFTER = 10
 """This many samples in a row beyond the tolerance mean that the stream had paused; this many
@@ -20,7 +20,7 @@ behind the latest one, that its clock was set back,"""
 _SET_BACK_AFTER_NS = 100_000_000
 """where they span this much time."""
 _STAGE = 4096
-"""Samples that are staged at most before a decision is made."""
+"""At most this many samples are staged before a decision."""
 NEVER = 1 << 63
 
 Sample = tuple[int, Floats]
@@ -33,9 +33,9 @@ class StreamCounts:
 
     ``lost`` counts the samples missing according to the sequence numbers, ``out_of_order``
     sequence numbers going backwards (two publishers?). Samples that are ``duplicates``, stamped
-    ``backwards`` or by a ``foreign_clock`` are dropped; ``contradicting`` are those of them with
-    other values for the same stamp, or order. ``set_back`` counts how often the clock was set
-    back. Commands are ``unanswered`` when the next one came before any probe sample echoed them.
+    ``backwards`` or by a ``foreign_clock`` are dropped; those with other values for the same stamp
+    or order are ``contradicting``. ``set_back`` counts how often the clock was set back. Commands
+    are ``unanswered`` if the next one came before a probe sample echoed them.
     """
 
     received: int = 0
@@ -61,9 +61,9 @@ class Stream:
     Single samples are staged and admitted many at a time by :meth:`flush`; :meth:`admit`
     takes arrays. Both ways end in the same state. A stamp that does not ascend is dropped; so
     is one that jumps ahead by more than the clock tolerance, unless ten in a row do (then the
-    stream had paused). When ten in a row ascend behind the latest one, over 0.1 s, the clock
-    was set back: the stream begins anew with them, and the earlier ones are forgotten. A
-    ``single_shot`` stream sends now and then, one sample or a burst: no pause is too long.
+    stream had paused). If ten in a row ascend behind the latest one, over 0.1 s, the clock was set
+    back: the stream begins anew with them and forgets the earlier ones. A ``single_shot`` stream
+    sends now and then, one sample or a burst: no pause is too long.
     """
 
     def __init__(self, width: int, clock_tolerance_ns: int, *, single_shot: bool = False) -> None:
@@ -132,7 +132,7 @@ class Stream:
         return staged >= self.wake_samples or stamp_ns >= self.wake_latest_ns
 
     def flush(self) -> None:
-        """Admit the staged samples; without a new decision the next one is worth one."""
+        """Admit the staged samples; unless one waits, the next sample calls for a decision."""
         self._admit_staged()
         self.wait(-NEVER)
 
@@ -154,19 +154,19 @@ class Stream:
         return list(zip(self.stamps.tolist(), self.values, strict=True))
 
     def take_behind(self) -> list[Sample]:
-        """Return the samples that ascended behind the latest one; they then count as good."""
+        """Return the samples that ascended behind the latest one; they count as good now."""
         taken, self._behind = self._behind, []
         self.counts.backwards -= len(taken)
         return taken
 
     def take_over(self, samples: Sequence[Sample]) -> None:
-        """Admit samples that are counted already."""
+        """Admit samples that were counted before."""
         self.counts.received -= len(samples)
         for stamp, row in samples:
             self.admit(np.array([stamp], dtype=np.int64), row[np.newaxis])
 
     def wait(self, stamp_ns: int, samples: int = 1, latest_ns: int = NEVER) -> None:
-        """Ask :meth:`stage` to report the stamp ``stamp_ns``, once ``samples`` are staged."""
+        """Make :meth:`stage` report the stamp ``stamp_ns``, once ``samples`` are staged."""
         self.wake_ns, self.wake_samples, self.wake_latest_ns = stamp_ns, samples, latest_ns
         self._admitted = 0
 
@@ -191,7 +191,7 @@ class Stream:
             stamps, values = self._begin_anew(stamps[taken:], values[taken:])
 
     def _begin_anew(self, stamps: Stamps, values: Floats) -> tuple[Stamps, Floats]:
-        """Forget the samples before the clock was set back; return those that came since."""
+        """Forget the samples from before the clock was set back; return those since."""
         assert self.latest is not None
         self.counts.set_back += 1
         behind = self.take_behind()
@@ -208,7 +208,7 @@ class Stream:
         return values
 
     def _in_order(self, stamps: Stamps, values: Floats) -> tuple[NDArray[np.intp] | None, int]:
-        """Return the indices of the samples to keep, None: all, and how many were examined.
+        """Return the indices of the samples to keep (None: all) and how many were examined.
 
         It stops where the clock turns out to have been set back.
         """
@@ -247,7 +247,7 @@ class Stream:
         return self._is_set_back()
 
     def _is_set_back(self) -> bool:
-        """Return whether the samples behind the latest are not late, but of a clock set back."""
+        """Return whether samples behind the latest come from a clock set back, not just late."""
         if len(self._behind) < _NEW_CLOCK_AFTER:
             return False
         return self._behind[-1][0] - self._behind[0][0] >= _SET_BACK_AFTER_NS

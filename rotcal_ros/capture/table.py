@@ -1,4 +1,4 @@
-"""When the table is at rest at its commanded angle, and how far it is off."""
+"""Finds when the table is at rest at its commanded angle, and how far it is off."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ANGLE, VELOCITY = range(2)
 """Columns of the table stream, rad and rad/s."""
 
 STANDING_NS: Final = 1_000_000_000
-"""A feedback in a wrong unit must last this long before it is called hopeless."""
+"""Feedback in a wrong unit must last this long before it is called hopeless."""
 _SAME: Final = 0.05 * DEGREE
 """A table this close to its angle has arrived, in the unit in question."""
 _CHUNK: Final = 512
@@ -26,7 +26,7 @@ _CHUNK: Final = 512
 
 
 def offset(angles: Floats, commanded: float) -> Floats:
-    """Return measured - commanded angle, in [-pi, pi]: full turns are left out."""
+    """Return measured - commanded angle, in [-pi, pi], without full turns."""
     difference = angles - commanded
     centred: Floats = difference - 2 * pi * np.round(difference / (2 * pi))
     return centred
@@ -55,7 +55,7 @@ def arrival(
 def departure(
     table: Stream, begin_ns: int, end_ns: int, commanded: float, settings: CaptureSettings
 ) -> int | None:
-    """Return from when to look for a new arrival when the table did not rest all the time.
+    """Return from when on to look for a new arrival if the table did not rest all the time.
 
     All feedback from ``begin_ns`` to the first one at or after ``end_ns`` must be at rest and
     without longer pauses than ``table_silence_s``. None: it was.
@@ -82,7 +82,7 @@ def mean_angle(table: Stream, begin_ns: int, end_ns: int, commanded: float) -> f
 
 
 def farthest(table: Stream, begin_ns: int, end_ns: int, commanded: float) -> float:
-    """Return how far off (rad) the table was at most from ``begin_ns`` to past the end."""
+    """Return how far off (rad) the table was at most between two stamps."""
     rows = table.values[table.index(begin_ns) : table.index(end_ns) + 1]
     return float(np.abs(offset(rows[:, ANGLE], commanded)).max())
 
@@ -119,7 +119,7 @@ def lasting_feedback_fault(
 ) -> str | None:
     """Return why nothing will ever be measured with this feedback, if that is certain.
 
-    The fault must have lasted for :data:`STANDING_NS`, from ``since_ns`` on at the earliest. A
+    The fault must have lasted for :data:`STANDING_NS` since ``since_ns``. A
     feedback that ``had_velocity`` before may lack it for a while, until the joint begins to obey.
     """
     if table.latest is None or table.latest - since_ns < STANDING_NS:
@@ -138,7 +138,7 @@ def lasting_feedback_fault(
 def off_in_words(
     angle: float, velocity: float, commanded: float, settings: CaptureSettings
 ) -> str:
-    """Return how far (rad, rad/s) the last feedback is off its order, and what is wrong."""
+    """Return in words how far (rad, rad/s) the last feedback is off its order, and why."""
     off = float(offset(np.array([angle]), commanded)[0])
     fault = _feedback_fault(angle, velocity, commanded)
     return (
@@ -150,13 +150,13 @@ def off_in_words(
 
 
 def _feedback_fault(angle: float, velocity: float, commanded: float) -> str | None:
-    """Return what is wrong with a feedback by itself, so that it is never in position."""
+    """Return what is wrong with a feedback itself, so that it is never in position."""
     if isnan(velocity):
         return f"the feedback has no velocity: {PUBLISH_VELOCITY}"
     if in_degrees(angle, commanded):
         return (
             f"it says {angle:.6g} where {commanded:.6g} rad = {commanded / DEGREE:.6g} deg was "
-            "commanded: degrees? Publish radians, or say topics.angle_unit: deg"
+            "commanded: degrees? Publish radians, or set topics.angle_unit: deg"
         )
     # A settings file with angle_unit: deg for a drive that publishes radians: the number before
     # the conversion is the commanded angle.

@@ -31,7 +31,7 @@ _MAD_TO_STD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
 BEAM_BROKEN: Final = "beam broken"
-"""What a reason says when something stood in the beam."""
+"""What a reason says if something stood in the beam."""
 
 
 class ReadingFault(IntEnum):
@@ -63,7 +63,7 @@ _STATUS_FAULT = {
 
 @dataclass(frozen=True, slots=True)
 class ReducedWindow:
-    """Numbers of a window, empty where there are none, and the ``reason`` to reject it, if any."""
+    """Numbers of a window, empty if there are none, and the ``reason`` to reject it, if any."""
 
     mean: tuple[float, ...] = ()
     std: tuple[float, ...] = ()
@@ -133,11 +133,11 @@ def sequence_steps(sequence: Floats, before: float) -> Ints:
 def reduce_window(stamps: Stamps, readings: Floats, settings: CaptureSettings) -> ReducedWindow:
     """Reduce the window ``stamps`` (n,), ``readings`` (n, 3) of an admitted tracer stream.
 
-    The mean is that of the usable readings, spikes beyond ``spike_limit`` robust standard
-    deviations (from the median absolute deviation) left out; ``scatter`` is the standard
-    deviation of one reading, ``std`` = scatter / sqrt(n_used) that of the mean (type A; the
-    floor set by the instrument belongs to the solver). Sums are rounded once, at the end, so
-    that the same readings give the same bits on every machine.
+    The mean is that of the usable readings, without spikes beyond ``spike_limit`` robust standard
+    deviations (from the median absolute deviation); ``scatter`` is the standard deviation of one
+    reading, ``std`` = scatter / sqrt(n_used) that of the mean (type A; the floor set by the
+    instrument belongs to the solver). Sums are rounded once, at the end, so that the same readings
+    give the same bits on every machine.
     """
     length = readings[:, LENGTH]
     faults = readings[:, STATUS].astype(np.int64)
@@ -162,6 +162,7 @@ def reduce_window(stamps: Stamps, readings: Floats, settings: CaptureSettings) -
 
 def mean_and_scatter(values: Floats) -> tuple[float, float]:
     """Return mean and standard deviation of one of the ``values`` (n,), n >= 2."""
+    # fsum rounds once: the order of summing, which numpy chooses by machine, cannot matter.
     mean = fsum(values) / len(values)
     return mean, sqrt(fsum((values - mean) ** 2) / (len(values) - 1))
 
@@ -170,6 +171,7 @@ def _mark_spikes(length: Floats, faults: Ints, settings: CaptureSettings) -> Non
     good = faults == ReadingFault.NONE
     if not good.any():
         return
+    # Median and MAD: a spike must not enlarge the limit that finds it.
     distance = np.abs(length[good] - np.median(length[good]))
     limit = settings.spike_limit * _MAD_TO_STD * float(np.median(distance))
     faults[np.flatnonzero(good)[distance > max(limit, settings.spike_floor_m)]] = (
@@ -180,12 +182,13 @@ def _mark_spikes(length: Floats, faults: Ints, settings: CaptureSettings) -> Non
 def _drift(stamps: Stamps, length: Floats, mean: float) -> float:
     """Return the change of the fitted line from the first to the last reading (m)."""
     time = (stamps - stamps[0]).astype(np.float64)
+    # About their mean, so that the slope does not depend on the mean of the lengths.
     time -= fsum(time) / len(time)
     return float(fsum(time * (length - mean)) / fsum(time * time) * (time[-1] - time[0]))
 
 
 def _gap(sequence: Floats) -> str | None:
-    """Return as a reason which readings are missing inside a window."""
+    """Return, as a reason, which readings are missing inside a window."""
     steps = sequence_steps(sequence[1:], sequence[0])
     at = np.flatnonzero(steps != 1)
     if not len(at):
@@ -218,7 +221,7 @@ def _too_few(faults: Ints, length: Floats, settings: CaptureSettings) -> str:
 
 
 def _unrest(scatter: float, drift: float, settings: CaptureSettings) -> str | None:
-    """Return as a reason how a window is not stable."""
+    """Return, as a reason, why a window is not stable."""
     if scatter > settings.max_std_m:
         return (
             f"unstable: standard deviation {scatter / MICROMETRE:.3g} um of the readings, "

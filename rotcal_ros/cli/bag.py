@@ -1,6 +1,6 @@
 """``rotcal bag``: describe, check, repair and convert recorded bags.
 
-``--set reading.NAME=VALUE``: limits of what reading a bag may take.
+``--set reading.NAME=VALUE`` sets limits of reading a bag.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ limits_option = click.option(
     multiple=True,
     callback=_limits,
     metavar="reading.NAME=VALUE",
-    help="Change a limit of reading; docs/settings.md has them.",
+    help="Change a limit of reading; docs/settings.md lists them.",
 )
 
 
@@ -49,7 +49,7 @@ def command() -> None:
 @limits_option
 @json_option
 def info(bag: Path, limits: ReadingLimits, as_json: bool) -> int:
-    """Tell what is in BAG: files, topics, attachments, configuration."""
+    """Show what is in BAG: files, topics, attachments, configuration."""
     from rotcal_ros.recordings.summary import describe
 
     with progress("reading") as shown:
@@ -69,8 +69,8 @@ def info(bag: Path, limits: ReadingLimits, as_json: bool) -> int:
 def check(bag: Path, limits: ReadingLimits, as_json: bool) -> int:
     """Read BAG to its end and say for each file: complete, truncated or damaged.
 
-    Then for all of them: whether a file of the session is missing, whether they belong together,
-    and where metadata.yaml is wrong. The exit code is 0 when all is in order, 1 otherwise.
+    Then say whether a file of the session is missing, whether all belong together, and where
+    metadata.yaml is wrong. The exit code is 0 when all is in order, 1 otherwise.
     """
     from rotcal_ros.bags.reader import bag_files, check_files
     from rotcal_ros.bags.session_identity import require_one_session
@@ -110,7 +110,7 @@ def check(bag: Path, limits: ReadingLimits, as_json: bool) -> int:
 @click.argument("bag", type=path_type)
 @json_option
 def reindex(bag: Path, as_json: bool) -> int:
-    """Write metadata.yaml of the folder BAG again from its files; the old one is kept too."""
+    """Write metadata.yaml of the folder BAG anew from its files; the old one is kept."""
     from rotcal_ros.bags.repair import reindex as reindex_bag
 
     with progress("reading") as shown:
@@ -135,8 +135,8 @@ def reindex(bag: Path, as_json: bool) -> int:
 def choices(bag: Path, as_json: bool) -> int:
     """Show why each step of BAG was measured and why the planner stopped.
 
-    The policy is asked again with the recorded observations. The exit code is 0 when it makes the
-    same choices, 1 otherwise.
+    The policy runs again with the recorded observations. The exit code is 0 if it makes the same
+    choices, 1 otherwise.
     """
     from rotcal_ros.recordings.replay import read_recording
 
@@ -163,7 +163,7 @@ def choices(bag: Path, as_json: bool) -> int:
         what = "stop" if row["step"] is None else f"step {row['step']}"
         tell(f"run {row['run']} {row['number']:5} {what}: {row['reason']}")
     if not rows:
-        say(f"{bag}: no choice of a planner was recorded, so there is nothing to ask again")
+        say(f"{bag}: no choice of a planner was recorded, so there is nothing to repeat")
     for text in differing:
         say(text)
     return 1 if differing else 0

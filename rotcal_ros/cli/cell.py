@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @click.group()
 def command() -> None:
-    """Look at a live cell: what is there, what is missing, what would happen."""
+    """Examine a live cell: what is there, what is missing, what would happen."""
 
 
 @command.command()
@@ -49,7 +49,7 @@ def command() -> None:
 @click.option(
     "--move",
     is_flag=True,
-    help="Then turn the table by 5 degrees and back, once you have agreed: proves sign, unit, "
+    help="Then, once you agree, turn the table by 5 degrees and back: checks sign, unit, "
     "handedness, lag and rest.",
 )
 @json_option
@@ -58,9 +58,9 @@ def check(
 ) -> int:
     """Listen to the cell of CONFIG and report line by line what is there and what is missing.
 
-    Nothing is moved except with --move, and nothing needs to run but the cell. With CONFIG its
-    plan is checked too: the first order, whether everything is in reach, and the time. The exit
-    code is 0 where nothing is missing, otherwise 1, with what to do next.
+    Nothing moves except with --move, and only the cell needs to run. With CONFIG its plan is
+    checked too: the first order, whether everything is in reach, and the time. The exit code is 0
+    if nothing is missing, otherwise 1, with what to do next.
     """
     from rotcal_ros.sessions.cell_check import check_cell
     from rotcal_ros.sessions.processes import require_ros
@@ -83,7 +83,7 @@ def check(
 
 
 def _moved(configuration: Path, report: CellReport) -> CellReport:
-    """Turn the table, if nothing is against it and the person agrees."""
+    """Turn the table, if nothing speaks against it and the person agrees."""
     from rotcal_ros.sessions.cell_check import move_cell
 
     against = [line for line in report.lines if line.part == "table" and line.state == "doubt"]
@@ -92,17 +92,17 @@ def _moved(configuration: Path, report: CellReport) -> CellReport:
         return report
     here = (line.found for line in report.lines if (line.part, line.name) == ("table", "joint"))
     say(
-        f"{next(here, 'the table')}; it will turn by 5° and back, much further where its unit or "
+        f"{next(here, 'the table')}; it will turn by 5° and back, much further if its unit or "
         "sign is wrong"
     )
-    question = "Is the way free, and a hand on the emergency stop?"
+    question = "Is its path clear, and a hand on the emergency stop?"
     if not click.confirm(question, err=True):
         return report
     return _answered(move_cell(configuration, report))
 
 
 def _answered(report: CellReport) -> CellReport:
-    """Ask the person which way the table turned, where no instrument could tell."""
+    """Ask the person which way the table turned, if no instrument could tell."""
     from rotcal_ros.methods.trial_motion import handedness_seen
 
     if not any(line.name == "handedness" and line.state == "open" for line in report.lines):

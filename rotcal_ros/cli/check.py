@@ -44,9 +44,9 @@ def command(
     """Judge by a NEW measurement whether the EARLIER curve still describes the table.
 
     Both are a result.json, bag, session or reference table (.csv), of any method. The verdict is
-    'still valid' when every measured angle is within the limit less a guard band, 'changed' when
-    the table moved by more than uncertainty and ageing explain, else 'undecided'. Exit code 0, 1
-    and 3. What a tracer has to measure for it: 'rotcal plan check'.
+    'still valid' if every measured angle is within the limit less a guard band, 'changed' if the
+    table moved by more than uncertainty and ageing explain, else 'undecided'. The exit code is 0,
+    1 or 3. 'rotcal plan check' plans what a tracer has to measure for it.
     """
     from rotcal_ros.evaluation.quick_check import quick_check
     from rotcal_ros.recordings.result_sources import read_curve

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("sources", nargs=-1, required=True, type=path_type, metavar="A B [C ...]")
-@click.option("-o", "--output", type=NamedFile(".json"), help="Write the result there, as JSON.")
+@click.option(
+    "-o", "--output", type=NamedFile(".json"), help="Write the result to this file, as JSON."
+)
 @click.option(
     "--enlarge",
     # The names of ENLARGEMENTS, whose module takes a second to load; a test compares them.
@@ -45,11 +47,11 @@ def command(
 ) -> int:
     """Combine results of one table: result.json, bags, sessions, reference tables (.csv).
 
-    Generalised least squares with all covariances; the zero of every input is unknown. Inputs
-    that rest on the same observations vary together: they count once. Where they contradict each
-    other (chi-square) the uncertainties are enlarged and the verdict is suspect, as it is where
-    they agree better than independent measurements do; an input that failed is refused. The exit
-    code is 0 for the verdict ok and 1 for suspect.
+    Generalised least squares with all covariances; the zero of every input is unknown. Inputs that
+    rest on the same observations count once. If inputs contradict each other (chi-square), the
+    uncertainties are enlarged and the verdict is suspect; it is suspect too if they agree better
+    than independent measurements would. An input with the verdict failed is refused. The exit code
+    is 0 for the verdict ok and 1 for suspect.
     """
     from rotcal_ros.evaluation.combination import combine
     from rotcal_ros.foundation.files import write_atomically

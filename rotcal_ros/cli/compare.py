@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     "-o",
     "--output",
     type=NamedFile(".svg", ".html", bare=False),
-    help="Draw the curves and E_n there: .svg or .html.",
+    help="Draw the curves and E_n into this file: .svg or .html.",
 )
 @json_option
 def command(
@@ -47,11 +47,11 @@ def command(
 ) -> int:
     """Compare results of one table pair by pair: result.json, bags, sessions, references (.csv).
 
-    A reference table has the columns angle_deg, deviation_arcsec and u_arcsec, the last one unless
-    --reference-u states it. A file of several evaluations (rotcal solve --balls ... -o) counts as
-    all of them. Results of the same data vary together, which counts. The
-    offset that no method can know is taken off. The exit code is 1 when some pair disagrees
-    by more than chance explains (|E_n| singly and together).
+    A reference table has the columns angle_deg, deviation_arcsec and, unless --reference-u states
+    it, u_arcsec. A file of several evaluations (rotcal solve --balls ... -o) counts as all of
+    them. That results of the same data vary together is taken into account. The offset that no
+    method can know is removed. The exit code is 1 if some pair disagrees by more than chance
+    explains (|E_n| singly and together).
     """
     from rotcal_ros.evaluation.compare import compare_all
 

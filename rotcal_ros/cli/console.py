@@ -23,9 +23,9 @@ path_type = click.Path(path_type=Path)
 
 
 class NamedFile(click.Path):
-    """A file to write whose ending says what is in it; ``bare``: it may have none.
+    """An output file whose ending says what is in it; ``bare``: it may have none.
 
-    Any other name is refused before anything is done, so that no file called PDF holds HTML.
+    Any other name is refused before work begins, so that no file called PDF holds HTML.
     """
 
     def __init__(self, *endings: str, bare: bool = True) -> None:
@@ -62,15 +62,9 @@ def print_json(data: str | Mapping[str, Any]) -> None:
 
 
 def draw(output: Path, forms: Mapping[str, Callable[[], str]]) -> None:
-    """Write the form of a drawing that the ending of ``output`` asks for."""
+    """Write a drawing in the form that the ending of ``output`` names."""
     write_atomically(output, forms[output.suffix.lower()]())
     say(f"drawn: {output.absolute()}")
-
-
-def print_line(text: str) -> None:
-    """Print a line, if there is anything to say."""
-    if text:
-        tell(text)
 
 
 def print_outcome(outcome: Mapping[str, Any], *, as_json: bool = False) -> int:
@@ -90,7 +84,8 @@ def print_outcome(outcome: Mapping[str, Any], *, as_json: bool = False) -> int:
         print_marks(outcome["marks"], ", ".join(parts))
         for name, path in outcome.get("files", {}).items():
             tell(f"{name + ':':<14}{path}")
-        print_line(outcome.get("goal_line", ""))
+        if goal_line := outcome.get("goal_line"):
+            tell(goal_line)
     return VERDICT_EXIT_CODES[outcome["verdict"]]
 
 

@@ -32,7 +32,7 @@ TRIAL_DEADLINE_S: Final = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One thing that was looked at: what was found and, if it is bad, what to do."""
+    """One check: what was found and, if it is bad, what to do."""
 
     name: str
     ok: bool
@@ -46,7 +46,7 @@ class Check:
     type=click.Path(path_type=Path, file_okay=False),
     default=Path("out"),
     show_default=True,
-    help="Folder that calibrations shall be written to.",
+    help="Folder for calibrations.",
 )
 @click.option("--machine-ini", type=path_type, metavar="FILE", help="Ini file of a LinuxCNC.")
 @json_option
@@ -54,7 +54,7 @@ def command(output: Path, machine_ini: Path | None, as_json: bool) -> int:
     """Check this machine and say what to do.
 
     Without ROS a bag can still be solved: the lines on ROS concern live calibration only. With
-    --machine-ini it says which tables that LinuxCNC loads, and what is wrong with them.
+    --machine-ini it shows which tables this LinuxCNC loads, and what is wrong with them.
     """
     done: list[Check] = []
     for check in chain(checks(output), tables(machine_ini) if machine_ini else ()):
@@ -70,7 +70,7 @@ def command(output: Path, machine_ini: Path | None, as_json: bool) -> int:
 
 
 def checks(output: Path) -> Iterator[Check]:
-    """Yield all checks in the order in which they build upon each other."""
+    """Yield all checks in the order in which they depend on each other."""
     yield Check("Python", True, f"{platform.python_version()} at {sys.executable}")
     yield compiler()
     yield packages()
@@ -86,7 +86,7 @@ def checks(output: Path) -> Iterator[Check]:
 
 
 def tables(machine_ini: Path) -> Iterator[Check]:
-    """Check whether the ini file of a LinuxCNC puts its tables into force as they are meant."""
+    """Check whether the ini file of a LinuxCNC puts its tables into force as intended."""
     from rotcal_ros.compensation.linuxcnc import hook_up
 
     advice = "the copy that 'rotcal export --machine-ini' writes has the lines where they belong"
@@ -162,13 +162,13 @@ def loopback() -> Check:
 def nodes() -> Check:
     """Start the nodes of every cell and end them, in a domain of their own on this machine."""
     ok, found = _try("start_trial")
-    return Check("Nodes", ok, found, "'rotcal run' would meet the same; report it with this line")
+    return Check("Nodes", ok, found, "'rotcal run' would fail too; report it with this line")
 
 
 def rate(output: Path) -> Check:
-    """Let recorder and capture do their work for 5 s, alongside whatever this machine does now."""
+    """Let recorder and capture work for 5 s beside whatever this machine is doing."""
     ok, found = _try("rate_trial", str(_existing(output)))
-    advice = "give the calibration a machine, or cores, of its own (docs/busy_computer.md)"
+    advice = "give the calibration a computer, or cores, of its own (docs/busy_computer.md)"
     return Check("Rate", ok, found, advice)
 
 
@@ -219,7 +219,7 @@ def space(output: Path) -> Check:
 
 
 def _existing(folder: Path) -> Path:
-    """Return the nearest folder above that exists: the output folder may yet have to be made."""
+    """Return the nearest existing folder above: the output folder may not exist yet."""
     folder = folder.absolute()
     return next(path for path in (folder, *folder.parents) if path.exists())
 

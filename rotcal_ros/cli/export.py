@@ -1,4 +1,4 @@
-"""``rotcal export``: from a bag or a result to the files of a controller."""
+"""``rotcal export``: turns a bag or a result into the files of a controller."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rotcal_ros.recordings.result_sources import ResultSource
 
 VOLUMETRIC: Final = "volumetric"
-"""Not a controller: all deviations that were measured, as CSV and JSON."""
+"""No controller, but all measured deviations as CSV and JSON."""
 DEFAULT_AXIS: Final = "C"
 
 
@@ -41,13 +41,16 @@ DEFAULT_AXIS: Final = "C"
 )
 @click.option("-o", "--out", "--output", "out", type=path_type, required=True, help="Folder.")
 @click.option(
-    "--spacing", type=float, metavar="DEG", help="Distance between rows; default: chosen."
+    "--spacing",
+    type=float,
+    metavar="DEG",
+    help="Distance between rows; default: chosen automatically.",
 )
-@click.option("--axis", help=f"Letter of the axis; default: the bag's, {DEFAULT_AXIS} else.")
+@click.option("--axis", help=f"Letter of the axis; default: the bag's, else {DEFAULT_AXIS}.")
 @click.option("--serial", metavar="NUMBER", help="Serial number of the item it is for.")
 @click.option("--reference", type=float, metavar="DEG", help="Angle with correction zero.")
 @click.option("--reverse", type=path_type, metavar="BAG|TABLE|RESULT", help="The other direction.")
-@click.option("--harmonics", type=int, metavar="N", help="Fit N harmonics, not a spline.")
+@click.option("--harmonics", type=int, metavar="N", help="Fit N harmonics instead of a spline.")
 @click.option(
     "--revolutions", metavar="FIRST:LAST", help="Travel, for controllers that do not wrap."
 )
@@ -57,7 +60,7 @@ DEFAULT_AXIS: Final = "C"
     "settings",
     multiple=True,
     metavar="[GROUP.]NAME=VALUE",
-    help="Setting of the controller; with its GROUP one of the configuration.",
+    help="Setting of the controller, or GROUP.NAME of the configuration.",
 )
 @click.option("--name", help="File name without extension; default: axis_controller.")
 @click.option(
@@ -68,27 +71,27 @@ DEFAULT_AXIS: Final = "C"
     "--accept",
     multiple=True,
     metavar="axis|serial|age",
-    help="Contradiction to accept: another axis, another item, or an old measurement.",
+    help="Accept a contradiction: another axis, another item, or an old measurement.",
 )
 @click.option("--max-age", type=float, metavar="DAYS", help="Largest age of the measurement.")
 @click.option(
     "--accept-unverified",
     is_flag=True,
-    help="Write files although something about the controller is not verified.",
+    help="Write files even if something about the controller is not verified.",
 )
 @json_option
 def command(as_json: bool, **options: Any) -> int:
     """Write the table of BAG (a folder, .mcap, .db3), TABLE or RESULT (.json) for a controller.
 
     The files are read back and applied by the controller's own rule before they are written, all
-    or none, and nothing is ever overwritten. Only the verdict ok may be fed. What was measured
-    with a table in force is what that table leaves: it is added to that table with --add-to. Where
-    it is not known which table was in force, --replace or --add-to must say it. Axis and serial
-    number have to be those of the machine, and the measurement younger than --max-age (default: 30
-    days): a contradiction is refused, unless --accept allows it.
+    or none; nothing is ever overwritten. Only a result with the verdict ok may be fed. What was
+    measured with a table in force is what that table leaves over: --add-to adds it to that table.
+    If it is not known which table was in force, --replace or --add-to must say so. Axis and serial
+    number must be those of the machine, and the measurement younger than --max-age (default: 30
+    days): a contradiction is refused unless --accept allows it.
 
-    --machine-ini is read for what it says about the joint, and a copy of it that uses the table is
-    written beside the table. The same as --set machine_ini=FILE.
+    --machine-ini gives the settings of the joint, and a copy of the file that uses the table is
+    written beside the table. It is the same as --set machine_ini=FILE.
     """
     from rotcal_ros.compensation.writing import write_files
 
@@ -104,7 +107,7 @@ def command(as_json: bool, **options: Any) -> int:
 
 @dataclass(frozen=True)
 class _Asked:
-    """What the command line asks for, option by option; ``now`` is when it was called."""
+    """The options of the command line; ``now`` is the time of the call."""
 
     source: Path
     setup: Path | None
@@ -133,7 +136,7 @@ class _Asked:
         return int(self.now.timestamp()) * 1_000_000_000
 
     def machines(self) -> dict[str, MachineIdentity]:
-        """Return the machine that the files are for, by what says so."""
+        """Return what is known of the machine that the files are for, by source."""
         from rotcal_ros.compensation.agreement import MachineIdentity
         from rotcal_ros.foundation.components import check_axis
 
@@ -160,7 +163,7 @@ class _Asked:
         return read_source(path, Input(path, self.setup, self.targets, changes))
 
     def controller_options(self) -> tuple[str, ...]:
-        """Return the ``--set`` that are about the controller."""
+        """Return the ``--set`` options of the controller."""
         return tuple(s for s in self.settings if not _is_of_configuration(s))
 
     def controller_settings(self) -> dict[str, Any]:
@@ -175,7 +178,7 @@ class _Asked:
         return settings
 
     def refuse_what_only_controllers_take(self) -> None:
-        """Raise ConfigurationError for options that a volumetric table would ignore."""
+        """Raise ConfigurationError for options that a volumetric table does not use."""
         only_controllers = {
             "--spacing": self.spacing, "--reference": self.reference, "--reverse": self.reverse,
             "--harmonics": self.harmonics, "--revolutions": self.revolutions,
@@ -185,13 +188,13 @@ class _Asked:
         }  # fmt: skip
         if given := [name for name, value in only_controllers.items() if value is not None]:
             raise ConfigurationError(
-                f"{', '.join(given)}: not for a volumetric table, which holds the deviations as "
-                "they were measured; leave it out"
+                f"{', '.join(given)}: no use for a volumetric table, which holds the deviations "
+                "as measured; leave it out"
             )
 
 
 def _export(forward: ResultSource, asked: _Asked) -> ExportFiles:
-    """Return the files for a controller, which were read back and simulated."""
+    """Return the files for a controller, after reading them back and simulating it."""
     from rotcal_ros.compensation.earlier_export import to_be_in_force
     from rotcal_ros.compensation.export import prepare_export
 
@@ -272,7 +275,7 @@ def _is_of_configuration(setting: str) -> bool:
 
 
 def _recorded_axis(source: ResultSource) -> str | None:
-    """Return the axis that was measured, as session, bag or result say; None: they do not."""
+    """Return the axis that was measured, by session, bag or result; None: they do not say."""
     return source.axis or source.result.circumstances.axis or None
 
 
@@ -286,7 +289,7 @@ def _show(paths: Iterable[Path], as_json: bool, **facts: Any) -> None:
 
 
 def _show_export(export: ExportFiles, paths: Iterable[Path], as_json: bool) -> None:
-    """Print what was written, with its provenance, and what the reader must know of it."""
+    """Print what was written, with its provenance and its warnings."""
     from rotcal_ros.compensation.export import standing
     from rotcal_ros.compensation.writing import PROVENANCE
 

@@ -16,7 +16,7 @@ from rotcal_ros.foundation.units import ARCSEC
     "-o",
     "--output",
     type=NamedFile(".svg", bare=False),
-    help="Draw the diagrams of the standard there (.svg).",
+    help="Draw the diagrams of the standard into this file (.svg).",
 )
 @click.option(
     "--device",
@@ -29,9 +29,9 @@ def command(source: Path, output: Path | None, device: float | None, as_json: bo
     """Evaluate RUNS: a table (.csv), or the result.json or bag of a plan with runs.
 
     The table has the columns angle_deg, run, direction (up or down), deviation_arcsec; every
-    target is there once in every run and direction. Every figure comes with its uncertainty:
-    from the scatter of the runs, and from errors that all runs share. The latter are known from
-    a result or bag; for a table --device states them.
+    target occurs once in every run and direction. Every figure comes with its uncertainty: from
+    the scatter of the runs, and from errors that all runs share. A result or bag knows the latter;
+    for a table --device states them.
     """
     from rotcal_ros.evaluation.iso230 import iso230, with_device
     from rotcal_ros.recordings.result_sources import read_repeated_runs

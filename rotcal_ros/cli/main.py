@@ -24,12 +24,12 @@ BROKEN_PIPE: Final = 141
 """The exit code that a shell reports for a program ended by SIGPIPE."""
 
 OF_PIP_ALONE: Final = ("mcap", "rosbags", "threadpoolctl")
-"""What no package of a distribution can depend on: package.xml leaves it to the user."""
+"""Packages that only pip has: package.xml leaves them to the user."""
 
 OWN_VERBS: Final[Mapping[str, str]] = {
     "run": "Run the nodes of one cell and calibrate.",
     "attach": "Show a calibration that runs in the background.",
-    "cell": "Look at a live cell: what is there, what is missing?",
+    "cell": "Examine a live cell: what is there, what is missing?",
     "verify": "Measure the simulated cell, compensate it, and measure again.",
     "solve": "Solve a recorded bag or a plain table, without ROS.",
     "export": "Write the correction table of a calibration for a controller.",
@@ -49,7 +49,7 @@ OWN_VERBS: Final[Mapping[str, str]] = {
 
 @cache
 def verbs() -> Mapping[str, Verb]:
-    """Return all verbs in the order in which they are used: our own, and those of extensions.
+    """Return all verbs in the order of use: our own, then those of extensions.
 
     One that cannot be loaded comes last and says so.
     """
@@ -118,17 +118,16 @@ class LazyGroup(click.Group):
     def invoke(self, context: click.Context) -> None:
         """Run a verb; an error becomes one red line and an exit code, not a traceback.
 
-        A verb may return its exit code. What it could not read of a bag and did not print is
-        reported after it, in a line each, and turns a good exit code into 1. Wrong usage is left
-        to click. The reader of standard output may have read enough (``| head``): that ends the
-        verb silently.
+        A verb may return its exit code. Parts of a bag that it could not read and did not report
+        follow in a line each, and turn a good exit code into 1. Wrong usage is left to click. A
+        closed standard output (``| head``) ends the verb silently.
         """
         from rotcal_ros.bags.unread_data import unread
 
         with unread() as missing:
             code = self._code_of(context)
         for text in (text for text, by_verb in missing.items() if not by_verb):
-            _complain(f"not all was read: {text}")
+            _complain(f"not read completely: {text}")
         context.exit(code or int(bool(missing)))
 
     def _code_of(self, context: click.Context) -> int:
@@ -155,9 +154,9 @@ class LazyGroup(click.Group):
     cls=LazyGroup,
     context_settings={"help_option_names": ["-h", "--help"]},
     subcommand_metavar="VERB ...",
-    epilog="Exit codes: 0 good, 1 the verdict is bad or not all of a bag was read, 2 wrong usage "
-    "or unreadable input, 3 not enough or contradictory data, 130 interrupted, 141 the reader of "
-    "the output left.",
+    epilog="Exit codes: 0 good, 1 the verdict is bad or a bag was not read completely, 2 wrong "
+    "usage or unreadable input, 3 too few or contradictory data, 130 interrupted, 141 the output "
+    "was closed.",
 )
 @click.version_option(__version__, prog_name="rotcal")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
@@ -171,15 +170,15 @@ def main() -> None:
 
 
 def _is_known(name: str) -> bool:
-    """Return whether there is a verb; for our own, extensions are left alone."""
+    """Return whether there is a verb; to know our own, extensions are not loaded."""
     return name in OWN_VERBS or name in verbs()
 
 
 def _compute_in_one_thread() -> None:
-    """Let numpy, which reads this once when it is loaded, use one thread; the user may want more.
+    """Let numpy use one thread, unless the user wants more; it reads this once, when loaded.
 
-    The last bit of a matrix product depends on the number of threads that share it, and the live
-    nodes use one: only with one does 'rotcal solve' repeat their result to the last bit.
+    The last bit of a matrix product depends on the number of threads, and the live nodes use one:
+    only with one does 'rotcal solve' repeat their result to the last bit.
     """
     for library in ("OMP", "OPENBLAS", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")

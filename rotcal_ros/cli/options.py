@@ -1,7 +1,7 @@
-"""Options that several verbs share, and what the shell offers for a parameter at the Tab key.
+"""Options that several verbs share, and what the shell offers at the Tab key.
 
-Completion is switched on by one line in the shell's own configuration: docs/command_line.md. All
-of this is loaded before every verb, so it imports nothing that takes time.
+One line in the shell's configuration switches completion on: docs/command_line.md. This module is
+loaded before every verb, so it imports nothing that takes time.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def setup_options(function: Function) -> Function:
         "--setup",
         type=path_type,
         shell_complete=configurations,
-        help="Configuration; a table needs it, a bag brings its own.",
+        help="Configuration; needed for a table, a bag has its own.",
     )(function)
 
 
@@ -78,7 +78,7 @@ polygon_option: Final = click.option(
 def polygon_faces(polygon: Path | None, sources: Iterable[Path]) -> MeasuredCurve | None:
     """Return the calibrated faces in the file ``polygon``, if one is given.
 
-    Raises UsageError where no reference table is among ``sources`` to take them off.
+    Raises UsageError if there is no reference table among ``sources``.
     """
     if polygon is None:
         return None
@@ -87,7 +87,7 @@ def polygon_faces(polygon: Path | None, sources: Iterable[Path]) -> MeasuredCurv
     from rotcal_ros.recordings.result_sources import read_text
 
     if not any(map(is_table, sources)):
-        raise click.UsageError("--polygon belongs to a reference table, and none is given")
+        raise click.UsageError("--polygon needs a reference table, and none is given")
     return read_reference(read_text(polygon), str(polygon))
 
 
@@ -104,13 +104,13 @@ _RULE_OPTIONS = (
         "--ageing",
         type=click.FloatRange(0.0),
         default=0.0,
-        help="arcsec or um a month, usual change of an angle (k = 1).",
+        help="arcsec or um per month, usual change of an angle (k = 1).",
     ),
     shown_option(
         "--months",
         type=click.FloatRange(0.0),
         default=0.0,
-        help="Since the earlier measurement.",
+        help="Months since the earlier measurement.",
     ),
     shown_option(
         "--miss",
@@ -137,7 +137,7 @@ def rule_options(function: Function) -> Function:
 def rule_of(
     unit: float, *, within: float, ageing: float, months: float, miss: float, false_alarm: float
 ) -> CheckRule:
-    """Return the rule of these options; ``unit`` (m or rad) is that of limit and ageing.
+    """Return the rule that these options state; ``unit`` (m or rad) is that of limit and ageing.
 
     The usual change grows in proportion to the time.
     """
@@ -156,7 +156,7 @@ SUFFIX: Final = ".yaml"
 def configurations(
     _context: click.Context, _parameter: click.Parameter, typed: str
 ) -> list[CompletionItem]:
-    """Offer the configurations that begin with ``typed``; without any, the shell's own files."""
+    """Offer the configurations that begin with ``typed``; if there are none, files."""
     folder = Path(typed) if typed.endswith("/") else Path(typed).parent
     begin = "" if typed.endswith("/") else Path(typed).name
     here = [path for path in _seen(folder) if path.name.startswith(begin)]
@@ -181,7 +181,7 @@ def installed(
 
 
 def _seen(folder: Path) -> list[Path]:
-    """Return what is in a folder and not hidden; nothing where it may not be read."""
+    """Return what is in a folder and not hidden; nothing if the folder cannot be read."""
     try:
         return sorted(path for path in folder.iterdir() if not path.name.startswith("."))
     except OSError:

@@ -141,7 +141,7 @@ def reliability(
 ) -> int:
     """Print the smallest error in one observation of a plan that would be found (Baarda).
 
-    The observations are listed by what a slightly smaller error, which may stay unseen, would do
+    The observations are sorted by what a slightly smaller error, which may stay unseen, would do
     to the deviations, in their standard uncertainties.
     """
     from rotcal_ros.evaluation.reliability import effects_on_deviations
@@ -165,7 +165,7 @@ def reliability(
 
 
 def _predicted_observations(calibration: Calibration) -> tuple[Observation, ...]:
-    """Return observations of the plan with their stated noise, exact ones where none is known."""
+    """Return observations of the plan with their stated noise; exact ones if none is known."""
     if calibration.method.disturbances is None:
         return calibration.nominal_observations()
     return calibration.measured({}, NOISE_SEED).observations

@@ -26,8 +26,9 @@ if TYPE_CHECKING:
     "-o",
     "--output",
     type=NamedFile(".html", ".pdf", ".xml"),
-    help="The page to write, .html or .pdf (printed by Chromium); unless given report.html of the "
-    "session, else NAME_report.html beside it. Never overwrites, never writes into a bag.",
+    help="The page to write, .html or .pdf (printed by Chromium); default: report.html of the "
+    "session, or NAME_report.html beside the source. Never overwrites, never writes into a "
+    "bag.",
 )
 @click.option(
     "--truth",
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
     "--in-force",
     type=click.Path(exists=True, file_okay=False, path_type=Path),
     metavar="FOLDER",
-    help="Files of the table on which it was measured: does that table act?",
+    help="Files of the table that was in force: does that table act?",
 )
 @click.option(
     "--dcc",
@@ -71,9 +72,8 @@ def command(
 ) -> int:
     """Solve BAG, or TABLE with its --setup, and write the report.
 
-    It has figures, tables, warnings, verdict and fingerprints.
-
-    RESULT (.json): about a result as it is, such as a combination or one whose bag is elsewhere.
+    It has figures, tables, warnings, verdict and fingerprints. RESULT (.json): report a result as
+    it is, such as a combination or one whose bag is elsewhere.
     """
     ending = "" if output is None else output.suffix.lower()
     if ending and dcc != (ending == ".xml"):
@@ -113,7 +113,7 @@ def command(
 
 
 def _acting(result: Result, in_force: Path | None) -> int:
-    """Print whether the table acts on which ``result`` was measured; return 1 where not."""
+    """Print whether the table in force acts on ``result``; return 1 if it does not."""
     if in_force is None:
         return 0
     from rotcal_ros.compensation.earlier_export import effect_in_force
@@ -140,7 +140,7 @@ def _truth(path: Path) -> dict[str, Any]:
 
 
 def page_beside(source: Path) -> Path:
-    """Return where the page about ``source`` goes: beside it, or beside its bag."""
+    """Return where to put the page about ``source``: beside it, or beside its bag."""
     source = source.absolute()
     source = bag_around(source) or source
     session = SessionFolder(source.parent)
@@ -151,7 +151,7 @@ def page_beside(source: Path) -> Path:
 
 
 def bag_around(path: Path, bag: Path | None = None) -> Path | None:
-    """Return the folder of a bag, or ``bag``, that ``path`` lies in or would lie in."""
+    """Return the bag that ``path`` lies in or would lie in, if any."""
     from rotcal_ros.bags.rosbag2_metadata import METADATA_FILE
 
     folders = path.absolute().parents

@@ -23,16 +23,16 @@ from rotcal_ros.report.terminal.console import tell
     "--resume",
     type=path_type,
     metavar="FOLDER",
-    help="Continue the interrupted calibration in FOLDER at its first missing step.",
+    help="Continue the interrupted calibration in FOLDER from its first missing step.",
 )
 @click.option("--keep-previous", is_flag=True, help="Move an existing output folder aside.")
 @click.option("--no-report", is_flag=True, help="Write no report.")
 @click.option("--no-export", is_flag=True, help="Write no controller files.")
-@click.option("-y", "--yes", is_flag=True, help="Take all work asked of a person as done at once.")
+@click.option("-y", "--yes", is_flag=True, help="Count all work of a person as done at once.")
 @click.option(
-    "--page/--no-page", default=True, help="Serve the operator's page, or not. Default: yes."
+    "--page/--no-page", default=True, help="Serve the operator's page (default), or not."
 )
-@click.option("--scene", is_flag=True, help="Publish markers for RViz and Foxglove too.")
+@click.option("--scene", is_flag=True, help="Also publish markers for RViz and Foxglove.")
 @click.option("--detach", is_flag=True, help="Go on in the background; see 'rotcal attach'.")
 @json_option
 def command(
@@ -52,11 +52,11 @@ def command(
     """Start the nodes of the cell that CONFIG describes, calibrate, end them.
 
     With a group 'simulation' in CONFIG the cell is simulated, otherwise its instruments must be
-    running. Where the plan needs a person, the instruction is shown: a simulated person does it
-    at once, a real one presses Enter when done, or the button on the operator's page, whose
-    address is printed (or calls the service 'resume' of the cell).
-    Ctrl-C cancels: the bag stays valid, and --resume continues it. A lost terminal does not end
-    the calibration: 'rotcal attach' shows it again.
+    running. When the plan needs a person, the instruction is shown: a simulated person does it at
+    once, a real one then presses Enter or the button on the operator's page, whose address is
+    printed, or calls the service 'resume' of the cell. Ctrl-C cancels: the bag stays valid, and
+    --resume continues it. A lost terminal does not end the calibration: 'rotcal attach' shows it
+    again.
     """
     from rotcal_ros.sessions.attaching import Viewers
     from rotcal_ros.sessions.lasting_output import go_to_background, lasting_output
@@ -80,7 +80,7 @@ def command(
     session = replace(session, shown_by=("page",) * page + ("scene",) * scene)
     viewers = Viewers(session, at_once=yes)
     if detach and not go_to_background(session.run_log):
-        tell(f"it runs in the background; to see it: {session.attach_command}")
+        tell(f"runs in the background; to see it: {session.attach_command}")
         return 0
     with lasting_output(session.run_log), viewers:
         outcome = calibrate(session, viewers, at_once=yes)
@@ -89,7 +89,8 @@ def command(
                 session, report=not no_report, export=not no_export, tell=viewers.say
             )
             seconds = round(time.monotonic() - started, 1)
-            goal = goal_line(session.folder)
-            outcome |= {"seconds": seconds, "files": files, "goal_line": goal}
+            standing = goal_standing(session.folder)
+            goal_line = "" if standing is None else standing.in_words()
+            outcome |= {"seconds": seconds, "files": files, "goal_line": goal_line}
         viewers.end(outcome)
         return print_outcome(outcome, as_json=as_json)

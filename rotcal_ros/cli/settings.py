@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from rotcal_ros.methods.settings_reference import Section
 
 WIDEST: Final = 99
-"""Columns: longer lines are hard to read."""
+"""Widest line in columns: longer ones are hard to read."""
 NARROWEST: Final = 24
-"""Columns: where fewer are left for a meaning, it stands below its setting."""
+"""If fewer columns are left for a meaning, it goes below its setting."""
 _HEADINGS: Final = ("setting", "unit", "default", "meaning")
 _TIE: Final = "\N{NO-BREAK SPACE}"
 
@@ -40,9 +40,9 @@ def command(names: tuple[str, ...], everything: bool, as_json: bool) -> int:
     """Print what to state first to measure with METHOD; with --all, every setting.
 
     With a GROUP (plan, solver, topics, ...), every setting of that group; the unit stands before
-    the comma of the meaning. Without METHOD, of all methods. --json always has every setting, and
-    marks the first ones. docs/settings.md says the same: both are written from the declarations
-    that configurations are checked against.
+    the comma of the meaning. Without METHOD, those of all methods. --json always has every
+    setting, and marks the ones to state first. docs/settings.md has the same content: both come
+    from the declarations that configurations are checked against.
     """
     methods = plugins.names(plugins.METHODS)
     method = names[0] if names and names[0] in methods else ""
@@ -62,7 +62,7 @@ def command(names: tuple[str, ...], everything: bool, as_json: bool) -> int:
 def _sections(method: str, groups: Sequence[str]) -> tuple[Section, ...]:
     """Return ``groups``, or all groups where none is named, of a method or of all.
 
-    Raises ConfigurationError, with the nearest name, for one that is not known.
+    Raises ConfigurationError, with the nearest name, for an unknown one.
     """
     from rotcal_ros.foundation.errors import ConfigurationError
     from rotcal_ros.methods.settings_reference import all_sections, method_sections
@@ -79,7 +79,7 @@ def _sections(method: str, groups: Sequence[str]) -> tuple[Section, ...]:
 
 
 def _first_lines(method: str, width: int) -> Iterator[str]:
-    """Yield what to state first for a method, then what else there is."""
+    """Yield what to state first for a method, then what else can be set."""
     from rotcal_ros.methods.settings_reference import (
         first_settings,
         method_sections,

@@ -1,4 +1,4 @@
-"""``rotcal solve``: from a recorded bag or a plain table to the deviations, without ROS."""
+"""``rotcal solve``: solves a recorded bag or a plain table for the deviations, without ROS."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     type=click.Choice(["streams", "observations"]),
     default="streams",
     show_default=True,
-    help="Capture the raw streams again, or take the recorded observations.",
+    help="Capture the raw streams again, or use the recorded observations.",
 )
 @click.option("--namespace", default="", help="Cell to solve, when the bag holds several.")
 @click.option(
@@ -52,7 +52,9 @@ if TYPE_CHECKING:
     type=click.IntRange(min=1),
     help="Ball plate: evaluate every n-th step of the grid only.",
 )
-@click.option("-o", "--output", type=NamedFile(".json"), help="Write the result there, as JSON.")
+@click.option(
+    "-o", "--output", type=NamedFile(".json"), help="Write the result to this file, as JSON."
+)
 @json_option
 def command(
     source: Path,
@@ -69,10 +71,10 @@ def command(
     """Solve BAG (a folder, .mcap or .db3 file) or TABLE (text with commas, and --setup).
 
     The bag's raw streams go through the same capture and solver as in the live run, so the
-    result is the same to the last bit. A cut-off or damaged bag is read as far as it goes.
+    result is the same to the last bit. A cut-off or damaged bag is read as far as possible.
     --balls and --coarser may be given several times: the same data are then evaluated in all
-    combinations and compared with the first one. The exit code is 0 for the verdict ok and 1
-    for suspect or failed.
+    combinations and compared with the first. The exit code is 0 for the verdict ok and 1 for
+    suspect or failed.
     """
     from rotcal_ros.recordings.inputs import Input
 

@@ -1,4 +1,4 @@
-"""``rotcal uncertainty``: noise propagated by Monte Carlo, beside the solver's covariance."""
+"""``rotcal uncertainty``: propagates noise by Monte Carlo, to check the solver's covariance."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
     type=click.IntRange(min=2),
     default=100_000,
     show_default=True,
-    help="Most trials; they end sooner when all figures are stable.",
+    help="Largest number of trials; they end sooner when all figures are stable.",
 )
 @click.option(
     "--digits",
     type=click.IntRange(1, 4),
     default=2,
     show_default=True,
-    help="Significant digits of the standard uncertainty that have to be stable.",
+    help="Digits of the standard uncertainty that have to be stable.",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
 @click.option("--workers", type=click.IntRange(min=1), help="Processes; default: one per core.")
@@ -52,8 +52,8 @@ def command(
     """Propagate the stated noise through the solver by Monte Carlo, after JCGM 101.
 
     BAG, TABLE (with --setup): about what was measured. CONFIG (.yaml): about the plan's
-    nominal geometry, before anything is measured. Seed and number of trials alone decide the
-    figures, not the workers. The exit code is 1 when the trials contradict the solver's
+    nominal geometry, before anything is measured. The figures depend on seed and number of trials
+    alone, not on the workers. The exit code is 1 if the trials contradict the solver's
     uncertainty.
     """
     from rotcal_ros.evaluation.monte_carlo import propagated

@@ -15,7 +15,6 @@ from rotcal_ros.cli.console import (
     VERDICT_EXIT_CODES,
     json_option,
     path_type,
-    print_line,
     print_verdict,
 )
 from rotcal_ros.cli.options import configurations, installed
@@ -52,9 +51,11 @@ if TYPE_CHECKING:
 @click.option(
     "--accept-unverified",
     is_flag=True,
-    help="Write files although something about the controller is not verified.",
+    help="Write files even if something about the controller is not verified.",
 )
-@click.option("--again", is_flag=True, help="Add what is left to the table, and measure again.")
+@click.option(
+    "--again", is_flag=True, help="Add the remaining deviations to the table, and measure again."
+)
 @click.option("--keep-previous", is_flag=True, help="Move an existing output folder aside.")
 @click.option(
     "--resume", type=path_type, metavar="FOLDER", help="Go on with an interrupted verification."
@@ -77,15 +78,14 @@ def command(
     loaded: bool,
     as_json: bool,
 ) -> int:
-    """Measure the cell of CONFIG, give its control the table, and measure again.
+    """Measure the cell of CONFIG, load the table into its control, and measure again.
 
-    A simulated control gets the table by itself. The table of a real cell you load into its
-    control (the first --to, or the controller of its group bridge), and say that you have: on the
-    terminal, or later with --resume FOLDER --loaded.
-
-    OUTPUT is the first run and holds all that 'rotcal run' leaves; OUTPUT/after is the second
-    one, OUTPUT/verification.json has the figures. The exit code is 0 when no more is left than the
-    uncertainties explain. Ctrl-C cancels; --resume goes on, with the options as they were.
+    A simulated control gets the table by itself. For a real cell you load the table into its
+    control (the first --to, or the controller of its group bridge) and confirm it on the terminal,
+    or later with --resume FOLDER --loaded. OUTPUT is the first run and holds all that 'rotcal run'
+    leaves; OUTPUT/after is the second one, OUTPUT/verification.json has the figures. The exit code
+    is 0 if no more is left than the uncertainties explain. Ctrl-C cancels; --resume goes on with
+    the options as they were.
     """
     from rotcal_ros.sessions.verification import Request, begin, confirm_loaded
 
@@ -93,8 +93,8 @@ def command(
         raise click.UsageError("give a CONFIG, or --resume FOLDER")
     if loaded and resume is None:
         raise click.UsageError(
-            "--loaded goes with --resume FOLDER: before the first measurement "
-            "there is no table to load"
+            "--loaded needs --resume FOLDER: before the first measurement there is no table to "
+            "load"
         )
     if configuration is not None:
         folder = (output or Path("out") / configuration.stem).absolute()
@@ -111,8 +111,8 @@ def command(
 def _loaded(folder: Path, files: Sequence[Path]) -> bool:
     """Ask on the terminal whether the files are in the control."""
     say(
-        "load this table into the control, restart it or do what makes it active there, and let "
-        f"the axis find its reference: {', '.join(map(str, files))}"
+        "load this table into the control, make it active (by a restart, for instance), and "
+        "reference the axis again: {', '.join(map(str, files))}"
     )
     later = f"to go on when it is loaded: rotcal verify --resume {folder} --loaded"
     if sys.stdin.isatty():
@@ -124,11 +124,11 @@ def _loaded(folder: Path, files: Sequence[Path]) -> bool:
 
 
 def _verify(folder: Path, as_json: bool) -> int:
-    """Carry out what is left to do in ``folder``, print the outcome, return the exit code."""
+    """Do what is left to do in ``folder``, print the outcome, return the exit code."""
     from rotcal_ros.foundation.session_folder import VERIFICATION, SessionFolder
     from rotcal_ros.report.verification import verification_section
     from rotcal_ros.sessions.lasting_output import lasting_output
-    from rotcal_ros.sessions.products import goal_line, write_report
+    from rotcal_ros.sessions.products import goal_standing, write_report
     from rotcal_ros.sessions.verification import verify
 
     click.get_current_context().with_resource(lasting_output(folder / "verify.log"))
@@ -147,7 +147,8 @@ def _verify(folder: Path, as_json: bool) -> int:
         tell(f"verification:  {folder / VERIFICATION}")
         tell(f"report:        {session.report}")
         _print(verification)
-        print_line(goal_line(session))
+        if (standing := goal_standing(session)) is not None:
+            tell(standing.in_words())
     return VERDICT_EXIT_CODES[verification.verdict]
 
 
@@ -162,8 +163,8 @@ def _print(verification: Verification) -> None:
         )
     if verification.again is not None:
         click.echo(
-            f"measured E:    {verification.again.systematic / ARCSEC:.3f} arcsec after what was "
-            "left was added to the table"
+            f"measured E:    {verification.again.systematic / ARCSEC:.3f} arcsec after the rest "
+            "was added to the table"
         )
     if verification.effect is not None:
         click.echo(verification.fault or f"table acts:    {verification.effect.in_words()}")

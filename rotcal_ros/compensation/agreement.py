@@ -1,7 +1,7 @@
-"""Whether a table belongs to the machine that it is meant for: axis, serial number, age.
+"""Checks whether a table belongs to the machine that it is meant for: axis, serial number, age.
 
 ``rotcal export`` and the bridge use the same function. A table that contradicts is refused; a
-person may accept it all the same, by the word for the kind of contradiction.
+person may accept it nevertheless, by the word for that kind of contradiction.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ AXIS: Final = "axis"
 SERIAL: Final = "serial"
 AGE: Final = "age"
 CONFLICTS: Final = (AXIS, SERIAL, AGE)
-"""The words that accept a contradiction, one for each kind."""
+"""The words that accept contradictions, one for each kind."""
 LARGEST_AGE_DAYS: Final = 30.0
 """Largest age of a measurement unless the settings say otherwise: tables are remounted, and they
 wear."""
@@ -65,7 +65,7 @@ def agreeing(
 ) -> CompensationTable:
     """Return ``table`` for the ``machines`` if it belongs to all of them, see :func:`require`.
 
-    ``made_ns`` is when the table was made, which counts where the measurement's time is not known.
+    ``made_ns`` is when the table was made, which counts if the time of measurement is not known.
     A contradiction that is accepted becomes a warning, and so does an unknown age; the axis
     becomes that of the machines.
     """
@@ -88,9 +88,9 @@ def require(
     """Return in words the accepted contradictions between ``measured`` and ``machines``.
 
     The keys of ``machines`` are names for people. The measurement was made at ``made_ns`` (since
-    1970; 0: not known, which is reported too, since an unknown age must not pass for a young one)
-    and must not be older at ``now_ns`` than accepted. Raises DataError with every contradiction
-    that is not accepted, and its word.
+    1970; 0: not known, which is reported too, since an unknown age must not count as young) and
+    must not be older at ``now_ns`` than accepted. Raises DataError with every contradiction that
+    is not accepted, and its word.
     """
     found = _contradictions(measured, machines)
     limit = f"at most {accepted.largest_age_days:g} are accepted (--max-age, bridge.max_age_days)"
@@ -102,7 +102,7 @@ def require(
         words = " ".join(f"--accept {word}" for word in refused)
         raise DataError(
             f"{'; '.join(text for word in refused for text in found[word])}: the table does not "
-            f"belong here. If it is meant to be used all the same, say so: {words} "
+            f"belong here. To use it nevertheless, say so: {words} "
             f"(bridge.accept: [{', '.join(refused)}]); nothing was written"
         )
     undated = () if made_ns else (f"it is not known how many days ago this was measured, {limit}",)
@@ -133,5 +133,5 @@ def _contradictions(
 
 
 def words_of(texts: Iterable[str]) -> tuple[str, ...]:
-    """Return the words of several options, of which each may hold more than one."""
+    """Return the words of several options, each of which may hold more than one."""
     return tuple(word for text in texts for word in text.replace(",", " ").split())

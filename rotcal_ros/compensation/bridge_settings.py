@@ -28,7 +28,7 @@ STORES: Final = {
 class BridgeSettings:
     """Which controller gets tables, in which form, and how far they may change it.
 
-    Behind these settings each transport has a group of its own, under its name.
+    After these settings each transport has a group of its own, under its name.
     Raises ConfigurationError for options that the controller does not take.
     """
 
@@ -47,7 +47,7 @@ class BridgeSettings:
         None, doc="deg, angle at which the correction is zero; none: that of the table"
     )
     output_folder: str = setting(
-        "", doc="folder that takes the files of every table; empty: no files are written"
+        "", doc="folder for the files of every table; empty: no files are written"
     )
     transport: str = setting(
         FOLDER, doc="how the controller's table is reached", choices=(FOLDER, *STORES)
@@ -81,7 +81,7 @@ class BridgeSettings:
     )
     combine: str = setting(
         "as_measured",
-        doc="whether a table replaces the one in force or adds to it, where it is not known which "
+        doc="whether a table replaces the one in force or adds to it, if it is not known which "
         "one was in force during the measurement",
         choices=("as_measured", "replace", "add"),
     )
@@ -118,7 +118,7 @@ class BridgeSettings:
 
     @property
     def accepted(self) -> Accepted:
-        """What a person accepts; ConfigurationError for a word that accepts nothing."""
+        """What a person accepts; ConfigurationError for a word without a meaning."""
         return Accepted(self.accept, self.max_age_days)
 
     @property

@@ -1,9 +1,9 @@
-"""A table on top of another: both corrections as one, and which combinations make sense.
+"""A table on top of another: both corrections as one, and the combinations that make sense.
 
-A measurement made while a table is in force gives what this table leaves. The control with its
-table is then the axis that was measured: a further correction n(x) moves the command from x to
-x + n(x), and there the table in force adds its own, t(x + n(x)). So the sum of both is
-n(x) + t(x + n(x)): the further one at the command, the one in force at the corrected command.
+A measurement made while a table is in force shows what this table leaves over. The control with
+its table is then the axis that was measured: a further correction n(x) moves the command from x to
+x + n(x), and there the table in force adds its own, t(x + n(x)). So the sum is n(x) + t(x + n(x)):
+the further one at the command, the one in force at the corrected command.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Combination = Literal["as_measured", "replace", "add"]
 one in force left."""
 NEAR: Final = 0.25
 """Rows of the table in force that are nearer to a measured angle than this part of its widest gap
-are left out: the noise of rows so close together would bend the curve."""
+are left out: noise would bend the curve between rows so close together."""
 
 
 def combined(
@@ -43,7 +43,7 @@ def combined(
     in_force: Callable[[], HeldTable | None],
     word: Combination = "as_measured",
 ) -> CompensationTable:
-    """Return the table that ``table``, a measurement, becomes for a controller.
+    """Return the table that a controller gets for ``table``, which was measured.
 
     ``in_force`` returns the table that it may be added to, None where there is none. A table that
     was measured with none in force replaces; one that was measured on top of another is added to
@@ -80,7 +80,7 @@ def combined(
 
 
 def _refuse_word(table: CompensationTable, word: Combination) -> None:
-    """Raise DataError where the ``word`` does not fit what is known, or is missing."""
+    """Raise DataError if the ``word`` does not fit what is known, or is missing."""
     if table.adds_to:
         raise DataError(f"the table contains the table {table.adds_to[:12]} already")
     if table.measured_on == UNKNOWN and word == "as_measured":
@@ -100,12 +100,12 @@ def _refuse_word(table: CompensationTable, word: Combination) -> None:
 
 
 def added(table: CompensationTable, held: HeldTable) -> CompensationTable:
-    """Return the correction of ``table``, measured on top of ``held``, and of ``held`` in one.
+    """Return the corrections of ``table``, measured on top of ``held``, and of ``held`` in one.
 
-    It is zero where that of ``held`` is. The numbers in a controller are known exactly, so the
-    uncertainty is that of ``table``, times the slope 1 + t'. It has a row at every angle that was
-    measured and at the rows of ``held`` between them. Raises DataError when one of them covers the
-    full circle and the other an arc, or an arc does not cover the rows.
+    The sum is zero where that of ``held`` is. The numbers in a controller are known exactly, so
+    the uncertainty is that of ``table``, times the slope 1 + t'. It has a row at every angle that
+    was measured and at the rows of ``held`` between them. Raises DataError when one of them covers
+    the full circle and the other an arc, or an arc does not cover the rows.
     """
     if table.closed != (held.period > 0.0):
         whole, part = ("table", "one in force") if table.closed else ("one in force", "table")
@@ -152,7 +152,7 @@ def _with_zero(table: CompensationTable, reference: float) -> CompensationTable:
 
 
 def _rows(table: CompensationTable, held: HeldTable) -> Floats:
-    """Return the angles of ``table`` and those of ``held`` that are not near to any of them."""
+    """Return the angles of ``table``, and those of ``held`` that are not near any of them."""
     apart = np.abs(held.angles[:, None] - table.angles[None, :])
     if table.closed:
         apart = np.minimum(apart, table.period - apart)

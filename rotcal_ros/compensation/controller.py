@@ -1,8 +1,8 @@
-"""What a kind of controller brings: settings, a writer, a reader, and the control's own rule.
+"""What a kind of controller provides: settings, a writer, a reader, and the control's own rule.
 
 A controller is a frozen dataclass whose fields are the settings of one machine. Its reader reads
-back what its writer wrote, and the rule shows what the real control would do with it: this proves
-a file before it counts as written. How to add one: ``docs/compensation.md``.
+back what its writer wrote, and the rule shows what the real control would do with it: this
+verifies a file before it counts as written. How to add one: ``docs/compensation.md``.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rotcal_ros.foundation.curves.interpolation import TURN
 from rotcal_ros.foundation.observations import Approach
 
 EVERY_TURN: Final = (-TURN, 2.0 * TURN)
-"""Travel (rad) over which a control that wraps by itself is proven."""
+"""Travel (rad) over which a control that wraps by itself is verified."""
 
 
 @dataclass(frozen=True)
@@ -35,10 +35,10 @@ class Facts:
 
 @dataclass(frozen=True)
 class Lag:
-    """What a control leaves because its correction does not follow the table at once, rad.
+    """What a control leaves over because its correction does not follow the table at once, rad.
 
     ``bound`` limits what remains when the axis has come to rest, ``simulated`` is what the
-    control's rule leaves of it, ``notes`` say in words what to know.
+    control's rule leaves of it, ``notes`` are warnings for people.
     """
 
     bound: float = 0.0
@@ -58,8 +58,8 @@ class Controller(ABC):
     """One kind of controller; a subclass declares its settings, all of them with a default.
 
     ``position_resolution`` (rad) is the step of the positions in a file, ``staircase`` tells that
-    the control does not interpolate between them. ``suffixes`` are what the names of its files end
-    with; without them files that were copied by hand are not recognised before the first change.
+    the control does not interpolate between them. ``suffixes`` are the endings of the names of its
+    files; without them files that were copied by hand are not recognised before the first change.
     """
 
     facts: ClassVar[Facts]
@@ -77,22 +77,22 @@ class Controller(ABC):
 
     @abstractmethod
     def read(self, files: Mapping[str, str]) -> Rule:
-        """Return what the control makes of ``files``; BagError when they are damaged."""
+        """Return what the control makes of ``files``; BagError if they are damaged."""
 
     @abstractmethod
     def resolution(self, table: CompensationTable) -> float:
         """Return the step (rad) of the values in the files of ``table``."""
 
     def marked(self, files: Mapping[str, str], text: str) -> dict[str, str]:
-        """Return ``files`` with the line ``text`` as a comment, where their form has comments.
+        """Return ``files`` with the line ``text`` as a comment, if their form has comments.
 
-        What is read from them stays the same.
+        Reading them gives the same as before.
         """
         del text
         return dict(files)
 
     def for_axis(self, axis: str) -> Controller:
-        """Return the controller with what the machine's own files say about ``axis``.
+        """Return the controller with the values for ``axis`` from the machine's own files.
 
         Raises ConfigurationError when they contradict the settings.
         """
@@ -108,9 +108,9 @@ class Controller(ABC):
         return Lag()
 
     def not_in_use(self, axis: str, files: Mapping[str, str], folder: Path) -> tuple[str, ...]:
-        """Return in words why the machine would not use ``files`` in ``folder`` as they are meant.
+        """Return in words why the machine would not use ``files`` in ``folder`` as intended.
 
-        Empty also where the settings do not name the machine's own files.
+        Empty also if the settings do not name the machine's own files.
         """
         del axis, files, folder
         return ()
@@ -132,7 +132,7 @@ class Controller(ABC):
 
     @property
     def unverified(self) -> tuple[str, ...]:
-        """What has not been confirmed yet on a real control."""
+        """What has not yet been confirmed on a real control."""
         return ()
 
     @property

@@ -30,7 +30,7 @@ def columns_deg(table: CompensationTable) -> tuple[Floats, Floats, Floats]:
     if table.closed:
         if abs(angles[0]) > SAME_ANGLE:
             raise ConfigurationError(
-                f"the first row of the table stands at {angles[0] / DEGREE:.6g} deg and a "
+                f"the first row of the table is at {angles[0] / DEGREE:.6g} deg and a "
                 "controller's table starts at 0: give a spacing"
             )
         angles = np.append(angles, TURN)
@@ -50,7 +50,7 @@ def fixed(value: float, decimals: int) -> str:
 
 
 def with_line(files: Mapping[str, str], suffix: str, place: int, line: str) -> dict[str, str]:
-    """Return ``files`` with one ``line`` more at ``place`` in those that end with ``suffix``."""
+    """Return ``files`` with a further ``line`` at ``place`` in those that end with ``suffix``."""
     texts = dict(files)
     for name in (name for name in files if name.endswith(suffix)):
         lines = files[name].splitlines(keepends=True)
@@ -74,7 +74,7 @@ def require_circle(table: CompensationTable, title: str) -> None:
     if not table.closed:
         first, last = table.angles[[0, -1]] / DEGREE
         raise ConfigurationError(
-            f"{title} takes the table of a whole turn and this one covers only {first:.6g} .. "
+            f"{title} takes a table of a whole turn, and this one covers only {first:.6g} .. "
             f"{last:.6g} deg: measure the full circle, or use linuxcnc or csv, which take an arc"
         )
 

@@ -1,8 +1,8 @@
-"""Where a controller keeps its table: a few named files, behind one protocol.
+"""Where a controller keeps its table: a few named files, accessed through one protocol.
 
 The files are in a folder, often on another machine, or behind a link to the controller, whose
 records (lock, journal, old tables) are then in a folder of this machine. Either may stop answering
-at any moment, and a call then blocks for ever: every access happens in a thread of its own, for a
+at any moment, and a call then blocks forever: every access happens in a thread of its own, for a
 limited time.
 """
 
@@ -32,11 +32,11 @@ from rotcal_ros.foundation.untrusted import read_bytes, read_text
 T = TypeVar("T")
 
 ENCODING: Final = "latin-1"
-"""Decodes every byte, so that a foreign file is kept and put back as it was."""
+"""An encoding for any byte, so that a foreign file is kept and put back as it was."""
 
 
 class ControllerStore(Protocol):
-    """The files of one controller. Every method raises ControllerError when it cannot be done."""
+    """The files of one controller. Every method raises ControllerError if it fails."""
 
     def lock(self) -> None:
         """Take the sole right to feed this controller, until :meth:`close` or the process ends."""
@@ -45,13 +45,13 @@ class ControllerStore(Protocol):
         """Let others feed the controller."""
 
     def busy(self) -> str | None:
-        """Return what the machine is doing; None when it rests or cannot be asked."""
+        """Return what the machine is doing; None if it rests or cannot be asked."""
 
     def read(self, names: Iterable[str]) -> dict[str, str]:
         """Return those of the files that exist."""
 
     def write(self, files: Mapping[str, str | None]) -> None:
-        """Replace the files, each of them whole; None takes a file away."""
+        """Replace the files, each as a whole; None removes a file."""
 
     def address(self, name: str) -> str:
         """Return the path or address of a file, for people."""
@@ -65,7 +65,7 @@ an access may take, and the controller."""
 def answered(action: Callable[[], T], timeout_s: float, place: str, what: str) -> T:
     """Return what ``action`` returns; ControllerError when it fails or takes too long.
 
-    A call into a folder or a library on a network may block for ever: it gets a thread of its own.
+    A call into a folder or a library on a network may block forever: it gets a thread of its own.
     """
     answer: Future[T] = Future()
 
@@ -90,7 +90,7 @@ def answered(action: Callable[[], T], timeout_s: float, place: str, what: str) -
 
 
 STATE_FOLDER: Final = ".rotcal"
-"""Below the controller's folder: lock, journal, and the tables that were there before."""
+"""Folder below the controller's: lock, journal, and earlier tables."""
 LOCK: Final = "lock"
 OWNER: Final = "controller"
 """In the state folder: the address of the controller that the journal is about."""
@@ -121,7 +121,7 @@ class ControllerFolder:
             self._lock = self._answered(self._take_lock, "lock")
 
     def busy(self) -> None:
-        """Return None: a folder does not know what the machine is doing."""
+        """Return None: a folder does not show what the machine is doing."""
 
     def close(self) -> None:
         """Let others feed the controller."""
@@ -135,7 +135,7 @@ class ControllerFolder:
         return self._answered(lambda: self._read(wanted), "read")
 
     def write(self, files: Mapping[str, str | None]) -> None:
-        """Replace the files, each of them whole; None takes a file away."""
+        """Replace the files, each as a whole; None removes a file."""
         for name in files:
             check_file_name(name)
         self._answered(lambda: self._write(files), "write")
@@ -165,7 +165,7 @@ class ControllerFolder:
             owner = os.read(descriptor, 200).decode(errors="replace").strip() or "another process"
             os.close(descriptor)
             raise ControllerError(
-                f"the controller in {self.folder} is fed by {owner} already: one controller has "
+                f"the controller in {self.folder} is already fed by {owner}: one controller has "
                 "one bridge; end the other one"
             ) from None
         try:
@@ -217,16 +217,16 @@ class ControllerFolder:
 
 
 def _is_file(path: Path) -> bool:
-    """Return whether there is a file; ControllerError for what would not be replaced but lost.
+    """Return whether there is a plain file; ControllerError for what replacing destroys.
 
-    A link must remain one: a file in its place would cut the controller off from its target.
+    A link must remain a link: a file in its place would cut the controller off from its target.
     """
     try:
         status = path.lstat()
     except FileNotFoundError:
         return False
     if not stat.S_ISREG(status.st_mode):
-        kind = "a link" if stat.S_ISLNK(status.st_mode) else "no plain file"
+        kind = "a link" if stat.S_ISLNK(status.st_mode) else "not a plain file"
         raise ControllerError(
             f"{path} is {kind}: set controller_folder to the folder that holds the table itself; "
             "nothing was changed"

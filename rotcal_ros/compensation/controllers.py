@@ -1,4 +1,4 @@
-"""All controllers that are installed, by name, with settings as people write them."""
+"""All installed controllers, by name, with settings as people write them."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ def make_controller(
 ) -> Controller:
     """Return the controller ``name`` with the settings ``values``.
 
-    Raises ConfigurationError, with the place (``where``, else the name) and the nearest name,
-    for what it does not know or what is out of range.
+    Raises ConfigurationError, with the place (``where``, else the name) and the nearest name, for
+    settings that are unknown or out of range.
     """
     from rotcal_ros.compensation.controller import Controller  # settings are listed without
 
     found = plugins.load(plugins.CONTROLLERS, name, "controller")
     if not (isinstance(found, type) and issubclass(found, Controller)):
         raise ConfigurationError(
-            f"the controller {name!r} is {found!r}, no subclass of Controller"
+            f"the controller {name!r} is {found!r}, which is not a subclass of Controller"
         )
     return load(found, values, where or name)
 

@@ -31,10 +31,10 @@ def to_be_in_force(
 ) -> CompensationTable:
     """Return the table to be written for ``machine`` (its keys are names for people).
 
-    That is ``table`` itself, or ``table`` added to the one in the folder ``add_to``; all have to
+    It is ``table`` itself, or ``table`` added to the one in the folder ``add_to``; all have to
     belong to the same machine. ``replaces``: a person says that none was in force. Raises
-    DataError for what contradicts and is not ``accepted``, and where nothing says what was in
-    force; ConfigurationError where both are asked for.
+    DataError for a contradiction that is not ``accepted``, and if nothing says what was in force;
+    ConfigurationError if both options are given.
     """
     if replaces and add_to is not None:
         raise ConfigurationError(
@@ -62,9 +62,9 @@ def read_earlier(folder: Path, controller_name: str, axis: str) -> HeldTable:
             if (side["controller"], side["axis"]) == (controller_name, axis):
                 found[path.name] = (text, dict(side["settings"]), dict(side["files_sha256"]))
         except KeyError as error:
-            raise BagError(f"{path} is no side file of a table: no entry {error}") from error
+            raise BagError(f"{path} is not a side file of a table: no entry {error}") from error
         except (ValueError, TypeError) as error:
-            raise BagError(f"{path} is no side file of a table: {error}") from error
+            raise BagError(f"{path} is not a side file of a table: {error}") from error
     if len(found) != 1:
         raise ConfigurationError(
             f"{folder} holds {len(found)} tables of axis {axis} for {controller_name}, expected "
@@ -76,9 +76,9 @@ def read_earlier(folder: Path, controller_name: str, axis: str) -> HeldTable:
 
 
 def effect_in_force(result: Result, folder: Path) -> Effect | None:
-    """Return what ``result`` says of the table on which it was measured, whose files are there.
+    """Return what ``result`` says about the table in force, whose files are in ``folder``.
 
-    Raises ConfigurationError where ``folder`` does not hold this very table.
+    Raises ConfigurationError if ``folder`` does not hold this table.
     """
     pairs = {(side["controller"], side["axis"]) for side in map(_side, _sides(folder))}
     held = [read_earlier(folder, controller, axis) for controller, axis in sorted(pairs)]
@@ -97,16 +97,16 @@ def _sides(folder: Path) -> list[Path]:
 
 
 def _side(path: Path) -> dict[str, Any]:
-    """Return what a side file says; BagError when it is none."""
+    """Return the content of a side file; BagError if it is not one."""
     try:
         side = load_json(_text(path))
         if side["schema"] != SCHEMA:
             raise ValueError(f"its schema is {side['schema']!r:.20}, expected {SCHEMA}")
         return {**side, "controller": str(side["controller"]), "axis": str(side["axis"])}
     except KeyError as error:
-        raise BagError(f"{path} is no side file of a table: no entry {error}") from error
+        raise BagError(f"{path} is not a side file of a table: no entry {error}") from error
     except (ValueError, TypeError) as error:
-        raise BagError(f"{path} is no side file of a table: {error}") from error
+        raise BagError(f"{path} is not a side file of a table: {error}") from error
 
 
 def _checked(path: Path, sha256: str) -> str:

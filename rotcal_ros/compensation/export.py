@@ -1,6 +1,7 @@
-"""From a table to the texts of a controller's files, verified by the controller's own rule.
+"""Turns a table into the texts of a controller's files, verified by the controller's own rule.
 
-The verification shows how much of the deviation the controller's table removes, and what is left.
+The verification shows how much of the deviation the controller's table removes, and how much is
+left.
 """
 
 from __future__ import annotations
@@ -48,10 +49,10 @@ LAST_ANGLE_DEG: Final = "last_angle_deg"
 class ExportFiles:
     """Names and texts of all files of one export with the provenance, and the error they leave.
 
-    ``confirmation`` is the SHA-256 over all that was decided: every file, the table that it
-    comes from, the controller with its settings, and what is left. It is the same whenever the
-    same is exported again, and stands in the provenance too.
-    ``controller`` has what the machine's own files say, where the settings name them.
+    ``confirmation`` is the SHA-256 over every file, the table that it comes from, the controller
+    with its settings, and what is left. It is the same for each repetition of an export, and is in
+    the provenance too. ``controller`` has the values from the machine's own files, if the settings
+    name them.
     """
 
     files: Mapping[str, str]
@@ -90,17 +91,16 @@ def prepare_export(
     accept_unverified: bool = False,
     sources: Mapping[str, str] | None = None,
 ) -> ExportFiles:
-    """Return the files for ``controller_name``, after they were read back and simulated.
+    """Return the files for ``controller_name``, after reading them back and simulating it.
 
     ``axis`` is the axis they are meant for (refused when the table is another's), ``spacing``
     and ``reference_angle`` are radians (without a spacing see :func:`chosen_rows`),
     ``settings`` go to the controller, ``stem`` is the file
     name without extension (else axis and controller, and that of a simulation says so),
-    ``sources`` maps what the numbers come from (a bag, a result) to its SHA-256. What has not
-    been verified about a controller is refused unless ``accept_unverified``.
-
-    Raises DataError for a verdict other than "ok" or a file that would make things worse, and
-    ConfigurationError for limits, names and settings. Writes nothing.
+    ``sources`` maps what the numbers come from (a bag, a result) to its SHA-256. Unverified facts
+    about a controller are refused unless ``accept_unverified``. Raises DataError for a verdict
+    other than "ok" or a file that would make things worse, and ConfigurationError for limits,
+    names and settings. Writes nothing.
     """
     controller = make_controller(controller_name, settings).for_axis(table.axis)
     _refuse(table, controller, axis, accept_unverified=accept_unverified)
@@ -183,7 +183,7 @@ def standing(table: CompensationTable) -> str:
 
 
 def _refuse_harm(residual: ResidualBudget, lag: Lag, title: str) -> None:
-    """Refuse a file that leaves more than it promised, or more than there was."""
+    """Refuse a file that leaves more than promised, or more than there was before."""
     if residual.simulated > residual.stated * (1.0 + 1e-9) + 1e-14:
         raise DataError(
             f"{title}: read back and applied by the control's rule, the file leaves "
@@ -215,14 +215,14 @@ def _too_wide(
     residual: ResidualBudget,
     spacing: float | None,
 ) -> tuple[str, ...]:
-    """Return in words that the rows are too far apart, and what to do about the ``spacing``."""
+    """Return in words that the rows are too far apart, and what ``spacing`` helps."""
     if residual.interpolation <= demanded(table):
         return ()
     widest = float(np.max(gaps_of(rows.angles, rows.period))) / DEGREE
-    cure = "the controller takes no rows that leave less"
+    cure = "no rows that the controller takes leave less"
     if spacing is not None:
         cure = (
-            "leave the spacing out, and the widest good rows that the controller takes are chosen"
+            "leave out the spacing: then the widest good rows that the controller takes are chosen"
         )
     return (
         f"between rows {widest:.6g} deg apart the control leaves up to "
@@ -291,7 +291,7 @@ def _left(residual: ResidualBudget, table: CompensationTable) -> dict[str, Any]:
 
 
 def _blind_to(table: CompensationTable) -> str:
-    """Return what the measured angles and directions cannot show, in words."""
+    """Return in words what the measured angles and directions cannot show."""
     widest = table.widest_gap or float(np.max(gaps_of(table.angles, table.period)))
     orders = int(np.pi / widest + SAME_ANGLE)
     words = (
@@ -309,7 +309,7 @@ SPACINGS_DEG: Final = (
 """Distances of rows that divide a turn, the widest first."""
 NO_LAG = Lag()
 SAMPLING = 1.02
-"""A maximum over so fine a grid can miss the true one by less than this factor."""
+"""The maximum over so fine a grid is below the true one by less than this factor."""
 
 
 @dataclass(frozen=True)
@@ -321,7 +321,7 @@ class ResidualBudget:
     points, ``sampling`` bounds what that curve may miss between them, ``rounding`` comes from the
     digits or whole numbers of the file, ``direction`` from a control that has one column for both
     directions, ``second_order`` from looking the correction up at the commanded instead of the
-    true angle. ``following`` is what a control leaves whose correction does not follow its table
+    true angle. ``following`` is what remains if the control's correction does not follow its table
     at once. ``simulated`` is what the control's own rule leaves when it reads the written file;
     ``std`` the largest standard uncertainty (k = 1) of the correction, which no table removes.
     """
@@ -365,17 +365,17 @@ class ResidualBudget:
 def demanded(table: CompensationTable) -> float:
     """Return what the lines between the rows may leave, rad: a third of U (k = 2).
 
-    More would be seen in a measurement of the same kind. Infinite where U is not known.
+    A measurement of the same kind would see more. Infinite if U is not known.
     """
     return COVERAGE_FACTOR * table.largest_std * SHARE_OF_U or np.inf
 
 
 def chosen_rows(table: CompensationTable, controller: Controller) -> CompensationTable:
-    """Return ``table`` on the widest rows between which the control leaves what is demanded.
+    """Return ``table`` on the widest rows between which the control keeps the demand.
 
-    Its own rows come first. Where no rows that ``controller`` takes are narrow enough, those that
-    leave least are returned. Raises ConfigurationError, with the reason for its own rows, when the
-    controller takes none at all.
+    Its own rows are tried first. If no rows that ``controller`` takes are narrow enough, those
+    that leave least are returned. Raises ConfigurationError, with the reason for its own rows,
+    when the controller takes none at all.
     """
     best, least, refused = None, np.inf, None
     for spacing in (None, *(degrees * DEGREE for degrees in SPACINGS_DEG)):
@@ -423,8 +423,8 @@ def residual_budget(
 ) -> ResidualBudget:
     """Return what is left of the deviations in ``table`` when the control follows ``rule``.
 
-    ``table`` holds the measured rows (their smooth curve is taken for true), ``rows`` those that
-    ``controller`` wrote, ``rule`` is what it read in its files, ``lag`` what of it comes too late.
+    ``table`` holds the measured rows (their smooth curve counts as true), ``rows`` those that
+    ``controller`` wrote, ``rule`` is what it read from its files, ``lag`` what comes too late.
     """
     grid = _fine_grid(table, rows)
     needed = [Correction(table)(grid, approach) for approach in DIRECTIONS]

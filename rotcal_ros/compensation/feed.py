@@ -1,4 +1,4 @@
-"""Feeding a controller: a table that arrives is judged, and applied on confirmation only.
+"""Feeds a controller: a table that arrives is judged, and applied only after confirmation.
 
 Each change of its files is noted before and after and read back: the old table is kept, and there
 are never two halves. A machine that says it is at work is not fed.
@@ -53,7 +53,7 @@ from rotcal_ros.foundation.untrusted import load_json, read_bytes
 class Applied:
     """What was done: where the controller's files are, the old ones' folder, change in rad.
 
-    ``unfinished`` describes an earlier change that was begun and never finished, if there was one.
+    ``unfinished`` describes an earlier change that was never finished, if there was one.
     """
 
     files: tuple[str, ...]
@@ -67,7 +67,7 @@ class Feed:
 
     ``now_ns`` returns the time (ns since 1970). ``store`` replaces that of the settings.
     ``simulated``: the cell is simulated, so that its tables may be too. ``serial`` is the number
-    of the item in the cell, empty where it is not known, ``stated`` what its settings say is in
+    of the item in the cell, empty if it is not known, ``stated`` what its settings say is in
     force.
     """
 
@@ -116,18 +116,18 @@ class Feed:
         self.offer = None
 
     def refuse_simulated(self) -> None:
-        """Raise DataError where the offered table is simulated and the cell is real."""
+        """Raise DataError if the offered table is simulated and the cell is real."""
         if self.offer is not None and self.offer.table.simulated and not self._takes_simulated:
             raise DataError(
                 "the table is SIMULATED, no instrument measured it, and this is the bridge of a "
-                "real cell; bridge.accept_simulated accepts it all the same"
+                "real cell; bridge.accept_simulated accepts it nevertheless"
             )
 
     def in_force(self) -> str:
         """Return which table the controller holds: its hash, "none", or "unknown".
 
-        Without files it is "none" only where the journal says so too or, before the first change,
-        the settings; else "unknown". See :meth:`contradiction`.
+        Without files it is "none" only if the journal or, before the first change, the settings
+        say so too; else "unknown". See :meth:`contradiction`.
         """
         if not self.settings.controller_folder or self._journal.unfinished():
             return UNKNOWN
@@ -160,7 +160,7 @@ class Feed:
         return history[-1][1] if history else ""
 
     def open(self) -> str | None:
-        """Become the only one who feeds the controller; return the change left unfinished."""
+        """Take the sole right to feed the controller; return an unfinished change."""
         self._refuse_no_controller()
         self._store.lock()
         return self.unfinished()
@@ -168,8 +168,8 @@ class Feed:
     def apply(self, confirmation: str) -> Applied:
         """Give the table to the controller; ``confirmation`` is the hash over files and options.
 
-        Keeps the old table, writes, reads back and compares. When the controller holds
-        anything else afterwards the old table is put back and ControllerError raised.
+        Keeps the old table, writes, reads back and compares. If the controller holds anything else
+        afterwards, the old table is put back and ControllerError raised.
         """
         offer = self._confirmed(confirmation)
         self.refuse_simulated()
@@ -188,11 +188,11 @@ class Feed:
         )
 
     def restore(self, kept_hash: str, max_change_arcsec: float = 0.0) -> Applied:
-        """Put back what the controller held when its files had this hash, and keep what it holds.
+        """Put back what the controller held when its files had this hash; keep what it holds now.
 
-        ``max_change_arcsec`` replaces the limit of the settings this once; 0: it does not. Where
-        what is there now cannot be read, the change is not known: then only a change that was
-        never finished is undone, unless a limit was given.
+        ``max_change_arcsec`` replaces the limit of the settings this once; 0: it does not. If the
+        present table cannot be read, the change is not known: then only an unfinished change is
+        undone, unless a limit was given.
         """
         unfinished = self.open()
         entry = self._to_restore(kept_hash)
@@ -204,8 +204,8 @@ class Feed:
             change = float("nan")
             if not max_change_arcsec and entry != self._journal.unfinished():
                 raise ControllerError(
-                    f"{error}; to restore all the same give max_change_arcsec, the largest change "
-                    "that you accept"
+                    f"{error}; to restore nevertheless, give max_change_arcsec, the largest "
+                    "change that you accept"
                 ) from error
         else:
             self._refuse_large(change, max_change_arcsec or self.settings.max_change_arcsec)
@@ -219,7 +219,7 @@ class Feed:
         return None if entry is None else entry.before_hash
 
     def unfinished(self) -> str | None:
-        """Return in words the change that was begun and never ended, if there is one."""
+        """Return in words the change that was never finished, if there is one."""
         entry = self._journal.unfinished()
         if entry is None:
             return None
@@ -232,7 +232,7 @@ class Feed:
         )
         return (
             f"{what}, begun at {utc(entry.time_ns)}, was never finished: the "
-            f"controller holds {found or 'neither the old nor the new files whole'}; restore "
+            f"controller holds {found or 'neither all old nor all new files'}; restore "
             f"{entry.before_hash} before the axis moves"
         )
 
@@ -260,7 +260,7 @@ class Feed:
             return entry
         undo = self.next_restore()
         if undo is None:
-            raise DataError("no table was applied here, so that none can be taken back")
+            raise DataError("no table was applied here, so none can be taken back")
         raise DataError(
             f"nothing with the hash {kept_hash or 'none'} was kept; the last change is undone by "
             f"{undo}. {self.unfinished() or ''}".rstrip()
@@ -287,7 +287,7 @@ class Feed:
             )
 
     def _refuse_journal(self, table: CompensationTable, stamp_ns: int, word: Combination) -> None:
-        """Refuse a table when the journal contradicts what it says was in force.
+        """Refuse a table if the journal contradicts its statement on the table in force.
 
         A table in force that the journal does not know may have been copied there by hand.
         """
@@ -309,8 +309,8 @@ class Feed:
         raise DataError(
             f"{claim}, but according to the journal of this bridge the controller held "
             f"{f'the table {held[:12]}' if known_hash(held) else 'no table'} then (since "
-            f"{utc(since_ns)}): the measurement is not what it is said to be, and used as such "
-            "it would spoil the correction. Measure again, and let this bridge announce what is "
+            f"{utc(since_ns)}): so the statement about the measurement is wrong, and would spoil "
+            "the correction. Measure again, and let this bridge announce what is "
             "in force (leave cell.table_in_force out)"
         )
 
@@ -321,12 +321,12 @@ class Feed:
         now_ns: int,
         held: MachineIdentity = NO_MACHINE,
     ) -> CompensationTable:
-        """Return ``table`` if it belongs to this cell, and to what the table in force is for."""
+        """Return ``table`` if it belongs to this cell and to the machine of the one in force."""
         machines = {"this cell": self._cell, "the table in force": held}
         return agreeing(table, machines, self.settings.accepted, now_ns, stamp_ns)
 
     def _refuse_unused(self, offer: TableOffer) -> None:
-        """Refuse a table that the machine's own files would ignore, or read in another way."""
+        """Refuse a table that the machine's own files would ignore, or read differently."""
         controller = self._controller.for_axis(self.axis)
         files = of_the_controller(offer.files)
         if wrong := controller.not_in_use(self.axis, files, Path(self.settings.controller_folder)):
@@ -343,12 +343,12 @@ class Feed:
             )
 
     def _present(self) -> dict[str, str]:
-        """Return the files that the controller holds, our side file among them."""
+        """Return the files that the controller holds, including our side file."""
         names = self._journal.names() or self._usual_names()
         return self._store.read(dict.fromkeys(names, ""))
 
     def _usual_names(self) -> tuple[str, ...]:
-        """Return how our files for this controller are named, before there is a journal."""
+        """Return the names of our files for this controller, before there is a journal."""
         stem, suffixes = (
             default_stem(self.axis, self.settings.controller),
             self._controller.suffixes,
@@ -356,7 +356,7 @@ class Feed:
         return tuple(stem + suffix for suffix in (*suffixes, PROVENANCE)) if suffixes else ()
 
     def _held(self) -> HeldTable | None:
-        """Return the table in force, None where there is none."""
+        """Return the table in force, None if there is none."""
         if not self.settings.controller_folder or self.in_force() in (NONE, UNKNOWN):
             return None
         return held_table(self._controller, self._present())
@@ -395,11 +395,11 @@ GRID_STEP: Final = 0.25 * DEGREE
 def largest_change(
     controller: Controller, old: Mapping[str, str], new: Mapping[str, str], *rows: Floats
 ) -> float:
-    """Return the largest difference (rad) of what the controller makes of both.
+    """Return the largest difference (rad) between what the controller makes of both.
 
     Both directions are compared over the whole travel, over the span of both tables, which may lie
-    outside of it, and at further angles ``rows`` (rad). Raises ControllerError when files cannot
-    be read.
+    outside it, and at further angles ``rows`` (rad). Raises ControllerError when files cannot be
+    read.
     """
     first, last = controller.travel
     count = round((last - first) / GRID_STEP) + 1
@@ -436,8 +436,8 @@ def _correction(
         rule = controller.read(tables)
     except RotcalError as error:
         raise ControllerError(
-            f"the table that the controller holds cannot be read, so that the change is not "
-            f"known ({error}): look at it and move it away by hand; nothing was changed"
+            "the table that the controller holds cannot be read, so the change is not known "
+            f"({error}): look at the table and move it away by hand; nothing was changed"
         ) from error
     return rule.correction(grid, approach)
 
@@ -445,9 +445,9 @@ def _correction(
 def ask_busy(command: Sequence[str], timeout_s: float) -> str | None:
     """Return what the machine is doing in words; None when it rests or cannot be asked.
 
-    ``command`` ends with exit code 0 when the machine rests, and with 1 and a line that says why
-    when it does not; an empty command: the machine cannot be asked. Raises ControllerError when
-    there is no answer within ``timeout_s``, or another exit code: an unknown state is not rest.
+    ``command`` ends with exit code 0 if the machine rests, else with 1 and a line that says why;
+    an empty command: the machine cannot be asked. Raises ControllerError if there is no answer
+    within ``timeout_s``, or another exit code: an unknown state is not rest.
     """
     if not command:
         return None
@@ -490,9 +490,8 @@ class Exchange:
         now_ns = self.now_ns()
         if now_ns < self.journal.last_ns():
             raise ControllerError(
-                "the clock is behind the last change in the journal, so that tables measured "
-                "before and after this change could not be told apart: set the clock; nothing was "
-                "changed"
+                "the clock is behind the last change in the journal, so tables measured before "
+                "and after it could not be told apart: set the clock; nothing was changed"
             )
         kept = self.journal.keep(before, now_ns)
         hashes = contents_hash(before), contents_hash(wanted)
@@ -507,7 +506,7 @@ class Exchange:
         return entry
 
     def _put_back(self, before: Contents, entry: Entry, error: ControllerError) -> str:
-        """Bring back what was there before, and return in words what had to be done."""
+        """Put back what was there before, and return in words what had to be done."""
         try:
             found = self.store.read(before)
             self._write(found, before)
@@ -523,7 +522,7 @@ class Exchange:
             ) from second
 
     def _end(self, entry: Entry, action: Action, contents: Contents) -> None:
-        """Note how a change ended, and what the controller holds since."""
+        """Note how a change ended, and what the controller holds from then on."""
         in_force = in_force_of(texts_of(contents))
         self.journal.note(replace(entry, action=action, time_ns=self.now_ns(), in_force=in_force))
 
@@ -540,12 +539,11 @@ class Exchange:
 
 
 def write_steps(held: Mapping[str, str], wanted: Contents) -> list[dict[str, str | None]]:
-    """Return what has to be written, one after the other, to get from ``held`` to ``wanted``.
+    """Return the steps of writing that lead from ``held`` to ``wanted``.
 
-    The first of the ``wanted`` files is the table, those after it say how it is read. A table
-    alone is replaced in one step. When one of the others changes, the table is removed meanwhile:
-    a crash between two steps leaves no table, and never rows that are read by the rule of another
-    table.
+    The first of the ``wanted`` files is the table, the others say how it is read. A table alone is
+    replaced in one step. If one of the others changes, the table is removed meanwhile: a crash
+    between two steps leaves no table, and never rows that are read by the rule of another table.
     """
     changed = {name: text for name, text in wanted.items() if held.get(name) != text}
     table = next(iter(wanted))
@@ -561,7 +559,7 @@ def write_steps(held: Mapping[str, str], wanted: Contents) -> list[dict[str, str
 
 
 MAX_STD_RATIO: Final = 3.0
-"""Ratio of standard uncertainty and largest correction above which a table is refused."""
+"""Above this ratio of standard uncertainty to largest correction a table is refused."""
 MAX_AHEAD_NS: Final = 1_000_000_000
 """The clock of the solver may be ahead of ours by this much."""
 
@@ -570,7 +568,7 @@ MAX_AHEAD_NS: Final = 1_000_000_000
 class TableOffer:
     """A table, made at ``stamp_ns``, and the files that it becomes when it is applied.
 
-    ``paths`` are those for people, empty where none are written. ``files`` are their texts.
+    ``paths`` are those for people, empty if none are written. ``files`` are their texts.
     """
 
     table: CompensationTable
@@ -589,8 +587,8 @@ class TableOffer:
         for path in self.paths:
             if _text(path) != self.files[path.name]:
                 raise DataError(
-                    f"{path} was changed since it was written, so that what was looked at is not "
-                    "what would be applied: take the folder away and publish the table again"
+                    f"{path} was changed since it was written, so the file seen is not the file "
+                    "that would be applied: remove the folder and publish the table again"
                 )
 
 
@@ -599,9 +597,9 @@ def make_offer(
 ) -> TableOffer:
     """Check ``table`` against the configuration, and write its files for people.
 
-    They go into a folder of their own, named after their hash; one that holds exactly these
-    files already is used again. Raises RotcalError when the table cannot be fed to this
-    controller, or the folder holds anything else.
+    They go into a folder of their own, named after their hash; one that already holds exactly
+    these files is used again. Raises RotcalError if the table cannot be fed to this controller, or
+    the folder holds anything else.
     """
     _refuse_unbelievable(table, stamp_ns, now_ns)
     reference = settings.reference_deg
@@ -639,7 +637,7 @@ def _refuse_unbelievable(table: CompensationTable, stamp_ns: int, now_ns: int) -
         raise DataError(
             f"the table's largest standard uncertainty, {std / ARCSEC:.4g} arcsec, is more than "
             f"{MAX_STD_RATIO:g} times its largest correction, {largest / ARCSEC:.4g} arcsec: "
-            "there is nothing to gain from it"
+            "it would gain nothing"
         )
 
 
@@ -651,7 +649,7 @@ def _looked_at(folder: Path, files: Mapping[str, str]) -> dict[str, str]:
     if wrong:
         raise DataError(
             f"{folder} does not hold exactly the files of this table "
-            f"({', '.join(sorted(wrong))}): take the folder away and publish the table again"
+            f"({', '.join(sorted(wrong))}): remove the folder and publish the table again"
         )
     return {name: texts[name] for name in files}
 

@@ -39,7 +39,7 @@ class HeldTable:
 
     ``in_force`` is the hash of the files. ``angles`` (n,), ``period`` and ``reference_angle``
     (rad) are as in a :class:`CompensationTable`; ``first`` (rad) is where the travel begins.
-    ``machine`` is what it was made for.
+    ``machine`` is the machine it was made for.
     """
 
     in_force: str
@@ -51,7 +51,7 @@ class HeldTable:
     machine: MachineIdentity = NO_MACHINE
 
     def correction(self, angle: Floats, approach: Approach) -> Floats:
-        """Return the correction (rad) at ``angle`` (rad), that of a circle in the first turn."""
+        """Return the correction (rad) at ``angle`` (rad), for a circle in the first turn."""
         if self.period:
             angle = self.first + np.mod(angle, self.period)
         return self.rule.correction(angle, approach)
@@ -99,7 +99,7 @@ def held_table(controller: Controller, files: Mapping[str, str]) -> HeldTable:
 
 
 def machine_of(files: Mapping[str, str]) -> MachineIdentity:
-    """Return what ``files`` were made for, as far as the side file among them says it."""
+    """Return the machine that ``files`` were made for, by the side file among them."""
     try:
         side = load_json(_side(files))
         axis, serial = (side.get(name, "") for name in ("axis", "serial"))

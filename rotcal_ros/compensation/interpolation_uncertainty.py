@@ -28,7 +28,7 @@ POINTS: Final = 8
 CERTAIN: Final = 4.0
 """Standard uncertainties that bound what was not measured."""
 GAP: Final = 1.5
-"""Times the median distance of the angles beyond which a distance is a gap."""
+"""A distance above this multiple of the median distance of the angles is a gap."""
 
 Weights = Callable[[DirectionalCurve, Floats], Floats]
 """For a curve and m angles (rad): the matrix (m, n) that a table applies to its n values."""
@@ -54,9 +54,9 @@ def without_gaps(
 def between_std(curve: DirectionalCurve, weights: Weights, reference: float) -> Floats:
     """Return the additional uncertainty inside each gap (n or n - 1,).
 
-    The largest standard uncertainty, rad, that comes on top of the largest at the measured angles:
-    what the covariance gains by interpolation, and the harmonics that the sampling cannot see.
-    The values are zero at ``reference`` (rad); the uncertainty of this zero is common to all.
+    It is the largest standard uncertainty, rad, on top of the largest at the measured angles: from
+    the covariance of interpolated values, and from harmonics that the sampling cannot see. The
+    values are zero at ``reference`` (rad); the uncertainty of this zero is common to all.
     """
     gaps = gaps_of(curve.angles, curve.period)
     at = curve.angles[: len(gaps), None] + gaps[:, None] * (np.arange(1, POINTS) / POINTS)
@@ -92,7 +92,7 @@ def _too_wide(curve: DirectionalCurve, gaps: Floats, std: Floats, wide: Bools) -
         f"nothing was measured between {first:.6g} and {first + gaps[worst] / DEGREE:.6g} deg, "
         f"and the curve (range {np.ptp(curve.stacked) / ARCSEC:.3g} arcsec) may differ there by "
         f"{CERTAIN * std[worst] / ARCSEC:.3g} arcsec from any line drawn across: measure angles "
-        "in between, or leave out what lies beyond the gap, so that the rest is an arc"
+        "in between, or leave out the angles beyond the gap, so that the rest is an arc"
     )
 
 

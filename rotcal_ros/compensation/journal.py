@@ -27,10 +27,10 @@ Contents = Mapping[str, str | None]
 class Entry:
     """One event at ``time_ns``; ``backup`` names the folder with what was there before.
 
-    ``before_hash`` and ``after_hash`` (:func:`contents_hash`) are what the controller held and
-    what it was to hold; ``table_hash`` is empty for contents that are not known to be a table of
-    rotcal. ``in_force`` is what the controller holds from then on, as :func:`in_force_of`; empty
-    while that is open.
+    ``before_hash`` and ``after_hash`` (:func:`contents_hash`) are the contents before the change
+    and the intended ones after it; ``table_hash`` is empty for contents that are not known to be a
+    table of rotcal. ``in_force`` is what the controller holds from then on, as
+    :func:`in_force_of`; empty while that is open.
     """
 
     action: Action
@@ -55,7 +55,7 @@ def texts_of(files: Contents) -> dict[str, str]:
 def _entry(data: Any) -> Entry:
     entry = record(Entry, data)
     if Path(entry.backup).name != entry.backup:
-        raise ValueError(f"the backup {entry.backup!r} is no folder beside the journal")
+        raise ValueError(f"the backup {entry.backup!r} is not a folder beside the journal")
     return entry
 
 
@@ -72,7 +72,7 @@ class Journal:
         self.folder = folder
 
     def entries(self) -> list[Entry]:
-        """Return all events; a last line that was cut off by a crash does not count."""
+        """Return all events; a last line that a crash cut off does not count."""
         path = self.folder / FILE
         if not path.exists():
             return []
@@ -81,8 +81,8 @@ class Journal:
             return [_entry(load_json(line)) for line in lines]
         except (OSError, ValueError) as error:
             raise ControllerError(
-                f"{path} is damaged: {why(error)}; what was applied last is not known, move the "
-                "file away after looking at the controller"
+                f"{path} is damaged: {why(error)}; the last applied table is not known; look at "
+                "the controller, then move the file away"
             ) from error
 
     def note(self, entry: Entry) -> None:
@@ -114,7 +114,10 @@ class Journal:
             ) from error
 
     def kept_before(self, entry: Entry) -> dict[str, str | None]:
-        """Return what was there before ``entry``; ControllerError when it was changed since."""
+        """Return the contents from before ``entry``.
+
+        ControllerError if they were changed since.
+        """
         files = self.kept(entry.backup)
         if entry.before_hash != contents_hash(files):
             raise ControllerError(
@@ -124,7 +127,7 @@ class Journal:
         return files
 
     def to_undo(self) -> Entry | None:
-        """Return the last change that was not undone, also one that a crash cut off."""
+        """Return the last change that was not undone, even one that a crash cut off."""
         stack: list[Entry] = []
         for entry in self.entries():
             if entry.action in BEGUN:
@@ -143,12 +146,12 @@ class Journal:
                 return
 
     def change_from(self, kept_hash: str) -> Entry | None:
-        """Return the last change before which the controller held what has this hash."""
+        """Return the last change before which the controller held the contents with this hash."""
         begun = (e for e in reversed(self.entries()) if e.action in BEGUN)
         return next((e for e in begun if e.before_hash == kept_hash), None)
 
     def unfinished(self) -> Entry | None:
-        """Return the change that was begun and whose end was never noted."""
+        """Return the change whose begin was noted, but not its end."""
         entries = self.entries()
         return entries[-1] if entries and entries[-1].action in BEGUN else None
 
@@ -158,11 +161,11 @@ class Journal:
         return tuple(self.kept(entries[-1].backup)) if entries else ()
 
     def history(self) -> list[tuple[int, str]]:
-        """Return since when (ns) the controller has held which table, as far as it was noted."""
+        """Return which tables the controller has held, and since when (ns), as far as noted."""
         return [(e.time_ns, e.in_force) for e in self.entries() if e.in_force]
 
     def held_while(self, from_ns: int, until_ns: int) -> tuple[tuple[int, str], ...]:
-        """Return since when (ns) which tables were held between two times, as far as was noted."""
+        """Return the tables held between two times, and since when (ns), as far as noted."""
         history = self.history()
         before = [event for event in history if event[0] <= from_ns]
         return (*before[-1:], *(event for event in history if from_ns < event[0] <= until_ns))
@@ -177,5 +180,5 @@ class Journal:
         return max((e.time_ns for e in self.entries()), default=0)
 
     def last_restore_ns(self) -> int:
-        """Return when a table was taken back last, 0 if never."""
+        """Return when a table was last taken back, 0 if never."""
         return max((e.time_ns for e in self.entries() if e.action == "restored"), default=0)

@@ -1,15 +1,15 @@
 """LinuxCNC: ``[JOINT_n] COMP_FILE``, read by usrmotLoadComp, applied by the motion controller.
 
 Lines ``nominal forward reverse`` in degrees. Type 0 holds the measured actual angle, type 1 the
-trim that is added to the motor command. The real program stops in silence at the first line
-that is not three numbers, takes 256 rows, and does not know that an axis is round: the rows
-are repeated for every turn of the travel. Source: LinuxCNC 2.9, src/emc/motion (usrmotintf.cc,
-command.c, control.c) and docs/src/config/ini-config.adoc.
+trim that is added to the motor command. The real program silently stops at the first line that is
+not three numbers, takes 256 rows, and does not know that an axis is round: the rows are repeated
+for every turn of the travel. Source: LinuxCNC 2.9, src/emc/motion (usrmotintf.cc, command.c,
+control.c) and docs/src/config/ini-config.adoc.
 
 The trim follows its table once in a servo period and has half of the joint's velocity and
-acceleration. At rest it makes a small change at once and ramps to a far one, and between the two
-lies a dead band in which it stands: from a quarter to half of MAX_ACCELERATION times the square of
-the servo period (compute_screw_comp in control.c).
+acceleration. At rest it makes a small change at once and ramps to a far one; between the two lies
+a dead band in which it stands still: from a quarter to half of MAX_ACCELERATION times the square
+of the servo period (compute_screw_comp in control.c).
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class LinuxCnc(Controller):
         0.0, doc="deg/s, MAX_VELOCITY of the joint; 0: not known", minimum=0.0
     )
     servo_period_ns: int = setting(
-        0, doc="ns, SERVO_PERIOD; 0: not known, 1000000 is taken", minimum=0
+        0, doc="ns, SERVO_PERIOD; 0: not known, 1000000 is assumed", minimum=0
     )
     feed_deg_s: float = setting(
         0.0, doc="deg/s, fastest programmed feed; 0: MAX_VELOCITY", minimum=0.0
@@ -149,7 +149,7 @@ class LinuxCnc(Controller):
         return {f"{stem}.comp": "\n".join(lines) + "\n", f"{stem}.ini": "\n".join(ini) + "\n"}
 
     def marked(self, files: Mapping[str, str], text: str) -> dict[str, str]:
-        """Return the files with a comment: behind the numbers of a row, where LinuxCNC stops."""
+        """Return the files with a comment after the numbers of a row, where LinuxCNC stops."""
         texts = with_line(files, ".ini", 0, f"# {text}")
         return {
             name: file.replace("\n", f" # {text}\n", 1) if name.endswith(".comp") else file
@@ -184,7 +184,7 @@ class LinuxCnc(Controller):
         return float(2.0 * 10.0**-DECIMALS * DEGREE + 8.0 * np.finfo(np.float32).eps * largest)
 
     def for_axis(self, axis: str) -> LinuxCnc:
-        """Return the controller, completed from the machine's ini file where settings are open."""
+        """Return the controller with open settings completed from the machine's ini file."""
         if not self.machine_ini:
             return self
         joint = self._joint(axis)
@@ -198,7 +198,7 @@ class LinuxCnc(Controller):
         )
 
     def lag(self, rule: Rule, table: CompensationTable) -> Lag:
-        """Return what the lag of the trim leaves."""
+        """Return what remains because of the lag of the trim."""
         if not self.max_acceleration_deg_s2:
             return Lag(notes=(UNKNOWN_LIMITS,))
         following = Following(
@@ -214,7 +214,7 @@ class LinuxCnc(Controller):
         return lag(following, angles, up, down, feed, table.closed, self.home_deg * DEGREE)
 
     def not_in_use(self, axis: str, files: Mapping[str, str], folder: Path) -> tuple[str, ...]:
-        """Return why the machine of ``machine_ini`` would not use the table as it is meant."""
+        """Return why the machine of ``machine_ini`` would not use the table as intended."""
         if not self.machine_ini:
             return ()
         name, _ = only_file(files, ".comp")
@@ -264,7 +264,7 @@ class LinuxCnc(Controller):
 
 
 def load(text: str, file_type: int) -> LoadedComp:
-    """Load a table as LinuxCNC does, silent stops and skipped rows included."""
+    """Load a table as LinuxCNC does, including silent stops and skipped rows."""
     rows: list[tuple[float, float, float]] = []
     messages: list[str] = []
     for line in text.split("\n"):
@@ -273,6 +273,7 @@ def load(text: str, file_type: int) -> LoadedComp:
             break
         nominal, up, down = values
         if file_type == 0:
+            # Type 0 holds the actual angles: LinuxCNC makes the trim from them.
             up, down = nominal - up, nominal - down
         if len(rows) >= MAX_ROWS:
             messages.append("too many compensation entries")
@@ -283,6 +284,7 @@ def load(text: str, file_type: int) -> LoadedComp:
     data = np.array(rows, dtype=np.float64).reshape(-1, 3)
     return LoadedComp(
         nominal_deg=data[:, 0],
+        # LinuxCNC keeps trims in single precision, and positions in double.
         forward_deg=data[:, 1].astype(np.float32),
         reverse_deg=data[:, 2].astype(np.float32),
         messages=tuple(messages),
@@ -299,7 +301,7 @@ def _three_numbers(line: str) -> tuple[float, float, float] | None:
 
 
 EDGE: Final = 0.01
-"""Share by which the dead band is widened: for changes between the rows that are evaluated."""
+"""Share by which the dead band is widened, for changes between the evaluated rows."""
 
 
 @dataclass(frozen=True)
@@ -322,17 +324,17 @@ class Following:
         return 0.5 * gain * self.period + gain**2 / self.acceleration
 
     def stands(self, change: Floats) -> NDArray[np.bool_]:
-        """Return whether a trim at rest stays where it is, for changes (rad) asked of it."""
+        """Return whether a trim at rest stays where it is for these wanted changes (rad)."""
         size = np.abs(change)
         above = size > self.at_once * (1.0 - EDGE)
         return np.asarray(above & (size <= self.in_motion * (1.0 + EDGE)))
 
     def fastest_feed(self, steepest: float) -> float:
-        """Return the feed (rad/s) up to which a trim follows that rises by ``steepest`` (1)."""
+        """Return the feed (rad/s) up to which the trim follows a slope of ``steepest`` (1)."""
         return self.at_once / (steepest * self.period) if steepest else np.inf
 
     def behind(self, steepest: float, feed: float) -> float:
-        """Return a bound (rad) on how far the trim is behind in motion; inf: farther and farther.
+        """Return a bound (rad) on how far the trim is behind in motion; inf: without a bound.
 
         The trim starts when it is ``in_motion`` behind and changes its speed with half of the
         acceleration; a table that turns back asks it for twice the change of speed.
@@ -366,7 +368,7 @@ class Following:
         return max(away, self._left(reverse[::-1], none, np.array([back]), closed))
 
     def _left(self, wanted: Floats, held: Floats, rows: Ints, closed: bool) -> float:
-        """Return it for moves over ascending rows from ``rows``, from the trim ``held`` on."""
+        """Return the same for moves over ascending rows from ``rows``, from the trim ``held``."""
         count, worst = len(wanted), 0.0
         start = rows[self.stands(wanted[rows] - held[rows])]
         for ahead in range(count):
@@ -390,9 +392,9 @@ def lag(
     closed: bool,
     home: float = 0.0,
 ) -> Lag:
-    """Return what stays of the trims ``forward`` and ``reverse`` (n,) rad at close ``angles``.
+    """Return what is left of the trims ``forward`` and ``reverse`` (n,) rad at close ``angles``.
 
-    ``feed`` (rad/s) is the fastest at which the axis comes to a place that matters; 0: not known.
+    ``feed`` (rad/s) is the fastest feed towards a place that matters; 0: not known.
     ``home`` (rad) is the angle at which the axis is homed; there the trim begins with 0.
     """
     steepest = float(max(np.max(np.abs(np.gradient(t, angles))) for t in (forward, reverse)))
@@ -427,13 +429,13 @@ def _homing_note(following: Following, standing: float, home: float) -> str:
     return (
         f"the trim is 0 when the axis has been homed, at {home / DEGREE:.6g} deg, and stands "
         f"still for changes of {low:.3g} to {high:.3g} arcsec: up to {standing / ARCSEC:.3g} "
-        "arcsec stay until the axis has come to where the table asks for less or for more. "
+        "arcsec stay until the axis reaches an angle where the table asks for less or more. "
         "Choose the home angle as the reference of the table"
     )
 
 
 def _behind_note(following: Following, steepest: float, feed: float, behind: float) -> str:
-    how = "farther and farther" if np.isinf(behind) else f"up to {behind / ARCSEC:.3g} arcsec"
+    how = "more and more" if np.isinf(behind) else f"up to {behind / ARCSEC:.3g} arcsec"
     return (
         f"the trim follows up to a feed of {following.fastest_feed(steepest) / DEGREE:.4g} deg/s, "
         f"and at {feed / DEGREE:.4g} deg/s it is {how} behind while the axis moves; what is in "
@@ -442,13 +444,13 @@ def _behind_note(following: Following, steepest: float, feed: float, behind: flo
 
 
 LARGEST_TRIM_DEG = 1.0
-"""Nobody compensates more; trims read as positions give angles of the whole travel."""
+"""Nobody compensates more than this; trims read as positions give angles of the whole travel."""
 
 
 def hook_up(path: Path) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Yield every table that the machine of the ini file ``path`` loads, with what is wrong.
+    """Yield every table that the machine of the ini file ``path`` loads, with its faults.
 
-    Nothing for a machine without a table. Raises ConfigurationError when the ini file cannot be
+    A machine without a table yields nothing. Raises ConfigurationError when the ini file cannot be
     read or makes no sense.
     """
     ini = Ini.read(path)
@@ -476,7 +478,7 @@ def _complaints(joint: Joint, table: Path) -> Iterator[str]:
     if largest > LARGEST_TRIM_DEG:
         yield (
             f"read as type {joint.table_type} the largest trim is {largest:.4g} deg: "
-            f"COMP_FILE_TYPE is {joint.table_type} and the table of another type"
+            f"COMP_FILE_TYPE is {joint.table_type} but the table is of another type"
         )
     if beyond := joint.travel_beyond(float(loaded.nominal_deg[0]), float(loaded.nominal_deg[-1])):
         yield beyond

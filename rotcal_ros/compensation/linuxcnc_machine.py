@@ -25,11 +25,11 @@ AGENT: Final = (
     "/usr/bin/python3",
     str(files("rotcal_ros") / "nodes" / "adapters" / "linuxcnc_agent.py"),
 )
-"""Speaks with the running program, on the system's Python that has the modules for it."""
+"""Talks to the running program, on the system's Python, which has the modules for it."""
 LETTERS: Final = "XYZABCUVW"
 """The axes of trivkins without ``coordinates=``, joint by joint."""
 SERVO_PERIOD_NS: Final = 1_000_000
-"""Assumed where the ini file does not say; all examples of LinuxCNC have it."""
+"""Assumed if the ini file does not say; all examples of LinuxCNC have it."""
 DEGREE_WORDS: Final = ("deg", "degree")
 UNLIMITED_DEG: Final = 1e99
 SAME_DEG: Final = 1e-6
@@ -48,7 +48,7 @@ class Joint:
 
     @classmethod
     def of_axis(cls, ini: Ini, letter: str, number: int) -> Joint:
-        """Return the joint of the axis: with trivkins the one that the ini file names.
+        """Return the joint of the axis: with trivkins the one in the ini file.
 
         Other kinematics do not say which joint is the table: then it is ``number``. Raises
         ConfigurationError when the machine has no such axis, joint or unit.
@@ -91,7 +91,7 @@ class Joint:
 
     @property
     def home_deg(self) -> float:
-        """HOME, where the joint stands when it has been homed; LinuxCNC takes 0 without one."""
+        """HOME, where the joint stands after homing; without it LinuxCNC takes 0."""
         return self.ini.number(self.section, "HOME", 0.0)
 
     @property
@@ -119,7 +119,7 @@ class Joint:
         return int(self.ini.number(self.section, "COMP_FILE_TYPE", 0))
 
     def travel_beyond(self, first_deg: float, last_deg: float) -> str | None:
-        """Return in words where the travel leaves a table from first to last, if it does."""
+        """Return in words how the travel exceeds a table from first to last, if it does."""
         lower, upper = self.travel_deg
         if lower >= first_deg - SAME_DEG and upper <= last_deg + SAME_DEG:
             return None
@@ -159,7 +159,7 @@ def joints_with_tables(ini: Ini) -> list[Joint]:
     count = int(ini.number("KINS", "JOINTS", 1))
     if count > MOST_JOINTS:
         raise ConfigurationError(
-            f"{ini.path}: [KINS] JOINTS = {count}, LinuxCNC has {MOST_JOINTS} at most"
+            f"{ini.path}: [KINS] JOINTS = {count}, LinuxCNC has at most {MOST_JOINTS}"
         )
     letters = _coordinates(ini)
     joints = [Joint(ini, n, letters[n] if n < len(letters) else "") for n in range(count)]
@@ -169,7 +169,7 @@ def joints_with_tables(ini: Ini) -> list[Joint]:
 def agent_command(ini: str, axis: str, number: int) -> list[str]:
     """Return the command of the agent for one axis of the machine of the file ``ini``.
 
-    ``number`` is the axis' joint where the kinematics do not say it. Raises ConfigurationError
+    ``number`` is the axis' joint if the kinematics do not state it. Raises ConfigurationError
     when the machine has no such axis.
     """
     if not ini:

@@ -1,8 +1,8 @@
 """A plain CSV table, for software and people: no controller's rule, nothing rounded away.
 
-``angle_deg,correction_forward_arcsec,correction_reverse_arcsec,std_arcsec``, and behind them
-``std_reverse_arcsec`` where the reverse correction has an uncertainty of its own; a full circle
-ends with the row at 360 deg, equal to the first.
+Its columns are ``angle_deg,correction_forward_arcsec,correction_reverse_arcsec,std_arcsec``,
+followed by ``std_reverse_arcsec`` if the reverse correction has an uncertainty of its own; a full
+circle ends with the row at 360 deg, equal to the first.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from rotcal_ros.foundation.units import ARCSEC, DEGREE
 HEADER: Final = "angle_deg,correction_forward_arcsec,correction_reverse_arcsec,std_arcsec"
 OWN_STD: Final = f"{HEADER},std_reverse_arcsec"
 SAME_STD: Final = -1.0
-"""In the place of a second standard uncertainty, when there is one for both directions."""
+"""Stands for the second standard uncertainty if there is one for both directions."""
 ANGLE_DECIMALS: Final = 9
 DECIMALS: Final = 6
 COLUMNS: Final = 5
@@ -88,7 +88,7 @@ class PlainCsv(Controller):
     def rows_of(self, name: str, text: str) -> Floats:
         """Return the numbers (n, 5); BagError names the row that is damaged.
 
-        The last column is -1 where the file has one standard uncertainty for both directions.
+        The last column is -1 if the file has one standard uncertainty for both directions.
         """
         head, *lines = text.splitlines() or [""]
         if head.strip() not in (HEADER, OWN_STD):

@@ -1,4 +1,4 @@
-"""The secret that permits to change a controller, in a file that only the operator can read."""
+"""The secret that permits changes of a controller, in a file that only the operator can read."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from typing import Final
 from rotcal_ros.foundation.errors import ConfigurationError
 
 SHORTEST: Final = 16
-"""Characters; a random word of this length cannot be found by trying."""
+"""Least number of bytes; a random word of this length cannot be guessed."""
 
 
 class Secret:
     """A secret that a request must contain; never part of a text, a parameter or a log."""
 
     def __init__(self, path: Path) -> None:
-        """Read the file; ConfigurationError when others could read or write it too."""
+        """Read the file; ConfigurationError if others can read or write it too."""
         try:
             descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
             with os.fdopen(descriptor, "rb") as stream:
@@ -27,7 +27,8 @@ class Secret:
                 self._secret = stream.read().strip()
         except OSError as error:
             raise ConfigurationError(
-                f"the secret in {path} cannot be read: {error.strerror}; expected a file, no link"
+                f"the secret in {path} cannot be read: {error.strerror}; expected a file that is "
+                "not a link"
             ) from error
         if len(self._secret) < SHORTEST:
             raise ConfigurationError(
@@ -43,9 +44,9 @@ class Secret:
 def _check(path: Path, status: os.stat_result) -> None:
     mode = stat.S_IMODE(status.st_mode)
     if not stat.S_ISREG(status.st_mode):
-        raise ConfigurationError(f"the secret in {path} is no plain file")
+        raise ConfigurationError(f"the secret in {path} is not a plain file")
     if mode & 0o077 or status.st_uid not in (os.geteuid(), 0):
         raise ConfigurationError(
-            f"the secret in {path} is open to others than the operator (mode {mode:03o}, owner "
+            f"the secret in {path} is open to others besides the operator (mode {mode:03o}, owner "
             f"{status.st_uid}): chmod 600 {path}, and choose a new secret"
         )

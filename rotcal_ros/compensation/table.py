@@ -40,8 +40,8 @@ DIRECTIONS: Final = (Approach.POSITIVE, Approach.NEGATIVE)
 LINK: Final = (
     "What links them: a second result of the same table that sees both from one zero (mirror, "
     "tracer, autocollimator with polygon, a plate whose ball steps share no factor with the grid, "
-    "such as 12 balls), joined by 'rotcal combine'; or solver.group_allowance_m, if it is known "
-    "how far apart they are at most"
+    "such as 12 balls), joined by 'rotcal combine'; or solver.group_allowance_m, if a bound on "
+    "their distance is known"
 )
 OTHER: Final = "; other direction: "
 SIGN_CONVENTION: Final = "correction = -(actual - commanded); add it to the commanded angle"
@@ -55,14 +55,14 @@ class CompensationTable:
     one turn, and the row at angles[0] + 2 pi is the first row again. ``period`` 0 means an arc: it
     neither closes nor wraps. ``correction_forward`` is for approaches with increasing angle and
     zero at ``reference_angle``, ``correction_reverse`` for decreasing angle. ``std`` and
-    ``std_reverse`` are their standard uncertainties (k = 1); the latter is None where it is the
+    ``std_reverse`` are their standard uncertainties (k = 1); the latter is None if it is the
     same. ``between_std`` (rad) comes on top of them between the measured angles, which are up to
-    ``widest_gap`` (rad) apart; zero where that is not known, as for a table made by hand.
+    ``widest_gap`` (rad) apart; zero if that is not known, as for a table made by hand.
     ``warnings`` say in words what to know before use. ``verdict_line`` is the verdict with what it
-    does not cover; empty where that is not known, as in a message. ``measured_on`` is the table in
+    does not cover; empty if that is not known, as in a message. ``measured_on`` is the table in
     force during the measurement (hash of the controller's files, "none" or "unknown"), ``adds_to``
     the one that the corrections contain. ``item`` says what was measured and ``serial`` is its
-    number, empty where that is not known; ``simulated``: no instrument measured it.
+    number, empty if that is not known; ``simulated``: no instrument measured it.
     ``measured_from_ns`` and ``measured_until_ns`` are when (ns since 1970) the first and the last
     measurement that counts was made; 0: not known. ``open_zeros`` names the offsets within the
     table that were not measured, so that no uncertainty holds between its parts; empty: none. Such
@@ -153,7 +153,7 @@ class CompensationTable:
 
     @property
     def table_hash(self) -> str:
-        """SHA-256 over all that the table says: names, verdict and every bit of the numbers."""
+        """SHA-256 over everything in the table: names, verdict and every bit of the numbers."""
         digest = hashlib.sha256()
         for text in (self.axis, self.method, self.verdict):
             digest.update(text.encode() + b"\0")
@@ -180,7 +180,7 @@ class CompensationTable:
 def check_verdict(origin: Result | CompensationTable) -> None:
     """Raise DataError unless the verdict is "ok" and all values count from one zero.
 
-    Nothing else may move an axis. Export and bridge alike ask here.
+    Nothing else may move an axis. Export and bridge both call this.
     """
     open_zeros = origin.zeros.in_words() if isinstance(origin, Result) else origin.open_zeros
     if open_zeros:
@@ -196,9 +196,9 @@ def check_verdict(origin: Result | CompensationTable) -> None:
 def measured_axis(
     result: Result, reverse: Result | None = None, axis: str = "", default: str = "C"
 ) -> str:
-    """Return the axis that was measured: as the results say, else ``axis``, else ``default``.
+    """Return the axis that was measured: from the results, else ``axis``, else ``default``.
 
-    Raises ConfigurationError where they contradict each other or a stated ``axis``.
+    Raises ConfigurationError if they contradict each other or a stated ``axis``.
     """
     forward = result.circumstances.axis
     backward = "" if reverse is None else reverse.circumstances.axis
@@ -210,7 +210,7 @@ def measured_axis(
     if known and axis and check_axis(axis) != known:
         raise ConfigurationError(
             f"axis {known} was measured, and the table would be named for axis {axis}: leave the "
-            "axis out; that a table is meant for another axis is accepted where files are made"
+            "axis out; a table for another axis is accepted when files are made"
         )
     return known or axis or default
 
@@ -235,10 +235,10 @@ def table_from_result(
     moved to ``reference_angle`` (default: the first angle of the result).
 
     Without ``spacing`` the table has one row per measured angle, else rows every ``spacing``
-    radians from zero, on a curve through the measured points. ``harmonics`` =
-    order replaces that curve by the weighted least-squares fit of so many harmonics; what it
-    leaves out is stated in the warnings. The uncertainty is carried through with the full
-    covariance. Raises DataError when ECC is absent, not finite, or does not close.
+    radians from zero, on a curve through the measured points. ``harmonics`` = order replaces that
+    curve by the weighted least-squares fit of so many harmonics; the warnings state what it leaves
+    out. The uncertainty is propagated with the full covariance. Raises DataError when ECC is
+    absent, not finite, or does not close.
     """
     weights = _weights_of(harmonics)
     reference = float(result.angles[0] if reference_angle is None else reference_angle)
@@ -288,9 +288,9 @@ class _Columns(NamedTuple):
 
 
 def _columns(curve: DirectionalCurve, weights: Floats) -> _Columns:
-    """Return the columns of a table from what its rows take of the ``curve``: (n + 1, values).
+    """Return the columns of a table: ``weights`` (n + 1, values) times the ``curve``.
 
-    The last row of ``weights`` is the zero: of the forward curve, for both columns.
+    The last row of ``weights`` is the zero of the forward curve, for both columns.
     """
     up, down = weights @ curve.forward, weights @ curve.reverse
     std, std_reverse = _standard_uncertainties(weights, curve)
@@ -298,7 +298,7 @@ def _columns(curve: DirectionalCurve, weights: Floats) -> _Columns:
 
 
 def _weights_of(harmonics: int | None) -> Weights:
-    """Return how rows take their values: through the points, or from so many harmonics."""
+    """Return the weights of the rows: for a curve through the points, or so many harmonics."""
 
     def weights(curve: DirectionalCurve, at: Floats) -> Floats:
         if harmonics is None:
@@ -310,7 +310,9 @@ def _weights_of(harmonics: int | None) -> Weights:
 
 def _harmonic_weights(curve: DirectionalCurve, at: Floats, order: int) -> Floats:
     if curve.period == 0.0:
-        raise ConfigurationError("harmonics need the full circle, the result covers an arc only")
+        raise ConfigurationError(
+            "harmonics need the full circle, and the result covers only an arc"
+        )
     estimator = harmonic_estimator(curve.angles, order, curve.forward_covariance)
     return harmonic_basis(at, order) @ estimator
 
@@ -328,7 +330,7 @@ def _standard_uncertainties(
 
 
 def _item(result: Result, reverse: Result | None) -> str:
-    """Return what both directions were measured on; DataError for two serial numbers."""
+    """Return the item that both directions were measured on; DataError for two serial numbers."""
     ours = result.circumstances.identity
     theirs = ours if reverse is None else reverse.circumstances.identity
     if ours.serial and theirs.serial and ours.serial != theirs.serial:
@@ -367,7 +369,7 @@ def _notes(curve: DirectionalCurve, zero: Floats) -> list[str]:
     if curve.period == 0.0:
         first, last = curve.angles[[0, -1]] / DEGREE
         notes.append(
-            f"the angles cover an arc only ({first:.6g} .. {last:.6g} deg): no closure, no wrap, "
+            f"the angles cover only an arc ({first:.6g} .. {last:.6g} deg): no closure, no wrap, "
             "nothing is known outside"
         )
     own_zero = max(abs(zero @ curve.forward), abs(zero @ curve.reverse)) < 1e-15
@@ -387,8 +389,8 @@ def _check_angles(angles: Floats, period: float) -> None:
         raise DataError(f"compensation table: period {period} rad, expected 2 pi or 0 (an arc)")
     if period and angles[-1] - angles[0] > TURN - SAME_ANGLE / 2:
         raise DataError(
-            "compensation table: the last row repeats the first after a full turn; leave it "
-            "out, the period of 2 pi says it"
+            "compensation table: the last row repeats the first after a full turn; leave it out: "
+            "the period of 2 pi implies it"
         )
 
 

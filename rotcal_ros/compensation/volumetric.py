@@ -1,4 +1,4 @@
-"""All deviations that were measured, EXC .. ECC, for volumetric compensation: neutral CSV, JSON.
+"""All measured deviations, EXC .. ECC, for volumetric compensation, as neutral CSV and JSON.
 
 Deviations, not corrections: actual - commanded, metres and radians, ISO 230-1 names. An absent
 component has no column; one that was measured from both sides has three: the mean, forward and
@@ -70,12 +70,12 @@ def volumetric_files(result: Result, stem: str, axis: str = "C") -> dict[str, st
         ("json", json.loads(facts) == data),
     ):
         if not same:
-            raise BagError(f"{stem}.{file}: read back, it is not what was measured")
+            raise BagError(f"{stem}.{file}: read back, it differs from what was measured")
     return {f"{stem}.csv": table, f"{stem}.json": facts}
 
 
 def _columns(result: Result, names: list[str]) -> tuple[dict[str, Floats], dict[str, Floats]]:
-    """Return deviations and standard uncertainties (n,), those of either direction behind them."""
+    """Return deviations and standard uncertainties (n,), then those of each direction."""
     deviations = {name: result.deviations[name] for name in names}
     std = {name: result.std[name] for name in names}
     for name, both in result.directions.items():
@@ -87,14 +87,14 @@ def _columns(result: Result, names: list[str]) -> tuple[dict[str, Floats], dict[
 
 
 def _one_sided(result: Result, names: list[str]) -> list[str]:
-    """Say what the columns leave of a reversal that is known."""
+    """Return in words how much of a known reversal is missing in the columns."""
     found = []
     for name, both in result.directions.items():
         if name in names and not np.array_equal(both.angles, result.angles):
             scale, unit = unit_of(name)
             found.append(
-                f"{name} is the mean of both directions, since some angles were reached from one "
-                f"side only: up to {np.max(np.abs(both.reversal)) / scale:.3g} {unit} of reversal "
+                f"{name} is the mean of both directions, since some angles were reached only from "
+                f"one side: up to {np.max(np.abs(both.reversal)) / scale:.3g} {unit} of reversal "
                 "are not in the columns"
             )
     return found

@@ -1,4 +1,4 @@
-"""Writing files all or nothing, complete on disk before they get their names, over no old file."""
+"""Writes all files or none, complete on disk before they get their names, never over old ones."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rotcal_ros.foundation.files import make_folder, scratch_folder, sync_folder
 PROVENANCE: Final = ".provenance.json"
 """The ending of the side file, which is for people and not for the controller."""
 SCHEMA: Final = 1
-"""Version of the entries of a side file."""
+"""Version of the entries in a side file."""
 
 
 def write_files(files: Mapping[str, str], folder: Path) -> tuple[Path, ...]:
@@ -59,7 +59,7 @@ def write_files(files: Mapping[str, str], folder: Path) -> tuple[Path, ...]:
 
 
 def check_stem(stem: str) -> str:
-    """Return ``stem`` when it is a plain file name, else raise ConfigurationError."""
+    """Return ``stem`` if it is a plain file name, else raise ConfigurationError."""
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}", stem):
         raise ConfigurationError(
             f"file name {stem!r}: expected letters, digits, '_' and '-' only, without folder or "
@@ -71,7 +71,9 @@ def check_stem(stem: str) -> str:
 def check_file_name(name: str) -> str:
     """Return ``name`` when it stays in its folder, else raise ConfigurationError."""
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}", name):
-        raise ConfigurationError(f"file name {name!r} leaves the output folder or is no file name")
+        raise ConfigurationError(
+            f"file name {name!r} leaves the output folder or is not a file name"
+        )
     return name
 
 

@@ -1,1 +1,1 @@
-"""Is it true? ISO 230-2, comparison of results, Monte Carlo, harmonics."""
+"""Checks whether results are true: ISO 230-2, comparison, Monte Carlo, harmonics."""

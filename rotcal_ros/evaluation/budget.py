@@ -1,7 +1,7 @@
 """The sources of the uncertainty of a result, as far as the result holds them.
 
-A method that splits its uncertainty has ``budget`` among the details: standard uncertainties of
-ECC by source, which add in squares. Of any other method only the whole is known and reported.
+The ``budget`` of a result splits the uncertainty of ECC. Of everything else only the whole is
+known and reported.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ SOURCES: Final[Mapping[str, str]] = {
     "targets": "Places of the targets",
     "error_motion": "Error motion of the table",
     "circle": "Stated circle of the stations",
-    "slips": "Slips of the counter that nobody sees",
+    "slips": "Unseen slips of the counter",
     "clocks": "Clocks that may differ, while the table creeps",
 }
 """The names that methods give their sources, in words."""
@@ -41,11 +41,9 @@ class Contribution:
 def contributions(result: Result, component: str) -> tuple[Contribution, ...]:
     """Return the sources of the uncertainty of ``component``; their squares add up to its."""
     total = result.std[component] ** 2
-    split = result.details.get("budget", {}) if component == "ECC" else {}
     parts = [
-        Contribution(SOURCES.get(name, name.replace("_", " ")), np.asarray(std, np.float64))
-        for name, std in split.items()
-        if np.shape(std) == total.shape
+        Contribution(SOURCES.get(name, name.replace("_", " ")), std)
+        for name, std in (result.budget if component == "ECC" else {}).items()
     ]
     if not parts:
         return (Contribution(WHOLE, result.std[component]),)

@@ -51,7 +51,7 @@ METHOD: Final = "combination"
 class CombinationInput:
     """One input: its curves by component, where it comes from, and how far to trust it.
 
-    ``verdict`` is that on each part with a zero of its own. ``circumstances`` are None for a
+    ``verdict`` is the one on each part with a zero of its own. ``circumstances`` are None for a
     reference without any; ``measured_on`` is the table in force, see :mod:`..in_force`.
     """
 
@@ -99,7 +99,7 @@ class CombinationInput:
         bare = [c for c, curve in measured.curves.items() if not np.any(curve.covariance)]
         if bare:
             raise DataError(
-                f"{name}: {', '.join(bare)} without uncertainty: it can be given no weight"
+                f"{name}: {', '.join(bare)} without uncertainty: it cannot be weighted"
             )
         return measured
 
@@ -115,15 +115,15 @@ class Combination:
 def combine(inputs: Sequence[CombinationInput], enlarge: Enlargement = "birge") -> Combination:
     """Return the best estimate of all components that any of ``inputs`` measured.
 
-    Each component is counted from its own mean, and the pairs have no part that turns with the
-    table. The angles are those of all inputs; a component that was measured at some of them only
-    is interpolated at the others, and a warning says so. When the inputs contradict each other
-    (chi-square, 1 % over all groups of components) the uncertainties are enlarged as ``enlarge``
-    says and the verdict is suspect. An offset that one input leaves open, such as that between two
-    groups of table positions, comes from the others, and a sentence says from which and what it
-    adds to U. A component whose offset no input holds is left out where others are whole; where
-    none is, all stay and the result keeps the open :class:`Zeros`. The order of the inputs does
-    not matter. Raises DataError for inputs that cannot be joined.
+    Each component counts from its own mean, and the pairs have no part that turns with the table.
+    The angles are those of all inputs; a component that was measured at only some of them is
+    interpolated at the others, with a warning. If the inputs contradict each other (chi-square, 1
+    % over all groups of components) the uncertainties are enlarged as ``enlarge`` says and the
+    verdict is suspect. An offset that one input leaves open, such as that between two groups of
+    table positions, comes from the others; a sentence says from which, and what it adds to U. A
+    component whose offset no input holds is left out if others are whole; if none is, all stay and
+    the result keeps the open :class:`Zeros`. The order of the inputs does not matter. Raises
+    DataError for inputs that cannot be joined.
     """
     if enlarge not in ENLARGEMENTS:
         raise ConfigurationError(
@@ -133,7 +133,7 @@ def combine(inputs: Sequence[CombinationInput], enlarge: Enlargement = "birge") 
     if not names or len(set(names)) < len(names):
         raise DataError(
             f"inputs {', '.join(names) or 'none'}: give at least one, and each only once: a "
-            "second time it would be taken for an independent measurement"
+            "second time it would count as an independent measurement"
         )
     _require_one_table(inputs)
     _require_different(inputs)
@@ -154,7 +154,7 @@ def combine(inputs: Sequence[CombinationInput], enlarge: Enlargement = "birge") 
 
 
 def _require_one_table(inputs: Sequence[CombinationInput]) -> None:
-    """Raise DataError where inputs say that they are of two items, two axes or two tables."""
+    """Raise DataError if inputs state two items, two axes or two tables in force."""
     circumstances = [(m.name, m.circumstances) for m in inputs if m.circumstances]
     require_one_table({
         "serial number": {name: around.identity.serial for name, around in circumstances},
@@ -173,7 +173,7 @@ def _require_different(inputs: Sequence[CombinationInput]) -> None:
             if np.array_equal(ours, theirs) and np.any(ours):
                 raise DataError(
                     f"{first.name} and {second.name} hold the same {c} to the last bit: the same "
-                    "measurement, which counts once only"
+                    "measurement, which counts only once"
                 )
 
 
@@ -248,7 +248,7 @@ def _curves(
             touched = {c: part for c, part in parts.items() if np.max(np.abs(part)) > OPEN}
             free.append(FreeDirection(words, touched))
     notes = [
-        f"{', '.join(names)} left out: no input tells the offset between {words}"
+        f"{', '.join(names)} left out: no input measured the offset between {words}"
         for words, names in left_out.items()
     ]
     return deviations, covariance, free, notes
@@ -268,7 +268,7 @@ def _names_of_open(group: ComponentGroup, inputs: Sequence[CombinationInput]) ->
 def _linked(
     protections: Sequence[Protection], name: str, groups: Sequence[ComponentGroup]
 ) -> tuple[Protection, ...]:
-    """Return the protections of input ``name``; its gauge is estimated where others join it."""
+    """Return the protections of input ``name``; its gauge is estimated if others join it."""
     others = {
         other for g in groups for link in g.links if link.input == name for other in link.others
     }
@@ -280,7 +280,7 @@ def _linked(
 
 
 def _to_all(own: Joined, angles: Floats) -> Floats | None:
-    """Return the matrix from a component's angles to all; None where they leave its arc."""
+    """Return the matrix from a component's angles to all; None if they leave its arc."""
     if len(own.angles) == len(angles):
         return np.eye(len(angles))
     if own.period == 0.0 and (angles[0] < own.angles[0] or angles[-1] > own.angles[-1]):
@@ -311,7 +311,7 @@ def _interpolated(
 
 
 def _unlinked(groups: Sequence[ComponentGroup]) -> list[str]:
-    """Return in words which inputs share too few angles with the others."""
+    """Return, in words, inputs that share too few angles with the others."""
     names = {name for group in groups for name in group.interpolated}
     return [
         f"{name} shares fewer than two angles with the others: these are interpolated at its own"
@@ -320,7 +320,7 @@ def _unlinked(groups: Sequence[ComponentGroup]) -> list[str]:
 
 
 def _largest_shares(groups: Sequence[ComponentGroup]) -> dict[str, float]:
-    """Return by input its largest part of any standard uncertainty of the result, 0 to 1."""
+    """Return by input its largest share of any standard uncertainty of the result, 0 to 1."""
     shares: dict[str, float] = {}
     for group in groups:
         parts = np.sqrt(np.clip(group.pooled.variance_parts, 0.0, 1.0)).max(axis=1)
@@ -366,7 +366,7 @@ WEAKEST_FIRST: Final[tuple[Treatment, ...]] = (
 LASTING: Final[frozenset[Effect]] = frozenset(
     ("error motion", "refraction", "scale", "tilt", "gauge", "tangential motion")
 )
-"""Effects of instrument, table or room: every campaign may have the same one, with one sign."""
+"""Effects of instrument, table or room: every campaign may have the same, with one sign."""
 
 
 def join_protections(
@@ -374,11 +374,10 @@ def join_protections(
 ) -> tuple[Protection, ...]:
     """Return the protections of a combination; empty when no input states any.
 
-    ``inputs`` are those of each input by name, ``shares`` (0 to 1) its largest part of any
-    standard uncertainty of the combination. An input that states nothing counts as not
-    protected. An error that stays unseen in an input, in its own standard uncertainties, is
-    worth the share of it in those of the combination; lasting effects add up, those of one
-    campaign add as squares.
+    ``inputs`` are those of each input by name, ``shares`` (0 to 1) its largest share of any
+    standard uncertainty of the combination. An input that states nothing counts as not protected.
+    An error that stays unseen in an input (in its standard uncertainties) enters the combination
+    with that share; lasting effects add up, those of one campaign add as squares.
     """
     if not any(inputs.values()):
         return ()
@@ -393,7 +392,7 @@ def join_protections(
 def _concerned(
     effect: Effect, inputs: Mapping[str, Sequence[Protection]]
 ) -> Mapping[str, Sequence[Protection]]:
-    """Return the inputs that may have ``effect``: of a particular one, those that speak of it."""
+    """Return the inputs that may have ``effect``: for a particular one, those that mention it."""
     if effect not in PARTICULAR:
         return inputs
     return {n: ps for n, ps in inputs.items() if any(p.effect == effect for p in ps)}

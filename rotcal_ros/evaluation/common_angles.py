@@ -33,7 +33,7 @@ class PairedCurves:
     ``covariances`` (n, n) are each curve's own, ``shared`` (n, n) is that of the first with the
     second by common observations, None without any. ``interpolated`` (n,) marks angles at which
     the second curve was not measured; ``outside`` counts angles of the first beyond the other's
-    arc. ``free`` (n, q) are the directions that either of them leaves open, besides a constant.
+    arc. ``free`` (n, q) are the directions, besides a constant, that either of them leaves open.
     """
 
     angles: Floats
@@ -52,8 +52,8 @@ def pair(
 ) -> PairedCurves:
     """Return both curves at the angles of ``first``, ``second`` interpolated by its spline.
 
-    Raises DataError when they are of two items or axes, share fewer than two angles, or
-    observations whose part in both curves is not known.
+    Raises DataError if they are of two items or axes, share fewer than two angles, or share
+    observations whose influence on both is not known.
     """
     require_one_table({
         "serial number": dict(zip(names, (first.serial, second.serial), strict=True)),
@@ -76,14 +76,17 @@ def pair(
 
 
 def require_one_table(stated: Mapping[str, Mapping[str, str]]) -> None:
-    """Raise DataError where what the inputs say by name differs; an empty text says nothing."""
+    """Raise DataError if the statements of the inputs (by name) differ.
+
+    An empty text states nothing.
+    """
     for what, by_name in stated.items():
         first_to_say = {value: name for name, value in reversed(list(by_name.items())) if value}
         if len(first_to_say) > 1:
             named = ", ".join(f"{value} ({name})" for value, name in sorted(first_to_say.items()))
             raise DataError(
-                f"the inputs are not of one table: {what} {named}; give what was measured of one "
-                "table in one state"
+                f"the inputs are not of one table: {what} {named}; give measurements of one table "
+                "in one state"
             )
 
 

@@ -1,10 +1,10 @@
-"""Whether two deviation curves of one table agree within their stated uncertainties.
+"""Tells whether two deviation curves of one table agree within their uncertainties.
 
-Differences are aligned by the offset that no method can know: their mean is taken off. The
-uncertainty of that mean and its correlation with every value are part of what the normalised
-error E_n is divided by (ISO/IEC 17043, k = 2).
+Differences are aligned by the offset that no method can know: their mean is subtracted. The
+uncertainty of that mean and its correlation with every value are part of the divisor of the
+normalised error E_n (ISO/IEC 17043, k = 2).
 
-Why two curves may disagree altogether: a wrong unit, sign or sense of rotation.
+It also suggests why two curves disagree altogether: a wrong unit, sign or sense of rotation.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from rotcal_ros.foundation.results import plain_fields
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 SURE: Final = 0.01
-"""Two curves disagree when the probability of their differences by chance is below this."""
-OFFSETS_OFF: Final = "; such offsets are taken off, as the zero is"
+"""Two curves disagree if chance alone makes such differences less often than this."""
+OFFSETS_OFF: Final = "; such offsets are removed, like the zero"
 TOO_ALIKE: Final = (
-    "they agree better than independent measurements do: the same data, an error that both have "
-    "in common, or uncertainties that are stated too large"
+    "they agree better than independent measurements would: the same data, a common error, or "
+    "uncertainties stated too large"
 )
 
 
@@ -46,9 +46,9 @@ class Comparison:
     """First minus second at ``angles`` (n,) rad, in the unit of the curves (rad or m).
 
     ``difference`` is aligned, ``std`` its standard uncertainty (k = 1) after the alignment,
-    ``normalised_error`` = difference / (2 std). ``interpolated`` marks angles at which the
-    second curve was not measured. ``offset`` was taken off. ``chi2`` has ``dof`` degrees of
-    freedom and uses all correlations; ``p_value`` is how often chance alone gives more.
+    ``normalised_error`` = difference / (2 std). ``interpolated`` marks angles at which the second
+    curve was not measured. ``offset`` was removed. ``chi2`` has ``dof`` degrees of freedom and
+    uses all correlations; ``p_value`` is how often chance alone gives more.
     """
 
     angles: Floats
@@ -164,9 +164,9 @@ def _of_difference(both: PairedCurves) -> Floats:
 def _align(raw: Floats, covariance: Floats, basis: Floats) -> tuple[Floats, Floats, float, int]:
     """Return aligned difference, its std, chi-square and degrees of freedom.
 
-    The differences (n,) are projected, unweighted, on what the unknowns cannot explain, and their
-    covariance with them. So the outcome does not depend on where either curve has its zero: a
-    weighted alignment would lean on the angle whose value is zero by definition.
+    The differences (n,) and their covariance are projected, unweighted, on what the unknowns
+    cannot explain. So the outcome does not depend on where either curve has its zero: a weighted
+    alignment would depend most on the angle whose value is zero by definition.
     """
     n, unknowns = basis.shape
     keep = np.eye(n) - basis @ basis.T
@@ -195,7 +195,7 @@ def compare_all(
 
 
 def _agree(normalised: Floats, p_value: float) -> bool:
-    """All |E_n| <= 1, or no more above 1 than chance gives, singly and together."""
+    """Return whether |E_n| exceeds 1 no more often than by chance, singly and together."""
     above = int(np.sum(np.abs(normalised) > 1.0))
     expected = 2.0 * normal_sf(COVERAGE_FACTOR)  # E_n has k = 2 in it: above 1 is beyond 2 sigma
     usual = above <= binomial_quantile(1.0 - SURE, len(normalised), expected)
@@ -203,7 +203,7 @@ def _agree(normalised: Floats, p_value: float) -> bool:
 
 
 def _normalised(difference: Floats, std: Floats) -> Floats:
-    """Return E_n; without any uncertainty a difference is infinitely many times too large."""
+    """Return E_n; without any uncertainty a difference is infinitely large."""
     tiny = np.finfo(np.float64).tiny
     zero = np.abs(difference) <= 1e-15
     scaled = difference / np.maximum(COVERAGE_FACTOR * std, tiny)
@@ -227,11 +227,9 @@ def _notes(both: PairedCurves, why: str | None, exact: bool) -> list[str]:
             "both: interpolated there"
         )
     if both.outside:
-        notes.append(f"{both.outside} angles lie outside of the other's arc: left out")
+        notes.append(f"{both.outside} angles lie outside the other's arc: left out")
     if both.shared is not None:
-        notes.append(
-            "both rest on the same observations in part: what these have in common counts"
-        )
+        notes.append("both rest in part on the same observations, which is taken into account")
     if exact:
         notes.append("neither curve states an uncertainty: E_n says nothing")
     if why:
@@ -240,14 +238,14 @@ def _notes(both: PairedCurves, why: str | None, exact: bool) -> list[str]:
 
 
 def _alike(chi2: float, dof: int, exact: bool) -> list[str]:
-    """Return that the curves agree better than independent ones do; see :func:`too_alike`."""
+    """Return a note if the curves agree better than independent ones; see :func:`too_alike`."""
     return (
         [] if exact or not too_alike(chi2, dof) else [f"{TOO_ALIKE} (chi2/dof {chi2 / dof:.2f})"]
     )
 
 
 def too_alike(chi2: float, dof: int, level: float = SURE) -> bool:
-    """Whether chance alone makes so small a chi-square more rarely than ``level``."""
+    """Return whether chance makes so small a chi-square less often than ``level``."""
     return dof > 0 and 1.0 - chi2_sf(chi2, dof) < level
 
 
@@ -260,7 +258,7 @@ def _suspicion(first: Floats, second: Floats, curve: MeasuredCurve, angles: Floa
 
 
 ALIKE: Final = 0.9
-"""Correlation from which on two curves have the same shape."""
+"""From this correlation on two curves have the same shape."""
 SCALES: Final = {
     3600.0: "degrees taken for arcseconds",
     180.0 / pi * 3600.0: "radians taken for arcseconds",
@@ -278,10 +276,7 @@ def suspicion(first: Floats, second: Floats, second_mirrored: Floats | None) -> 
     if second_mirrored is not None:
         straight, mirrored = _likeness(first, second), _likeness(first, second_mirrored)
         if mirrored > ALIKE and mirrored > abs(straight) + 0.2:
-            return (
-                "the curves fit when one is turned the other way round: is its angle counted "
-                "clockwise?"
-            )
+            return "the curves fit if one is reversed: does its angle count clockwise?"
     likeness = _likeness(first, second)
     if abs(likeness) < ALIKE:
         return None

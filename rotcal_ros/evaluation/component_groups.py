@@ -1,4 +1,4 @@
-"""Components that are combined together, their consistency, and what is done without it.
+"""Combines groups of components, judges their consistency, and acts if it is lacking.
 
 What an input cannot know is free: its offset in every component, and in the pairs EXC, EYC and
 EAC, EBC the part that turns with the table, as a shifted or tilted plate would. Curves are
@@ -37,9 +37,9 @@ PAIRS: Final = (("EXC", "EYC"), ("EAC", "EBC"))
 """Components in which a shifted or tilted plate turns together."""
 GROUPS: Final = (PAIRS[0], ("EZC",), PAIRS[1], ("ECC",))
 _IN_PHASE: Final = 1e-9
-"""A turning part below this share of the curve was taken off by the method."""
+"""If the turning part is below this share of the curve, the method has removed it."""
 OPEN: Final = 1e-9
-"""Part of an orthonormal direction, in a component, below which it does not touch it."""
+"""A direction with a smaller part in a component does not touch that component."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,8 @@ class Link:
     """An offset of one component (m or rad) that ``input`` leaves open and ``others`` measured.
 
     ``name`` as in :class:`FreeDirection`; ``offset`` is how far the values of the input are off,
-    with standard uncertainty ``std``, ``share`` the most that this adds to that of any value.
+    with standard uncertainty ``std``; ``share`` is the most that it adds to the uncertainty of any
+    value.
     """
 
     component: str
@@ -70,16 +71,16 @@ class Link:
 
 @dataclass(frozen=True, eq=False)
 class ComponentGroup:
-    """Components that were combined together, and what came of it.
+    """Components that were combined together, with the outcome.
 
-    ``joined`` holds the angles of each component, ``columns`` its place among the unknowns;
-    ``inputs`` are names, of those that share observations all ``members`` joined by " + ".
-    ``chi2``, ``dof`` and ``p_value`` are those of the stated uncertainties, ``chi2_of_noise`` of
-    what the observations alone have of them, where that is known. ``factor`` multiplies
-    the standard uncertainties (Birge), ``common_std`` was added to those of all values (Mandel
-    and Paule), rad or m. ``farthest`` is the input that fits worst.
-    The estimate is known up to any multiple of the columns of ``open`` (unknowns, q), besides what
-    no method knows; ``links`` are offsets that one input leaves open and others measured.
+    ``joined`` holds the angles of each component, ``columns`` its place among the unknowns.
+    ``inputs`` are names; the ``members`` that share observations are joined by " + ". ``chi2``,
+    ``dof`` and ``p_value`` belong to the stated uncertainties, ``chi2_of_noise`` to the part of
+    the observations alone, if known. ``factor`` multiplies the standard uncertainties (Birge),
+    ``common_std`` was added to those of all values (Mandel and Paule), rad or m. ``farthest`` is
+    the input that fits worst. The estimate is known up to any multiple of the columns of ``open``
+    (unknowns, q), besides what no method knows; ``links`` are offsets that one input leaves open
+    and others measured.
     """
 
     inputs: tuple[str, ...]
@@ -113,7 +114,7 @@ class ComponentGroup:
         return dict(zip(self.inputs, parts.tolist(), strict=True))
 
     def open_of(self, component: str) -> Floats:
-        """Return the open directions (n, q) of one component; q = 0 where none touches it."""
+        """Return the open directions (n, q) of one component; q = 0 if none touches it."""
         columns = self.open[self.columns[component]]
         return columns[:, np.max(np.abs(columns), axis=0, initial=0.0) > OPEN]
 
@@ -122,12 +123,12 @@ class ComponentGroup:
         return self.pooled.values[self.columns[component]]
 
     def covariance(self, component: str) -> Floats:
-        """Return the covariance (n, n) of one component, enlarged where it had to be."""
+        """Return the covariance (n, n) of one component, enlarged if necessary."""
         own = self.columns[component]
         return self.factor**2 * self.pooled.covariance[own, own]
 
     def in_words(self) -> str:
-        """Return that the inputs contradict each other, and what was done about it."""
+        """Return in words that the inputs contradict each other, and what was done about it."""
         unit, label = unit_of(next(iter(self.joined)))
         done = {
             "birge": f"uncertainties enlarged by the factor {self.factor:.3g} (Birge)",
@@ -146,9 +147,9 @@ class ComponentGroup:
 def combine_group(
     components: Sequence[str], inputs: Mapping[str, Curves], enlarge: Enlargement, level: float
 ) -> ComponentGroup:
-    """Combine ``components`` of all ``inputs`` (by name), of which each has one at least.
+    """Combine ``components`` of all ``inputs`` (by name), each of which has at least one.
 
-    They are consistent when chance gives a larger chi-square more often than ``level``; if not,
+    They are consistent if chance gives a larger chi-square more often than ``level``; if not,
     the uncertainties are enlarged. Raises DataError for inputs that cannot be joined.
     """
     joined = {c: join_angles([inputs[name][c] for name in _with(c, inputs)]) for c in components}
@@ -199,7 +200,7 @@ def combine_group(
 
 
 class _Weighed(NamedTuple):
-    """The parts of all inputs, what they leave open, and how they are weighed, by members."""
+    """The parts of all inputs, what they leave open, and how they are weighted, by members."""
 
     parts: list[ComponentInput]
     left: Floats
@@ -210,7 +211,7 @@ class _Weighed(NamedTuple):
 def _of_observations_alone(
     inputs: Mapping[str, Curves], members: Sequence[Sequence[str]]
 ) -> dict[str, Curves]:
-    """Return the inputs; those that share nothing with the covariance of their observations."""
+    """Return the inputs; those that share nothing have the covariance of their observations."""
     single = {names[0] for names in members if len(names) == 1}
     return {
         name: {c: of_observations_alone(own) for c, own in curves.items()}
@@ -225,8 +226,8 @@ def _with_open(
 ) -> tuple[list[ComponentInput], Floats]:
     """Return the parts, and an orthonormal basis (m, q) of what they leave open together.
 
-    Besides ``common`` (m, g). What is read off a curve ``between`` its angles joins no zeros: a
-    line through values of several zeros follows them up and down.
+    ``common`` (m, g) is not part of it. Values read ``between`` the angles of a curve join no
+    zeros: a line through values with several zeros follows them up and down.
     """
     if all(part.free.shape[1] == part.known for part in parts):
         return list(parts), np.zeros((len(common), 0))
@@ -249,7 +250,7 @@ def _with_open(
 def _links(
     group: ComponentGroup, inputs: Mapping[str, Curves], parts: Sequence[ComponentInput]
 ) -> Iterator[Link]:
-    """Yield the offsets of single components that the group holds and one input leaves open."""
+    """Yield offsets of single components that the group knows and one input leaves open."""
     for (name, curves), part in zip(inputs.items(), parts, strict=True):
         start = 0
         own = [c for c in group.joined if c in curves]
@@ -266,7 +267,7 @@ def _links(
 
 
 def _which(word: str, column: Floats, curve: MeasuredCurve, rows: Ints) -> str:
-    """Return the name of an offset, of several of one name with the first angle that it moves."""
+    """Return the name of an offset; if several have it, with the first angle that it moves."""
     if curve.free_names.count(word) < 2:
         return word
     first = curve.angles[rows][column > 0.5 * column.max()][0] / DEGREE
@@ -298,7 +299,7 @@ def _link(
 def _enlarged(
     group: ComponentGroup, parts: Sequence[ComponentInput], gauge: Floats, enlarge: Enlargement
 ) -> ComponentGroup:
-    """Return a group whose inputs contradict each other with larger uncertainties."""
+    """Return a group with larger uncertainties, because its inputs contradict each other."""
     if len(parts) > 2:
         group = replace(group, farthest=group.inputs[farthest(parts, gauge)])
     if enlarge == "birge":
@@ -320,7 +321,8 @@ def _with(component: str, inputs: Mapping[str, Curves]) -> list[str]:
 class _Seen:
     """One input as a ``part``, and how its curves went into it, by component.
 
-    ``rows``: which values of the curve, ``grow``: times which matrix, ``place``: from where on.
+    ``rows``: the values of the curve; ``grow``: the matrix they are multiplied by; ``place``:
+    their first index.
     """
 
     part: ComponentInput
@@ -370,7 +372,7 @@ def _clustered(
 ) -> tuple[tuple[tuple[str, ...], ...], list[ComponentInput]]:
     """Return the names of each part; inputs that share observations are one part together.
 
-    ``parts`` are those of the inputs in their order, as they are to be weighed.
+    ``parts`` are those of the inputs, in their order, as weighted.
     """
     names = list(inputs)
     mine = {n: replace(seen[n], part=part) for n, part in zip(names, parts, strict=True)}
@@ -390,7 +392,7 @@ def _clustered(
 
 
 def _shared(first: str, second: str, inputs: Mapping[str, Curves]) -> dict[str, Floats]:
-    """Return by component how two inputs vary together; empty where they share nothing."""
+    """Return by component the covariance of two inputs; empty if they share nothing."""
     ours, theirs = inputs[first], inputs[second]
     found = {
         c: shared_covariance(ours[c], theirs[c], (first, second)) for c in ours if c in theirs
@@ -403,7 +405,7 @@ def _together(
     names: Sequence[str],
     shared: Mapping[tuple[str, str], Mapping[str, Floats]],
 ) -> ComponentInput:
-    """Return the parts of one cluster as one, with what its members share."""
+    """Return the parts of one cluster as one, with the covariance of its members."""
     if len(seen) == 1:
         return seen[0].part
     ends = np.cumsum([0, *(len(own.part.values) for own in seen)])
@@ -440,7 +442,7 @@ def unknown(angles: Mapping[str, Floats]) -> Floats:
 
 
 def _orthonormal(columns: Floats) -> Floats:
-    """Return an orthonormal basis (m, q) of what ``columns`` (m, k) of about unit size span."""
+    """Return an orthonormal basis (m, q) of the span of ``columns`` (m, k) of about unit size."""
     u, s, _ = np.linalg.svd(columns, full_matrices=False)
     return np.asarray(u[:, s > 1e-9 * max(np.max(s, initial=0.0), 1.0)], dtype=np.float64)
 
@@ -450,12 +452,12 @@ def _stacked(angles: Mapping[str, Floats], of: Callable[..., Floats]) -> Floats:
 
 
 def _turning(angles: Mapping[str, Floats], values: Mapping[str, Floats]) -> dict[str, Floats]:
-    """Return by component what errors grow by to be as they were before a turning part was taken.
+    """Return by component the factor on errors that undoes the removal of a turning part.
 
-    A result holds no covariance between components. Where a method has removed what turns with
-    the table from a pair, the first harmonics of each component alone show only the half of their
-    variance that is left: what turns the other way has kept all of it. Doubling restores that;
-    what turns with the table is free and does not feel it.
+    A result holds no covariance between components. If a method has removed the part of a pair
+    that turns with the table, the first harmonics of each component alone show only the remaining
+    half of their variance: the part that turns the other way has kept all of it. Doubling restores
+    that; the part that turns with the table is free and not affected.
     """
     alone = {c: np.eye(len(own)) for c, own in values.items()}
     if len(values) < 2:
@@ -475,9 +477,9 @@ def _turning(angles: Mapping[str, Floats], values: Mapping[str, Floats]) -> dict
 
 
 WEAK: Final = 1e-9
-"""Directions whose singular value is smaller than this part of the largest are not determined."""
+"""Directions with a singular value below this share of the largest are not determined."""
 FLOOR: Final = 1e-12
-"""Smallest variance of any direction, in mean variances: keeps exact combinations finite."""
+"""Smallest variance of any direction, in mean variances; keeps exact combinations finite."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -485,8 +487,8 @@ class ComponentInput:
     """One input: ``values`` (m,) with ``covariance`` (m, m), in rad or m.
 
     ``design`` (m, n) selects or interpolates the curve at the n unknowns, ``free`` (m, q) holds
-    what the input cannot know, such as its offset. The first ``known`` of its columns are what
-    no input of the kind knows; the others it leaves open by itself.
+    what the input cannot know, such as its offset. Its first ``known`` columns are what no input
+    of this kind knows; the others this input leaves open.
     """
 
     values: Floats
@@ -514,7 +516,7 @@ class Pooled:
 def pool(parts: Sequence[ComponentInput], gauge: Floats) -> Pooled:
     """Return the best estimate of all ``parts``; ``gauge`` (n, g) is what none of them knows.
 
-    Every part is whitened by the root of its covariance and freed of its own unknowns by an
+    Every part is whitened by the root of its covariance and freed from its own unknowns by an
     orthogonal projection; the rest is solved by singular values. Raises DataError when more than
     the gauge stays undetermined.
     """
@@ -546,7 +548,7 @@ def pool(parts: Sequence[ComponentInput], gauge: Floats) -> Pooled:
 def common_std(parts: Sequence[ComponentInput], gauge: Floats) -> float:
     """Return the standard deviation that, added to every value, makes chi-square equal to dof.
 
-    Mandel and Paule's between-laboratory component, here of every single value. Zero when
+    This is Mandel and Paule's between-laboratory component, here for every single value. Zero when
     chi-square is not above its expectation.
     """
 
@@ -583,8 +585,8 @@ def farthest(parts: Sequence[ComponentInput], gauge: Floats) -> int:
 def _whitened(part: ComponentInput) -> ComponentInput:
     """Return the part with unit covariance, and orthogonal to its own unknowns.
 
-    A large variance along the unknowns changes nothing but makes singular covariances regular:
-    those of curves that are exactly zero at their first angle or in their mean.
+    A large variance along the unknowns changes nothing else, but makes singular covariances
+    regular: those of curves that are exactly zero at their first angle or in their mean.
     """
     m = len(part.values)
     scale = float(np.trace(part.covariance)) / m

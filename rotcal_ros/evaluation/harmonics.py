@@ -1,7 +1,7 @@
 """Harmonic content of a deviation curve: amplitude and phase per order, with uncertainty.
 
-deviation(t) = constant + sum over k of amplitude_k * cos(k t - phase_k). The constant is left
-to itself: no method knows the zero of an angle.
+deviation(t) = constant + sum over k of amplitude_k * cos(k t - phase_k). The constant is ignored:
+no method knows the zero of an angle.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ class HarmonicContent:
     """Arrays (orders,) for the orders 1, 2, ...; amplitudes in the unit of the curve, phases rad.
 
     ``amplitude_std`` and ``phase_std`` are standard uncertainties (k = 1). ``significant``: the
-    order differs from zero at the 95 % level; the phase of one that does not is
-    meaningless. ``residual_rms`` is what all orders together leave.
+    order differs from zero at the 95 % level; otherwise its phase is meaningless. ``residual_rms``
+    is what all orders together leave over.
     """
 
     orders: Ints
@@ -43,12 +43,12 @@ class HarmonicContent:
 def harmonic_content(curve: MeasuredCurve, max_order: int | None = None) -> HarmonicContent:
     """Split ``curve`` into harmonics by weighted least squares with its full covariance.
 
-    ``max_order`` defaults to what the angles can tell apart, at most 12. Raises DataError for an
+    ``max_order`` defaults to what the angles can resolve, at most 12. Raises DataError for an
     arc, where harmonics are not independent, for more orders than the angles allow, and for a
-    curve of parts whose zeros nothing joins: their offsets would pass for harmonics.
+    curve of parts with unconnected zeros: their offsets would look like harmonics.
     """
     if curve.open_zeros:
-        raise DataError(f"{curve.open_zeros}: it would pass for harmonics")
+        raise DataError(f"{curve.open_zeros}: it would look like harmonics")
     if curve.period == 0.0:
         raise DataError("the curve covers an arc only: harmonics need the full circle")
     n = len(curve.angles)
@@ -80,7 +80,7 @@ def harmonic_content(curve: MeasuredCurve, max_order: int | None = None) -> Harm
 
 
 def _significant(vectors: Floats, pairs: Floats) -> Bools:
-    """Whether v' C^-1 v is above the 95 % quantile; never where no uncertainty is stated."""
+    """Return whether v' C^-1 v is above the 95 % quantile; never without an uncertainty."""
     size = np.maximum(np.linalg.det(pairs), 0.0)
     adjugate = np.stack(
         [

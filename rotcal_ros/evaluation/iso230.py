@@ -32,7 +32,7 @@ from rotcal_ros.foundation.tables import csv_rows
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 ONLY_SCATTER: Final = (
-    "U holds the scatter of the runs alone: nothing is stated about errors that all runs share"
+    "U covers only the scatter of the runs: nothing is stated about errors that all runs share"
 )
 
 
@@ -41,8 +41,8 @@ class BidirectionalRuns:
     """Deviations (m, n) rad of m target angles (m,) rad in n runs for each direction.
 
     ``common`` (m, m) rad^2 is the covariance of measurement errors that all runs share, such as
-    those of the calibration of the device; None when nothing is known of it. Raises DataError
-    for shapes that do not fit, values that are not finite, or fewer than two runs or targets.
+    those of the calibration of the device; None: unknown. Raises DataError for shapes that do not
+    fit, values that are not finite, or fewer than two runs or targets.
 
     >>> import rotcal_ros as rc
     >>> up = rc.ARCSEC * np.array([[0.0, 0.2], [1.0, 1.2]])  # two targets, two runs
@@ -71,8 +71,8 @@ class BidirectionalRuns:
             )
         if shape[0] < 2 or shape[1] < 2:
             raise DataError(
-                f"{shape[0]} targets and {shape[1]} runs: at least 2 of both are needed for a "
-                "spread, and the standard wants 5 runs"
+                f"{shape[0]} targets and {shape[1]} runs: a spread needs at least 2 of both, and "
+                "the standard asks for 5 runs"
             )
         for name, values in (("forward", self.forward), ("reverse", self.reverse)):
             if not np.all(np.isfinite(values)):
@@ -91,8 +91,8 @@ class Iso230:
     ``mean_*`` and ``s_*`` per direction, ``reversal_i`` = B_i = mean forward - mean reverse,
     ``repeatability_i`` = R_i. Scalars: reversal B and its mean, repeatability R, systematic
     deviation E, range of the mean bidirectional deviation M, accuracy A. ``uncertainties`` maps
-    the names of the scalars to theirs; without ``measurement_stated`` they hold the scatter of
-    the runs alone.
+    the names of the scalars to theirs; without ``measurement_stated`` they cover only the scatter
+    of the runs.
     """
 
     targets: Floats
@@ -120,7 +120,7 @@ class Iso230:
     measurement_stated: bool = False
 
     def summary(self) -> list[tuple[str, tuple[float | None, float | None, float | None]]]:
-        """Return each figure (rad) with its name: of both directions, forward, reverse."""
+        """Return each figure (rad) with its name: for both directions, forward, reverse."""
         return [
             ("Reversal B", (self.reversal, None, None)),
             ("Mean reversal", (self.mean_reversal, None, None)),
@@ -199,7 +199,7 @@ def _range(means: Floats, spread: Floats) -> float:
 
 
 def _short_of_the_standard(runs: BidirectionalRuns) -> list[str]:
-    """Return in words where the runs are fewer than the standard asks for."""
+    """Return in words what the runs lack of the standard's demands."""
     travel = float(np.ptp(runs.targets)) / DEGREE
     wanted = 3 if travel <= 90.0 else 5 if travel <= 180.0 else 8
     targets, n = runs.forward.shape
@@ -260,7 +260,7 @@ class TargetStatistics:
 
 
 def figure_uncertainties(statistics: TargetStatistics) -> dict[str, FigureUncertainty]:
-    """Return the uncertainty of every figure under the name that it has in Iso230."""
+    """Return the uncertainty of every figure, by its name in Iso230."""
     return {
         name: _propagated(statistics, *weights) for name, weights in _weights(statistics).items()
     }
@@ -307,7 +307,7 @@ def _weights(statistics: TargetStatistics) -> Mapping[str, tuple[Floats, Floats]
 
 
 def _at(values: Floats) -> Floats:
-    """Return one at the largest value and zero elsewhere."""
+    """Return an array that is one at the largest value and zero elsewhere."""
     found = np.zeros_like(values)
     found[np.unravel_index(np.argmax(values), values.shape)] = 1.0
     return found

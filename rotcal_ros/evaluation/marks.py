@@ -1,4 +1,4 @@
-"""What may be shown of a result: its two marks, and whether its uncertainty is believed.
+"""Decides what may be shown of a result: its two marks, and whether its uncertainty counts.
 
 *Measurement*: may the numbers be believed (ok, suspect, failed)? *Tolerance*: is the table as it
 was agreed (within, beyond, undecided)? A good measurement of a bad table is ok and beyond. Page,
@@ -137,7 +137,7 @@ COLOURS: Final[Mapping[str, str]] = {
 class Mark:
     """One answer: ``name`` is measurement or tolerance, ``kind`` one of COLOURS.
 
-    ``words`` begin with the answer. The kind of an ok that does not cover everything is "partly".
+    ``words`` begin with the answer. An ok that does not cover everything has the kind "partly".
     """
 
     name: str
@@ -156,7 +156,7 @@ class Mark:
 
 
 def marks(result: Result, truth: Mapping[str, Any] | None = None) -> tuple[Mark, ...]:
-    """Return the marks of a result; no second one where no tolerance is agreed.
+    """Return the marks of a result; only one if no tolerance is agreed.
 
     ``truth`` is the content of the truth.json of a simulation.
     """
@@ -181,8 +181,8 @@ def tolerance(
 ) -> Mark | None:
     """Return the mark of deviations (SI, by component) with their standard uncertainties.
 
-    None where no tolerance is agreed for any of them. One component beyond is beyond, whatever
-    the others are. Where U may not be stated (``doubt``) nothing is decided.
+    None if no tolerance is agreed for any of them. If one component is beyond, all are. If U may
+    not be stated (``doubt``) nothing is decided.
     """
     agreed = {name: limit for name in deviations if (limit := tolerance_of(name, identity))}
     if not agreed:
@@ -205,11 +205,11 @@ def _all(agreed: Mapping[str, float]) -> str:
 
 
 SURELY_WRONG: Final = 2.0
-"""Times U, hence four standard uncertainties: no honest curve is that far from the truth."""
+"""In U, so four standard uncertainties: no honest curve is that far from the truth."""
 
 
 def withheld(result: Result, truth: Mapping[str, Any] | None = None) -> str | None:
-    """Return why no uncertainty of ``result`` may be stated; None where it may.
+    """Return why no uncertainty of ``result`` may be stated; None if it may.
 
     ``truth`` is the content of the truth.json of a simulation.
     """
@@ -219,7 +219,7 @@ def withheld(result: Result, truth: Mapping[str, Any] | None = None) -> str | No
 
 
 def withheld_by(verdict: str, warnings: Sequence[str]) -> str | None:
-    """Return why a verdict forbids to state an uncertainty; None where it does not."""
+    """Return why a verdict forbids to state an uncertainty; None if it does not."""
     if verdict == "ok":
         return None
     return f"the verdict is {verdict}: {'; '.join(warnings) or 'its reason is not recorded'}"
@@ -244,7 +244,7 @@ def at_angles(angles: Floats, truth: Mapping[str, Any], component: str) -> tuple
 
 
 def _contradicted(result: Result, truth: Mapping[str, Any]) -> str | None:
-    """Return in words where the injected deviations lie far outside the band, if anywhere."""
+    """Return in words where the injected deviations lie far outside the band, or None."""
     for name in result.components:
         injected, known = at_angles(result.angles, truth, name)
         expanded = COVERAGE_FACTOR * result.std[name]
@@ -258,6 +258,6 @@ def _contradicted(result: Result, truth: Mapping[str, Any]) -> str | None:
                 f"{name} at {result.angles[worst] / DEGREE:g} degrees is "
                 f"{error[worst] / unit:.2g} {label} off what the simulation injected, "
                 f"{times[worst]:.1f} times its U of {stated} {label}: "
-                "the model lacks something"
+                "the model is incomplete"
             )
     return None

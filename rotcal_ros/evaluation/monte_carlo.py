@@ -1,8 +1,8 @@
-"""Propagation of distributions by Monte Carlo, beside the solver's covariance: JCGM 101:2008, 7.9.
+"""Propagates distributions by Monte Carlo, to check the solver's covariance: JCGM 101:2008, 7.9.
 
 A *model* draws trials: ``model(rng, count)`` returns (count, n) output quantities. The trials come
 in blocks, and block h always uses the same counter-based random stream, so a result depends on the
-seed alone: not on the number of workers, nor on which of them was faster.
+seed alone, and not on the number or speed of the workers.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ def compare_with_linear(
     return [
         f"{names[i] if names else f'output {i}'}: the linear standard uncertainty is "
         f"{std[i]:.3g}, the trials say {result.std[i]:.3g} (mean shifted by "
-        f"{result.mean[i] - value[i]:.2g}); trust the trials"
+        f"{result.mean[i] - value[i]:.2g}); believe the trials"
         for i in np.flatnonzero((low > tolerance) | (high > tolerance)).tolist()
     ]
 
@@ -152,7 +152,7 @@ def _stable(figures: Floats, digits: int) -> bool:
 
 
 def _blocks(model: Model, seed: int, block: int, n_blocks: int, workers: int) -> Blocks:
-    """Trials of block after block, in order, computed ahead by the workers."""
+    """Yield the trials of block after block, in order, computed ahead by the workers."""
     if workers == 1:
         for index in range(n_blocks):
             yield model(_stream(seed, index), block)
@@ -173,7 +173,7 @@ def _blocks(model: Model, seed: int, block: int, n_blocks: int, workers: int) ->
 
 
 def _stream(seed: int, index: int) -> np.random.Generator:
-    """Random numbers of one block: its index is the high word of the counter."""
+    """Return the random numbers of one block: its index is the high word of the counter."""
     return np.random.Generator(np.random.Philox(key=seed, counter=index << 192))
 
 
@@ -204,7 +204,7 @@ class PropagatedComponent:
 
 @dataclass(frozen=True, eq=False)
 class Propagated:
-    """A result and the trials about it; ``seed`` makes them again."""
+    """A result and the trials about it; ``seed`` repeats them."""
 
     result: Result
     spread: Propagation
@@ -212,7 +212,7 @@ class Propagated:
 
     @cached_property
     def components(self) -> dict[str, PropagatedComponent]:
-        """What solver and trials say about each component."""
+        """The figures of solver and trials for each component."""
         names = self.result.components
         columns = (self.spread.mean, self.spread.std, self.spread.low, self.spread.high)
         split = [np.split(column, len(names)) for column in columns]
@@ -225,7 +225,7 @@ class Propagated:
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """Where the trials contradict the solver, in units that people read."""
+        """The contradictions between trials and solver, in units for people."""
         texts: list[str] = []
         for name, part in self.components.items():
             unit, label = unit_of(name)

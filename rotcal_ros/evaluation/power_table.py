@@ -1,13 +1,13 @@
-"""Which effects spoil a result before its verdict shows it, found by simulated measurements.
+"""Finds effects that spoil a result before its verdict shows it, by simulated measurements.
 
 Every effect that a method lists is added to a simulated measurement of a plan, until the verdict
-turns with the wanted probability. An effect that changes the result by more than TOLERABLE
+changes with the wanted probability. An effect that changes the result by more than TOLERABLE
 standard uncertainties before that must be named in the verdict line.
 
 A *trial* measures once, with an effect of a size, and records whether that was noticed and how
-much it changed the result. The size that is noticed with a wanted probability is
-bracketed by doubling and halved from there; between the last two sizes the probability is
-interpolated as a probit of the logarithm.
+much it changed the result. The size that is noticed with a wanted probability is bracketed by
+doubling, then by halving; between the last two sizes the probability is interpolated as a probit
+of the logarithm.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ NOT_STATED = "not stated"
 class PowerRow:
     """One effect on one method.
 
-    ``size`` is in ``unit``. The verdict turns there with the wanted probability; where it never
-    does, ``reached`` is False and ``size`` the largest that was tried. Where the uncertainty
-    holds an allowance, ``allowed`` is True and ``size`` is that. ``error`` is what an unnoticed
+    ``size`` is in ``unit``. There the verdict changes with the wanted probability; if it never
+    does, ``reached`` is False and ``size`` is the largest one tried. If the uncertainty holds an
+    allowance, ``allowed`` is True and ``size`` is that allowance. ``error`` is what an unnoticed
     effect of that size does, in stated standard uncertainties; ``named`` says whether the verdict
     line names the effect.
     """
@@ -76,7 +76,10 @@ class Bench:
         return sum(self.plain(number).verdict != "ok" for number in range(self.runs))
 
     def trial(self, effect: Effect, size: float, number: int) -> Trial:
-        """Return trial ``number`` with an effect of ``size`` (SI); no result counts as noticed."""
+        """Return trial ``number`` with an effect of ``size`` (SI).
+
+        Without a result it counts as noticed.
+        """
         measured = self.calibration.measured({effect: size}, number)
         try:
             result = self.calibration.solve(measured.observations)
@@ -95,12 +98,12 @@ class Bench:
         )
 
     def listed(self) -> tuple[Disturbance, ...]:
-        """Return what may disturb the method; empty when it does not say."""
+        """Return the disturbances that the method lists; empty if it lists none."""
         disturbances = self.calibration.method.disturbances
         return () if disturbances is None else disturbances.listed
 
     def row(self, disturbance: Disturbance) -> PowerRow:
-        """Return what the effect of a disturbance does before the verdict turns."""
+        """Return what a disturbance does before the verdict changes."""
         effect, unit = disturbance.effect, disturbance.unit_si
         stated = {p.effect: p.treatment for p in self.plain(0).protections}
         treatment = stated.get(effect, NOT_STATED)
@@ -126,7 +129,7 @@ class Bench:
 def power_rows(
     bench: Bench, report: Callable[[PowerRow], None] = lambda row: None
 ) -> list[PowerRow]:
-    """Return a row for each effect; ``report`` is called with every one as it is found.
+    """Return a row for each effect; ``report`` is called with each as soon as it is found.
 
     Raises ConfigurationError for a method that does not list what may disturb it.
     """
@@ -144,7 +147,7 @@ def power_rows(
 
 
 def _error(result: Result, plain: Result, truth: Mapping[str, Floats]) -> dict[str, Floats]:
-    """Return what the effect has caused of each component, in its stated std where it has one."""
+    """Return the error of each component, in its stated std if it has one."""
     parts = {}
     for name in result.components:
         std = result.std[name]
@@ -161,16 +164,16 @@ def _worst(error: Mapping[str, Floats]) -> Floats:
 
 
 def _pooled(error: Mapping[str, Floats]) -> Floats:
-    """Return the errors of what scatters: rms over the angles, which are all alike."""
+    """Return the errors of scattering effects: rms over the angles, which are all equivalent."""
     return np.array([np.sqrt(np.mean(np.square(part))) for part in error.values()])
 
 
 FACTOR: Final = 2.0
-"""From one size to the next while the search is for a bracket."""
+"""Factor from one size to the next in the search for a bracket."""
 HALVINGS: Final = 2
-"""How often the bracket is halved (in the logarithm); then it is 19 % wide."""
+"""How often the bracket is halved (in the logarithm): then it is 19 % wide."""
 GLANCE: Final = 20
-"""Trials after which a size is given up that is noticed far too seldom, or always."""
+"""After this many trials a size is given up if it is noticed far too seldom, or always."""
 SELDOM: Final = 0.6
 ENOUGH: Final = 3
 """Unnoticed trials needed to state an error."""
@@ -180,7 +183,7 @@ ENOUGH: Final = 3
 class Trial:
     """One measurement with an effect: ``error`` (n,) is its part in the deviations, in their std.
 
-    None where there is no result.
+    None if there is no result.
     """
 
     noticed: bool
@@ -195,8 +198,8 @@ Try = Callable[[float, int], Trial]
 class Share:
     """How many trials of a size were noticed; ``error`` is the largest rms error of the others.
 
-    Over the trials that were not noticed, at the worst of all angles and components,
-    in stated standard uncertainties; None with fewer than ENOUGH of them.
+    It is taken over the unnoticed trials, at the worst of all angles and components, in stated
+    standard uncertainties; None with fewer than ENOUGH of them.
     """
 
     size: float
@@ -206,7 +209,7 @@ class Share:
 
     @property
     def probability(self) -> float:
-        """The share, with half a trial in doubt on either side so that it has a probit."""
+        """The share, shifted by half a trial at either end so that it has a probit."""
         return (self.noticed + 0.5) / (self.trials + 1.0)
 
 
@@ -214,9 +217,9 @@ class Share:
 class Found:
     """The outcome of a search.
 
-    ``size`` is noticed with the wanted probability; where none up to the largest was,
-    ``reached`` is False and ``size`` that one. ``error`` is what an unnoticed effect of that size
-    does, in stated standard uncertainties.
+    ``size`` is noticed with the wanted probability; if no size up to the largest is, ``reached``
+    is False and ``size`` is the largest. ``error`` is what an unnoticed effect of that size does,
+    in stated standard uncertainties.
     """
 
     size: float
@@ -227,9 +230,9 @@ class Found:
 def search(attempt: Try, start: float, largest: float, runs: int, power: float = POWER) -> Found:
     """Return from which size up to ``largest`` an effect is noticed with probability ``power``.
 
-    ``runs`` trials decide about a size. The largest is tried first: an effect that is not even
-    noticed there needs no search, which else begins at ``start``. The probability is taken to
-    grow with the size.
+    ``runs`` trials decide about a size. The largest is tried first: an effect that is not noticed
+    even there needs no search. The search begins at ``start`` and assumes that the probability
+    grows with the size.
     """
     below: Share | None = None
     above: Share | None = None
@@ -263,7 +266,7 @@ def search(attempt: Try, start: float, largest: float, runs: int, power: float =
 
 
 def share_of(attempt: Try, size: float, runs: int) -> Share:
-    """Try a size ``runs`` times, fewer where it is clear that it is noticed too seldom."""
+    """Try a size ``runs`` times, or fewer if it is clearly noticed too seldom."""
     noticed, errors = 0, []
     number = 0
     while number < runs:
@@ -293,9 +296,9 @@ def _between(below: Share, above: Share, power: float) -> float:
 
 
 def _error_at(size: float, shares: list[Share]) -> float:
-    """Return the error of an unnoticed effect of ``size``: in proportion to the nearest known.
+    """Return the error of an unnoticed effect of ``size``, in proportion to the nearest known.
 
-    inf where no size left enough trials unnoticed.
+    It is inf if no size left enough trials unnoticed.
     """
     with_error = [share for share in shares if share.error is not None]
     if not with_error:

@@ -1,4 +1,4 @@
-"""A quick check: whether an earlier curve still describes the table, from a new measurement.
+"""The quick check: a new measurement tells whether an earlier curve still describes the table.
 
 The rule with its risks and sources is in :mod:`rotcal_ros.planning.check_rule`.
 """
@@ -28,13 +28,13 @@ CheckVerdict = Literal["still valid", "changed", "undecided"]
 class QuickCheck:
     """New minus earlier at the n ``angles`` (rad) of the new measurement, in rad or m.
 
-    ``difference`` is aligned: the offset that no method knows is taken off. ``std`` is its
+    ``difference`` is aligned: the offset that no method knows is removed. ``std`` is its
     standard uncertainty from the new measurement alone, ``expected_std`` the standard deviation of
-    the earlier curve's error with the stated ageing. ``acceptance``: up to which |difference| an
-    angle is still valid, ``alarm``: beyond which it has changed; where nothing passes,
-    ``acceptance`` is negative. ``interpolated`` marks angles at which the earlier curve was not
-    measured. ``assurance``: with what probability this measurement finds a table still valid that
-    has only aged as stated.
+    the earlier curve's error with the stated ageing. Up to a |difference| of ``acceptance`` an
+    angle is still valid, beyond ``alarm`` it has changed; if nothing can pass, ``acceptance`` is
+    negative. ``interpolated`` marks angles at which the earlier curve was not measured.
+    ``assurance`` is the probability that this measurement finds a table still valid that has only
+    aged as stated.
     """
 
     rule: CheckRule
@@ -78,10 +78,10 @@ def quick_check(
 ) -> QuickCheck:
     """Judge whether ``earlier`` is within ``rule.limit`` of the table that ``new`` has measured.
 
-    At the angles of ``new``, whose errors are independent of the earlier ones; between its own
-    angles the earlier curve is the spline that a controller's table follows. ``align_order`` takes
-    off, beside the offset, so many harmonics that both define differently. A new measurement
-    whose own verdict is not ok decides nothing. ``unit`` and its name are for the texts. Raises
+    It is judged at the angles of ``new``, whose errors are independent of the earlier ones;
+    between its own angles the earlier curve is the spline that a controller's table follows.
+    ``align_order`` also removes so many harmonics that both define differently. A new measurement
+    that is not ok itself decides nothing. ``unit`` and its name are for the texts. Raises
     DataError without an uncertainty, without common angles, and for a result that failed.
     """
     for name, curve in (("earlier", earlier), ("new", new)):
@@ -106,7 +106,7 @@ def quick_check(
         verdict, why = "undecided", "the new measurement itself is suspect: measure again"
     unseen = earlier.open_zeros or new.open_zeros
     if unseen and verdict == "still valid":
-        verdict, why = "undecided", f"{unseen}: a change of that would not be seen"
+        verdict, why = "undecided", f"{unseen}: a change of it would not be seen"
     return QuickCheck(
         rule=rule,
         verdict=verdict,
@@ -131,7 +131,7 @@ def _judge(
     expected: Floats,
     shown: tuple[float, str],
 ) -> tuple[CheckVerdict, str]:
-    """Return the verdict and the angle that decides, or what would."""
+    """Return the verdict, and the angle that decides or what would decide."""
     unit, name = shown
     size, acceptance, alarm = (
         np.abs(difference),
@@ -153,10 +153,13 @@ def _judge(
             f"{name} that is explained"
         )
     if size[worst] >= rule.limit:
-        return "undecided", f"{found} is beyond the limit, but may be chance: measure all again"
+        return (
+            "undecided",
+            f"{found} is beyond the limit, perhaps by chance: measure all again",
+        )
     enough = COVERAGE_FACTOR * (rule.limit - size[worst]) / normal_isf(rule.miss)
     return "undecided", (
-        f"{found} needs U <= {enough / unit:.3g} {name} (k = 2) to be surely within, it has "
+        f"{found} needs U <= {enough / unit:.3g} {name} (k = 2) to be within for sure, it has "
         f"{COVERAGE_FACTOR * std[worst] / unit:.3g}: measure more"
     )
 
@@ -171,10 +174,10 @@ def _notes(both: PairedCurves, earlier: MeasuredCurve, new: MeasuredCurve) -> tu
     if np.any(both.interpolated):
         notes.append(
             f"{int(np.sum(both.interpolated))} of {len(both.angles)} angles lie between those of "
-            "the earlier curve: what its spline misses there counts as a change"
+            "the earlier curve: what the spline misses there counts as a change"
         )
     if both.outside:
-        notes.append(f"{both.outside} angles lie outside of the earlier arc: left out")
+        notes.append(f"{both.outside} angles lie outside the earlier arc: left out")
     unseen = len(earlier.angles) - int(np.sum(~both.interpolated))
     if unseen:
         notes.append(

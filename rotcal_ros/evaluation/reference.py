@@ -22,9 +22,9 @@ def read_reference(text: str, name: str, std: float | None = None) -> MeasuredCu
     """Return the curve in ``text``, the file ``name``: ``angle_deg,deviation_arcsec[,u_arcsec]``.
 
     Deviation = actual - commanded; u is the standard uncertainty (k = 1) of each value,
-    independent of the others; ``std`` (rad) stands for it where the column is absent. A row at
-    360 deg repeats the one at 0 and must equal it within 4 standard uncertainties. Raises BagError
-    for other columns, DataError with the line that is wrong and where nobody states u.
+    independent of the others; ``std`` (rad) replaces it if the column is absent. A row at 360 deg
+    repeats the one at 0 and must equal it within 4 standard uncertainties. Raises BagError for
+    other columns, DataError with the wrong line, or if nobody states u.
     """
     reader = csv_rows(text, name)
     head = tuple(cell.strip() for cell in next(reader, []))
@@ -45,7 +45,7 @@ def read_reference(text: str, name: str, std: float | None = None) -> MeasuredCu
     angles, deviation, uncertainty = data[:, 0] * DEGREE, data[:, 1] * ARCSEC, data[:, 2] * ARCSEC
     if np.any(np.diff(angles) < SAME_ANGLE):
         twice = angles[np.argmax(np.diff(angles) < SAME_ANGLE)] / DEGREE
-        raise DataError(f"{name}: the angle {twice:.6g} deg is there twice")
+        raise DataError(f"{name}: the angle {twice:.6g} deg occurs twice")
     period = period_of(angles)
     if period and abs(angles[-1] - angles[0] - TURN) < SAME_ANGLE:
         gap, limit = (
@@ -60,16 +60,16 @@ def read_reference(text: str, name: str, std: float | None = None) -> MeasuredCu
         angles, deviation, uncertainty = angles[:-1], deviation[:-1], uncertainty[:-1]
     if std is None and head != COLUMNS:
         raise DataError(
-            f"{name} states no uncertainty, and nothing is exact: add a column u_arcsec, or state "
-            "one for all rows with --reference-u (standard uncertainty, k = 1)"
+            f"{name} states no uncertainty: add a column u_arcsec, or state one for all rows with "
+            "--reference-u (standard uncertainty, k = 1)"
         )
     return _sorted(angles, deviation, uncertainty, period, name)
 
 
 def without_polygon(reading: MeasuredCurve, polygon: MeasuredCurve) -> MeasuredCurve:
-    """Return ``reading`` with the calibrated face errors of the polygon taken off.
+    """Return ``reading`` without the calibrated face errors of the polygon.
 
-    ``polygon`` gives, for each table angle, the error of the face that then looks at the
+    ``polygon`` gives, for each table angle, the error of the face that then faces the
     autocollimator: actual - nominal direction of its normal, counter-clockwise positive. The
     reading is the sum of both. Raises DataError when a face is missing.
     """

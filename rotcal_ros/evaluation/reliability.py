@@ -1,9 +1,9 @@
-"""What error in one observation a calibration finds, and what one that it misses would do.
+"""Finds the smallest detectable error in one observation, and the effect of an undetected one.
 
 Internal reliability: the minimal detectable error of an observation, std * sqrt(lambda0 / r)
 with its redundancy r. External reliability: what that error does to the deviations, in their
-standard uncertainties: at most sqrt(lambda0 (1 - r) / r) for whatever is computed from the
-unknowns. Source: Baarda, W. (1968), A testing procedure for use in geodetic networks.
+standard uncertainties: at most sqrt(lambda0 (1 - r) / r) for anything computed from the unknowns.
+Source: Baarda, W. (1968), A testing procedure for use in geodetic networks.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ ALPHA: Final = 0.001
 POWER: Final = 0.80
 """Probability with which an error of the minimal detectable size is found."""
 CHECKED: Final = 1e-6
-"""Redundancy below which nothing checks an observation."""
+"""Below this redundancy nothing checks an observation."""
 NUDGE: Final = 0.01
-"""Error, in standard deviations, whose effect on a result is taken as linear."""
+"""An error of this many standard deviations has a linear effect on a result."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +37,9 @@ class Reliability:
 
     ``row`` (n,) are their rows among the residuals. ``detectable`` (n,) is the minimal detectable
     error in standard deviations of the observation, for one of several coordinates in the mean
-    over the directions; inf where nothing checks it. ``effect`` (n,) bounds what such an error
-    does to any deviation, in standard uncertainties of that. ``std`` (n,) is the standard
-    deviation of the observations in metres, None where it is not known.
+    over the directions; inf if nothing checks it. ``effect`` (n,) bounds what such an error does
+    to any deviation, in standard uncertainties of that. ``std`` (n,) is the standard deviation of
+    the observations in metres, None if it is not known.
     """
 
     alpha: float
@@ -55,22 +55,22 @@ class Reliability:
 
     @property
     def unchecked(self) -> Bools:
-        """Which observations (n,) nothing checks."""
+        """Mask (n,) of the observations that nothing checks."""
         return np.asarray(~np.isfinite(self.detectable), dtype=np.bool_)
 
     def worst(self, count: int) -> Ints:
-        """Return up to ``count`` observations, those with the largest effect first."""
+        """Return up to ``count`` observations, the largest effect first."""
         order = np.lexsort((self.row, -self.effect))
         return np.asarray(order[:count], dtype=np.int64)
 
     def detectable_m(self) -> Floats | None:
-        """Return the minimal detectable errors (n,) in metres; None where no std is stated."""
+        """Return the minimal detectable errors (n,) in metres; None if no std is stated."""
         return None if self.std is None else np.asarray(self.std * self.detectable)
 
     def to_dict(self, count: int, effects: Floats | None = None) -> dict[str, Any]:
         """Return plain types for JSON with the ``count`` worst, SI.
 
-        ``effects`` of these on the deviations, see :func:`effects_on_deviations`.
+        ``effects`` are those on the deviations, see :func:`effects_on_deviations`.
         """
         worst, metres = self.worst(count), self.detectable_m()
         columns: dict[str, Any] = {
@@ -103,7 +103,7 @@ class Reliability:
 def reliability(residuals: Residuals, alpha: float = ALPHA, power: float = POWER) -> Reliability:
     """Return the reliability of the used observations of a solution.
 
-    A point of three coordinates is tested as one: chi-squared with three degrees of freedom.
+    A point is tested as a whole: chi-squared with three degrees of freedom.
     """
     row = np.flatnonzero(residuals.used)
     share = np.clip(residuals.redundancy[row], 0.0, 1.0)
@@ -135,10 +135,10 @@ def effects_on_deviations(
 ) -> Floats:
     """Return what the minimal detectable errors of ``which`` do to the deviations, in their std.
 
-    The largest one over all angles and components, by solving again with a small error in each
-    coordinate; inf where nothing checks the observation. ``observations`` (n,) are those of
-    ``result``; what only closes a plan has no residual. Raises DataError when a residual belongs
-    to none of them, or when the observations have no standard deviation.
+    It is the largest over all angles and components, found by solving again with a small error in
+    each coordinate; inf if nothing checks the observation. ``observations`` (n,) are those of
+    ``result``; an observation that only closes a plan has no residual. Raises DataError if a
+    residual belongs to none of them, or if they have no standard deviation.
     """
     metres = found.detectable_m()
     if result.residuals is None:
@@ -164,7 +164,7 @@ def _observation_of(residuals: Residuals, observations: Sequence[Observation]) -
             found.append(index)
     if len(found) < len(rows):
         raise DataError(
-            f"{len(rows) - len(found)} residuals are not those of one observation each: no effect "
+            f"{len(rows) - len(found)} residuals do not belong to one observation each: no effect "
             "can be calculated"
         )
     return found
@@ -202,5 +202,5 @@ def _in_std(result: Result, again: Result) -> Floats:
 
 
 def _finite(value: Any) -> Any:
-    """Return a number for JSON, which has no infinity: None."""
+    """Return a number for JSON: None for infinity, which it lacks."""
     return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -25,8 +25,8 @@ ISO_FIGURES: Final = ("accuracy", "repeatability", "systematic", "reversal", "me
 class Positioning:
     """One measured run: deviations and standard uncertainties (n,) rad at angles (n,) rad.
 
-    A range after ISO 230-2 (E of one direction, or of both where both were measured: then the
-    angles go up and down again), no repeatability.
+    It gives a range after ISO 230-2 (E of one direction, or of both if both were measured: then
+    the angles go up and down again), but no repeatability.
     """
 
     angles: Floats
@@ -59,10 +59,10 @@ class Positioning:
 class Verification:
     """Two measurements of one axis, without and with its correction table.
 
-    ``stated`` (rad) is what the table should leave. ``iso`` holds ISO 230-2 evaluations of
+    ``stated`` (rad) is what the table should leave over. ``iso`` holds ISO 230-2 evaluations of
     the axis itself under "before", "after" and "again", where its true angle is known.
-    ``verdict_lines`` are those of the measurements, by the same names. ``again`` is a third
-    one, after what the second found was added to the table. ``effect`` says how much is left of
+    ``verdict_lines`` are those of the measurements, by the same names. ``again`` is a third one,
+    after the findings of the second were added to the table. ``effect`` says how much is left of
     what the table corrects, ``simulated`` that no instrument measured.
     """
 
@@ -77,7 +77,7 @@ class Verification:
 
     @property
     def fault(self) -> str | None:
-        """What the table does wrong at the control, in words, if that is certain."""
+        """The fault of the table at the control, in words, if it is certain."""
         return None if self.effect is None else self.effect.fault
 
     @property
@@ -93,7 +93,7 @@ class Verification:
 
     @property
     def reserves(self) -> tuple[str, ...]:
-        """What the verdict on each measurement does not cover; both may share such an error."""
+        """What the verdicts on the measurements do not cover; both may share such an error."""
         return tuple(
             f"measurement {when}: {line}"
             for when, line in self.verdict_lines.items()
@@ -102,7 +102,7 @@ class Verification:
 
     @property
     def verdict(self) -> Verdict:
-        """Return "ok" when no more is left than was expected, and less than there was.
+        """Ok if no more is left than was expected, and less than before.
 
         A table that does not act, or acts with the wrong sign, has failed.
         """

@@ -17,11 +17,11 @@ from rotcal_ros.methods import Calibration, Method, changed
 
 SAME_ANGLE = 1e-9  # rad
 EVALUATIONS = "evaluations"
-"""The entry of a file that holds several."""
+"""The entry of a file with several evaluations."""
 
 
 def way_name(changes: Sequence[str]) -> str:
-    """Return the changes of a way in words."""
+    """Return the changes of a way, in words."""
     return ", ".join(str(change).removeprefix("solver.") for change in changes) or "all data"
 
 
@@ -95,7 +95,7 @@ def largest_differences(method: Method, first: Result, second: Result) -> dict[s
 
 
 def in_words(evaluations: Sequence[Evaluation]) -> list[str]:
-    """Return lines for people: each way with its largest U (k = 2), where it may be stated."""
+    """Return lines for people: each way with its largest U (k = 2), if it may be stated."""
     lines = []
     for evaluation in evaluations:
         result = evaluation.result

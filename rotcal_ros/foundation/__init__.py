@@ -1,1 +1,1 @@
-"""What every room stands on: results, observations, settings, errors, files, units."""
+"""What all rooms build on: results, observations, settings, errors, files, units."""

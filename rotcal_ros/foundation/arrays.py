@@ -1,4 +1,4 @@
-"""Types of arrays: what their elements are; docstrings say which shape they have."""
+"""Types of arrays by their elements; docstrings state their shapes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def std_of(covariance: Floats) -> Floats:
 def steps_from(before: float, values: _Numbers) -> _Numbers:
     """Return the steps (n,) of ``values`` (n,), the first of them from ``before``.
 
-    As ``np.diff`` with ``prepend``, which takes several times as long for a few values.
+    It is ``np.diff`` with ``prepend``, which takes several times as long for a few values.
     """
     steps: _Numbers = np.empty_like(values)
     steps[:1] = values[:1] - before

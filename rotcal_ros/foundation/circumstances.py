@@ -13,7 +13,7 @@ from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.records import record
 
 SIMULATED: Final = "SIMULATED"
-"""How all that comes from a simulation is marked."""
+"""The mark on everything that comes from a simulation."""
 NOTHING_MEASURED: Final = f"{SIMULATED}: no instrument measured this"
 
 
@@ -34,11 +34,11 @@ class Range:
 
 @dataclass(frozen=True, slots=True)
 class StepCounts:
-    """How many steps there were.
+    """Numbers of steps.
 
-    ``planned``: in the plan, for a policy those on offer; ``used``: observed and accepted;
-    ``skipped``: not measured or given up, 0 where a policy chooses; ``retried``: accepted after
-    one attempt or more had been rejected.
+    ``planned``: in the plan, for a policy those offered; ``used``: observed and accepted;
+    ``skipped``: not measured or given up, 0 if a policy chooses; ``retried``: accepted after one
+    or more rejected attempts.
     """
 
     planned: int
@@ -52,7 +52,7 @@ class Circumstances:
     """Circumstances of a measurement.
 
     ``simulated``: no instrument measured, a simulation did. Times are nanoseconds since 1970 of
-    the machine's clock, None where a table has none; ``temperature_c`` degrees Celsius,
+    the machine's clock, None if a table has none; ``temperature_c`` degrees Celsius,
     ``pressure_pa`` of the air, ``humidity`` relative, 0 to 1. ``refraction`` says in words who
     corrects the lengths for the index of refraction of the air; empty without lengths.
     """
@@ -69,15 +69,15 @@ class Circumstances:
     counts: StepCounts | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what is known in plain types, as it stands in result.json."""
+        """Return what is known in plain types, as in result.json."""
         data = asdict(self) | {"identity": self.identity.to_dict()}
         return {k: v for k, v in data.items() if v not in (None, "", {})}
 
     @classmethod
     def joined(cls, parts: Sequence[Circumstances]) -> Circumstances:
-        """Return what holds for a result from several: what all that say something agree on.
+        """Return the circumstances of a combined result: what all statements agree on.
 
-        It is as old as the first measurement whose time is known, and ended when all did.
+        It begins with the first measurement whose time is known, and ends with the last.
         """
         axes = {part.axis for part in parts} - {""}
         begun = [part.begun_ns for part in parts if part.begun_ns is not None]

@@ -11,9 +11,9 @@ from datetime import datetime, timedelta, timezone
 from typing import Final
 
 LEAST_NS: Final = 50_000_000
-"""A smaller step does not count: two clocks are not read at one instant."""
+"""A smaller step does not count, since two clocks cannot be read at the same instant."""
 NAMED_NS: Final = 30_000_000_000
-"""From this step on it is reported to a person at once."""
+"""From this size on a jump is reported to a person at once."""
 _CLOSE_NS: Final = 5_000_000
 _TRIES: Final = 10
 _REMEMBERED: Final = 100
@@ -42,7 +42,7 @@ class ClockWatch:
     """Watches the system clock of this process; ``count`` and ``ahead_ns`` add up its jumps.
 
     ``read`` returns the system clock and how far it is ahead of the monotonic one, in ns. A
-    machine that slept looks like one whose clock jumped ahead.
+    machine that was suspended looks like one whose clock jumped ahead.
     """
 
     def __init__(self, read: Callable[[], tuple[int, int]] | None = None) -> None:

@@ -1,4 +1,4 @@
-"""A rotary axis and its six deviations: their names, and how people are shown them."""
+"""A rotary axis and its six deviations: their names, and how people see them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ROTATIONS: Final = ("EAC", "EBC", "ECC")
 COMPONENTS: Final = (*TRANSLATIONS, *ROTATIONS)
 
 COVERAGE_FACTOR: Final = 2.0
-"""People are shown expanded uncertainties U = k u with this k; files hold k = 1."""
+"""People see expanded uncertainties U = k u with this k; files hold k = 1."""
 HALF_OF_95_PERCENT: Final = 1.959963984540054
 """Standard deviations of a normal distribution in half an interval of exactly 95 %."""
 
@@ -32,7 +32,7 @@ def unit_of(component: str) -> tuple[float, str]:
 
 
 def check_axis(axis: str) -> str:
-    """Return ``axis`` when it can stand in a controller file, else raise ConfigurationError."""
+    """Return ``axis`` if a controller file can hold it, else raise ConfigurationError."""
     if not re.fullmatch(r"[A-Z][A-Z0-9_]{0,15}", axis):
         raise ConfigurationError(
             f"axis name {axis!r}: expected a capital letter followed by at most 15 capitals, "

@@ -1,7 +1,7 @@
-"""The calls to the system that durable writing is made of, each in one place.
+"""The system calls of durable writing, each in one place.
 
-What must survive a crash is written by these functions alone, so that a test can let any one
-call of them fail, or cut the power between two.
+What must survive a crash is written only by these functions, so that a test can make any single
+call fail, or cut the power between two.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def write(descriptor: int, data: bytes | memoryview) -> int:
 
 
 def sync(descriptor: int) -> None:
-    """Return when the file or folder is on the medium."""
+    """Wait until the file or folder is on the medium."""
     os.fsync(descriptor)
 
 
@@ -39,6 +39,7 @@ def close(descriptor: int) -> None:
 
 def lock(descriptor: int) -> None:
     """Take the exclusive lock; BlockingIOError when another process has it."""
+    # flock ends with the last descriptor, so no dead process leaves a lock behind.
     fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 

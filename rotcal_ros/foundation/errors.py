@@ -11,7 +11,7 @@ from typing import Final
 from rotcal_ros.foundation.escapes import printable, shortened
 
 LONGEST: Final = 2000
-"""Characters of an error; of a longer one the middle is left out."""
+"""Longest error in characters; a longer one loses its middle."""
 
 
 class RotcalError(Exception):
@@ -30,10 +30,9 @@ class RotcalError(Exception):
     exit_code = 2
 
     def __init__(self, text: str = "", log: str = "") -> None:
-        """Say ``text``; ``log`` has further lines: a list, or what another process said.
+        """Set ``text``; ``log`` has further lines, such as a list or what another process said.
 
-        Whatever names of others are in it, the text is one line of visible characters that can be
-        read at a glance.
+        Whatever names from elsewhere are in it, the text is one line of visible characters.
         """
         super().__init__(shortened(printable(text), LONGEST))
         self.log = log

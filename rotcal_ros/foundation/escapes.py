@@ -1,7 +1,7 @@
 """Names and texts from elsewhere, made safe to show: one function for each medium.
 
 Texts of a bag, a file name or a configuration may hold line ends, control sequences of a terminal,
-characters that reverse the direction of reading, or bytes that are no text. All output for people
+characters that reverse the direction of reading, or bytes that are not text. All output for people
 goes through here; no text is refused because of such characters.
 """
 
@@ -12,11 +12,11 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 _UNSEEN: Final = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
-"""Categories of Unicode without a sign of their own: controls, directions, halves, line ends."""
+"""Categories of Unicode without a visible sign: controls, directions, halves, line ends."""
 _JOINERS: Final = "\u200c\u200d"
-"""Without a sign, but Persian and the scripts of India are not spelt without them."""
+"""Invisible, but needed to spell Persian and the scripts of India."""
 _FORMULA: Final = ("=", "+", "-", "@", "\t", "\r")
-"""What a cell begins with that a spreadsheet computes."""
+"""First characters of a cell that a spreadsheet would compute."""
 
 
 def printable(text: str) -> str:
@@ -57,13 +57,13 @@ def table_cell(text: str) -> str:
 
 
 def shortened(text: str, longest: int) -> str:
-    """Return ``text`` with at most ``longest`` characters, its middle left out."""
+    """Return ``text`` with at most ``longest`` characters, without its middle if necessary."""
     half = (longest - 1) // 2
     return text if len(text) <= longest else f"{text[:half]}…{text[-half:]}"
 
 
 def encodable(text: str) -> str:
-    """Return ``text`` with the bytes that are no text escaped, so that UTF-8 can hold it."""
+    """Return ``text`` with bytes that are not text escaped, so that UTF-8 can hold it."""
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 

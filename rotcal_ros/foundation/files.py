@@ -19,12 +19,13 @@ class DurableFile:
 
     ``write`` puts all bytes into the file or none: after a failure (full disk) the file ends where
     the failed record would have begun. Nothing is buffered here, so what was written survives the
-    death of this process, and what was synced that of the machine. Where another process cuts the
-    file or writes into it, its size differs from :meth:`tell` from then on.
+    death of this process, and what was synced survives that of the machine. If another process
+    cuts the file or writes into it, its size differs from :meth:`tell` from then on.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        # O_EXCL: nothing is ever overwritten, also by a second process at the same moment.
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND
         self._descriptor = disk.open_file(path, flags)
         self._size = 0
@@ -46,10 +47,10 @@ class DurableFile:
         """Do nothing: nothing is buffered."""
 
     def sync(self) -> None:
-        """Return when everything written is on the medium.
+        """Wait until everything written is on the medium.
 
         After one failure every further call fails: the system may have dropped what it could not
-        write, and would then call the rest safe.
+        write, and would then report the rest as safe.
         """
         if self._closed:
             raise OSError(errno.EBADF, f"{self.path} is closed")
@@ -69,7 +70,7 @@ class DurableFile:
 
 
 class FolderLock:
-    """The right to write in ``folder``; the system takes it back when the process dies.
+    """The right to write in ``folder``; the system releases it when the process dies.
 
     Children that inherit ``descriptor`` hold the right as well. Raises BagError when another
     process holds it.
@@ -100,17 +101,18 @@ def write_atomically(path: Path, text: str, encoding: str = "utf-8") -> None:
 
 
 def replace_atomically(path: Path, write: Callable[[Path], object]) -> None:
-    """Let ``write`` make a file at the path it gets, sync it, and put it in the place of ``path``.
+    """Let ``write`` make a file at the path it gets, sync it, and replace ``path`` with it.
 
     ``path`` holds either the old or the new content, never half. What ``write`` raises is passed
-    on; the unfinished file is removed. It is made in a folder that no other user may
-    enter: under a name that can be guessed, a planted link would lead the writing elsewhere.
-    OSError where ``path`` is a device, a pipe or a folder.
+    on; the unfinished file is removed. It is made in a folder that no other user may enter: under
+    a name that can be guessed, a planted link would redirect the writing. OSError if ``path`` is a
+    device, a pipe or a folder.
     """
     require_plain(path)
     with scratch_folder(path.parent) as scratch:
         temporary = scratch / path.name
         write(temporary)
+        # Without this, a crash after the rename may leave the new name with no content.
         sync_file(temporary)
         disk.replace(temporary, path)
     sync_folder(path.parent)
@@ -120,8 +122,8 @@ def replace_atomically(path: Path, write: Callable[[Path], object]) -> None:
 def scratch_folder(parent: Path) -> Iterator[Path]:
     """Make a folder in ``parent`` for unfinished files; it is gone afterwards.
 
-    Nobody else may enter it: under a name that can be guessed, a planted link would lead the
-    writing elsewhere. Where a failing disk does not let it go, it stays behind.
+    Nobody else may enter it: under a name that can be guessed, a planted link would redirect the
+    writing. If a failing disk does not release it, it stays behind.
     """
     folder = parent / f".rotcal-{secrets.token_hex(8)}"
     disk.make_folder(folder, 0o700)
@@ -142,10 +144,11 @@ def write_durably(path: Path, content: str | bytes, encoding: str = "utf-8") -> 
 
 
 def replace_tail(path: Path, end: int, data: bytes) -> None:
-    """Put ``data`` in the place of all that stands from byte ``end`` on; on the medium afterwards.
+    """Replace everything from byte ``end`` on by ``data``; it is on the medium afterwards.
 
-    Who dies meanwhile leaves a part of it; the bytes before ``end`` never change.
+    A crash meanwhile leaves a part of it; the bytes before ``end`` never change.
     """
+    # O_NOFOLLOW: a link planted under this name would redirect the writing.
     descriptor = disk.open_file(path, os.O_WRONLY | os.O_APPEND | os.O_NOFOLLOW)
     try:
         disk.truncate(descriptor, end)
@@ -166,8 +169,8 @@ def remove_durably(path: Path) -> None:
 def append_line(path: Path, line: bytes) -> None:
     """Append ``line``, which ends in a line break, to a file that may not exist yet.
 
-    It is on the medium afterwards; on OSError it was never there. What a crash cut off before
-    it is taken away. ``path`` must be no link.
+    It is on the medium afterwards; after an OSError it was never there. A line before it that a
+    crash cut off is removed. ``path`` must not be a link.
     """
     descriptor = disk.open_file(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW)
     try:
@@ -184,13 +187,14 @@ def append_line(path: Path, line: bytes) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """Make a new folder and what is missing above it, with names that survive a crash.
+    """Make a new folder and its missing parents, with names that survive a crash.
 
     Raises FileExistsError when there is anything at ``path``.
     """
     for folder in reversed([above for above in path.parents if not above.exists()]):
         with suppress(FileExistsError):  # another process made it at the same time
             disk.make_folder(folder)
+        # A new name is durable only once the folder that holds it is synced.
         sync_folder(folder.parent)
     disk.make_folder(path)
     sync_folder(path.parent)
@@ -202,7 +206,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def sync_file(path: Path) -> None:
-    """Return when the content of a file is on the medium, whoever wrote it."""
+    """Wait until the content of a file is on the medium, whoever wrote it."""
     descriptor = disk.open_file(path, os.O_RDONLY)
     try:
         disk.sync(descriptor)
@@ -213,12 +217,13 @@ def sync_file(path: Path) -> None:
 def _write_whole(descriptor: int, data: bytes) -> None:
     remaining = memoryview(data)
     while remaining:
+        # The system may take only a part, as on a disk that fills up.
         remaining = remaining[disk.write(descriptor, remaining) :]
 
 
 @contextmanager
 def _undone(descriptor: int, size: int) -> Iterator[None]:
-    """Cut the file back to ``size`` when what is done inside fails."""
+    """Cut the file back to ``size`` if the block fails."""
     try:
         yield
     except OSError:

@@ -1,7 +1,7 @@
-"""Numbers as people are shown them: two significant digits of U, the value to the same place.
+"""Numbers as people see them: two significant digits of U, the value to the same place.
 
-That is what the GUM asks for (JCGM 100:2008, 7.2.6). U is an expanded uncertainty everywhere, with
-the one coverage factor of :mod:`~rotcal_ros.foundation.components`.
+The GUM asks for this (JCGM 100:2008, 7.2.6). U is always an expanded uncertainty, with the
+coverage factor of :mod:`~rotcal_ros.foundation.components`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Final
 
 SIGNIFICANT_DIGITS: Final = 2
 EXACT: Final = "0"
-"""A value that is zero by its definition, as a curve is where it is counted from."""
+"""A value that is zero by definition, as a curve is at the angle it counts from."""
 
 
 def place_of(expanded: float) -> int:
@@ -57,7 +57,7 @@ def value_with_uncertainty(number: float, expanded: float) -> str:
 
 
 def value_to(number: float, place: int, *, sign: bool = False) -> str:
-    """Return a number to a place of :func:`place_of`, with its sign where ``sign`` is wanted.
+    """Return a number to a place of :func:`place_of`, with its sign if ``sign`` is true.
 
     >>> value_to(3.14159, -2), value_to(1234.0, 2), value_to(5.0, -1, sign=True)
     ('3.14', '1200', '+5.0')
@@ -73,5 +73,5 @@ def _rounded(number: float, place: int) -> Decimal:
 
 
 def _exact(number: float) -> Decimal:
-    """Return the shortest decimal that is this number, so that halves are halves."""
+    """Return the shortest decimal for this number, so that halves round exactly."""
     return Decimal(repr(float(number)))

@@ -1,7 +1,7 @@
 """What was calibrated, where, by whom, and with which instruments: group ``identity``.
 
-All of it is text that only people and certificates read; nothing is computed from it but the
-comparison with the tolerance.
+All of it is text that only people and certificates read; only the tolerances are used in a
+computation.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _OF_THE_ITEM: Final = ("item", "maker", "model", "serial")
 
 @dataclass(frozen=True)
 class InstrumentIdentity:
-    """One instrument that took part; a text that is not known is empty."""
+    """One instrument that was used; unknown texts are empty."""
 
     maker: str = setting("", doc="manufacturer")
     model: str = setting("", doc="type or model")
@@ -28,7 +28,7 @@ class InstrumentIdentity:
     certificate: str = setting("", doc="number of the certificate of that calibration")
 
     def __post_init__(self) -> None:
-        """Refuse a date that is none."""
+        """Refuse what is not a date."""
         _check_date("calibrated", self.calibrated)
 
     @property
@@ -59,7 +59,7 @@ class Instruments:
 
 @dataclass(frozen=True)
 class Identity:
-    """The item that was calibrated, the place, the people; a text that is not known is empty.
+    """The calibrated item, the place, the people; unknown texts are empty.
 
     The axis is that of the group ``cell``. ``tolerance_arcsec`` is the largest deviation, either
     way, that a rotation (ECC, EAC, EBC) may have, ``tolerance_um`` that of a displacement.
@@ -91,7 +91,7 @@ class Identity:
     instruments: Instruments = group(Instruments)
 
     def __post_init__(self) -> None:
-        """Refuse a date or a country that is none."""
+        """Refuse what is not a date or a country."""
         _check_date("received", self.received)
         country = self.laboratory_country
         if country and not (len(country) == 2 and country.isascii() and country.isupper()):
@@ -101,13 +101,13 @@ class Identity:
 
     @property
     def title(self) -> str:
-        """The item in one line, from as much of it as is stated."""
+        """The item in one line, as far as stated."""
         words = [self.item, self.maker, self.model, f"no. {self.serial}" if self.serial else ""]
         return " ".join(word for word in words if word)
 
     @classmethod
     def joined(cls, parts: Sequence[Identity]) -> Identity:
-        """Return the identity of all ``parts``, or of the item alone, as far as they agree."""
+        """Return the identity that all ``parts``, or their items alone, agree on."""
         if parts and all(part == parts[0] for part in parts):
             return parts[0]
         stated = {name: {getattr(part, name) for part in parts} - {""} for name in _OF_THE_ITEM}
@@ -119,7 +119,7 @@ class Identity:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Identity:
-        """Rebuild it from :meth:`to_dict`; raises ConfigurationError for what it cannot be."""
+        """Rebuild it from :meth:`to_dict`; raises ConfigurationError for wrong data."""
         return load(cls, data, "identity")
 
 
@@ -131,7 +131,7 @@ def _check_date(name: str, text: str) -> None:
     except ValueError:
         whole = False
     if not whole:
-        raise ConfigurationError(f"{name}: {text!r} is no date: expected one as 2026-03-31")
+        raise ConfigurationError(f"{name}: {text!r} is not a date: expected one like 2026-03-31")
 
 
 def _without_nothing(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -29,7 +29,7 @@ def _is_state(state: str) -> bool:
 def of_axis(announcements: Iterable[tuple[str, str]], axis: str) -> tuple[str, ...]:
     """Return the states among ``announcements`` (axis, state) that are about ``axis``.
 
-    An announcement without an axis is about the only one that its cell has.
+    An announcement without an axis is about the only axis of its cell.
     """
     return tuple(state for about, state in announcements if about in ("", axis))
 
@@ -37,9 +37,9 @@ def of_axis(announcements: Iterable[tuple[str, str]], axis: str) -> tuple[str, .
 def agreed(states: Iterable[str]) -> str:
     """Return what all ``states`` agree on, else "unknown".
 
-    A hash and "unknown" give the hash: who adds to it later must find this very table at the
-    controller, or is refused. "none" and "unknown" give "unknown": it cannot be verified later
-    that there was no table. A foreign cell may announce text that is no state at all: "unknown".
+    A hash and "unknown" give the hash: adding to it later requires this same table at the
+    controller. "none" and "unknown" give "unknown": it cannot be verified later that there was no
+    table. Text of a foreign cell that is not a state at all gives "unknown".
     """
     stated = set(states) - {""}
     definite = stated - {UNKNOWN}
@@ -59,7 +59,8 @@ def contradiction(states: Iterable[str]) -> str | None:
     definite = sorted(stated - {UNKNOWN})
     if wrong := [state for state in definite if not _is_state(state)]:
         return (
-            f"the cell announced {wrong[0]!r}, which is no table in force (a SHA-256, '{NONE}' or "
+            f"the cell announced {wrong[0]!r}, which is not a table in force (a SHA-256, '{NONE}' "
+            "or "
             f"'{UNKNOWN}'): which one was is {UNKNOWN}"
         )
     if len(definite) < 2:
@@ -78,7 +79,7 @@ def known_hash(state: str) -> bool:
 def in_words(state: str) -> str:
     """Return what was in force during a measurement, for people."""
     if known_hash(state):
-        return f"measured on top of the table {state[:12]}: the deviations are what it leaves"
+        return f"measured on top of the table {state[:12]}: the deviations are what it leaves over"
     if state == NONE:
-        return "measured with no table in force: the deviations are the whole"
-    return "not known which table was in force: the whole deviation, or what a table leaves"
+        return "measured with no table in force: the deviations are complete"
+    return "unknown which table was in force: complete deviations, or what a table leaves over"

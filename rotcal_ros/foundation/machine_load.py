@@ -1,9 +1,8 @@
-"""How busy this machine is, and time that counts only while this process gets its turns.
+"""The load of this machine, and time that counts only while this process runs.
 
-A busy machine is no fault: time-outs are longer there, and a standstill of the process that waits
-does not use them up.
-
-The end of a node whose memory is used up: at once, as if it was killed, but with the reason.
+A busy machine is no fault: time-outs are longer there, and a standstill of the waiting process
+does not use them up. A node without memory ends at once, as if it were killed, but with the
+reason.
 """
 
 from __future__ import annotations
@@ -15,9 +14,9 @@ from math import inf
 from typing import Final
 
 MOST_CROWDED: Final = 10.0
-"""Time-outs become this many times as long at most."""
+"""Time-outs become at most this many times as long."""
 LONGEST_TURN_S: Final = 0.5
-"""A longer time between two looks is a standstill of this process; this much of it counts."""
+"""A longer time between two looks is a standstill of this process; only this much counts."""
 _KNOWN_S: Final = 1.0
 
 
@@ -29,7 +28,7 @@ def cores() -> int:
 
 
 def load() -> float:
-    """Return how many processes wanted a core in the last minute; 0 where that is not known."""
+    """Return how many processes wanted a core in the last minute; 0 if that is not known."""
     try:
         return os.getloadavg()[0]
     except (AttributeError, OSError):
@@ -43,7 +42,7 @@ def in_words() -> str:
 
 
 class Crowding:
-    """How many processes want each core, from 1 to ``MOST_CROWDED``; looked up once a second."""
+    """Processes that want each core, from 1 to ``MOST_CROWDED``; updated once a second."""
 
     def __init__(self, read: Callable[[], float] | None = None) -> None:
         self._read = read or (lambda: load() / cores())
@@ -62,7 +61,7 @@ crowding: Final = Crowding()
 
 
 def patient(seconds: float) -> float:
-    """Return a time-out as it is meant on a machine that is as busy as this one is now."""
+    """Return a time-out adapted to the present load of this machine."""
     return seconds * crowding()
 
 
@@ -85,13 +84,13 @@ class AwakeClock:
         return now_s - self._stood_s
 
     def awake_s(self) -> float:
-        """Return how long ago the latest standstill has ended; 0 where this look ends one."""
+        """Return how long ago the latest standstill has ended; 0 if this look ends one."""
         self.now_s()
         return self._last_s - self._woke_s
 
 
 class Patience:
-    """The time that is left to wait: standstills, a busy machine and pauses do not use it up."""
+    """The remaining time to wait: standstills, a busy machine and pauses do not use it up."""
 
     def __init__(
         self,
@@ -104,7 +103,10 @@ class Patience:
         self._last_s = self._clock.now_s()
 
     def is_over(self, *, pausing: bool = False) -> bool:
-        """Return whether the time is used up; ``pausing``: not by that since the last look."""
+        """Return whether the time is used up.
+
+        ``pausing``: time since the last look does not count.
+        """
         now_s = self._clock.now_s()
         passed_s, self._last_s = now_s - self._last_s, now_s
         if not pausing:
@@ -115,11 +117,11 @@ class Patience:
 OUT_OF_MEMORY: Final = 71
 """Exit code of such a process."""
 OF_LIBRARIES: Final = "not enough memory"
-"""How compressors say it, in errors of their own."""
+"""How compressors report it, in errors of their own."""
 
 
 def end_without_memory(error: BaseException, where: str) -> None:
-    """End this process where ``error`` is a lack of memory: other work could be half done.
+    """End this process if ``error`` is a lack of memory: other work may be half done.
 
     The others notice its silence; a bag is sound up to its last chunk, as after any kill.
     """

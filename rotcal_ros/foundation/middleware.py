@@ -19,7 +19,7 @@ _PROFILES: Final = {
     "FASTDDS_DEFAULT_PROFILES_FILE": "fastdds",
     "FASTRTPS_DEFAULT_PROFILES_FILE": "fastrtps",
 }
-"""Variable -> how the names of our files for it begin: of Fast DDS 3, and of 2 (Jazzy)."""
+"""Variable -> beginnings of the names of our files for it: for Fast DDS 3, and for 2 (Jazzy)."""
 _OF_DISTRIBUTION: Final = {
     "jazzy": "FASTRTPS_DEFAULT_PROFILES_FILE",
     "kilted": "FASTDDS_DEFAULT_PROFILES_FILE",
@@ -35,8 +35,8 @@ def middleware(environment: Mapping[str, str], default_range: str = LOCALHOST) -
     """Return the environment variables that decide about discovery and transport.
 
     ``environment`` holds what the user has set, ``default_range`` the range of discovery
-    otherwise. Profiles and peers that the user has set, and other middlewares than Fast DDS, are
-    left alone.
+    otherwise. Profiles and peers of the user, and middlewares other than Fast DDS, stay as they
+    are.
 
     ROS's own LOCALHOST makes Fast DDS use shared memory, whatever its profile says; therefore
     our profile confines it to the loopback interface instead.
@@ -52,7 +52,7 @@ def middleware(environment: Mapping[str, str], default_range: str = LOCALHOST) -
 
 
 def _profiles(kind: str) -> dict[str, str]:
-    """Return the profile of the Fast DDS that is here: each prints errors about the other's."""
+    """Return the profile for the Fast DDS here: each version prints errors about the other's."""
     folder = files("rotcal_ros") / "nodes"
     variable = _OF_DISTRIBUTION.get(distribution(rclpy_version()) or "")
     wanted = _PROFILES if variable is None else {variable: _PROFILES[variable]}
@@ -60,21 +60,21 @@ def _profiles(kind: str) -> dict[str, str]:
 
 
 def explain_start_failure(environment: Mapping[str, str], message: str) -> None:
-    """Raise ConfigurationError where ROS may have failed to start because its security is on.
+    """Raise ConfigurationError if ROS may have failed to start because its security is on.
 
     ``message`` is what ROS said.
     """
     if environment.get("ROS_SECURITY_ENABLE", "").lower() == "true":
         raise ConfigurationError(
             f"ROS does not start with ROS_SECURITY_ENABLE=true ({message.splitlines()[0]}): the "
-            "Fast DDS of the wheels has no security plug-ins, and a keystore must be there; use a "
-            "full ROS 2 installation, or unset ROS_SECURITY_ENABLE and shut the network off "
+            "Fast DDS of the wheels has no security plug-ins, and a keystore is required; use a "
+            "full ROS 2 installation, or unset ROS_SECURITY_ENABLE and isolate the network "
             "instead (docs/security.md)"
         )
 
 
 def discovery_in_words(environment: Mapping[str, str]) -> str:
-    """Return where a process looks for others, and what those on other machines need."""
+    """Return where this process looks for others, and what those on other machines need."""
     confined = any(environment.get(name, "").endswith(_LOOPBACK) for name in _PROFILES)
     reach = LOCALHOST if confined else environment.get(RANGE) or ROS_DEFAULT_RANGE
     domain = environment.get("ROS_DOMAIN_ID") or "0"

@@ -1,4 +1,4 @@
-"""Which nodes there are and which are started when; this module imports nothing of rotcal_ros."""
+"""All nodes, and which are started when; this module imports nothing of rotcal_ros."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ FURTHER_NODES: Final[Mapping[str, str]] = {
 """Nodes that are started when the configuration has a group: group -> node."""
 PAGE: Final = "page"
 VIEWERS: Final[Mapping[str, str]] = {PAGE: "operator_page", "scene": "scene"}
-"""Nodes for people: how they are asked for -> node. No calibration needs one or ends with it."""
+"""Nodes for people: option -> node. No calibration needs one or ends with it."""
 DRIVERS: Final = ("linuxcnc_driver",)
-"""Nodes that are started by hand, for the machine that the user has."""
+"""Nodes that are started by hand, for the user's machine."""
 EXECUTABLES: Final = (*NODES, *FURTHER_NODES.values(), *VIEWERS.values(), *DRIVERS)
-"""All nodes, each a command of the package; setup.py names their modules."""
+"""All nodes; each is a command of the package, and setup.py names its module."""
 PREFLIGHT_NODES: Final = tuple(name for name in NODES if name != "planner")
-"""Nodes that must beat before anything moves; the planner is the one that looks."""
+"""Nodes that must beat before anything moves; the planner checks this."""
 
 
 def further_nodes(groups: Collection[str]) -> list[str]:
-    """Return the nodes that a configuration with these groups starts beside those of every cell.
+    """Return the nodes that a configuration with these groups starts besides those of every cell.
 
-    A simulated machine behind I++ DME is played by ``rotcal dme serve``, and by no node.
+    ``rotcal dme serve`` plays a simulated machine behind I++ DME, which needs no node.
     """
     elsewhere = {"simulation"} if "dme" in groups else set()
     return [node for g, node in FURTHER_NODES.items() if g in groups and g not in elsewhere]

@@ -1,4 +1,4 @@
-"""How a node of the cell stands, as data; and the one place where that becomes words.
+"""The state of a node of the cell as data, and the one place where it becomes words.
 
 ``State`` and ``Why`` are the constants of the messages NodeState and NodeReason: what programs
 compare. ``in_words`` is for people: on a terminal, on the page, in /diagnostics.
@@ -12,7 +12,7 @@ from typing import Final
 
 
 class State(IntEnum):
-    """What a node does; UNKNOWN where it was never heard, or is of a later version."""
+    """What a node does; UNKNOWN if it was never heard, or belongs to a later version."""
 
     UNKNOWN = 0
     UNCONFIGURED = 1
@@ -36,7 +36,7 @@ class State(IntEnum):
 
 
 class Why(IntEnum):
-    """Why a node is in its state, or what it does just now."""
+    """Why a node is in its state, or what it is doing."""
 
     UNKNOWN = 0
     TO_CONFIGURE = 1
@@ -104,7 +104,7 @@ PAUSES: Final = frozenset({Why.WORK, *STOPS})
 
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """A code, and what belongs into its text: ``arguments`` are for people."""
+    """A code and the ``arguments`` that fill its text, for people."""
 
     code: Why
     arguments: tuple[str, ...] = ()
@@ -121,14 +121,14 @@ class Reason:
         return _filled(REASONS[self.code], self.arguments)
 
     @property
-    def instruction(self) -> str:
-        """What a person has to do before a goal goes on; empty where it waits for nobody."""
-        return _filled(INSTRUCTIONS[self.code], self.arguments) if self.code in PAUSES else ""
+    def instruction(self) -> str | None:
+        """What a person has to do before a goal goes on; None if it waits for nobody."""
+        return _filled(INSTRUCTIONS[self.code], self.arguments) if self.code in PAUSES else None
 
 
 @dataclass(frozen=True, slots=True)
 class NodeState:
-    """How a node stands; ``step`` of ``total`` while it works through a plan.
+    """The state of a node; ``step`` of ``total`` while it works through a plan.
 
     ``page`` is the address of the page that it serves.
     """
@@ -149,7 +149,7 @@ class NodeState:
         return any(reason.code is code for reason in self.reasons)
 
     def in_words(self) -> str:
-        """Return the state for a person to read; empty where it is not known."""
+        """Return the state for a person to read."""
         reasons = "; ".join(reason.in_words() for reason in self.reasons)
         if self.state is State.CALIBRATING:
             return f"calibrating: step {self.step} of {self.total}, {reasons}"
@@ -159,16 +159,16 @@ class NodeState:
 
 
 UNHEARD: Final = NodeState()
-"""Of a node that has told nothing."""
+"""State of a node that was never heard."""
 NO_PLAN: Final = NodeState.of(State.WAITING, Why.NO_PLAN)
 LOADING: Final = NodeState(State.LOADING)
 """A node loads a method's code, or reads what was measured before."""
 SOLVING: Final = NodeState(State.SOLVING)
 
 NAMED: Final = frozenset({State.UNCONFIGURED, State.INACTIVE, State.IDLE, State.MOVING})
-"""States that are named before their reasons; elsewhere the reasons say it all."""
+"""States that are named before their reasons; for the others the reasons say it all."""
 STATES: Final = {
-    State.UNKNOWN: "",
+    State.UNKNOWN: "silent",
     State.UNCONFIGURED: "unconfigured",
     State.INACTIVE: "inactive",
     State.WAITING: "waiting",
@@ -244,5 +244,5 @@ REASONS: Final = {
 
 
 def _filled(text: str, arguments: tuple[str, ...]) -> str:
-    """Return a text with its arguments; what a foreign node left out is empty."""
+    """Return a text with its arguments; those that a foreign node left out are blank."""
     return text.format(*arguments, "", "")

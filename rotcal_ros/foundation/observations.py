@@ -1,8 +1,8 @@
 """What was measured: frozen dataclasses in SI, without ROS.
 
-Everything the instruments say reaches the core as one of these records, be it live, from a
-bag or from a plain table. Time is integer nanoseconds of the machine's clock. Angles are
-radians counter-clockwise about the table axis +z, lengths and positions are metres.
+Everything from the instruments reaches the core as one of these records, whether live, from a bag
+or from a plain table. Time is integer nanoseconds of the machine's clock. Angles are radians
+counter-clockwise about the table axis +z, lengths and positions are metres.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ class HumiditySample:
 class Command:
     """What the planner ordered for one step: a table angle and where the probe shall be.
 
-    ``station`` is the index of the tracker station, 0 where there is no tracker.
+    ``station`` is the index of the tracker station, 0 if there is no tracker.
     """
 
     step: int
@@ -157,10 +157,10 @@ class Command:
 
 
 def place_in_words(table_position: int, target: int, attempt: int = 0) -> str:
-    """Return a step for people: where it is, and from the second on which attempt.
+    """Return a step for people: its place, and from the second on the attempt.
 
-    The number of a step in its plan is no count of what was done: a policy takes them in any
-    order, and few of them.
+    The number of a step in its plan does not count what was done: a policy takes few of them, in
+    any order.
 
     >>> place_in_words(3, 30), place_in_words(3, 30, 1)
     ('table position 3, target 30', 'table position 3, target 30 (attempt 2)')
@@ -176,9 +176,8 @@ class Observation:
     ``mean``, ``std`` (of the mean) and ``scatter`` (standard deviation of one sample) hold one
     value (length) or three (point), in metres. A rejected observation keeps its numbers and
     says why in ``reason``; an accepted one has an empty reason. ``run`` counts from 0 how often an
-    interrupted plan had been taken up again. Observations of a run with equal
-    ``segment`` were read from one unbroken beam of a tracer, that is from the same zero.
-    ``humidity`` is relative, 0 to 1.
+    interrupted plan was continued. Observations of a run with equal ``segment`` were read from one
+    unbroken beam of a tracer, that is from the same zero. ``humidity`` is relative, 0 to 1.
 
     >>> import rotcal_ros as rc
     >>> first = rc.read_bag("examples/data/ball_plate_bag").observations[0]

@@ -18,12 +18,12 @@ from rotcal_ros.foundation.errors import ConfigurationError
 
 METHODS: Final = "rotcal_ros.methods"
 METHOD_SETTINGS: Final = "rotcal_ros.method_settings"
-"""The settings of a method, where they can be read without loading the method."""
+"""The settings of a method, if they can be read without loading the method."""
 CONTROLLERS: Final = "rotcal_ros.controllers"
 STORES: Final = "rotcal_ros.stores"
-"""Transport of the group ``bridge`` -> what makes the store of a controller behind it."""
+"""Transport of the group ``bridge`` -> function that makes the store of a controller."""
 STORE_SETTINGS: Final = "rotcal_ros.store_settings"
-"""Transport -> the class that declares its settings, a group inside of ``bridge``."""
+"""Transport -> the class that declares its settings, a group inside ``bridge``."""
 INSTRUMENTS: Final = "rotcal_ros.capture.instruments"
 SETTINGS: Final = "rotcal_ros.settings"
 """Group of a configuration -> the class that declares its settings."""
@@ -38,7 +38,7 @@ GOALS: Final = "rotcal_ros.goals"
 FUNCTIONS: Final = "rotcal_ros.functions"
 """Names that extensions of this package add to ``import rotcal_ros``."""
 CERTIFICATES: Final = "rotcal_ros.certificates"
-"""What writes certificates for ``rotcal report``."""
+"""The writer of certificates for ``rotcal report``."""
 KINDS: Final = {
     METHODS: "method",
     CONTROLLERS: "controller",
@@ -56,16 +56,16 @@ OF_EXTENSIONS: Final = {
     PLANS: ("check", "effort", "plate", "sequence", "tracer", "trade"),
     FUNCTIONS: ("plan_plate",),
 }  # fmt: skip
-"""Names that extensions of this package bring; without them it is said what to install."""
+"""Names from extensions of this package; if they are missing, errors say what to install."""
 _OWN: Final = "rotcal_ros"
 NOT_INSTALLED: Final = f"; its extension is not installed: pip install {_OWN}"
 """Hint at a name that an extension of this package brings."""
 _LONGEST: Final = 80
-"""Characters of an unknown name that are compared with the existing ones."""
+"""Most characters of an unknown name that are compared with the existing ones."""
 
 
 class Verb(NamedTuple):
-    """A verb that ``rotcal`` lists, with a line of ``help``, behind the verb ``after``.
+    """A verb that ``rotcal`` lists, with a line of ``help``, following the verb ``after``.
 
     Its command of click is ``command`` in ``module``, which is loaded only when it is called.
     """
@@ -112,7 +112,7 @@ def load(group: str, name: str, what: str) -> Any:
 def extension(group: str, name: str, what: str) -> Any:
     """Load the entry point ``name`` of ``group``, which ``what`` needs.
 
-    Raises ConfigurationError, with the extra to install, where it, or a package that it needs, is
+    Raises ConfigurationError, with the extra to install, if it, or a package that it needs, is
     missing: pip installs both with the extra ``name`` of this package.
     """
     missing, cause = f"the extension {name!r}", None
@@ -127,7 +127,7 @@ def extension(group: str, name: str, what: str) -> Any:
 def node_module(name: str) -> str:
     """Return the module of a node, which is a command of this package.
 
-    Raises ConfigurationError where the extension that brings it is not installed.
+    Raises ConfigurationError if the extension that brings it is not installed.
     """
     scripts = distribution(_OWN).entry_points.select(group="console_scripts", name=name)
     for script in scripts:
@@ -138,9 +138,9 @@ def node_module(name: str) -> str:
 def culprit(error: BaseException) -> str | None:
     """Return in words the plug-in of another package in which ``error`` was raised, if any.
 
-    It is the innermost one on the way from where the error was caught to where it was raised, also
-    when a function that the plug-in called raised it. Of several plug-ins in one package it is the
-    one whose module, and whose object, was at work; all of them where that does not decide.
+    It is the innermost one between the place where the error was caught and the one where it was
+    raised, even if a function that the plug-in called raised it. Of several plug-ins in one
+    package it is the one whose module and object was at work; all of them if that does not decide.
     """
     frames = reversed(list(walk_tb(error.__traceback__)))
     line_of_code, suspects = "", []
@@ -178,14 +178,14 @@ def _in_module(point: EntryPoint, frame: FrameType) -> bool:
 
 
 def _at_work(point: EntryPoint, frame: FrameType) -> bool:
-    """Return whether ``frame`` is one of a method of what ``point`` names."""
+    """Return whether ``frame`` belongs to a method of the object that ``point`` names."""
     named = getattr(sys.modules.get(point.module), point.attr, None)
     self = frame.f_locals.get("self")
     return named is not None and (named is self or named is type(self))
 
 
 def _package(point: EntryPoint) -> str:
-    """Return name and version of the package that brings ``point``."""
+    """Return name and version of the package that provides ``point``."""
     if point.dist is None:
         return point.module
     return f"{point.dist.metadata['Name']} {point.dist.version}"

@@ -41,14 +41,14 @@ on the table, which its mount or cable may shift along its circle; one that drif
 measurements of its nests; an error that gathers in one place among many; table positions that are
 all numbered wrong; and a z axis that points down, where no measurement would show it."""
 ALL_EFFECTS: Final[tuple[Effect, ...]] = get_args(Effect)
-"""In the order in which they are shown."""
+"""All effects, in the order of display."""
 EFFECTS: Final[tuple[Effect, ...]] = tuple(e for e in ALL_EFFECTS if e not in PARTICULAR)
-"""Those that every method lists."""
+"""Effects that every method lists."""
 Treatment = Literal["estimated", "tested", "bounded", "harmless", "not protected"]
 TREATMENTS: Final[tuple[Treatment, ...]] = get_args(Treatment)
 
 POWER: Final = 0.95
-"""A test counts as protection against effects that it finds with this probability."""
+"""A test protects against effects that it finds with this probability."""
 TOLERABLE: Final = 2.0
 """Error, in stated standard uncertainties, that may stay unseen without being named."""
 
@@ -57,11 +57,11 @@ TOLERABLE: Final = 2.0
 class Protection:
     """What is done about one effect, and why that is enough or is not.
 
-    ``estimated``: a parameter of the fit, its uncertainty is part of the result. ``tested``: what
-    matters of it turns the verdict with a probability of POWER. ``bounded``: the uncertainty
+    ``estimated``: a parameter of the fit, its uncertainty is part of the result. ``tested``: a
+    size that matters changes the verdict with a probability of POWER. ``bounded``: the uncertainty
     contains a stated allowance. ``harmless``: it cannot touch the deviations. ``error`` is the
     largest error that it causes where the test begins to find it with POWER, in stated standard
-    uncertainties; None where that is not known or does not apply.
+    uncertainties; None if that is not known or does not apply.
     """
 
     effect: Effect
@@ -70,7 +70,7 @@ class Protection:
     error: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse words that are not of this language; raises ValueError."""
+        """Refuse unknown effects and treatments; raises ValueError."""
         if self.effect not in ALL_EFFECTS:
             raise ValueError(f"effect {self.effect!r}: expected one of {', '.join(ALL_EFFECTS)}")
         if self.treatment not in TREATMENTS:

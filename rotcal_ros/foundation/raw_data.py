@@ -1,9 +1,9 @@
-"""Which observations a result rests on, and what an error of each does to its deviations.
+"""The observations that a result rests on, and what an error of each does to its deviations.
 
-The same data are one datum, however often they are evaluated: two results that share observations
-are not independent. The shared observations are found by the time of measurement or, in tables
-without time, by a hash of each value; their effect on both results follows from their influences,
-where these are linear.
+The same data count once, however often they are evaluated: two results that share observations are
+not independent. Shared observations are found by the time of measurement or, in tables without
+time, by a hash of each value; their effect on both results follows from their influences, if these
+are linear.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.observations import Observation
 
 MOST_INFLUENCES: Final = 1_500_000
-"""Numbers of all influences of a result that are kept, 8 MB of its file; with more, none are."""
+"""Most numbers in the influences of a result (8 MB of its file); with more, none are kept."""
 BY_CHANCE: Final = 0.2
-"""Share of values without time, read coarsely, that two measurements may have in common."""
+"""Share of coarsely read values without time that two measurements may share by chance."""
 _DIGITS: Final = 16
 _STEP: Final = 1e-10
-"""What values are rounded to, m or rad: no instrument reads it, and arithmetic changes less."""
+"""Values are rounded to this, m or rad: no instrument resolves it, and arithmetic changes less."""
 
 
 def _none() -> Ints:
@@ -53,7 +53,7 @@ class Influence:
         return sum(matrix.size for matrix in self.deviations.values()) <= MOST_INFLUENCES
 
     def renumbered(self, number: Mapping[int, int]) -> Influence:
-        """Return the same with other numbers of the observations."""
+        """Return the same influences for renumbered observations."""
         rows = np.array([number[row] for row in self.rows.tolist()], dtype=np.int64)
         return replace(self, rows=rows)
 
@@ -86,8 +86,8 @@ class Influence:
 class RawData:
     """The observations of a result: ``hashes`` (n,), and when each was ``begun`` and ``ended``.
 
-    Nanoseconds since 1970, empty where not all of them are dated. ``influence`` is None where
-    the method states none, or there is too much of it.
+    Times are nanoseconds since 1970, empty if not all observations are dated. ``influence`` is
+    None if the method states none, or it is too large.
     """
 
     hashes: tuple[str, ...] = ()
@@ -97,12 +97,15 @@ class RawData:
 
     @property
     def dated(self) -> bool:
-        """Whether the observations say when they were made."""
+        """Whether the observations have times."""
         return len(self.begun_ns) > 0
 
     @classmethod
     def of(cls, observations: Sequence[Observation], dated_from_ns: int) -> RawData:
-        """Return the hashes of what was captured; a window before ``dated_from_ns`` is no date."""
+        """Return the data of captured observations.
+
+        A window before ``dated_from_ns`` is not a date.
+        """
         hashes = tuple(hash_of(o.mean, int(o.kind)) for o in observations)
         begun = np.array([o.window_start_ns for o in observations], dtype=np.int64)
         ended = np.array([o.window_end_ns for o in observations], dtype=np.int64)
@@ -116,7 +119,7 @@ class RawData:
         return self if found is None else replace(self, influence=found.tied(to))
 
     def of_curve(self, component: str) -> RawData:
-        """Return the same with the influences on one component alone; None where it has none."""
+        """Return the same with the influences on one component alone; None if it has none."""
         found = self.influence
         if found is not None and component in found.deviations:
             found = replace(found, deviations={component: found.deviations[component]})
@@ -129,7 +132,7 @@ class RawData:
         return self if found is None else replace(self, influence=found.renumbered(number))
 
     def joined(self, other: RawData) -> RawData:
-        """Return all observations of both, whose influences are not known any more."""
+        """Return all observations of both; their influences are no longer known."""
         mine = set(self.hashes)
         more = np.array([h not in mine for h in other.hashes], dtype=np.bool_)
         hashes = self.hashes + tuple(np.array(other.hashes, dtype=object)[more])
@@ -141,8 +144,8 @@ class RawData:
     def shared_with(self, other: RawData) -> tuple[Ints, Ints]:
         """Return which observations are the same: numbers here and there (k,).
 
-        Those whose windows overlap; without dates those of the same values, unless they are so
-        few that values which are read coarsely may agree by chance.
+        They are those whose windows overlap; without dates those of equal values, unless they are
+        so few that coarsely read values may agree by chance.
         """
         if self.dated and other.dated:
             return self._at_the_same_time(other)
@@ -192,8 +195,8 @@ class RawData:
 def hash_of(values: Sequence[float], kind: int) -> str:
     """Return 16 hexadecimal digits for measured ``values`` (SI) of a kind.
 
-    Angles, and numbers of targets, stations and nests, are no part of it: they come from a plan
-    and its order, and a table of some of the data has its own.
+    Angles and numbers of targets, stations and nests are not part of it: they come from a plan and
+    its order, and a table of some of the data has its own.
     """
     whole = [kind, *(round(value / _STEP) for value in values)]
     return sha256(f"{whole}".encode()).hexdigest()[:_DIGITS]

@@ -1,6 +1,6 @@
 """Frozen dataclasses from plain data of a file, every value checked against its type.
 
-For what we have written ourselves and read again: a file may have been cut, edited or exchanged.
+It is for files that we have written and read again: they may have been cut, edited or exchanged.
 Settings that people write are a matter of :mod:`rotcal_ros.foundation.settings`.
 """
 
@@ -23,8 +23,8 @@ _LARGEST: Final = 1 << 63
 def record(kind: type[T], data: Any, where: str = "") -> T:
     """Return ``data`` as an object of the dataclass ``kind``.
 
-    Lists become tuples, numbers that need not be whole floats. Raises ValueError, with the place
-    below ``where``, for a missing or unknown entry and for a value of another type.
+    Lists become tuples; numbers that need not be whole become floats. Raises ValueError, with the
+    place below ``where``, for a missing or unknown entry and for a value of another type.
 
     >>> from rotcal_ros.foundation.results import Rejection
     >>> record(Rejection, {"index": 3, "why": "slipped"})
@@ -49,7 +49,7 @@ def record(kind: type[T], data: Any, where: str = "") -> T:
 
 @cache
 def _declared(kind: type[Any]) -> tuple[dict[str, bool], dict[str, Any]]:
-    """Return which fields there are and whether they have to be given, and their types."""
+    """Return the fields, whether they have to be given, and their types."""
     missing = dataclasses.MISSING
     fields = {
         field.name: field.default is missing and field.default_factory is missing

@@ -6,8 +6,8 @@
   M. J. Downs, Metrologia 30 (1993) 155-162 and 31 (1994) 315-316; the temperature in its term for
   water is that of J. A. Stone and J. H. Zimmerman, NIST Engineering Metrology Toolbox.
 
-Both are for the phase of light of one vacuum wavelength, 300 to 1700 nm, which counts for an
-interferometer. All inputs may be arrays of one shape.
+Both give the phase index for one vacuum wavelength, 300 to 1700 nm, which is the one for
+interferometers. All inputs may be arrays of one shape.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from rotcal_ros.foundation.errors import DataError
 KELVIN: Final = 273.15
 """Kelvin at 0 degrees Celsius."""
 GAS_CONSTANT: Final = 8.314510
-"""J/(mol K), as Ciddor took it; it cancels nearly."""
+"""J/(mol K), as in Ciddor's paper; it nearly cancels."""
 PRESSURES_PA: Final = (10e3, 140e3)
-"""What can be a pressure of air."""
+"""Possible pressures of air, Pa."""
 TEMPERATURES_C: Final = (-40.0, 100.0)
-"""For which temperatures the equations are meant."""
+"""Temperatures that the equations are meant for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +139,7 @@ def index_std(
 ) -> Floats:
     """Return the standard uncertainty (n,) of the index: sensors and equation, JCGM 100, 5.1.2.
 
-    The sensitivities are those between a small step up and down, kept within what air can be.
+    The sensitivities come from a small step up and down, kept within the possible range of air.
     """
 
     def index(celsius: Floats, pressure: Floats, humidity: Floats) -> Floats:
@@ -174,6 +174,6 @@ def _require(
     bad = np.flatnonzero(~((values >= low) & (values <= high)))
     if bad.size:
         raise DataError(
-            f"a {what} of {np.ravel(values)[bad[0]]:g} cannot be that of the air: expected "
+            f"a {what} of {np.ravel(values)[bad[0]]:g} is impossible for air: expected "
             f"{low:g} to {high:g} {unit}; is it in {mistaken}?"
         )

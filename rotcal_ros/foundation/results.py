@@ -4,10 +4,9 @@ A method takes a frozen problem and returns a :class:`Result`; the solver node, 
 replay, the report, the comparison and the export never ask which method it was. Deviations are
 *actual - commanded*; absent components are absent, never zero.
 
-A result from its machine-readable form: every entry checked before anybody computes with it.
-
-What is read here can be printed, drawn, compared and exported; a file that was cut or edited ends
-in one error with the entry that is wrong.
+This module also reads a result from its machine-readable form and checks every entry. What it
+returns can be printed, drawn, compared and exported; a file that was cut or edited ends in one
+error that names the wrong entry.
 """
 
 from __future__ import annotations
@@ -34,7 +33,8 @@ SCHEMA: Final = 1
 FILE_NAMES: Final = {"table_position": "table_index", "angles": "angles_rad"}
 """Names that files use for something, where they differ from ours."""
 RUNS: Final = "runs"
-"""Where a file has the repeated runs: among the details."""
+BUDGET: Final = "budget"
+"""Where a file has the repeated runs and the budget: among the details."""
 
 Verdict = Literal["ok", "suspect", "failed"]
 COUNTS_FROM: Final = (
@@ -44,7 +44,7 @@ COUNTS_FROM: Final = (
     "mean of each group",
     UNKNOWN,
 )
-"""What the deviations of a method count from: there, or on average over there, they are zero."""
+"""What the deviations of a method count from: they are zero there, or on average there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,7 @@ class RepeatedRuns:
     """Deviations of every arrival at ``targets`` (m,) rad in n runs, in radians.
 
     ``forward`` and ``reverse`` (m, n) are None for a direction without arrivals and NaN where one
-    is missing. ``repeatability_std`` is the scatter that the measurement does not explain.
+    is missing. ``repeatability_std`` is the scatter beyond that of the measurement.
     """
 
     targets: Floats
@@ -133,9 +133,9 @@ class Directions:
 class FreeDirection:
     """One number t that the data leave open: deviations are known up to t times ``columns``.
 
-    ``columns`` maps components to (n,) arrays over the angles of the result; what they do to the
-    mean of a curve is of no concern, for no method knows that one. ``name`` says between what
-    the zeros differ, such as "the odd and even table positions".
+    ``columns`` maps components to (n,) arrays over the angles of the result; their effect on the
+    mean of a curve does not matter, since no method knows the mean. ``name`` says what the offset
+    lies between, such as "the odd and even table positions".
     """
 
     name: str
@@ -144,11 +144,11 @@ class FreeDirection:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Zeros:
-    """What deviations count from, and what of that no observation joins.
+    """What deviations count from, and which offsets no observation determines.
 
-    ``counts_from`` is one of COUNTS_FROM. The zero of a whole curve is nobody's: all methods lack
-    it, and none of the ``free`` directions is it. A result with ``free`` directions is never ok,
-    for its uncertainties hold within each part alone; ``within`` is the verdict on them there.
+    ``counts_from`` is one of COUNTS_FROM. No method knows the zero of a whole curve, so it is not
+    among the ``free`` directions. A result with ``free`` directions is never ok, since its
+    uncertainties hold only within each part; ``within`` is the verdict there.
     """
 
     counts_from: str = UNKNOWN
@@ -167,7 +167,7 @@ class Zeros:
         return np.column_stack(columns) if columns else np.zeros((n, 0))
 
     def mapped(self, matrix: Floats) -> Zeros:
-        """Return the same for deviations that are ``matrix`` (m, n) @ those of here."""
+        """Return the same for deviations that are ``matrix`` (m, n) times the present ones."""
         moved = (
             FreeDirection(d.name, {c: matrix @ column for c, column in d.columns.items()})
             for d in self.free
@@ -175,7 +175,7 @@ class Zeros:
         return replace(self, free=tuple(moved))
 
     def in_words(self, components: Iterable[str] = COMPONENTS) -> str:
-        """Return in one clause each which offsets of ``components`` are open."""
+        """Return a clause for each open offset of ``components``."""
         wanted = set(components)
         touched: dict[str, set[str]] = {}
         for direction in self.free:
@@ -198,12 +198,13 @@ class Result:
     the a posteriori standard deviation of unit weight; 1 means that the stated noise fits.
     ``details`` are for people: nothing but the figures of a method reads them. ``protections``
     say what was done about each effect that could spoil the result; empty when not stated.
-    ``directions`` maps the components that were measured from both sides to what they are from
-    each; ``deviations`` then holds the mean. ``measured_on`` is the compensation table in force
+    ``directions`` maps components measured from both sides to their values from each side;
+    ``deviations`` then holds the mean. ``measured_on`` is the compensation table in force
     meanwhile: the hash of the controller's files, "none" or "unknown". ``circumstances`` say who
     measured what, when and how warm it was; a method leaves them to those who call it. ``zeros``
-    say what the deviations count from, and what of that is open. ``raw_data``: the observations
-    that it rests on, so that they are not counted twice.
+    say what the deviations count from, and which offsets are open. ``raw_data``: the observations
+    that it rests on, so that they are not counted twice. ``budget`` splits the uncertainty of ECC:
+    standard uncertainties (n,) by source, which add in squares; empty if only the whole is known.
 
     >>> import rotcal_ros as rc
     >>> result = rc.read_result("examples/data/result_ball_plate.json")
@@ -233,6 +234,7 @@ class Result:
     circumstances: Circumstances = field(default_factory=Circumstances)
     zeros: Zeros = field(default_factory=Zeros)
     raw_data: RawData = field(default_factory=RawData)
+    budget: Mapping[str, Floats] = field(default_factory=dict)
 
     @property
     def simulated(self) -> bool:
@@ -246,7 +248,7 @@ class Result:
 
     @property
     def verdict_line(self) -> str:
-        """The verdict as people read it: never without what it does not cover."""
+        """The verdict for people: never without what it does not cover."""
         verdict = f"{self.verdict} ({SIMULATED})" if self.simulated else self.verdict
         if self.zeros.free:
             verdict = f"{verdict}, {self.zeros.in_words()}"
@@ -257,7 +259,7 @@ class Result:
 
     @property
     def verdict_within(self) -> Verdict:
-        """The verdict on each part with a zero of its own, else the verdict itself."""
+        """The verdict within each part that has its own zero, else the verdict itself."""
         return self.zeros.within if self.zeros.free else self.verdict
 
     def doubted(self) -> Result:
@@ -278,14 +280,15 @@ class Result:
 
     @property
     def all_details(self) -> Mapping[str, Any]:
-        """The details with the repeated runs among them, as a file has them."""
+        """The details with budget and repeated runs among them, as a file has them."""
+        details = {**self.details, BUDGET: self.budget} if self.budget else self.details
         if self.runs is None:
-            return self.details
+            return details
         runs = {name: value for name, value in asdict(self.runs).items() if value is not None}
-        return {**self.details, RUNS: runs}
+        return {**details, RUNS: runs}
 
     def __post_init__(self) -> None:
-        """Refuse deviations and uncertainties that are no numbers, or not one per angle.
+        """Refuse deviations and uncertainties that are not one number per angle.
 
         Raises DataError: a component that was not measured is absent, never NaN.
         """
@@ -358,7 +361,7 @@ class Result:
         A component whose zeros are open has ``EXC_free_0`` ... too, the free directions: its
         values are known up to any multiple of these, and its std holds where they are equal.
 
-        pandas is needed for this alone; ImportError says so when it is not there.
+        Only this needs pandas; without it ImportError says so.
         """
         try:
             pandas = import_module("pandas")
@@ -430,14 +433,14 @@ _WHOLE: Final[Mapping[str, type]] = {
     "target": np.int64,
     "used": np.bool_,
 }
-"""Columns of the residuals that are no floats."""
+"""Columns of the residuals that are not floats."""
 _ROUNDING: Final = 1e-6
-"""Of the largest variance, by which a covariance may exceed what the variances allow."""
+"""Share of the largest variance by which a covariance may exceed what the variances allow."""
 
 
 @dataclass(frozen=True)
 class _Plain:
-    """The entries of a file that are no arrays."""
+    """The entries of a file that are not arrays."""
 
     method: str
     sigma0: float
@@ -459,6 +462,8 @@ def _result(data: Mapping[str, Any]) -> Result:
         raise ValueError(f"verdict: {plain.verdict!r} is none of {', '.join(get_args(Verdict))}")
     angles = _column(data["angles_rad"], "angles_rad")
     n, runs = len(angles), _runs(plain.details.get(RUNS))
+    budget = _budget(plain.details.get(BUDGET), n)
+    typed = {RUNS: runs, BUDGET: budget}
     deviations = _columns(data["deviations"], "deviations", (n,))
     std = _columns(data["std"], "std", (n,))
     if n == 0 or not std.keys() >= deviations.keys():
@@ -481,8 +486,9 @@ def _result(data: Mapping[str, Any]) -> Result:
         adjacent_deviations=_optional(data, "adjacent_deviations_rad", (n - 1,)),
         adjacent_std=_optional(data, "adjacent_std_rad", (n - 1,)),
         residuals=None if data.get("residuals") is None else _residuals(data["residuals"]),
-        details={k: v for k, v in plain.details.items() if not (runs and k == RUNS)},
+        details={name: value for name, value in plain.details.items() if not typed.get(name)},
         runs=runs,
+        budget=budget,
         directions=_directions(data.get("directions", {})),
         measured_on=check_in_force(plain.measured_on),
         circumstances=Circumstances.from_dict(data["circumstances"]),
@@ -514,6 +520,13 @@ def _runs(data: Any) -> RepeatedRuns | None:
     if not isinstance(repeatability, float | int | None):
         raise ValueError(f"runs.repeatability_std: expected a number, found {repeatability!r:.60}")
     return RepeatedRuns(targets=targets, **sides, repeatability_std=repeatability)
+
+
+def _budget(data: Any, n: int) -> dict[str, Floats]:
+    """Return the shares by source; empty if the details have something else of that name."""
+    if not isinstance(data, Mapping) or any(np.shape(share) != (n,) for share in data.values()):
+        return {}
+    return {source: _floats(share, f"budget.{source}") for source, share in data.items()}
 
 
 def _side(values: Any, targets: int, name: str) -> Floats | None:
@@ -571,7 +584,7 @@ def _covariances(data: Any, n: int) -> dict[str, Floats]:
         std = np.sqrt(np.maximum(np.diagonal(matrix), 0.0))
         bound = np.outer(std, std) + _ROUNDING * float(np.max(std**2, initial=0.0))
         if np.any(np.abs(matrix) > bound):
-            raise ValueError(f"covariance.{name}: no covariance, it contradicts its variances")
+            raise ValueError(f"covariance.{name}: it contradicts its variances")
     return found
 
 
@@ -593,14 +606,17 @@ def _optional(data: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> Flo
 
 
 def _floats(values: Any, where: str) -> Floats:
-    """Return numbers as an array; null is NaN. ValueError for texts, which numpy would read."""
+    """Return numbers as an array, with NaN for null.
+
+    ValueError for texts, which numpy would accept.
+    """
     try:
         found = np.asarray(values)
         if found.dtype.kind in "US":
             raise ValueError("it holds texts")
         numbers = found.astype(np.float64)
     except (ArithmeticError, TypeError, ValueError) as error:
-        raise ValueError(f"{where}: no array of numbers: {error}") from error
+        raise ValueError(f"{where}: not an array of numbers: {error}") from error
     if np.any(np.isinf(numbers)):
         raise ValueError(f"{where}: it holds infinite numbers")
     return numbers

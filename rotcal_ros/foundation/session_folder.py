@@ -9,7 +9,7 @@ from typing import Final
 VERIFICATION: Final = "verification.json"
 """The figures of two sessions, before and after compensation, beside their folders."""
 REQUEST: Final = "verify.json"
-"""What a verification was asked for, beside its first session."""
+"""The request of a verification, beside its first session."""
 CONFIGURATION: Final = "configuration.yaml"
 """In a session's folder, and as an attachment in its bag."""
 
@@ -40,7 +40,7 @@ class SessionFolder:
 
     @property
     def result(self) -> Path:
-        """The result; its presence says that the calibration is finished."""
+        """The result; its presence means that the calibration is finished."""
         return self.path / "result.json"
 
     @property
@@ -60,7 +60,7 @@ class SessionFolder:
 
     @property
     def meeting_point(self) -> Path:
-        """Where others can attach to the calibration; it is there while that runs."""
+        """Where others can attach to the calibration while it runs."""
         return self.path / MEETING_POINT
 
     def log(self, run: int = 0) -> Path:
@@ -68,5 +68,5 @@ class SessionFolder:
         return self.path / (f"log_{run}" if run else "log")
 
     def continuation(self, run: int) -> Path:
-        """Return the file that says what is left of the plan for a run."""
+        """Return the file with what is left of the plan for a run."""
         return self.path / f"continuation_{run}.json"

@@ -21,9 +21,9 @@ from rotcal_ros.foundation.plugins import nearest
 T = TypeVar("T")
 
 _EXPONENT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+")
-"""A number as people write it: without point, or sign of the exponent, YAML 1.1 reads a text."""
+"""A number as people write it; without a point or an exponent's sign YAML 1.1 reads a text."""
 _NO_TEXT = re.compile("[\0\ud800-\udfff]")
-"""What no message of ROS and no file in UTF-8 can hold; all else is escaped where it is shown."""
+"""Characters that no message of ROS and no file in UTF-8 can hold."""
 _LARGEST = 1 << 63
 _ROS_NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 
@@ -32,7 +32,7 @@ _ROS_NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 class SettingInfo:
     """What a setting means: ``description`` with the unit, and its inclusive range.
 
-    ``first``: somebody has to state it, or at least look at it, to measure a real table.
+    ``first``: to measure a real table, somebody has to state it or at least look at it.
     """
 
     description: str
@@ -47,8 +47,7 @@ class Declaration:
     """One setting as it was declared: ``name`` is dotted below its group.
 
     ``kind`` is the type of a value, or of the elements of a list (``is_list``); a fixed ``length``
-    of a list is None where any number will do. ``default`` is MISSING for a setting that has to
-    be given.
+    of a list is None if any number will do. ``default`` is MISSING for a required setting.
     """
 
     name: str
@@ -73,7 +72,7 @@ def setting(
 
     ``doc`` is one sentence; the unit stands before its first comma. Without a default the setting
     is required. A list setting is a tuple; its range holds for every element. The choices of a
-    Literal are those of its type. ``first`` is for the few settings of a method that have to be
+    Literal are those of its type. ``first`` marks the few settings of a method that have to be
     stated to measure a real table: they are shown before all others.
     """
     metadata = {"setting": SettingInfo(doc, minimum, maximum, tuple(choices), first)}
@@ -83,7 +82,7 @@ def setting(
 
 
 def group(cls: type[Any]) -> Any:
-    """Declare a nested group of settings, all at their defaults unless given."""
+    """Declare a nested group of settings, all with their defaults unless given."""
     return dataclasses.field(default_factory=cls, kw_only=True)
 
 
@@ -221,13 +220,13 @@ def _scalar(value: Any, declared: Declaration, place: str) -> Any:
 
 
 def check_ros_name(name: str, what: str) -> str:
-    """Return ``name`` when a topic or namespace of ROS may be called so: ``/cell/tracer``.
+    """Return ``name`` if it is valid for a topic or namespace of ROS, such as ``/cell/tracer``.
 
-    Raises ConfigurationError, with ``what`` it names, for anything else.
+    Else raise ConfigurationError with ``what`` it names.
     """
     if not _ROS_NAME.fullmatch(name):
         raise ConfigurationError(
-            f"{what}: {name!r} is no name in ROS: expected words of letters, digits and "
+            f"{what}: {name!r} is not a name in ROS: expected words of letters, digits and "
             "underscores that do not begin with a digit, with '/' between them"
         )
     return name

@@ -1,7 +1,7 @@
 """Plain tables: comma-separated, one header line, ``#`` begins a comment line.
 
-Metres and radians; indices count from 0. Every error names file and row. Which columns there are
-is a matter of the method: see the ``table`` modules of ``methods``.
+Metres and radians; indices count from 0. Every error names file and row. The columns depend on the
+method: see the ``table`` modules of ``methods``.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ Header = tuple[str, ...]
 
 _SPREADSHEETS: Final = (".xlsx", ".xlsm", ".xls", ".ods")
 _OFFICE: Final = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
-"""How the files of spreadsheet programs begin."""
+"""First bytes of the files of spreadsheet programs."""
 _TEXTS: Final = (".csv", ".txt", ".tsv", ".dat", "")
 _OTHERS: Final = (".mcap", ".db3", ".zstd", ".json", ".yaml", ".yml", ".html")
-"""Endings of files that are something else."""
+"""Endings of files that are not tables."""
 _SEPARATORS: Final = {";": "semicolons", "\t": "tabs"}
 _LOOK: Final = 4096
 _FARTHEST: Final = 50.0
-"""Metres; no target or length of such a calibration is farther away."""
+"""Metres; no target or length of a calibration is farther away."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class Table:
 def is_table(path: Path) -> bool:
     """Return whether ``path`` is a plain table: ends in .csv, or its first line has columns.
 
-    Raises BagError for a spreadsheet, whatever it is called.
+    Raises BagError for a spreadsheet, whatever its name is.
     """
     ending = path.suffix.lower()
     if ending in _OTHERS or not plain_file(path):
@@ -139,7 +139,8 @@ def read_table(path: Path) -> Table:
         text = read_text(path, "utf-8-sig")
     except UnicodeDecodeError as error:
         raise BagError(
-            f"cannot read the table {path}: it is no text in UTF-8: save it as CSV UTF-8 ({error})"
+            f"cannot read the table {path}: it is not text in UTF-8: save it as CSV UTF-8 "
+            f"({error})"
         ) from error
     except OSError as error:
         raise BagError(f"cannot read the table {path}: {why(error)}") from error
@@ -160,12 +161,12 @@ def read_table(path: Path) -> Table:
 
 
 def csv_rows(text: str, name: str) -> Iterator[list[str]]:
-    """Yield the cells of every row of CSV; DataError, with ``name`` and the line, for no CSV."""
+    """Yield the cells of every row of CSV; DataError names ``name`` and a line that is not CSV."""
     reader = csv.reader(io.StringIO(text))
     try:
         yield from reader
     except csv.Error as error:
-        raise DataError(f"{name}, line {reader.line_num}: no row of a table: {error}") from error
+        raise DataError(f"{name}, line {reader.line_num}: not a table row: {error}") from error
 
 
 def require_header(table: Table, headers: Sequence[Header]) -> None:

@@ -1,8 +1,8 @@
 """Input from elsewhere, read within bounds: plain files, JSON and YAML.
 
 A path may lead to a pipe without a writer or a device without an end; a text may nest without end,
-or grow when its references are followed. Every reader of such input goes through here, so that it
-ends at once, with a value or with an error of one sentence.
+or grow when its references are followed. Every reader of such input uses these functions, so that
+it ends at once, with a value or with an error of one sentence.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ _PART: Final = 1 << 20
 LARGEST_YAML: Final = 1 << 22
 """Characters of a YAML text; a plan of 100 000 lengths has a million."""
 DEEPEST: Final = 64
-"""Levels of lists and groups in each other; ours have less than ten."""
+"""Levels of nested lists and groups; ours have fewer than ten."""
 LARGEST_EXPANSION: Final = 400_000
-"""Values of a YAML text once its aliases stand for what they name."""
+"""Values of a YAML text after its aliases are expanded."""
 _LONGEST_NUMBER: Final = 1000
 
 _KINDS: Final = (
@@ -43,11 +43,11 @@ _KINDS: Final = (
 
 
 class NotAFileError(OSError):
-    """What a path leads to is no plain file; ``strerror`` says what it is."""
+    """A path does not lead to a plain file; ``strerror`` says what is there."""
 
 
 def plain_file(path: Path) -> bool:
-    """Return whether ``path`` leads to a plain file; False for what cannot be looked at."""
+    """Return whether ``path`` leads to a plain file; False if that cannot be found out."""
     try:
         return stat.S_ISREG(path.stat().st_mode)
     except (OSError, ValueError):
@@ -69,16 +69,19 @@ def open_plain(path: Path) -> BinaryIO:
 
 
 def require_plain(path: Path) -> None:
-    """Raise OSError where ``path`` leads to anything but a plain file; nothing there is fine.
+    """Raise OSError if ``path`` leads to anything but a plain file; a free name is fine.
 
-    Whoever puts a file in the place of a device takes the device away from the whole machine.
+    A file that replaces a device takes the device away from the whole machine.
     """
     with suppress(FileNotFoundError):
         _require_plain(path, path.stat())
 
 
 def read_bytes(path: Path, largest: int = LARGEST_FILE) -> bytes:
-    """Return the content of a plain file; OSError when it is none or has more than ``largest``."""
+    """Return the content of a plain file.
+
+    OSError if it is not one or has more than ``largest`` bytes.
+    """
     data = bytearray()
     with open_plain(path) as file:
         while part := file.read(_PART):
@@ -96,18 +99,18 @@ def read_text(path: Path, encoding: str = "utf-8", largest: int = LARGEST_FILE) 
 
 
 def why(error: Exception) -> str:
-    """Return what is the matter with a file that could not be read, without its path."""
+    """Return why a file could not be read, without its path."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     if isinstance(error, UnicodeDecodeError):
-        return f"it is no text in UTF-8 (byte {error.start})"
+        return f"it is not text in UTF-8 (byte {error.start})"
     return str(error)
 
 
 def load_json(text: str | bytes, *, finite: bool = True) -> Any:
     """Return the value that a JSON text states; ValueError for any other text.
 
-    With ``finite`` False the text may have NaN, as our own files between processes do.
+    With ``finite`` False the text may have NaN, like our own files between processes.
 
     >>> load_json("[" * 100 + "]" * 100)
     Traceback (most recent call last):
@@ -129,8 +132,9 @@ def load_yaml(text: str, source: str, *, strict: bool = True) -> Any:
     """Return the value that a YAML text states; ConfigurationError, naming ``source``, else.
 
     ``strict`` is for what people write: what YAML 1.1 and YAML 1.2 read differently is refused
-    with its line, as 1:30 (ninety, or a text), and so is a name that is given twice in its group;
-    dates are texts. Without, all is read by YAML 1.1: what programs have written.
+    with its line, such as 1:30 (ninety, or a text), and so is a name that is given twice in its
+    group; dates are texts. Otherwise everything is read by YAML 1.1, for what programs have
+    written.
 
     >>> load_yaml("table_start_deg: 1:30", "my.yaml")
     Traceback (most recent call last):
@@ -164,7 +168,7 @@ and something else in YAML 1.2: write a plain number such as 1.5, or a text in q
 
 
 class _AmbiguousError(Exception):
-    """A YAML text says one thing to one reader and another to the next; the line and why."""
+    """Two readers understand a YAML text differently; the text has the line and the reason."""
 
 
 _TAG: Final = "tag:yaml.org,2002:"
@@ -173,11 +177,11 @@ _ALIKE: Final = {
     f"{_TAG}int": re.compile("[-+]?(0|[1-9][0-9]*)|0x[0-9a-fA-F]+"),
     f"{_TAG}float": re.compile("[^:_]*"),
 }
-"""What YAML 1.2 takes for the same value, of all that is of this kind in YAML 1.1."""
+"""Kind of value in YAML 1.1 -> texts for which YAML 1.2 gives the same value."""
 
 
 def _loaded_strictly(text: str) -> Any:
-    """Return the value of a text that all readers read alike; raises _AmbiguousError else."""
+    """Return the value of a text that all readers read alike, or raise _AmbiguousError."""
     loader = _strict_loader()(text)
     try:
         root = loader.get_single_node()
@@ -191,7 +195,7 @@ def _loaded_strictly(text: str) -> Any:
 
 @cache
 def _strict_loader() -> Any:
-    """Return the loader of YAML 1.1 for which a date is a text."""
+    """Return a loader of YAML 1.1 that reads a date as text."""
     import yaml
 
     class Strict(_loader(yaml)):  # type: ignore[misc]
@@ -204,7 +208,7 @@ def _strict_loader() -> Any:
 
 
 def _check_nodes(root: Any, loader: Any) -> None:
-    """Raise _AmbiguousError at the first value or name that two readers take for two things."""
+    """Raise _AmbiguousError at the first value or name that two readers read differently."""
     waiting, seen = [root], set()
     while waiting:
         node = waiting.pop()
@@ -244,7 +248,7 @@ def _check_names(keys: Iterable[Any]) -> None:
             name, line = (key.tag, key.value), key.start_mark.line + 1
             if name in lines:
                 raise _AmbiguousError(
-                    f"line {line}: {key.value} is given a second time, the first is in line "
+                    f"line {line}: {key.value} is given a second time, the first time in line "
                     f"{lines[name]}: keep one of them"
                 )
             lines[name] = line
@@ -279,9 +283,9 @@ def _require_plain(path: Path, status: os.stat_result) -> None:
 
 
 def _finite(text: str) -> float:
-    """Return a number of JSON, which knows neither NaN nor infinity; ValueError for those."""
+    """Return a number of JSON, which has neither NaN nor infinity; ValueError for those."""
     if not math.isfinite(number := float(text)):
-        raise ValueError(f"{text:.20} is no finite number")
+        raise ValueError(f"{text:.20} is not a finite number")
     return number
 
 
@@ -292,7 +296,7 @@ def _loader(yaml: Any) -> Any:
 def _check_events(events: Iterable[Any]) -> None:
     """Raise ValueError for what nests too deeply or grows too large; see the constants.
 
-    The loader itself goes down level by level, in C, and follows aliases as often as they stand.
+    The loader itself descends level by level, in C, and follows every alias each time.
     """
     import yaml
 
@@ -311,7 +315,7 @@ def _check_events(events: Iterable[Any]) -> None:
                 sizes[anchor] = total - before
         elif isinstance(event, yaml.AliasEvent):
             if any(anchor == event.anchor for anchor, _ in open_):
-                raise ValueError(f"the alias *{event.anchor} stands inside of what it names")
+                raise ValueError(f"the alias *{event.anchor} is inside the value that it names")
             total += sizes.get(event.anchor, 1)
         else:
             total += 1
@@ -321,7 +325,7 @@ def _check_events(events: Iterable[Any]) -> None:
 
 
 def _check_number(event: Any) -> None:
-    """Raise ValueError for a number that Python itself would not print, as one in hexadecimal."""
+    """Raise ValueError for a number too long for Python to print, such as one in hexadecimal."""
     text = getattr(event, "value", "")
     plain = len(text) > _LONGEST_NUMBER and (event.implicit[0] or event.tag)
     if plain and text.lstrip("+-")[:1].isdigit():
@@ -329,7 +333,7 @@ def _check_number(event: Any) -> None:
 
 
 def _check_depth(value: Any) -> None:
-    """Raise ValueError where lists and groups nest deeper than ``DEEPEST``."""
+    """Raise ValueError if lists and groups nest deeper than ``DEEPEST``."""
     level: list[Any] = [[value]]
     for _ in range(DEEPEST + 1):
         insides = (x.values() if isinstance(x, dict) else x for x in level)

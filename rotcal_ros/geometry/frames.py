@@ -63,7 +63,7 @@ class FrameTree:
         return name in self._parents or any(name == p for p, _ in self._parents.values())
 
     def pose(self, frame: str, reference: str) -> Pose | None:
-        """Return where ``frame`` lies in ``reference``; None where nothing static joins them."""
+        """Return where ``frame`` lies in ``reference``; None if nothing static joins them."""
         here, there = self._to_root(_name(frame)), self._to_root(_name(reference))
         common = next((name for name in here if name in there), None)
         return None if common is None else there[common].inverse() @ here[common]

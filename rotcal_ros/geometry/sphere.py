@@ -32,7 +32,7 @@ class Spheres:
     ``centres`` (B, 3) and ``radii`` (B,), radius of the ball without the tip, in metres;
     ``unit_covariance`` (B, 3, 3) of the centre for unit standard deviation of a touch point;
     ``std`` (B,) that standard deviation from the residuals, m; ``dof`` (B,); ``radius_std`` (B,)
-    that of the radius, m, 0 where it is known.
+    that of the radius, m, 0 if it is known.
     ``residuals`` (B, n), metres, distance to the sphere, outside positive, also of unused
     points; ``used`` (B, n). ``form_deviation`` (B,), metres: largest minus smallest residual of
     the used points. ``reason`` says why a ball was refused, None for a good one; the numbers

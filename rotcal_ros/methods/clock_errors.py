@@ -65,7 +65,7 @@ def with_clock_errors(result: Result, std: float) -> Result:
         covariance={**result.covariance, COMPONENT: covariance},
         adjacent_std=adjacent,
         directions=_with_sides(result.directions, std**2 * (sides @ sides.T)),
-        details=_with_source(result.details, np.sqrt(share.diagonal())),
+        budget=_with_source(result.budget, np.sqrt(share.diagonal())),
     )
 
 
@@ -98,6 +98,5 @@ def _with_sides(directions: Mapping[str, Directions], share: Floats) -> Mapping[
     return {**directions, COMPONENT: replace(both, covariance=both.covariance + share)}
 
 
-def _with_source(details: Mapping[str, Any], std: Floats) -> Mapping[str, Any]:
-    budget = details.get("budget")
-    return details if budget is None else {**details, "budget": {**budget, SOURCE: std}}
+def _with_source(budget: Mapping[str, Floats], std: Floats) -> Mapping[str, Floats]:
+    return {**budget, SOURCE: std} if budget else budget

@@ -1,4 +1,4 @@
-"""Waiting until the nodes of a cell are active, then printing what to do next.
+"""Waits until the nodes of a cell are active, then prints what to do next.
 
 For launch files: ``python -m rotcal_ros.nodes.readiness /cell planner capture``.
 """
@@ -24,12 +24,12 @@ rotcal_msgs/action/Calibrate '{{}}'
   Ctrl-C there cancels; the bag stays valid. A pause of the plan ends with:
                       ros2 service call {place}/resume std_srvs/srv/Trigger
 what is wrong:        ros2 topic echo /diagnostics
-take a node out:      ros2 lifecycle set {place}/capture deactivate
+deactivate a node:      ros2 lifecycle set {place}/capture deactivate
 'rotcal run CONFIG' would start nodes of its own; 'rotcal attach' shows what it has started."""
 
 
 def waiting_for(health: Health, names: Collection[str]) -> list[str]:
-    """Return which nodes are not active, in words that say what to do."""
+    """Return which nodes are not active, and what to do about it."""
     absent = health.missing(names)
     idle = not_active(health, [name for name in names if name not in absent])
     return idle + [f"node {name} is not there (yet)" for name in absent]

@@ -6,14 +6,14 @@ measured value d_j = e_j + noise and the standard uncertainty u_j of the *new* m
 * *still valid* when |d_j| <= x - k u_j at all angles, k the normal quantile of the risk of a miss.
   If any |e_j| exceeds x this happens with at most that risk, whatever the other angles and the
   correlations: every angle has to pass a test of its own (intersection-union test, Berger 1982;
-  for two limits Schuirmann 1987). Nothing that is believed about the table enters. k u_j is the
+  for two limits Schuirmann 1987). No assumption about the table is needed. k u_j is the
   guard band of ISO 14253-1.
 * *changed* when some |d_j| > min(c s_j, x + c u_j). s_j holds, beside the new measurement, the
   uncertainty of the earlier curve and the stated ageing; c shares the risk of a false alarm among
-  both signs and all angles (Bonferroni). The first says that the table has moved more than that
-  explains, the second that it is surely beyond x. Both together cost a table that has only aged as
-  stated, and lies within x, no more than the risk: to know that it lies within x makes large
-  differences only rarer (Gaussian correlation inequality, Royen 2014).
+  both signs and all angles (Bonferroni). The first means that the table has moved more than that
+  explains, the second that it is surely beyond x. A table that has only aged as stated, and lies
+  within x, meets either with no more than the risk: knowing that it lies within x only makes large
+  differences rarer (Gaussian correlation inequality, Royen 2014).
 * *undecided* otherwise.
 """
 
@@ -31,12 +31,12 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ConfigurationError
 
 RISK: Final = 0.05
-"""Of a miss and of a false alarm, where nothing else is asked for."""
+"""Risk of a miss and of a false alarm, unless stated otherwise."""
 
 
 @dataclass(frozen=True)
 class CheckRule:
-    """What is asked: ``limit`` x (rad or m), and the risks with which it is answered.
+    """The question: ``limit`` x (rad or m), and the accepted risks of a wrong answer.
 
     ``miss``: of *still valid* although the curve is off by more than the limit somewhere.
     ``false_alarm``: of *changed* although the table has aged no more than stated and lies within
@@ -50,7 +50,7 @@ class CheckRule:
     ageing_std: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse numbers that are no risks, no limit or no ageing."""
+        """Refuse numbers that cannot be risks, a limit or an ageing."""
         for field in fields(self):
             value = getattr(self, field.name)
             if field.name in ("miss", "false_alarm") and not 0.0 < value < 0.5:
@@ -63,10 +63,10 @@ class CheckRule:
             raise ConfigurationError(f"the ageing is {self.ageing_std}: expected zero or more")
 
     def expected(self, earlier: Floats, keep: Floats) -> Floats:
-        """Return the covariance (n, n) of the curve's error that is nothing unusual.
+        """Return the covariance (n, n) of the usual error of the earlier curve.
 
         ``earlier`` (n, n) is the covariance of the earlier curve, ``keep`` (n, n) the projection
-        that takes off what neither measurement knows.
+        that removes what neither measurement knows.
         """
         aged = earlier + self.ageing_std**2 * np.eye(len(earlier))
         return np.asarray(keep @ aged @ keep, dtype=np.float64)
@@ -85,9 +85,9 @@ class CheckRule:
         return np.asarray(np.minimum(explained, self.limit + share * new_std), dtype=np.float64)
 
     def assurance(self, new_std: Floats, expected_std: Floats) -> float:
-        """Return with what probability, at least, a table that only aged is found still valid.
+        """Return the least probability that a table that only aged is found still valid.
 
-        The product over the angles, which no correlation makes smaller (Sidak 1967).
+        It is the product over the angles, which no correlation makes smaller (Sidak 1967).
         """
         spread = np.maximum(np.hypot(new_std, expected_std), np.finfo(np.float64).tiny)
         ratio = np.maximum(self.acceptance(new_std), 0.0) / spread

@@ -1,4 +1,4 @@
-"""Which step is measured next: what a policy returns and is given, and the policy as_listed."""
+"""The choice of the next step: what a policy returns and gets, and the policy as_listed."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from rotcal_ros.foundation.observations import Observation
 class Standing:
     """How far a policy has come.
 
-    ``uncertainty``: expanded uncertainty (k = 2) now, ``goal``: the wanted one, both in rad, root
-    mean squares over the table angles; NaN where there is none. ``left``: steps that are expected
-    to be left, the chosen one included.
+    ``uncertainty`` is the present expanded uncertainty (k = 2), ``goal`` the wanted one, both in
+    rad as root mean squares over the table angles; NaN if there is none. ``left``: expected number
+    of further steps, including the chosen one.
     """
 
     left: int
@@ -45,7 +45,7 @@ class Choice:
 
 @dataclass(frozen=True, slots=True)
 class StepOutcome:
-    """How ``step`` went: its accepted observation, or None when it was given up."""
+    """The outcome of ``step``: its accepted observation, or None if it was given up."""
 
     step: int
     observation: Observation | None
@@ -54,15 +54,15 @@ class StepOutcome:
 class Policy(Protocol):
     """Chooses step by step: ``choose`` and ``note`` are called in turn.
 
-    A policy depends on nothing but its constructor's arguments and what ``note`` gives it; with
-    the same outcomes it makes the same choices.
+    A policy depends only on its constructor's arguments and what ``note`` gives it: the same
+    outcomes lead to the same choices.
     """
 
     def choose(self) -> Choice:
-        """Return the next step, or that there is none; takes less than 50 ms."""
+        """Return the next step, or that there is none, in less than 50 ms."""
 
     def note(self, outcome: StepOutcome) -> None:
-        """Take the outcome of a step, the chosen one or another."""
+        """Note the outcome of a step, the chosen one or another."""
 
 
 AS_LISTED: Final = "as_listed"
@@ -70,7 +70,7 @@ UNTIL_GOAL: Final = "until_goal"
 
 
 class AsListed:
-    """Measures ``steps`` in their order; a step that is given up is not asked for again."""
+    """Measures ``steps`` in order; a step that is given up is not tried again."""
 
     def __init__(self, steps: Iterable[int]) -> None:
         self._left = deque(steps)
@@ -82,6 +82,6 @@ class AsListed:
         return Choice(self._left[0], "next of the list", Standing(len(self._left)))
 
     def note(self, outcome: StepOutcome) -> None:
-        """Strike the step off when it is the next one."""
+        """Remove the step from the list if it is the next one."""
         if self._left and self._left[0] == outcome.step:
             self._left.popleft()

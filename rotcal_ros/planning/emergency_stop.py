@@ -1,6 +1,6 @@
-"""Whether a topic, diagnostics, or their silence stop the cell; without ROS.
+"""Tells whether a topic, diagnostics, or their silence stop the cell; without ROS.
 
-This is no safety function: it only keeps rotcal from ordering motion.
+This is not a safety function: it only keeps rotcal from ordering motion.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class StopSources:
         self._note(self._topic, f"{self._topic} is true" if stopped else None, now_s)
 
     def diagnose(self, name: str, level: int, words: str, now_s: float) -> None:
-        """Take a status of /diagnostics; only the configured ones count."""
+        """Note a status of /diagnostics; only the configured ones count."""
         for configured in self._names:
             if name == configured or name.endswith((f"/{configured}", f": {configured}")):
                 state = _WORDS.get(level, f"level {level}")

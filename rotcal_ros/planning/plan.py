@@ -18,9 +18,9 @@ from rotcal_ros.foundation.observations import (
 Point = tuple[float, float, float]
 
 MACHINE_FRAME: Final = "machine"
-"""Stands still, at the foot of the table axis, +z along it."""
+"""Frame that stands still, at the foot of the table axis, with +z along it."""
 TABLE_FRAME: Final = "table"
-"""Turns with the table; at angle 0 it is the machine frame."""
+"""Frame that turns with the table; at angle 0 it is the machine frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,9 +28,9 @@ class Step:
     """One step: turn the table, place the probe, observe once.
 
     ``table_angle`` (rad) is approached from the side ``approach``; ``position`` (m) is the
-    nominal place of target number ``target``. ``n_points`` is the number of probe points that
-    make the observation (1 for a reflector that just stands there); ``ball_diameter`` (m) is
-    that of the ball that is touched, 0 where there is none.
+    nominal place of target number ``target``. ``n_points`` is the number of probe points that make
+    the observation (1 for a carried reflector); ``ball_diameter`` (m) is that of the touched ball,
+    0 if there is none.
     """
 
     index: int
@@ -45,7 +45,7 @@ class Step:
     ball_diameter: float = 0.0
 
     def in_words(self, attempt: int = 0) -> str:
-        """Return where this step is, for people."""
+        """Return the place of this step, for people."""
         return place_in_words(self.table_position, self.target, attempt)
 
     def command(self, attempt: int) -> Command:
@@ -62,7 +62,7 @@ class Step:
         )
 
     def observed(self, mean: tuple[float, ...], kind: PointKind | None = None) -> Observation:
-        """Return the accepted observation of one value ``mean`` (m) that tells no scatter."""
+        """Return the accepted observation of a value ``mean`` (m) without a known scatter."""
         zeros = (0.0,) * len(mean)
         return Observation(
             step=self.index,
@@ -120,7 +120,8 @@ def numbered_steps(
 class Move:
     """What a pause is for: ``what`` is brought to ``station``, at ``position`` (m) in ``frame``.
 
-    Without a position the plan knows no place: the instruction says what is to be turned how.
+    Without a position the plan knows no place: the instruction says what has to be turned, and
+    how.
     """
 
     what: str
@@ -134,9 +135,9 @@ class Pause:
     """A person's work before step ``first``, described in ``instruction``, ``move`` as data.
 
     The steps ``first`` to ``last`` show whether it was done well: they are measured and judged by
-    the method before the rest follows. ``last`` = ``first`` - 1: nothing shows it. With
-    ``again_from`` there is nothing to do first: only where the steps show something wrong is the
-    person asked, and everything from that step on measured again.
+    the method before the rest follows. ``last`` = ``first`` - 1: no step shows it. With
+    ``again_from`` there is nothing to do at first: only if the steps show a fault is the person
+    asked, and everything from that step on measured again.
     """
 
     first: int
@@ -166,7 +167,7 @@ def pauses_at_stations(
 class Plan:
     """All steps of one calibration, with the table angles (rad) and targets (m) they refer to.
 
-    ``pauses`` are in the order of their steps; most methods need none.
+    ``pauses`` are in the order of their steps; most methods have none.
     """
 
     method: str
@@ -198,7 +199,7 @@ class Plan:
         return next((pause for pause in self.pauses if pause.first == index), None)
 
     def step(self, index: int) -> Step:
-        """Return step ``index``; raises PlanError when the plan has no such step."""
+        """Return step ``index``; raises PlanError if the plan has no such step."""
         if not 0 <= index < len(self.steps):
             raise PlanError(
                 f"step {index} is not in the plan: it has the steps 0 to {len(self.steps) - 1}"
@@ -208,10 +209,10 @@ class Plan:
 
 @dataclass(frozen=True)
 class PlanFigures:
-    """``lengths`` of a plan, what they promise and what they take.
+    """Figures of a plan: its ``lengths``, their uncertainty and their time.
 
     ``uncertainty``: predicted U (k = 2) of ECC about its mean, rms over the angles, rad.
-    ``seconds``: from the end of the first length to that of the last, as the policy reckons;
+    ``seconds``: from the end of the first length to that of the last, as the policy estimates;
     ``cell_seconds``: the same by the clock of the simulated cell, None without one.
     """
 

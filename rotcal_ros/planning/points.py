@@ -1,4 +1,4 @@
-"""Points of a plan: as settings list them, or on a grid in an order that keeps ways short."""
+"""Points of a plan: listed in settings, or on a grid in an order that keeps paths short."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _ROUNDING: Final = 1e-9
 
 
 def triples(values: tuple[float, ...], name: str) -> tuple[Point, ...]:
-    """Return a flat list of coordinates as points; PlanError when it is not made of triples."""
+    """Return a flat list of coordinates as points; PlanError if it does not consist of triples."""
     if len(values) % 3:
         raise PlanError(f"plan: {name} has {len(values)} values, expected x y z of each point")
     rows = np.reshape(values, (-1, 3)).tolist()
@@ -46,16 +46,16 @@ def _zigzag(row: int) -> int:
 
 
 def in_a_line(points: Floats) -> bool:
-    """Return whether ``points`` (n, 3) lie in a line, or in fewer places, but for rounding."""
+    """Return whether ``points`` (n, 3) lie on a line, or at one place, within rounding."""
     return _directions(points) < 2
 
 
 def in_a_plane(points: Floats) -> bool:
-    """Return whether ``points`` (n, 3) lie in a plane, or in a line, but for rounding."""
+    """Return whether ``points`` (n, 3) lie in a plane, or on a line, within rounding."""
     return _directions(points) < 3
 
 
 def _directions(points: Floats) -> int:
-    """Return how many directions ``points`` (n, 3) fill: 1 for a line, 2 for a plane."""
+    """Return how many dimensions ``points`` (n, 3) have: 1 for a line, 2 for a plane."""
     sizes = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return int(np.sum(sizes > _ROUNDING * sizes[0]))

@@ -1,4 +1,4 @@
-"""What a plan costs: the time that table, machine and instrument take from length to length."""
+"""The time that table, machine and instrument take from length to length of a plan."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Drive:
     def time(self, way: Floats) -> Floats:
         """Return the durations (s) of ways of any shape, in the unit of the speed.
 
-        Trapezoidal speed: way / v + v / a where v is reached, else 2 sqrt(way / a).
+        Trapezoidal speed: way / v + v / a if v is reached, else 2 sqrt(way / a).
         """
         way = np.abs(way)
         return np.asarray(np.where(way > 0.0, self.moving(way) + self.settle, 0.0))
@@ -41,7 +41,7 @@ class Drive:
 class TimeModel:
     """How long a length takes: the ``table`` (rad) turns, the ``machine`` (m) moves, both dwell.
 
-    They move at the same time where ``together``, else one after the other. After its motion the
+    With ``together`` they move at the same time, else one after the other. After its motion the
     machine takes ``report`` (s) at every length; ``dwell`` (s) begins when both are ready. Angles
     are reached from below: from above the table passes by ``overshoot`` (rad) and returns.
     """
@@ -89,10 +89,10 @@ def duration(costs: Floats, order: Ints) -> float:
 
 
 AT_ONCE: Final = 1e12
-"""A speed, and acceleration, that leaves only the settling."""
+"""A speed and acceleration so large that only the settling is left."""
 
 HARDLY: Final = Drive(1e5, AT_ONCE)
-"""A machine whose ways are in the time of a length: of equal orders the shorter way is taken."""
+"""A machine whose moves are in the time of a length: of equal orders the shorter path wins."""
 
 
 def stated_time(turn: float, length: float, machine: Drive = HARDLY) -> TimeModel:

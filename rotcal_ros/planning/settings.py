@@ -14,7 +14,7 @@ from rotcal_ros.planning.choices import AS_LISTED, UNTIL_GOAL
 
 @dataclass(frozen=True)
 class CellSettings:
-    """What the cell's parts are called."""
+    """Names of the cell's parts."""
 
     namespace: str = setting("/cell", doc="ROS namespace of all topics of the cell", first=True)
     joint: str = setting(
@@ -24,10 +24,10 @@ class CellSettings:
     table_in_force: str = setting(
         UNKNOWN,
         doc="compensation table that the controller applies during the measurement: SHA-256 of "
-        "its files, none, or unknown; a bridge announces it by itself",
+        "its files, none, or unknown; a bridge announces it itself",
     )
     machine_frame: str = setting(
-        "machine", doc="frame of targets and probe points, as headers and tf call it"
+        "machine", doc="frame of targets and probe points in headers and tf"
     )
     table_frame: str = setting(
         "table_base", doc="fixed frame of the table in tf: its origin on the axis, z along it"
@@ -37,12 +37,12 @@ class CellSettings:
     )
     frame_tolerance_m: float = setting(
         0.01,
-        doc="m, largest difference between places in tf and in the solution that gives no warning",
+        doc="m, largest difference between places in tf and in the solution without a warning",
         minimum=1e-9,
     )
     frame_tolerance_deg: float = setting(
         1.0,
-        doc="deg, largest angle between the axis in tf and in the solution that gives no warning",
+        doc="deg, largest angle between the axis in tf and in the solution without a warning",
         minimum=1e-9,
         maximum=180.0,
     )
@@ -54,7 +54,7 @@ class CellSettings:
     )
 
     def __post_init__(self) -> None:
-        """Refuse names that ROS or a controller file cannot bear, and half a volume or none."""
+        """Refuse names that ROS or a controller file cannot hold, and half a volume or none."""
         check_ros_name(self.namespace, "namespace")
         check_axis(self.axis)
         check_in_force(self.table_in_force)
@@ -93,7 +93,10 @@ class HealthSettings:
 
 @dataclass(frozen=True)
 class SafetySettings:
-    """Who stops the cell; every node that moves something listens. No safety function."""
+    """Who stops the cell.
+
+    Every node that moves something listens. This is not a safety function.
+    """
 
     emergency_stop: str = setting(
         "emergency_stop",
@@ -107,26 +110,26 @@ class SafetySettings:
     )
     silent_s: float = setting(
         0.0,
-        doc="s, silence of the topic, or of one of the names, after which the cell stops, too; "
-        "0: silence stops nothing",
+        doc="s, silence of the topic, or of one of the names, after which the cell stops too; 0: "
+        "silence stops nothing",
         minimum=0.0,
         maximum=3600.0,
     )
 
     def __post_init__(self) -> None:
-        """Refuse a name that no topic can bear."""
+        """Refuse a name that no topic can have."""
         if self.emergency_stop:
             check_ros_name(self.emergency_stop, "emergency_stop")
 
 
 @dataclass(frozen=True)
 class PlannerSettings:
-    """What the planner measures next, and how patient it is; times are of the wall clock."""
+    """What the planner measures next, and how long it waits, by the wall clock."""
 
     policy: str = setting(
         AS_LISTED,
-        doc="which step comes next: as_listed takes all steps of the plan in their order, "
-        "until_goal only those that are needed for goal_arcsec",
+        doc="which step comes next: as_listed takes all steps of the plan in order, until_goal "
+        "only those that goal_arcsec needs",
         choices=(AS_LISTED, UNTIL_GOAL),
     )
     goal_arcsec: float = setting(
@@ -163,7 +166,7 @@ class PlannerSettings:
     max_failed_steps: int = setting(
         3,
         doc="consecutive steps that may fail, with all their attempts, before the planner gives "
-        "up; ten times as many where something stood in the beam; 0: it never gives up",
+        "up; ten times as many if something stood in the beam; 0: it never gives up",
         minimum=0,
         maximum=100_000,
     )
@@ -217,10 +220,10 @@ class TableAdapterSettings:
         doc="what the controller takes: goals (its action follow_joint_trajectory; the package "
         "control_msgs is needed), trajectory (trajectory_msgs/JointTrajectory on its topic "
         "joint_trajectory) or positions (std_msgs/Float64MultiArray on its topic commands); "
-        "auto: goals where control_msgs is installed, else trajectory",
+        "auto: goals if control_msgs is installed, else trajectory",
     )
     feedback: str = setting(
-        "/joint_states", doc="topic of sensor_msgs/JointState that tells where the joint is"
+        "/joint_states", doc="topic of sensor_msgs/JointState with the position of the joint"
     )
     speed_deg_s: float = setting(
         10.0, doc="deg/s, largest speed of the table", minimum=1e-3, maximum=36_000.0
@@ -253,7 +256,7 @@ class TableAdapterSettings:
     )
 
     def __post_init__(self) -> None:
-        """Refuse names that ROS cannot bear, and half a travel or none."""
+        """Refuse names that ROS cannot use, and half a travel or none."""
         check_ros_name(self.controller, "controller")
         check_ros_name(self.feedback, "feedback")
         if (self.lower_deg is None) != (self.upper_deg is None):

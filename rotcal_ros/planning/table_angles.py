@@ -1,4 +1,4 @@
-"""Where the table stops, and for runs after ISO 230-2 how often and from which side it comes."""
+"""The angles at which the table stops; for runs after ISO 230-2, how often and from which side."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class TableAngleSettings:
 
 
 def table_angles(settings: TableAngleSettings) -> tuple[float, ...]:
-    """Return the commanded table angles in radians; raises PlanError when they do not ascend."""
+    """Return the commanded table angles in radians; raises PlanError if they do not ascend."""
     degrees = settings.table_angles_deg or tuple(
         settings.table_start_deg + i * settings.table_step_deg
         for i in range(settings.table_positions)
@@ -46,7 +46,7 @@ class Visit:
 
 
 def visits(targets: int, runs: int, bidirectional: bool) -> tuple[Visit, ...]:
-    """Return all arrivals: up through ``targets`` angles, and down again if ``bidirectional``.
+    """Return all arrivals: up through all ``targets`` angles, and down again if ``bidirectional``.
 
     Every run is complete before the next begins.
     """

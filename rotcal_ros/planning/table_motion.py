@@ -1,4 +1,4 @@
-"""How a table comes to its angle, from the ordered side; its speed and unit from its feedback."""
+"""How a table reaches its angle from the ordered side; its speed and unit from its feedback."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from rotcal_ros.foundation.observations import Approach, TableSample
 from rotcal_ros.foundation.units import DEGREE, NANOSECOND
 
 TOWARDS: Final = {Approach.POSITIVE: 1.0, Approach.NEGATIVE: -1.0}
-"""Sign of the last motion, where a side is ordered."""
+"""Sign of the last motion, if a side is ordered."""
 PUBLISH_VELOCITY: Final = (
     "publish it beside the position, in rad/s (in deg/s with topics.angle_unit: deg)"
 )
-"""What to do about a feedback without velocity."""
+"""What to do about feedback without velocity."""
 _HISTORY: Final = 10_000
 _SAME_DEG: Final = 0.05
-"""A feedback this close to the commanded angle in degrees is taken to be in degrees."""
+"""Feedback this close to the commanded angle in degrees counts as degrees."""
 _FULL_TURN_DEG: Final = 360.0
 
 
 def approached(here: float, goal: float, approach: Approach, run_up: float) -> tuple[float, ...]:
     """Return the angles to stop at on the way from ``here`` to ``goal`` (all rad).
 
-    An ordered side is kept on the last ``run_up`` at least: a table that stands nearer, or
-    beyond, goes back so far first.
+    An ordered side is kept on at least the last ``run_up``: a table that is nearer, or beyond,
+    goes back so far first.
     """
     towards = TOWARDS.get(approach, 0.0)
     if not towards or towards * (goal - here) >= run_up:
@@ -39,7 +39,7 @@ def is_near(angle: float, commanded: float, tolerance: float) -> bool:
 
 
 def in_degrees(angle: float, commanded: float) -> bool:
-    """Tell whether a feedback ``angle`` is where the table was commanded to (rad), in degrees.
+    """Tell whether a feedback ``angle`` is in degrees where the table was commanded to (rad).
 
     A small angle near a commanded zero decides nothing: it is near in either unit.
     """
@@ -51,7 +51,7 @@ def in_degrees(angle: float, commanded: float) -> bool:
 
 
 class TableSpeed:
-    """The table's angles (rad) become feedback with a speed, taken over at least ``span_s``."""
+    """Turns angles (rad) of the table into feedback with a speed, over at least ``span_s``."""
 
     def __init__(self, span_s: float) -> None:
         self._span_ns = round(span_s / NANOSECOND)
@@ -62,7 +62,7 @@ class TableSpeed:
         self._angles.clear()
 
     def feed(self, stamp_ns: int, angle: float) -> TableSample | None:
-        """Return the feedback; None before there is a speed, or where the stamp stands still.
+        """Return the feedback; None before there is a speed, or if the stamp stands still.
 
         After a clock was set back the speed is taken anew.
         """

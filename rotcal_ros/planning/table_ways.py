@@ -1,7 +1,7 @@
-"""Which way a joint goes to a table angle: turns, the side of approach, ends of the travel, time.
+"""The way of a joint to a table angle: turns, side of approach, ends of the travel, time.
 
-All angles in rad, positive as the joint's; those of a way are in the turns that the controller
-counts, so that the joint makes no turn more than was ordered.
+All angles are in rad, with the joint's sign; those of a way include the turns that the controller
+counts, so that the joint makes no extra turn.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rotcal_ros.planning.table_motion import TOWARDS, approached
 
 TURN = 2 * pi
 SHORTEST_S = 0.1
-"""Even a step to where the joint stands already takes this long: controllers refuse less."""
+"""Even a step to the joint's present position takes this long: controllers refuse less."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,8 +28,8 @@ class Way:
     """The ``angles`` (rad) that a joint is sent to one after the other, at rest in each.
 
     ``start`` is where it stands, ``times_s`` when it shall be at each angle, ``velocity`` (rad/s)
-    how fast it moves at the start. In between it moves as a cubic in time, as
-    joint_trajectory_controller does it from positions and velocities.
+    how fast it moves at the start. In between it moves as a cubic in time, like
+    joint_trajectory_controller with positions and velocities.
     """
 
     start: float
@@ -60,8 +60,8 @@ class Way:
 def way_to(angle: float, approach: Approach, start: float, settings: TableAdapterSettings) -> Way:
     """Return the shortest way from ``start`` to a table ``angle`` (any turn of it).
 
-    An ordered ``approach`` is kept on the last ``overshoot_deg`` at least. Raises DataError where
-    the travel ends before.
+    An ordered ``approach`` is kept on at least the last ``overshoot_deg``. Raises DataError if the
+    travel ends before.
     """
     run_up = settings.overshoot_deg * DEGREE
     goals = _turns(angle, start, settings)
@@ -82,7 +82,7 @@ def way_to(angle: float, approach: Approach, start: float, settings: TableAdapte
 def way_to_rest(angle: float, velocity: float, settings: TableAdapterSettings) -> Way:
     """Return the way on which a joint that moves (rad/s) comes to rest from ``angle`` (rad).
 
-    A cubic from this velocity to rest over half the time and distance brakes evenly; where the
+    A cubic from this velocity to rest over half the time and distance brakes evenly; if the
     velocity is not finite the joint is to rest where it is.
     """
     velocity = velocity if isfinite(velocity) else 0.0

@@ -13,7 +13,7 @@ from rotcal_ros.foundation.observations import Observation
 def time_order(observations: Sequence[Observation]) -> Ints:
     """Return the rank (k,) in time of each observation: by run, then by the end of its window.
 
-    Observations without a time of their own (plain tables) are in the order of the plan.
+    Observations without a time (plain tables) are in the order of the plan.
     """
     keys = (
         [o.step for o in observations],

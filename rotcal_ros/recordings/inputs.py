@@ -1,4 +1,4 @@
-"""What a verb is given: a bag or a plain table, its set-up and changes, read in one place."""
+"""The input of a verb: a bag or a plain table, its set-up and changes, read in one place."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ class Input:
     def read(self, progress: Progress | None = None) -> Recording | Measurements:
         """Return what was measured, ready to be solved.
 
-        Raises BagError for what is neither a bag nor a table, ConfigurationError for a table
-        without set-up and for impossible changes, DataError for contradictory content.
+        Raises BagError for a path that is neither a bag nor a table, ConfigurationError for a
+        table without set-up and for impossible changes, DataError for contradictory content.
         """
         of_reading = tuple(change for change in self.changes if is_limit(change))
         if is_table(self.path):
@@ -51,11 +51,11 @@ class Input:
                     f"{self.path} is a table, and a table needs its set-up: --setup SETUP.yaml"
                 )
             if of_reading:
-                raise ConfigurationError(f"--set {of_reading[0]}: {self.path} is no bag")
+                raise ConfigurationError(f"--set {of_reading[0]}: {self.path} is not a bag")
             stated = changed(read_setup(self.setup), self.changes)
             return read_measurements(self.path, stated, self.targets)
         if self.targets is not None:
-            raise ConfigurationError(f"{self.path} is no table: only a table takes --targets")
+            raise ConfigurationError(f"{self.path} is not a table: only a table takes --targets")
         limits = changed_limits(of_reading)
         changes = tuple(change for change in self.changes if change not in of_reading)
         configuration = self._configuration(changes, limits)
@@ -71,7 +71,7 @@ class Input:
     def _asked_names(
         self, configuration: Configuration | None, changes: tuple[str, ...]
     ) -> dict[str, str]:
-        """Return the names of topics that are given here, not in the bag."""
+        """Return the names of topics that are given here instead of in the bag."""
         known = {} if configuration is None else configuration.topics.renamed()
         changed_ones = {change.partition("=")[0] for change in changes}
         return {r: n for r, n in known.items() if self.setup or f"topics.{r}" in changed_ones}

@@ -1,4 +1,4 @@
-"""What a recording lacks: its dropouts and the steps they touch, and why observations are few."""
+"""What a recording lacks: its dropouts, the steps they touch, and why observations are few."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from rotcal_ros.bags.settings import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.storage_scan import FileVerdict
 from rotcal_ros.capture import messages as records
 from rotcal_ros.capture.rejections import Commonest
-from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.observations import Observation
 
 _SENTENCES: Final = 20
-"""Largest number of sentences; more of them would not say more."""
+"""Largest number of sentences; more of them would say nothing new."""
 _NAMED: Final = 5
 _TYPE: Final = "rotcal_msgs/msg/Observation"
 
@@ -40,7 +40,7 @@ class Window:
     to_ns: int
 
     def touches(self, dropout: Dropout) -> bool:
-        """Return whether the two have a moment in common."""
+        """Return whether window and dropout overlap."""
         return dropout.from_ns <= self.to_ns and self.from_ns <= dropout.to_ns
 
 
@@ -70,9 +70,9 @@ def placed(
 ) -> tuple[PlacedDropout, ...]:
     """Return all dropouts in the order of time, with the steps that they touch."""
     dropouts = [dropout for verdict in verdicts for dropout in verdict.dropouts]
-    known = list(windows)
+    all_windows = list(windows)
     return tuple(
-        PlacedDropout(dropout, tuple(sorted({w.step for w in known if w.touches(dropout)})))
+        PlacedDropout(dropout, tuple(sorted({w.step for w in all_windows if w.touches(dropout)})))
         for dropout in sorted(dropouts, key=lambda dropout: dropout.from_ns)
     )
 
@@ -115,9 +115,9 @@ def _windows(files: tuple[Path, ...], limits: ReadingLimits) -> Iterator[Window]
 def _accepted(block: Block, decoder: Decoder) -> Iterator[Window]:
     for row, log_time_ns in enumerate(block.headers["log_time"].tolist()):
         message = decoder.message(block.payload(row))
-        if message is not None and (found := records.observation(message)).accepted:
-            lasted_ns = found.window_end_ns - found.window_start_ns
-            yield Window(found.step, log_time_ns - lasted_ns, log_time_ns)
+        if message is not None and (observation := records.observation(message)).accepted:
+            lasted_ns = observation.window_end_ns - observation.window_start_ns
+            yield Window(observation.step, log_time_ns - lasted_ns, log_time_ns)
 
 
 _TOPICS: Final = {
@@ -130,22 +130,24 @@ _TOPICS: Final = {
 """What delivers each stream of the capture."""
 _MAX_NAMED: Final = 8
 _FEW: Final = 0.1
-"""Share of steps without an accepted observation that is not worth a warning."""
+"""Up to this share of steps without an accepted observation is not worth a warning."""
 
 
-def why_nothing(
+def require_accepted(
     observations: Sequence[Observation],
     counts: Mapping[str, Mapping[str, int]],
     unreadable: Mapping[str, str],
     broken: Mapping[str, int],
     topics: Iterable[str],
-) -> str:
-    """Return why none of ``observations`` was accepted.
+) -> None:
+    """Raise DataError with the reason when none of ``observations`` was accepted.
 
     ``counts`` is what the capture counted per stream, empty when the recorded observations were
     taken; ``unreadable`` names topics without a usable definition and ``broken`` those whose
     messages could not be decoded; ``topics`` are all of the bag.
     """
+    if any(observation.accepted for observation in observations):
+        return
     reasons = list(unreadable.values())
     reasons += [f"{topic}: {count} messages cannot be decoded" for topic, count in broken.items()]
     silent = [
@@ -156,36 +158,37 @@ def why_nothing(
     if observations:
         reasons.insert(0, _rejections(observations))
     elif not counts:
-        reasons.append(f"it holds none on a topic {names.OBSERVATION}; solve its streams instead")
+        reasons.append(f"no topic {names.OBSERVATION} holds any; solve its streams instead")
     elif silent:
         reasons.append(f"nothing was read on {', '.join(silent)}; {_present(topics)}")
     elif counts.get("command", {}).get("unanswered"):
         reasons.append(unanswered(counts["command"]))
     else:
         reasons.append("its streams hold no complete step of the plan")
-    return "; ".join(reasons)
+    raise DataError(f"the bag yields no observation that was accepted: {'; '.join(reasons)}")
 
 
 def _rejections(observations: Sequence[Observation]) -> str:
     """Return how many were rejected, and the commonest reason."""
-    found = Commonest.of(o.reason for o in observations)
-    assert found is not None
-    return f"all {found.total} were rejected, {found.in_words()}"
+    commonest = Commonest.of(o.reason for o in observations)
+    assert commonest is not None
+    return f"all {commonest.total} were rejected, {commonest.in_words()}"
 
 
 def doubtful(
     observations: Sequence[Observation], counts: Mapping[str, Mapping[str, int]]
 ) -> tuple[str, ...]:
-    """Return what a reader should know of attempts that failed, though not all did.
+    """Return what a reader should know about failed attempts if some succeeded.
 
-    And how many messages contradict others: it is not known which of them are true.
+    Also how many messages contradict others: it is not known which of them are true.
     """
     texts = []
     rejected = [o.reason for o in observations if not o.accepted]
-    found = Commonest.of(rejected)
-    if found and 2 * found.total > len(observations):
+    commonest = Commonest.of(rejected)
+    if commonest and 2 * commonest.total > len(observations):
         texts.append(
-            f"{found.total} of {len(observations)} attempts were rejected, {found.in_words()}"
+            f"{commonest.total} of {len(observations)} attempts were rejected, "
+            f"{commonest.in_words()}"
         )
     elif failed := _failed_steps(observations):
         texts.append(failed)
@@ -202,17 +205,17 @@ def doubtful(
 
 
 def _failed_steps(observations: Sequence[Observation]) -> str | None:
-    """Return how many steps were tried in vain, and why; None for few, as by a blocked beam."""
+    """Return how many steps were tried in vain, and why; None for few, as after a blocked beam."""
     done = {o.step for o in observations if o.accepted}
     failed = [o for o in observations if o.step not in done]
-    found, steps = Commonest.of(o.reason for o in failed), len({o.step for o in failed})
-    if found is None or steps <= _FEW * (len(done) + steps):
+    commonest, steps = Commonest.of(o.reason for o in failed), len({o.step for o in failed})
+    if commonest is None or steps <= _FEW * (len(done) + steps):
         return None
-    return f"{steps} of {len(done) + steps} steps were tried in vain, {found.in_words()}"
+    return f"{steps} of {len(done) + steps} steps were tried in vain, {commonest.in_words()}"
 
 
 def unanswered(commands: Mapping[str, int]) -> str:
-    """Say that the machine did not echo its orders."""
+    """Return a sentence: the machine did not echo its orders."""
     return (
         f"{commands['unanswered']} of {commands['received']} orders have no answer: a point on "
         f"{names.PROBE_POINT} must echo step and attempt of its order"
@@ -220,11 +223,12 @@ def unanswered(commands: Mapping[str, int]) -> str:
 
 
 def _present(topics: Iterable[str]) -> str:
-    found = sorted(topics)
-    if not found:
+    topic_names = sorted(topics)
+    if not topic_names:
         return "it has no topics at all"
-    more = f" and {len(found) - _MAX_NAMED} more" if len(found) > _MAX_NAMED else ""
+    left = len(topic_names) - _MAX_NAMED
+    more = f" and {left} more" if left > 0 else ""
     return (
-        f"its topics are {', '.join(found[:_MAX_NAMED])}{more} (see --namespace, and the group "
-        "topics of the set-up for other names)"
+        f"its topics are {', '.join(topic_names[:_MAX_NAMED])}{more} (see --namespace, and the "
+        "group topics of the set-up for other names)"
     )

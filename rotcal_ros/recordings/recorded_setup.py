@@ -1,4 +1,4 @@
-"""What a bag says of its own measurement: configuration, subject, and the planner's choices."""
+"""What a bag says about its measurement: configuration, subject, and the planner's choices."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from rotcal_ros.recordings.topics import Topics
 
 Decoders = dict[ChannelDefinition, Decoder]
 Subject = tuple[Identity, bool]
-"""What is measured, and whether a simulation does."""
+"""What is measured, and whether the cell is a simulation."""
 
 
 def find_configuration(
@@ -53,10 +53,10 @@ def find_configuration(
 
 
 def require_one_configuration(scans: Iterable[Scan], planned: Iterable[str], path: Path) -> None:
-    """Raise BagError, with the lines, where a bag states two configurations that differ.
+    """Raise BagError, with the lines, if a bag states two configurations that differ.
 
-    ``planned`` are the texts of its plans. The bag does not say which of two was used: a set-up
-    has to be given.
+    ``planned`` are the texts of its plans. The bag does not say which one was used: a set-up has
+    to be given.
     """
     texts: dict[str, str] = {}
     for scan in scans:
@@ -75,7 +75,7 @@ def require_one_configuration(scans: Iterable[Scan], planned: Iterable[str], pat
 
 
 def _first_differing_line(first: str, second: str) -> str:
-    """Return where two texts begin to differ, in words."""
+    """Return in words where two texts begin to differ."""
     pairs = zip_longest(first.splitlines(), second.splitlines(), fillvalue="")
     for line, (ours, theirs) in enumerate(pairs, 1):
         if ours != theirs:
@@ -105,7 +105,7 @@ def require_its_method(
 
 
 def recorded_subjects(texts: Iterable[str], scans: Iterable[Scan]) -> Iterator[Subject]:
-    """Yield what a bag says that it measures: its configurations first, then its recorder.
+    """Yield what was measured, by the configurations of a bag first, then by its recorder.
 
     Settings that cannot be read do not hide it.
     """
@@ -117,10 +117,10 @@ def recorded_subjects(texts: Iterable[str], scans: Iterable[Scan]) -> Iterator[S
 
 
 def as_recorded(configuration: Configuration, subjects: Sequence[Subject]) -> Configuration:
-    """Return the configuration with what no other set-up can change about a recording.
+    """Return the configuration with those facts of a recording that no set-up can change.
 
-    A simulation stays one; who measured what is taken from the bag unless it is given: what is
-    said first counts.
+    A simulation stays one; who measured what is taken from the bag unless it is given. The first
+    statement counts.
     """
     identity = configuration.identity
     if "identity" not in configuration.given:
@@ -169,7 +169,7 @@ def differences(
     choices: Sequence[RecordedChoice],
     observations: Iterable[Observation],
 ) -> tuple[str, ...]:
-    """Return where the policy, given the recorded observations, chooses otherwise than it did.
+    """Return where the policy, with the recorded observations, chooses otherwise than it did.
 
     ``calibration`` has the settings of the planner. The policy as_listed makes no choices.
     """
@@ -204,15 +204,15 @@ def _first_difference(
     choices: Sequence[RecordedChoice],
     observations: Sequence[Observation],
 ) -> str | None:
-    """Return where the policy chooses otherwise for the first time, None where it never does."""
+    """Return the first choice in which the policy differs, None if there is none."""
     policy = calibration.policy(continuation)
     for place, recorded in enumerate(choices):
         again = policy.choose()
         if recorded.number != place or not again.same_as(recorded.choice):
             return (
                 f"run {recorded.run}, choice {place}: the planner chose "
-                f"{_in_words(recorded.choice)}, and from what was recorded the policy chooses "
-                f"{_in_words(again)}"
+                f"{_in_words(recorded.choice)}, but from the recorded observations the policy "
+                f"chooses {_in_words(again)}"
             )
         if recorded.choice.step is not None:
             policy.note(_outcome(recorded, choices[place + 1 :], observations))
@@ -224,7 +224,7 @@ def _outcome(
     later: Sequence[RecordedChoice],
     observations: Sequence[Observation],
 ) -> StepOutcome:
-    """Return how the step of a choice went: the last accepted one of its attempts."""
+    """Return the outcome of a chosen step: the last accepted one of its attempts."""
     step = recorded.choice.step
     assert step is not None
     behind = min((c.attempt for c in later if c.choice.step == step), default=ENDLESS)

@@ -1,9 +1,9 @@
-"""Solving a bag offline: the same capture and the same solver as live, hence the same result.
+"""Solves a bag offline: the same capture and the same solver as live, hence the same result.
 
-Two things cannot be repeated from the streams, so what was recorded live counts. Whether clocks
-differ was estimated from the times at which messages reached the capture, which no recorder knows.
-And a later run continued from the recorded observations: the streams may hold one more, where a
-node died between a reading and its observation; that step was measured again, and counts once.
+Two things cannot be repeated from the streams, so the live record counts. Whether clocks differ
+was estimated from the times at which messages reached the capture, which no recorder knows. And a
+later run continued from the recorded observations: the streams may hold one more, if a node died
+between a reading and its observation; that step was measured again, and counts once.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ from rotcal_ros.recordings.missing_data import (
     PlacedDropout,
     doubtful,
     placed_in,
+    require_accepted,
     sentences,
-    why_nothing,
 )
 from rotcal_ros.recordings.recorded_setup import (
     Decoders,
@@ -83,10 +83,10 @@ class Recording:
     published; ``counts`` is what the capture counted per stream (empty when the observations were
     taken from the bag), ``broken`` the messages per topic that could not be decoded, and
     ``sha256`` maps file names to hashes. ``choices`` says why each step was measured,
-    ``announced`` which tables the cell announced to be in force for the measured axis,
-    ``other_axes`` the other axes that it announced tables for, ``frames`` its static transforms,
-    ``unreadable`` why topics could not be read, ``clock`` how the system clock jumped, in words,
-    ``session`` whether all files are there, ``dropouts`` what the recorder itself missed.
+    ``announced`` which tables the cell announced as in force for the measured axis, ``other_axes``
+    for which other axes it did so. ``frames`` are its static transforms, ``unreadable`` says why
+    topics could not be read, ``clock`` how the system clock jumped, ``session`` whether all files
+    are there, ``dropouts`` what the recorder itself missed.
 
     >>> import rotcal_ros as rc
     >>> recording = rc.read_bag("examples/data/ball_plate_bag")
@@ -114,14 +114,14 @@ class Recording:
 
     @property
     def configuration(self) -> Configuration:
-        """What it is solved with."""
+        """The configuration with which it is solved."""
         return self.calibration.configuration
 
     def solve(self) -> Result:
         """Return the result; equal observations give equal results to the last bit.
 
-        It carries the warnings about the bag too, and its verdict is at best suspect where a file
-        is missing.
+        It also carries the warnings about the bag, and its verdict is at best suspect if a file is
+        missing.
         """
         self._require_observations()
         try:
@@ -132,7 +132,7 @@ class Recording:
         return self.with_warnings(result)
 
     def with_warnings(self, result: Result) -> Result:
-        """Return a ``result`` of these observations with what its reader must know of the bag."""
+        """Return a ``result`` of these observations with the warnings about the bag."""
         further = tuple(text for text in self.warnings() if text not in result.warnings)
         warned = replace(result, warnings=(*result.warnings, *further))
         return warned.doubted() if self.session.missing else warned
@@ -143,7 +143,7 @@ class Recording:
         return self.calibration.trials(self.observations)
 
     def goal_standing(self, result: Result) -> GoalStanding | None:
-        """Return how ``result`` stands to the goal of the policy; None where there is none.
+        """Return how ``result`` compares with the goal of the policy; None if there is none.
 
         Raises ConfigurationError or PlanError when the bag's configuration cannot be used.
         """
@@ -155,14 +155,11 @@ class Recording:
 
     def _require_observations(self) -> None:
         """Raise DataError with the reason when no observation was accepted."""
-        if any(observation.accepted for observation in self.observations):
-            return
         topics = {name for verdict in self.verdicts for name in verdict.topics}
-        reason = why_nothing(self.observations, self.counts, self.unreadable, self.broken, topics)
-        raise DataError(f"the bag yields no observation that was accepted: {reason}")
+        require_accepted(self.observations, self.counts, self.unreadable, self.broken, topics)
 
     def _as_chosen(self) -> methods.Calibration | None:
-        """Return the calibration whose policy chose the steps; None where it only listed them."""
+        """Return the calibration whose policy chose the steps; None if it only listed them."""
         if not self.choices or names.CONFIGURATION not in self.attachments:
             return None
         text = self.attachments[names.CONFIGURATION].decode(errors="replace")
@@ -188,8 +185,8 @@ class Recording:
     def choices_that_differ(self) -> tuple[str, ...]:
         """Return where the policy chooses otherwise with the observations of this recording.
 
-        It is that of the configuration in the bag, with which the steps were chosen. This plans
-        the measurement once more, which takes longer than solving it.
+        The policy is that of the configuration in the bag, with which the steps were chosen. This
+        plans the measurement again, which takes longer than solving it.
         """
         try:
             calibration = self._as_chosen()
@@ -197,10 +194,10 @@ class Recording:
                 return ()
             return differences(calibration, self.choices, self.observations)
         except RotcalError as error:
-            return (f"the policy cannot be asked again: {error}",)
+            return (f"the policy cannot choose again: {error}",)
 
     def warnings(self) -> tuple[str, ...]:
-        """Return what the reader of a result must know about the bag."""
+        """Return the warnings about the bag for the reader of a result."""
         texts = [*self.session.missing, *self.session.repaired]
         texts += [f"{v.path.name}: {v.sentence()}" for v in self.verdicts if v.state != "complete"]
         texts += losses_in_words(session_losses(self.verdicts))
@@ -255,7 +252,7 @@ def _recording(
     progress: Progress | None,
     limits: ReadingLimits,
 ) -> Recording:
-    """Do as :func:`read_recording`; SeveralCells where it is not clear which one is meant."""
+    """Do as :func:`read_recording`; raise SeveralCells if it is not clear which one is meant."""
     given = configuration is not None
     if configuration is None:
         configuration = find_configuration(files, topics, limits)
@@ -313,7 +310,7 @@ def _undecoded(broken: Mapping[str, int]) -> list[str]:
 
 
 def _left_alone(verdicts: Sequence[FileVerdict]) -> list[str]:
-    """Return whose messages the run ignored; the recorder puts them on topics of their own."""
+    """Return how many messages the run ignored; the recorder puts them on topics of their own."""
     ending = f"_{names.LEFT_ALONE}"
     count = Counter({
         topic: sum(v.topics[topic].messages for v in verdicts if topic in v.topics)
@@ -327,7 +324,7 @@ def _left_alone(verdicts: Sequence[FileVerdict]) -> list[str]:
 
 
 def _feeder(calibration: methods.Calibration, configuration: Configuration) -> StreamFeeder:
-    """Return what captures the streams again as they were planned."""
+    """Return a feeder that captures the streams again as they were planned."""
     return StreamFeeder(
         calibration.capture,
         configuration.cell.joint,
@@ -349,7 +346,7 @@ def _allowed_disorder_ns(configuration: Configuration) -> int:
 
 
 def _require_messages(verdicts: Sequence[FileVerdict], path: Path) -> None:
-    """Raise BagError, with the first damage, where no file holds a message."""
+    """Raise BagError, with the first damage, if no file holds a message."""
     if not any(verdict.messages for verdict in verdicts):
         bad = next((v.sentence() for v in verdicts if v.state != "complete"), "")
         raise BagError(f"the bag {path} holds no messages{bad and f' that can be read: {bad}'}")
@@ -357,7 +354,7 @@ def _require_messages(verdicts: Sequence[FileVerdict], path: Path) -> None:
 
 @dataclass
 class _BagContents:
-    """What the files of a bag hold beside the streams."""
+    """What the files of a bag hold besides the streams."""
 
     recorded: list[Observation] = field(default_factory=list)
     planned: list[str] = field(default_factory=list)
@@ -390,7 +387,7 @@ def _read_in_order(
     source: Source,
     tolerance_ns: int,
 ) -> tuple[_BagContents, StreamFeeder, TimeOrder]:
-    """Read all files, and again, sorted by time, where they are not in the order of time."""
+    """Read all files, and again, sorted by time, if they are not in the order of time."""
     feeder, scans = make(), list[Scan]()
     contents = _read(
         _collect_scans(passes(), scans), topics, feeder if source == "streams" else None
@@ -407,7 +404,7 @@ def _read_in_order(
 def _collect_scans(
     blocks: Iterable[tuple[Scan, Block | None]], scans: list[Scan]
 ) -> Iterator[tuple[StorageContents, Block]]:
-    """Yield the blocks; passes that have ended are put into ``scans``."""
+    """Yield the blocks; put finished passes into ``scans``."""
     for scan, block in blocks:
         if block is None:
             scans.append(scan)
@@ -440,10 +437,10 @@ def judged_as_live(
     estimates: Sequence[str | None],
     recorded: Iterable[Observation],
 ) -> tuple[Observation, ...]:
-    """Return the observations, rejected where the clocks of their streams differ.
+    """Return the observations, rejected if the clocks of their streams differ.
 
-    What was ``recorded`` of the same attempt counts; where nothing was (foreign bags, nodes that
-    were killed) the estimate from the bag at each observation does, empty for equal clocks.
+    The ``recorded`` observation of the same attempt counts; without one (foreign bags, killed
+    nodes) the estimate from the bag at each observation does, empty for equal clocks.
     """
     live = {_attempt(o): o.reason for o in recorded if o.accepted or is_of_clocks(o.reason)}
     return tuple(
@@ -466,9 +463,9 @@ _SHOWN: Final = 5
 
 
 def clock_in_words(scans: Sequence[Scan], order: TimeOrder) -> tuple[str, ...]:
-    """Return how the recorder's clock jumped, a line for each, and that log times are unordered.
+    """Return how the recorder's clock jumped, a line for each, or that log times are unordered.
 
-    Where jumps were noted they explain log times that go back.
+    If jumps were noted, they explain log times that go back.
     """
     jumps = [j for scan in scans for j in read_note(scan.metadata.get(names.CLOCK_JUMPS, {}))]
     jumps = sorted(set(jumps), key=lambda jump: (not jump.named, jump.at_ns))
@@ -483,7 +480,7 @@ def clock_in_words(scans: Sequence[Scan], order: TimeOrder) -> tuple[str, ...]:
 def known_to_later_runs(
     captured: Iterable[Observation], recorded: Iterable[Observation], scans: Iterable[Scan]
 ) -> tuple[Observation, ...]:
-    """Return the observations without those of earlier runs that the later run did not know."""
+    """Return the observations without those of earlier runs that later runs did not know."""
     continued = (
         scan.metadata
         for scan in scans

@@ -1,4 +1,4 @@
-"""What the evaluating verbs read: results of any method, bags, reference tables."""
+"""Reads what the evaluating verbs take: results of any method, bags, reference tables."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from rotcal_ros.recordings.replay import Recording
 class ResultSource:
     """A result and where it comes from.
 
-    ``sha256`` maps file names to hashes. ``axis`` is the letter of the measured axis, None where
-    only the result is known.
+    ``sha256`` maps file names to hashes. ``axis`` is the letter of the measured axis, None if only
+    the result is known.
     """
 
     result: Result
@@ -40,9 +40,9 @@ class ResultSource:
 def read_source(path: Path, given: Input | None = None) -> ResultSource:
     """Return the result in a JSON file, the solution of a bag or table, or a session's result.
 
-    ``given`` is the path with a set-up, targets, changes, with which a bag or a table is solved.
-    The folder of a session that is not finished yet has no result: its bag is solved. Raises
-    BagError when it cannot be read, DataError when the file holds no result.
+    ``given`` is the path with the set-up, targets and changes for solving a bag or a table. The
+    folder of an unfinished session has no result: its bag is solved. Raises BagError when it
+    cannot be read, DataError when the file holds no result.
     """
     given = given or Input(path)
     session = SessionFolder(path)
@@ -57,13 +57,13 @@ def read_source(path: Path, given: Input | None = None) -> ResultSource:
         return solved(given.read())
     if not given.plain:
         raise ConfigurationError(
-            f"{path} is a result already: set-up, targets and changes belong to a bag or a table"
+            f"{path} is already a result: set-up, targets and changes belong to a bag or a table"
         )
     found = _results(path)
     if len(found) > 1:
         raise DataError(
             f"{path} holds {len(found)} evaluations of the same data ({', '.join(found)}): "
-            "`rotcal compare` reads all of them; elsewhere give one result"
+            "`rotcal compare` reads all of them; other verbs take one result"
         )
     (source,) = found.values()
     return source
@@ -108,7 +108,7 @@ def read_repeated_runs(path: Path) -> BidirectionalRuns:
 
 
 def read_text(path: Path) -> str:
-    """Return the text of ``path``, a byte order mark left out; raises BagError."""
+    """Return the text of ``path`` without a byte order mark; raises BagError."""
     try:
         return text_of_file(path, "utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
@@ -133,7 +133,7 @@ def read_curves(
     polygon: MeasuredCurve | None = None,
     reference_std: float | None = None,
 ) -> dict[str, MeasuredCurve]:
-    """Return the curve that :func:`read_curve` does, or those of all evaluations, by name."""
+    """Return the curve as :func:`read_curve` does, or those of all evaluations, by name."""
     if path.suffix == ".json" and path.is_file():
         return {
             f"{path}: {name}" if name else str(path): measured_curve(source.result, component)
@@ -150,8 +150,8 @@ def read_curve(
 ) -> MeasuredCurve:
     """Return one deviation curve of a result, a bag, or a reference table.
 
-    ``polygon`` holds the face errors that are taken off reference tables, ``reference_std`` (rad)
-    is their standard uncertainty where they state none. Raises DataError where neither does.
+    ``polygon`` holds the face errors that are subtracted from reference tables, ``reference_std``
+    (rad) is their standard uncertainty if they state none. Raises DataError if neither does.
     """
     if not is_table(path):
         return measured_curve(read_source(path).result, component)

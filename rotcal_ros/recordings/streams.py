@@ -1,4 +1,4 @@
-"""The streams of one cell in a bag, fed to the capture in the order they were recorded."""
+"""Feeds the streams of one cell in a bag to the capture, in the order of recording."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ _JOINTS: Final = (*STAMP, "position", "velocity")
 SLOW: Final = frozenset({
     names.PROBE_POINT, names.TEMPERATURE, names.AIR_PRESSURE, names.RELATIVE_HUMIDITY,
 })  # fmt: skip
-"""Roles of instruments whose messages are few."""
+"""Roles of instruments with few messages."""
 TIMED: Final = SLOW | {
     names.TRACER_LENGTH, names.JOINT_STATES, names.TABLE_ANGLE, names.PROBE_TARGET,
 }  # fmt: skip
-"""Roles of all whose order in time matters to the capture."""
+"""All roles whose order in time matters to the capture."""
 SLICE_NS: Final = 1_000_000_000
-"""How far readings and feedback run ahead of the other streams at most (1 s)."""
+"""Readings and feedback run at most this far (1 s) ahead of the other streams."""
 
 Numbered = tuple[int, Any]
 """The row of a message in its block, and its record."""
 
 
 class RecordConsumer(Protocol):
-    """What is needed of rotcal_ros.capture.Capture."""
+    """What StreamFeeder needs of rotcal_ros.capture.Capture."""
 
     @property
     def counts(self) -> Mapping[str, Mapping[str, int]]:
@@ -108,7 +108,7 @@ class StreamFeeder:
         }
 
     def begin_run(self, run: int) -> None:
-        """Begin with a new capture: what the interrupted run had not decided stays undecided."""
+        """Begin with a new capture: attempts that the interrupted run left undecided stay so."""
         self._captures.append(self._make(run))
         self._instruments = Interpreter(self._topics, self._joint)
         if self._finder is not None and self._make_finder is not None:
@@ -176,7 +176,7 @@ class StreamFeeder:
     def _feed_slices(
         self, readings: NDArray[np.void], feedback: NDArray[np.void], others: list[Numbered]
     ) -> None:
-        """Feed in file order, but the readings and the feedback of one slice of time at once."""
+        """Feed in file order, but readings and feedback of one slice of time at once."""
         done = 0
         for ends, last_row in _slices(readings, feedback, self._slice_ns):
             ours, table = readings[slice(*ends[0])], feedback[slice(*ends[1])]
@@ -208,7 +208,7 @@ class StreamFeeder:
             yield record
 
     def _sent_ns(self, block: Block, rows: Ints) -> Ints:
-        """Return when messages were sent, or recorded where the bag does not say that."""
+        """Return when messages were sent, or recorded if the bag does not say that."""
         sent = block.headers["publish_time"][rows].astype(np.int64)
         arrived = block.headers["log_time"][rows].astype(np.int64)
         times: Ints = np.where(sent > 0, sent, arrived)
@@ -308,7 +308,7 @@ Ends = tuple[tuple[int, int], tuple[int, int]]
 def _slices(
     readings: NDArray[np.void], feedback: NDArray[np.void], slice_ns: int
 ) -> Iterator[tuple[Ends, float]]:
-    """Yield what goes in at once, and the row from which on other messages come after it."""
+    """Yield slices to feed at once, and the row from which on other messages follow."""
     rows = np.concatenate([readings["row"], feedback["row"]])
     order = np.argsort(rows, kind="stable")
     rows = rows[order]

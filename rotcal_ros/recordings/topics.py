@@ -1,4 +1,4 @@
-"""Which topic of a bag plays which role in the cell."""
+"""Finds which topic of a bag plays which role in the cell."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ class RoleMessages:
 
     @contextmanager
     def checked(self) -> Iterator[None]:
-        """Raise BagError where messages have other fields or types than their role needs.
+        """Raise BagError if messages have other fields or types than their role needs.
 
-        The bag may define a type otherwise; using its fields then raises an error of Python.
+        The bag may define a type differently; using its fields then raises an error of Python.
         """
         try:
             yield
@@ -59,7 +59,7 @@ class RoleMessages:
 
 
 class SeveralCells(BagError):  # noqa: N818 - says what was found
-    """Two topics have the same role, and it is not known which cell is meant."""
+    """Two topics have the same role, and it is unknown which cell is meant."""
 
 
 @dataclass
@@ -68,10 +68,10 @@ class Topics:
 
     A topic plays the role that its last name says (``/cell/tracer_length``), below ``namespace``
     when that is given, unless roles are mapped to topics with other names: by ``renamed``, which
-    comes first, by what the recorder noted in the bag, or by ``planned``, which the configuration
-    says. Plan, orders and observations are of our own types unless their topic is named.
-    ``ignored`` are topics of others that are called like roles. ``unreadable`` says why the
-    definition of a topic cannot be used: the others are read.
+    comes first, by the recorder's note in the bag, or by ``planned``, from the configuration.
+    Plan, orders and observations are of our own types unless their topic is named. ``ignored`` are
+    topics of others with the name of a role. ``unreadable`` says why the definition of a topic
+    cannot be used: the others are read.
     """
 
     namespace: str = ""
@@ -112,9 +112,8 @@ class Topics:
     def of_the_only_plan(self, files: tuple[Path, ...], limits: ReadingLimits) -> Topics | None:
         """Return the finder for the one cell that has a plan; None unless it is the only one.
 
-        Where no topic is a plan, the one cell with messages of our own types is meant. Topics
-        outside of its namespace are ignored where one inside has the same role. Reads the files
-        to their ends.
+        If no topic is a plan, the one cell with messages of our own types is meant. Topics outside
+        its namespace are ignored if one inside has the same role. Reads the files to their ends.
         """
         if self.namespace:
             return None
@@ -148,7 +147,7 @@ class Topics:
         scan: StorageContents,
         decoders: dict[ChannelDefinition, Decoder],
     ) -> list[RoleMessages]:
-        """Return the parts of a block of ``scan`` that matter to the cell."""
+        """Return the parts of a block of ``scan`` that belong to the cell."""
         noted = scan.metadata.get(names.TOPICS, {})
         self._recorded |= {role: topic for role, topic in noted.items() if role in names.ROLES}
         parts = []
@@ -177,7 +176,7 @@ class Topics:
 def of_one_cell(
     read: Callable[[Topics], T], topics: Topics, files: tuple[Path, ...], limits: ReadingLimits
 ) -> T:
-    """Return what ``read`` returns; after SeveralCells, that for the only cell with a plan."""
+    """Return what ``read`` returns; after SeveralCells, for the only cell with a plan."""
     try:
         return read(topics)
     except SeveralCells:
@@ -188,7 +187,7 @@ def of_one_cell(
 
 
 def _is_called(topic: str, name: str, namespace: str) -> bool:
-    """Return whether ``topic`` is meant by ``name``, which may leave out the namespace."""
+    """Return whether ``name``, which may leave out the namespace, means ``topic``."""
     if topic.strip("/") == name.strip("/"):
         return True
     if name.startswith("/"):

@@ -155,9 +155,9 @@ def _joined(texts: list[str]) -> str:
 
 
 FEW_SENTENCES: Final = 2
-"""Components up to which each one has its sentence; more of them have a table of ranges."""
+"""Up to this many components have a sentence each; more of them a table of ranges."""
 FEW_ROWS: Final = 8
-"""Angles up to which the values of one component stand in a single block."""
+"""Up to this many angles the values of one component stand in a single block."""
 BLOCKS: Final = 3
 NO_U: Final = "–"
 K: Final = f"(k\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}{COVERAGE_FACTOR:g})"
@@ -165,14 +165,14 @@ K: Final = f"(k\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}{COVERAGE_FACTOR:g})"
 
 @dataclass(frozen=True, slots=True)
 class ValueBlock:
-    """A part of the table of values: what its columns hold, and its rows as text."""
+    """A part of the table of values: headings of its columns, and its rows as text."""
 
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
 
 
 def sentences(result: Result, withheld: str | None) -> list[str]:
-    """Return the result in words: ranges with U, the figures of ISO 230-2 where runs allow."""
+    """Return the result in words: ranges with U, and figures of ISO 230-2 if there are runs."""
     few = len(result.components) <= FEW_SENTENCES
     texts = [_range(result, name, withheld) for name in result.components if few]
     if figures := _positioning(result, withheld):
@@ -216,7 +216,7 @@ def statements_of_conformity(result: Result, withheld: str | None) -> list[str]:
 
 
 def value_blocks(result: Result, withheld: str | None) -> list[ValueBlock]:
-    """Return the table of values, in blocks side by side where it is long and narrow."""
+    """Return the table of values, in blocks side by side if it is long and narrow."""
     if len(result.components) > 1:
         head = ["Angle / °", *(f"{name} ± U / {unit_of(name)[1]}" for name in result.components)]
         return [ValueBlock(head, _wide_rows(result, withheld))]
@@ -229,19 +229,19 @@ def value_blocks(result: Result, withheld: str | None) -> list[ValueBlock]:
 
 
 def degrees(angle: float) -> str:
-    """Return an angle (rad) in degrees, to a ten-thousandth at most."""
+    """Return an angle (rad) in degrees, with at most four decimals."""
     text = f"{angle / DEGREE:.4f}".rstrip("0").rstrip(".")
     return "0" if text == "-0" else minus(text)
 
 
 def minus(number: str) -> str:
-    """Return a number as it is typeset: with a minus, not with a hyphen."""
+    """Return a number as typeset: with a minus sign instead of a hyphen."""
     return number.replace("-", "\N{MINUS SIGN}")
 
 
 @dataclass(frozen=True, slots=True)
 class _Ends:
-    """Between which values a component lies, as text; digits as its largest U asks for."""
+    """Lowest and highest value of a component as text, with the digits for its largest U."""
 
     low: str
     high: str

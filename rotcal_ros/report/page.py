@@ -66,9 +66,9 @@ class ReportInput:
     """What a report is made of.
 
     ``inputs`` pairs the name of every input with its SHA-256, ``versions`` names the software,
-    ``truth`` is the injected deviation of a simulation in the form of truth.json, ``extra``
-    holds further sections as (title, HTML) pairs, ``goal`` how the goal was reached, where there
-    was one, ``issued`` the date of issue.
+    ``truth`` is the injected deviation of a simulation in the form of truth.json, ``extra`` holds
+    further sections as (title, HTML) pairs, ``goal`` how a goal was reached, ``issued`` the date
+    of issue.
     """
 
     result: Result
@@ -141,13 +141,13 @@ def _sections(report: ReportInput, doubt: str | None) -> list[tuple[str, str]]:
 
 
 def _drawings(figures: Sequence[Figure], place: str) -> str | None:
-    """Return the HTML of those ``figures`` that belong to a section, if there are any."""
+    """Return the HTML of the ``figures`` of a section, if there are any."""
     there = [figure for figure in figures if figure.place == place]
     return render("drawings", figures=there) if there else None
 
 
 def _figures(report: ReportInput) -> list[Figure]:
-    """Return what all methods show beside the curve, and what the method alone can show."""
+    """Return the figures that all methods show besides the curve, and those of the method."""
     result = report.result
     installed = result.method in method_names()
     draw = find_method(result.method).figures if installed else _residuals_alone
@@ -168,7 +168,7 @@ def _figures(report: ReportInput) -> list[Figure]:
 
 
 def _residuals_alone(result: Result, _truth: Mapping[str, Any] | None) -> Sequence[Figure]:
-    """Return what is drawn of a method that is not installed here."""
+    """Return the figures of a method that is not installed here."""
     return residual_figures(result)
 
 
@@ -205,7 +205,7 @@ SHOWN: Final = 16
 
 
 def fingerprint(result: Result) -> str:
-    """Return the SHA-256 of the result as result.json holds it."""
+    """Return the SHA-256 of the text of result.json."""
     return hashlib.sha256(result.to_json().encode()).hexdigest()
 
 
@@ -277,7 +277,7 @@ def write_result(
     truth: Mapping[str, Any] | None = None,
     in_force: Path | None = None,
 ) -> Result:
-    """Write the page about a result that comes without its bag, and return the result."""
+    """Write the page about a result without its bag, and return the result."""
     result = source.result
     installed = result.method in method_names()
     report = ReportInput(
@@ -293,8 +293,9 @@ def write_result(
         text = render_report(report)
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         raise DataError(
-            f"the details of the result are not what {result.method} writes, or truth.json is not "
-            f"of this table ({error}): take result.json as it was written, or report its bag"
+            f"the details of the result are not what {result.method} writes, or truth.json "
+            f"belongs to another table ({error}): use result.json as it was written, or report "
+            "its bag"
         ) from error
     write_page(page, text)
     return result
@@ -305,7 +306,7 @@ def _today() -> str:
 
 
 def _versions(attachments: Mapping[str, bytes]) -> dict[str, str]:
-    """Return the versions that the recorder noted, if it did, and those that are running."""
+    """Return the versions that the recorder noted, if any, and those of this process."""
     packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "mcap"))
     running = f"rotcal_ros {__version__}, {packages}, Python {platform.python_version()}"
     try:

@@ -1,8 +1,8 @@
-"""A page as the file that its name promises: HTML as it is, PDF as Chromium prints it.
+"""Writes a page in the form that its file name states: HTML as it is, PDF as Chromium prints it.
 
-Chromium and no library of Python: the page's rules for print (running lines, page numbers, the
-watermark of a simulation, opened details) are made for browsers and tested in one, and so the PDF
-is what every browser prints of the page.
+Chromium is used instead of a Python library, because the page's rules for print (running lines,
+page numbers, the watermark of a simulation, opened details) are made for browsers and tested in
+one. So the PDF is what every browser prints.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ _OPTIONS: Final = (
 
 
 def require_writable(page: Path) -> None:
-    """Raise ConfigurationError where no page can be written under this name."""
+    """Raise ConfigurationError if no page can be written under this name."""
     if page.suffix.lower() not in (HTML, PDF, ""):
         raise ConfigurationError(
-            f"{page}: a report is written as a page ({HTML}) or as {PDF}, expected one of these "
-            f"endings, not {page.suffix}"
+            f"{page}: a report is a page ({HTML}) or a {PDF}: expected one of these endings, "
+            f"found {page.suffix}"
         )
     if page.suffix.lower() == PDF:
         browser()
@@ -48,7 +48,7 @@ def browser() -> str:
     found = next(filter(None, map(shutil.which, BROWSERS)), None)
     if found is None:
         raise ConfigurationError(
-            "a PDF is printed by Chromium, which is not on this machine: apt install chromium, or "
+            "Chromium prints a PDF, and is not on this machine: apt install chromium, or "
             f"name a {HTML} file and print it to PDF from any browser"
         )
     return found
@@ -68,7 +68,7 @@ def write_page(page: Path, text: str) -> None:
 
 
 def printed(text: str) -> bytes:
-    """Return HTML as PDF; the browser reaches no network and leaves no trace."""
+    """Return HTML as PDF; the browser has no network and leaves no files."""
     with TemporaryDirectory(prefix="rotcal-print-") as name:
         folder = Path(name)
         source, target = folder / f"page{HTML}", folder / f"page{PDF}"

@@ -1,7 +1,7 @@
 """The templates of all pages, with one look, and figures inside a page.
 
-A figure alone, in a file, keeps its own colours. Within a page it has a name for screen readers
-and follows the custom properties ``--figure-...``, which the page sets for its dark scheme.
+A figure in a file of its own keeps its colours. Within a page it has a name for screen readers and
+uses the custom properties ``--figure-...``, which the page sets for its dark scheme.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rotcal_ros.methods.figures import style
 
 
 def render(template: str, *, package: str = "rotcal_ros.report", **values: Any) -> str:
-    """Return the page, every value escaped; a name that the template lacks a value for raises.
+    """Return the page with every value escaped; a name without a value raises.
 
     The template lies in the folder ``templates`` of ``package``.
     """
@@ -30,7 +30,7 @@ def render(template: str, *, package: str = "rotcal_ros.report", **values: Any) 
 
 @cache
 def _environment(package: str) -> Environment:
-    """Return what compiles each template of a package once."""
+    """Return the environment that compiles each template of a package once."""
     environment = Environment(
         loader=PackageLoader(package, "templates"),
         autoescape=True,
@@ -44,7 +44,7 @@ def _environment(package: str) -> Environment:
 
 
 def _visible(value: Any) -> Any:
-    """Return a value with its texts printable; what is markup already stays."""
+    """Return a value with its texts printable; markup stays as it is."""
     return printable_lines(value) if type(value) is str else value
 
 
@@ -58,7 +58,7 @@ def _drawn(svg: str, name: str) -> Markup:
 
 
 def _quoted(text: str) -> Markup:
-    """Return any text for between the quotes of a style sheet, nothing in it being syntax."""
+    """Return any text for use between the quotes of a style sheet, without syntax in it."""
     return Markup("".join(c if c.isalnum() or c == " " else f"\\{ord(c):x} " for c in text))
 
 
@@ -73,13 +73,13 @@ PROPERTIES: Final = {
     style.GRID: "grid",
     style.PAPER: "paper",
 }
-"""The colours of the house and the custom properties that stand for them."""
+"""The colours of our figures and the custom properties that replace them."""
 
 _COLOUR: Final = re.compile("|".join(PROPERTIES))
 
 
 def inline(svg: str, name: str) -> str:
-    """Return ``svg`` named for screen readers, with the colours of the page that it stands in."""
+    """Return ``svg`` with a name for screen readers and the colours of its page."""
     attributes = f'<svg role="img" aria-label="{escape(printable(name))}" '
     coloured = _COLOUR.sub(lambda found: _property(found[0]), svg)
     return coloured.replace("<svg ", attributes, 1)

@@ -53,14 +53,14 @@ def verification_section(verification: Verification) -> tuple[str, str]:
 
 
 def acting_section(result: Result, in_force: Path | None) -> list[tuple[str, str]]:
-    """Return title and HTML that say whether the table acts on which ``result`` was measured.
+    """Return title and HTML that say whether the table in force acted on ``result``.
 
-    None where it was measured without, or that is unknown; ``in_force`` holds the table's files.
+    None if there was no table, or it is unknown; ``in_force`` holds the table's files.
     """
     if in_force is not None:
         effect = effect_in_force(result, in_force)
         acts = (
-            "it corrects too little to show it"
+            "its corrections are too small to show it"
             if effect is None
             else effect.fault or effect.in_words()
         )
@@ -89,14 +89,13 @@ def _in_words(verification: Verification) -> str:
         return text
     left = verification.again.systematic / ARCSEC
     return (
-        f"{text} What was left was added to the table: measured again, the range is {left:.3f} "
-        "arcsec."
+        f"{text} The rest was added to the table: measured again, the range is {left:.3f} arcsec."
     )
 
 
 @style.styled
 def before_and_after(before: Positioning, after: Positioning) -> str:
-    """Draw both measured curves, and what is left once more on its own scale."""
+    """Draw both measured curves, and the second one again on its own scale."""
     whole, left = style.grid(2, height=2.4)
     _draw(whole, before, style.ORANGE, "before")
     for ax in (whole, left):

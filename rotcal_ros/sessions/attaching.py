@@ -1,8 +1,8 @@
-"""Watching a calibration from another terminal, and answering there for the person at the cell.
+"""Watches a calibration from another terminal, where a person can also answer.
 
-Both ends of one connection. A session listens on a Unix domain socket that only its user may
-open; the file ``running.json`` in its folder holds the address. Both ends send lines of JSON. The
-session sends ``session`` first, then what its client reports (see
+This module has both ends of the connection. A session listens on a Unix domain socket that only
+its user may open; the file ``running.json`` in its folder holds the address. Both ends send lines
+of JSON. The session sends ``session`` first, then what its client reports (see
 :mod:`rotcal_ros.nodes.client.json_client`) and ``line`` (a text for people), and ``ended`` at
 last. A viewer sends ``done`` with the instruction that was followed, or ``stop``.
 """
@@ -36,18 +36,18 @@ from rotcal_ros.sessions.session import Session
 GREETING_TIMEOUT_S: Final = 10.0
 _POLL_S: Final = 0.2
 _DEPTHS: Final = ("*", "*/*")
-"""Where sessions are below a folder: those of 'rotcal verify' one level deeper."""
+"""Patterns of sessions below a folder: those of 'rotcal verify' are one level deeper."""
 MAX_BACKLOG: Final = 1 << 20
-"""A viewer that leaves more bytes unread counts as dead: a session waits for no viewer."""
+"""A viewer with more unread bytes counts as dead: a session does not wait for viewers."""
 FAREWELL_S: Final = 1.0
-"""Time for viewers to take the last lines."""
+"""Time for viewers to read the last lines."""
 MAX_ADDRESS: Final = 107
-"""Bytes of the address of a Unix domain socket (sun_path of unix(7), less its final zero)."""
+"""Most bytes in the address of a Unix domain socket (sun_path of unix(7), less its final zero)."""
 Event = Mapping[str, Any]
 
 
 class History:
-    """What a late viewer has to know: the present state, not how it came about."""
+    """What a late viewer has to know: the present state, not how it was reached."""
 
     def __init__(self) -> None:
         self._now: dict[str, Event] = {}
@@ -66,7 +66,7 @@ class History:
 
 
 class Viewers:
-    """The viewers of a session; a context manager: they are told how it ends, errors too.
+    """The viewers of a session; a context manager that tells them how it ends, even by an error.
 
     Nothing here waits for a viewer, and nothing fails: without a socket nobody can attach.
     """
@@ -95,11 +95,11 @@ class Viewers:
         self.publish({"event": "line", "text": text})
 
     def end(self, outcome: Event) -> None:
-        """Let all viewers know how it ended."""
+        """Tell all viewers how it ended."""
         self.publish({"event": "ended", "outcome": dict(outcome)})
 
     def orders(self) -> Iterator[Event]:
-        """Yield what the viewers have asked for since the last call."""
+        """Yield the requests of viewers since the last call."""
         with suppress(Empty):
             while True:
                 yield self._orders.get_nowait()
@@ -203,7 +203,7 @@ def _place() -> str:
 
 
 class Attachment:
-    """A connection to a running session; ``events`` holds what it says, then ``gone``."""
+    """A connection to a running session; ``events`` holds its events, then ``gone``."""
 
     def __init__(self, connection: socket.socket) -> None:
         self._connection = connection
@@ -211,7 +211,7 @@ class Attachment:
         Thread(target=self._read, name="session reader", daemon=True).start()
 
     def done(self, instruction: str) -> None:
-        """Let the session know that a person has done what it asked for."""
+        """Tell the session that a person has done what it asked for."""
         self._order(event="done", instruction=instruction)
 
     def stop(self) -> None:
@@ -268,12 +268,12 @@ def _show(event: Event, display: Display, person: Person, folder: SessionFolder)
 
 def _raise_gone(folder: SessionFolder) -> NoReturn:
     if not folder.meeting_point.exists():  # it ended while we came
-        raise ConfigurationError(_why_nothing_runs(folder))
+        raise _nothing_runs(folder)
     raise DataError(f"the calibration in {folder.path} was killed; {_how_to_go_on(folder)}")
 
 
 def _person(folder: SessionFolder, session: Attachment) -> Person:
-    """Return the person who watches; how their work counts as done, the first event says."""
+    """Return the person who watches; the first event says how their work counts as done."""
     try:
         greeting = session.events.get(timeout=patient(GREETING_TIMEOUT_S))
     except Empty:
@@ -306,11 +306,11 @@ def _connect(connection: socket.socket, folder: SessionFolder) -> None:
             f"the calibration in {folder.path} belongs to another user; only that user may attach"
         ) from None
     except (FileNotFoundError, ConnectionRefusedError):
-        raise ConfigurationError(_why_nothing_runs(folder)) from None
+        raise _nothing_runs(folder) from None
 
 
 def _address(folder: SessionFolder) -> str:
-    """Return the address of the socket; FileNotFoundError where there is none."""
+    """Return the address of the socket; FileNotFoundError if there is none."""
     try:
         return str(load_json(read_text(folder.meeting_point))["socket"])
     except (ValueError, TypeError, KeyError, NotAFileError):
@@ -326,18 +326,21 @@ def _runs(folder: SessionFolder) -> bool:
     return True
 
 
-def _why_nothing_runs(folder: SessionFolder) -> str:
+def _nothing_runs(folder: SessionFolder) -> ConfigurationError:
+    """Return the error of an attachment to a session that does not run, with its reason."""
     if folder.result.exists():
-        return (
+        return ConfigurationError(
             f"the calibration in {folder.path} is finished, see {folder.result}; "
             f"to look at it: rotcal report {folder.path}"
         )
     if _is_locked(folder):
-        return (
-            f"a calibration still writes in {folder.path}, but it cannot be attached to: its "
+        return ConfigurationError(
+            f"a calibration still writes in {folder.path}, but nobody can attach to it: its "
             "socket is gone; see its log, or wait for its end"
         )
-    return f"no calibration runs in {folder.path}, it was interrupted; {_how_to_go_on(folder)}"
+    return ConfigurationError(
+        f"no calibration runs in {folder.path}, it was interrupted; {_how_to_go_on(folder)}"
+    )
 
 
 def _is_locked(folder: SessionFolder) -> bool:

@@ -50,9 +50,9 @@ def check_cell(path: Path | None, namespace: str = "", seconds: float = 5.0) -> 
 
 
 def move_cell(path: Path, report: CellReport) -> CellReport:
-    """Turn the table by a few degrees and back; return ``report`` with what this has proven.
+    """Turn the table by a few degrees and back; return ``report`` with what this has shown.
 
-    Call it only when a person has agreed. An adapter of the configuration that is not running yet
+    Call it only after a person has agreed. An adapter of the configuration that is not running yet
     is started for it. Raises RotcalError when the process that orders ends without an answer.
     """
     configuration = read_configuration(path)
@@ -80,7 +80,7 @@ def move_cell(path: Path, report: CellReport) -> CellReport:
 
 
 def _answer(command: list[str], seconds: float) -> CellReport:
-    """Return what the process found; it is ended in any case."""
+    """Return what the process found; end it in any case."""
     environment, late = {**os.environ, **node_environment(alone=False)}, False
     limit_s = seconds + patient(_GRACE_S)
     with tempfile.TemporaryFile("w+", errors="replace") as log:
@@ -110,7 +110,7 @@ def _answer(command: list[str], seconds: float) -> CellReport:
 
 
 def _end(child: subprocess.Popen[str]) -> None:
-    """End the process, kill it where it does not end."""
+    """End the process; kill it if it does not end."""
     if child.poll() is None:
         child.terminate()
         try:

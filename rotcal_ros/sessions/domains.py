@@ -1,4 +1,4 @@
-"""Unused ROS domains of this machine, so that two cells never hear each other."""
+"""Finds unused ROS domains on this machine, so that two cells never hear each other."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import Final
 DOMAINS: Final = 100
 """Domains 1 to 100 use ports below the range that the kernel gives to outgoing connections."""
 DEFAULT_DOMAIN: Final = 0
-"""The domain that ROS uses where none is set."""
+"""The domain that ROS uses if none is set."""
 _FIRST_PORT: Final = 7410
 _PORTS_PER_DOMAIN: Final = 250
 
@@ -29,11 +29,11 @@ _held: dict[int, int] = {}
 
 
 def free_domain() -> int:
-    """Return a domain (1 to 100) whose first participant's port is free; a new one every call.
+    """Return a domain (1 to 100) whose first participant's port is free; a new one at every call.
 
-    It stays reserved for this process to its end, or to `release_domains`: another process of this
+    It stays reserved for this process until its end or `release_domains`: another process of this
     user gets another one even before the first participant is there. The port is 7410 + 250 domain
-    (DDSI-RTPS 2.3, 9.6.1). When all are taken, the next is returned all the same: sharing a domain
+    (DDSI-RTPS 2.3, 9.6.1). When all are taken, the next is returned nevertheless: sharing a domain
     is better than not starting.
     """
     for _ in range(DOMAINS):
@@ -44,7 +44,7 @@ def free_domain() -> int:
 
 
 def release_domains() -> None:
-    """Release the domains of this process: its participants are gone."""
+    """Release the domains of this process, after its participants have left."""
     while _held:
         os.close(_held.popitem()[1])
 
@@ -53,6 +53,7 @@ def _hold(domain: int) -> bool:
     """Take the lock of a domain; return False when another process has it."""
     file = Path(tempfile.gettempdir(), f"rotcal_domain_{os.getuid()}_{domain}.lock")
     try:
+        # The folder belongs to all users: O_NOFOLLOW refuses a link put there by another one.
         held = os.open(file, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
     except OSError:
         return True  # nowhere to lock: the free port has to be enough
@@ -68,6 +69,7 @@ def _hold(domain: int) -> bool:
 def _is_free(domain: int) -> bool:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
+            # Each participant of a domain binds a port of its own; the first one takes this.
             probe.bind(("127.0.0.1", _FIRST_PORT + _PORTS_PER_DOMAIN * domain))
         except OSError:
             return False
@@ -75,7 +77,7 @@ def _is_free(domain: int) -> bool:
 
 
 def domains_in_use() -> tuple[int, ...]:
-    """Return the domains with participants on this machine, as far as they can be seen.
+    """Return the domains that have visible participants on this machine.
 
     Empty where the system does not list its sockets (other systems than Linux).
     """
@@ -88,5 +90,6 @@ def _udp_ports() -> set[int]:
     for path in _SOCKETS:
         with suppress(OSError, ValueError, IndexError):
             for line in path.read_text().splitlines()[1:]:
+                # Second column of /proc/net/udp: local ADDRESS:PORT, in hexadecimal.
                 ports.add(int(line.split()[1].rpartition(":")[2], 16))
     return ports

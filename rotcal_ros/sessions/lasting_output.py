@@ -1,4 +1,4 @@
-"""Output of a process that outlives its terminal: from then on it goes to a log file."""
+"""Keeps the output of a process that outlives its terminal: from then on it goes to a log file."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ def lasting_output(log: Path) -> Iterator[None]:
     """Keep this process alive without its terminal or a pipe; its output then goes to ``log``.
 
     On SIGHUP standard input ends, and all output to terminals goes to ``log`` from then on, also
-    after this block. A hang-up that is ignored already (nohup) stays ignored. For the main thread.
+    after this block. A hang-up that is already ignored (nohup) stays ignored. Call it in the main
+    thread.
     """
     terminals = [number for number in (_STDIN, *_OUTPUTS) if os.isatty(number)]
 
@@ -53,6 +54,7 @@ def go_to_background(log: Path) -> bool:
     """
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
+    # The child gets its own session below, so that the terminal's hang-up does not reach it.
     if os.fork():
         return False
     os.setsid()
@@ -62,7 +64,7 @@ def go_to_background(log: Path) -> bool:
 
 
 class _LastingFile(io.FileIO):
-    """A descriptor for output that is redirected to a log once its reader is gone."""
+    """A descriptor for output, redirected to a log once its reader is gone."""
 
     def __init__(self, descriptor: int, log: Path) -> None:
         super().__init__(descriptor, "w", closefd=False)
@@ -80,7 +82,7 @@ class _LastingFile(io.FileIO):
 
 
 def _lasting(stream: TextIO, log: Path) -> TextIO:
-    """Return a stream that lasts; any but a standard output of the process as it is."""
+    """Return a lasting stream for a standard output of the process, any other as it is."""
     stream.flush()
     with suppress(OSError, AttributeError):
         if stream.fileno() in _OUTPUTS:
@@ -90,12 +92,13 @@ def _lasting(stream: TextIO, log: Path) -> TextIO:
 
 
 def _turn(number: int, log: Path) -> None:
-    """Redirect standard input to nothing, an output to the log; if that fails, to nothing too."""
+    """Redirect standard input to nothing, an output to the log or, if that fails, to nothing."""
     descriptor = os.open(os.devnull, os.O_RDWR)
     if number != _STDIN:
         with suppress(OSError):
             opened = os.open(log, _LOG_FLAGS, 0o644)
             os.close(descriptor)
             descriptor = opened
+    # The number stays the same: all writers, C libraries too, use the new file from here on.
     os.dup2(descriptor, number)
     os.close(descriptor)

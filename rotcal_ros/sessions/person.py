@@ -1,4 +1,4 @@
-"""The person at the terminal: sees how far a calibration is, and confirms work with Enter."""
+"""The person at the terminal: sees the progress of a calibration, and confirms work with Enter."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NO_MACHINE: Final = f"{SIMULATED}: no machine is measured, the cell is a simulat
 class Display:
     """A progress bar; without a terminal, a line for every tenth of the steps.
 
-    ``deciles`` are how many tenths need no line; -1 asks for one at once.
+    ``deciles`` is the number of tenths that need no further line; -1 asks for one at once.
     """
 
     def __init__(self, bar: Progress, deciles: int = 0) -> None:
@@ -64,7 +64,7 @@ def describe(feedback: Event) -> str:
 
 
 def _standing(uncertainty_rad: float | None, goal_rad: float) -> str:
-    """Return how far a policy is from its goal; at first some station has too few lengths."""
+    """Return how far a policy is from its goal; unknown while a station has too few lengths."""
     goal = f"{goal_rad / ARCSEC:.2f} arcsec"
     if uncertainty_rad is None:
         return f"goal: rms of U {goal}, known once all stations are placed"
@@ -72,13 +72,13 @@ def _standing(uncertainty_rad: float | None, goal_rad: float) -> str:
 
 
 class Person:
-    """Does the work that a plan leaves to a person, or says when it is done.
+    """Does a person's work of a plan, or says when it is done.
 
     In a simulated cell, or with ``at_once``, the work counts as done as soon as it is asked for,
     but not for a viewer who is only ``watching`` from another terminal. In a terminal Enter
     confirms it. Without a terminal only others can: an attached viewer, or the service ``resume``
     of the cell. After an emergency stop nothing is confirmed at once, and while it lasts nothing
-    is asked for. ``instruction`` is what was asked for last.
+    is asked for. ``instruction`` is the latest request.
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class Person:
         if self._simulated and not stopped:
             return ": done by the simulated person"
         if self._as_done and not stopped:
-            return ": taken as done (--yes)"
+            return ": counts as done (--yes)"
         if sys.stdin.isatty():
             return "; then press Enter"
         return (
@@ -138,7 +138,7 @@ class Person:
 def _enter_pressed() -> bool:
     """Return whether a line was entered in the terminal; never waits.
 
-    A terminal that is lost in this moment reads as ended, and does not count as one any more.
+    A terminal that is lost at this moment reads as ended and no longer counts as a terminal.
     """
     try:
         if not sys.stdin.isatty() or not select.select([sys.stdin], [], [], 0.0)[0]:

@@ -1,4 +1,4 @@
-"""The processes of the nodes: what they need to run, how they are started, watched and ended.
+"""Processes of the nodes: what they need to run, how they are started, watched and ended.
 
 They end with their parent, each by its own process id.
 """
@@ -32,14 +32,14 @@ def require_ros() -> None:
     missing = [name for name in ("rclpy", "rotcal_msgs") if find_spec(name) is None]
     if missing:
         raise ConfigurationError(
-            f"live calibration needs ROS 2; not found: {', '.join(missing)}; run it from the "
+            f"live calibration needs ROS 2; not found: {', '.join(missing)}; run rotcal in the "
             "project's environment (make setup) or source a ROS 2 workspace; recorded bags are "
             "solved without ROS: rotcal solve BAG"
         )
 
 
 def page_can_be_served() -> bool:
-    """Return whether what the operator's page needs is installed; print what is missing."""
+    """Return whether all that the operator's page needs is installed; print what is missing."""
     missing = [name for name in _OF_THE_PAGE if find_spec(name) is None]
     if missing:
         say(f"no page: not installed: {', '.join(missing)} (pip install 'rotcal_ros[page]')")
@@ -47,7 +47,7 @@ def page_can_be_served() -> bool:
 
 
 def node_environment(*, alone: bool = True) -> dict[str, str]:
-    """Return the variables for the nodes; what the user has set stays.
+    """Return the variables for the nodes; those set by the user stay.
 
     ``alone``: they need no other nodes and get a domain of their own, else ROS's default.
     """
@@ -85,6 +85,7 @@ class Processes:
                 stdin=subprocess.PIPE if piped else subprocess.DEVNULL,
                 stdout=subprocess.PIPE if piped else log,
                 stderr=log,
+                # A new session keeps Ctrl-C of the terminal from the child.
                 start_new_session=True,
                 pass_fds=self.inherited,
             )

@@ -1,4 +1,4 @@
-"""What a finished calibration leaves beside its bag: truth, report, controller files."""
+"""Writes what a finished calibration leaves beside its bag: truth, report, controller files."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.foundation.untrusted import load_json, read_text
 from rotcal_ros.methods.configuration import read_policy
+from rotcal_ros.methods.goal import GoalStanding
 from rotcal_ros.methods.simulation.table import true_deviations
 from rotcal_ros.planning.choices import UNTIL_GOAL
 from rotcal_ros.recordings.replay import read_recording
@@ -37,7 +38,7 @@ def write_products(
     export: bool = True,
     tell: Callable[[str], None] = say,
 ) -> dict[str, str]:
-    """Write what follows from the result; return name -> absolute path of everything there is.
+    """Write what follows from the result; return name -> absolute path of all files.
 
     A report or controller files that cannot be written never spoil a calibration: the reason is
     printed, and they are left out.
@@ -62,19 +63,18 @@ def write_products(
     return {name: str(path) for name, path in paths.items()}
 
 
-def goal_line(folder: SessionFolder) -> str:
-    """Return in one line whether a session met its goal; empty where it had none."""
+def goal_standing(folder: SessionFolder) -> GoalStanding | None:
+    """Return whether a session met its goal; None if it had none."""
     if read_policy(read_text(folder.configuration)) != UNTIL_GOAL:
-        return ""
+        return None
     recording = read_recording(folder.bag, "observations")
-    standing = recording.goal_standing(read_source(folder.result).result)
-    return "" if standing is None else standing.in_words()
+    return recording.goal_standing(read_source(folder.result).result)
 
 
 def write_truth(session: Session) -> None:
     """Write what the simulation injected at the plan's table angles.
 
-    ``injected`` holds it all, ``deviations`` what the method can see of it: see Method.gauge.
+    ``injected`` holds all of it, ``deviations`` what the method can see of it (Method.gauge).
     """
     calibration = session.calibration
     angles = np.array(calibration.plan.distinct_angles)
@@ -104,7 +104,7 @@ def write_report(folder: SessionFolder, extra: Sequence[tuple[str, str]] = ()) -
     result = write_recorded(recording, folder.report, truth, extra)
     live = recording.with_warnings(read_source(folder.result).result)
     if result.to_json() != live.to_json():
-        say(f"warning: {folder.bag}, solved again, gives another result than live: rotcal solve")
+        say(f"warning: {folder.bag}, solved again, gives another result than live")
 
 
 def export_files(
@@ -143,7 +143,7 @@ def write_exports(exports: dict[str, ExportFiles], folder: Path) -> None:
 
 
 def _write_compensation(session: Session) -> None:
-    """Write controller files where the result allows it."""
+    """Write controller files if the result allows it."""
     source = read_source(session.folder.result)
     table = table_from_result(source.result, axis=session.configuration.cell.axis)
     table = combined(table, lambda: None)

@@ -75,7 +75,7 @@ def calibrate(session: Session, viewers: Viewers, *, at_once: bool = False) -> d
 
 
 def _how_to_go_on(session: Session) -> str:
-    """Say how to continue after an interruption, or that nothing was measured yet."""
+    """Return how to continue after an interruption, or that nothing was measured yet."""
     bag = session.folder.bag
     if bag.is_dir() and any(bag.iterdir()):
         return f"to go on: {session.resume_command}"
@@ -220,7 +220,7 @@ def _fail(session: Session, outcome: Event) -> NoReturn:
     text = str(outcome["error_msg"])
     bag = session.folder.bag  # a lost planner cannot report it
     if outcome.get("bag_folder") or (bag.is_dir() and any(bag.iterdir())):
-        text += f"; everything up to there is in {outcome.get('bag_folder') or bag}"
+        text += f"; everything measured so far is in {outcome.get('bag_folder') or bag}"
         text += f"; go on with: {session.resume_command}"
     text += f"; logs: {session.log_folder}"
     raise (ConfigurationError if outcome["error_code"] in _USAGE_ERRORS else DataError)(text)
@@ -240,7 +240,7 @@ class RunningSession:
         return {n: code for n, code in ended.items() if n not in (CLIENT, *VIEWERS.values())}
 
     def deaths(self) -> list[str]:
-        """Return how the processes died that were killed or failed, in words."""
+        """Return how those processes ended that were killed or failed, in words."""
         return [
             _death(name, code, self.log_tail(name))
             for name, code in self._processes.ended().items()
@@ -252,7 +252,7 @@ class RunningSession:
         self._processes.signal(CLIENT, signal.SIGINT)
 
     def resume(self) -> None:
-        """Tell the planner that the work it waits for is done."""
+        """Tell the planner that the work that it waits for is done."""
         self._processes.tell(CLIENT, "resume")
 
     def log_tail(self, name: str) -> str:
@@ -260,7 +260,7 @@ class RunningSession:
         return self._processes.log_tail(name)
 
     def page_failure(self) -> str | None:
-        """Return what the operator's page said last where it has ended, else None."""
+        """Return the last words of the operator's page if it has ended, else None."""
         name = VIEWERS[PAGE]
         ended = name in self._processes.ended()
         return self._processes.log_tail(name, _LINES) if ended else None
@@ -274,7 +274,7 @@ class RunningSession:
 
 
 def _death(name: str, code: int, log: str) -> str:
-    """Return how a process died; the last thing it wrote may say why."""
+    """Return how a process died, with the last line it wrote, for a person to read."""
     if code == -signal.SIGKILL:
         return f"{name} was killed (SIGKILL: out of memory?)"
     how = f"exit code {code}"
@@ -306,7 +306,7 @@ def running(session: Session) -> Iterator[RunningSession]:
 def node_names(session: Session) -> list[str]:
     """Return the nodes that a session starts.
 
-    Those of every cell, those with a group, and those for people that were asked for.
+    These are those of every cell, those with a group, and the requested ones for people.
     """
     further = further_nodes(session.configuration.given)
     return [*NODES, *further, *(VIEWERS[name] for name in session.shown_by)]

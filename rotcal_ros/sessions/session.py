@@ -41,8 +41,8 @@ from rotcal_ros.report.terminal.console import progress, say
 class Session:
     """A calibration and its folder; ``continuation`` is what an interrupted run has left.
 
-    ``continued_by`` is the command line that continues the whole of which it is a part,
-    ``shown_by`` names nodes for people that are started too: see VIEWERS of node_names.
+    ``continued_by`` is the command line that continues the whole that it is a part of;
+    ``shown_by`` names nodes for people that are started too (VIEWERS of node_names).
     """
 
     calibration: Calibration
@@ -53,7 +53,7 @@ class Session:
 
     @property
     def configuration(self) -> Configuration:
-        """The configuration with all changes, as it stands in the folder."""
+        """The configuration with all changes, as it is in the folder."""
         return self.calibration.configuration
 
     @property
@@ -97,7 +97,7 @@ def prepare_session(
 
     ``changes`` are ``group.name=value`` with the value in YAML. With ``keep_previous`` an existing
     folder is moved aside to the first free ``<folder>-<number>``. A folder that a run left before
-    anything was recorded is used again. Raises ConfigurationError where the disk has no room for
+    anything was recorded is used again. Raises ConfigurationError if the disk has no room for
     the bag.
     """
     calibration = checked_calibration(source, changes)
@@ -117,7 +117,7 @@ def prepare_session(
 
 
 def require_as_found(session: Session) -> None:
-    """Raise ConfigurationError where another run went on in the folder since it was read.
+    """Raise ConfigurationError if another run went on in the folder since it was read.
 
     The caller holds the lock of the folder.
     """
@@ -128,7 +128,7 @@ def require_as_found(session: Session) -> None:
     if session.folder.result.exists() or not as_found:
         raise ConfigurationError(
             f"another run went on in {session.folder.path} meanwhile: this one has measured "
-            f"nothing; look at what is there, and go on with it if it was interrupted: "
+            "nothing; look at its outcome, and continue it if it was interrupted: "
             f"{session.resume_command}"
         )
 
@@ -136,7 +136,7 @@ def require_as_found(session: Session) -> None:
 def _taken_again(folder: SessionFolder) -> bool:
     """Return whether nothing was measured in ``folder``; the logs of its run are then removed.
 
-    The folder stays as it is where it holds anything else than a run leaves before its first
+    The folder stays as it is if it holds anything that a run does not leave before its first
     message. Raises BagError when a run is still at work there.
     """
     path = folder.path
@@ -154,7 +154,7 @@ def _taken_again(folder: SessionFolder) -> bool:
 
 
 def checked_calibration(source: Path, changes: Sequence[str]) -> Calibration:
-    """Read a configuration with ``changes``; all of its groups and its plan are checked."""
+    """Read a configuration with ``changes``; check all of its groups and its plan."""
     return prepare_to_measure(changed(read_configuration(source), changes))
 
 
@@ -174,10 +174,10 @@ TRACER_HZ: Final = 1000.0
 
 
 def require_space(calibration: Calibration, folder: Path, steps: int | None = None) -> None:
-    """Raise ConfigurationError where the disk of ``folder`` has no room for the bag.
+    """Raise ConfigurationError if the disk of ``folder`` has no room for the bag.
 
-    ``steps`` are left to measure, all of the plan unless given. Settings of the recorder say how
-    much of the disk is to stay free.
+    ``steps`` are left to measure, default: the whole plan. The recorder's settings say how much of
+    the disk has to stay free.
     """
     existing = next(path for path in (folder, *folder.parents) if path.exists())
     free = shutil.disk_usage(existing).free
@@ -195,7 +195,7 @@ def require_space(calibration: Calibration, folder: Path, steps: int | None = No
 def expected_bytes(calibration: Calibration, steps: int | None = None) -> float:
     """Return how large the bag of ``steps`` (None: of the whole plan) may become, in bytes.
 
-    0 for a policy that chooses: it is not known how few of the steps it will take.
+    0 for a policy that chooses: nobody knows how few of the steps it will take.
     """
     configuration, plan = calibration.configuration, calibration.plan
     if configuration.planner.policy != AS_LISTED or not plan.steps:

@@ -50,9 +50,9 @@ from rotcal_ros.sessions.session import (
 )
 
 CONTROLLERS: Final = ("linuxcnc", "sinumerik", "csv")
-"""Those that files are written for in a simulated cell, as far as they are installed."""
+"""Controllers that files are written for in a simulated cell, if they are installed."""
 TABLES: Final = {"after": "compensation", "again": "compensation_added"}
-"""Folders of the tables that the further measurements have in force."""
+"""Folders of the tables that are in force during the further measurements."""
 LOADED: Final = "loaded"
 """Prefix of the file that notes a person's confirmation that a real control has loaded a table."""
 Loaded = Callable[[Path, Sequence[Path]], bool]
@@ -60,7 +60,7 @@ APPLIED: Final = "csv"
 """The rows of this table go into the simulated control."""
 ISO_RUNS: Final = 5
 ISO_TARGETS: Final = 47
-"""Does not divide the usual plans, so that most of the targets lie between measured angles."""
+"""Number of targets that does not divide the usual plans: most lie between measured angles."""
 
 
 @dataclass(frozen=True)
@@ -68,9 +68,9 @@ class Request:
     """The options of a verification, besides the configuration of the first measurement.
 
     ``check`` are changes of the second measurement, ``spacing_deg`` is that of the rows of the
-    tables, 0: chosen. Files are written for CONTROLLERS and ``controllers``, as they would be with
-    ``accept_unverified``. ``again`` adds what the second measurement leaves to the table in force
-    and measures a third time.
+    tables, 0: chosen. Files are written for CONTROLLERS and ``controllers``, with
+    ``accept_unverified`` as in an export. ``again`` adds the deviations left in the second
+    measurement to the table in force and measures a third time.
     """
 
     check: tuple[str, ...] = ()
@@ -80,7 +80,7 @@ class Request:
     again: bool = False
 
     def applied(self, cell: Configuration) -> str:
-        """Return the controller whose table is put into force in the ``cell``."""
+        """Return the controller whose table comes into force in the ``cell``."""
         if cell.simulated:
             return APPLIED
         return self.controllers[0] if self.controllers else cell.bridge.controller
@@ -136,7 +136,7 @@ def begin(
     *,
     keep_previous: bool = False,
 ) -> None:
-    """Check all that will be measured and written, then make ``folder`` with what was asked.
+    """Check all that will be measured and written, then make ``folder`` with the request.
 
     ``changes`` hold for all measurements. Raises ConfigurationError before anything is made.
     """
@@ -160,14 +160,13 @@ def begin(
 def verify(
     folder: Path, loaded: Loaded | None = None
 ) -> tuple[Verification, tuple[str, ...]] | None:
-    """Carry out what is left of the verification in ``folder``; None when the user ended it.
+    """Do what is left of the verification in ``folder``; None if the user ended it.
 
     Returns the outcome and the controllers that got files. ``folder`` is the session of the first
     measurement and gets ``compensation``, the session ``after`` and verification.json; with
     ``again`` the session of that name too. ``loaded`` asks a person to load files into a real
     control, and returns whether that was done; without it, or until then, the answer is None.
-    Raises DataError for a result that is not ok, ConfigurationError where no verification was
-    begun.
+    Raises DataError for a result that is not ok, ConfigurationError if no verification was begun.
     """
     request = _read_request(folder)
     first = SessionFolder(folder)
@@ -197,7 +196,7 @@ def verify(
 def confirm_loaded(folder: Path) -> None:
     """Note that a person says the real control has loaded the waiting table.
 
-    Raises ConfigurationError where none waits: a table that is not written yet cannot be loaded.
+    Raises ConfigurationError if none waits: a table that is not written yet cannot be loaded.
     """
     request = _read_request(folder)
     applied = request.applied(read_configuration(SessionFolder(folder).configuration))
@@ -222,7 +221,7 @@ def _round(
 ) -> FinishedSession | None:
     """Put the table that is ``applied`` into force and measure in the session ``name``.
 
-    None where the user ended it, or has not loaded the table yet.
+    None if the user ended it, or has not loaded the table yet.
     """
     tables = folder / TABLES[name]
     _write_once(exports, tables)
@@ -308,7 +307,7 @@ def _require_known(cell: Configuration, request: Request) -> None:
 
 
 def _rehearse(request: Request, calibration: Calibration) -> None:
-    """Make the controller files of a perfect table, and raise ConfigurationError where they fail.
+    """Make the controller files of a perfect table; raise ConfigurationError if that fails.
 
     So a misspelt controller, or rows that it cannot hold, are reported at once.
     """
@@ -324,7 +323,7 @@ def _rehearse(request: Request, calibration: Calibration) -> None:
 def _measure(
     configuration: Path, path: Path, changes: Sequence[str], whole: Path
 ) -> FinishedSession | None:
-    """Return the measurement in the session ``path``; what is missing of it is carried out.
+    """Return the measurement in the session ``path``, after doing what is missing of it.
 
     DataError unless its verdict is ok, None when the user ended it.
     """
@@ -357,7 +356,7 @@ def _measure(
 def _write_once(exports: dict[str, ExportFiles], folder: Path) -> None:
     """Write the files that an interrupted verification has not written yet.
 
-    Raises DataError where one that is there holds another table.
+    Raises DataError if an existing one holds another table.
     """
     left = {}
     for name, export in exports.items():

@@ -34,7 +34,7 @@ def decoder(definition: str, encoding: str = "ros2msg", type_name: str = "a/msg/
     [
         ("B x\n", "a/msg/B contains itself"),
         (with_parts("C x\n", C="B[] y\n"), "contains itself"),
-        (chain(200), "more than 64 messages within each other"),
+        (chain(200), "more than 64 messages nested in each other"),
         (chain(40, "twice"), "more than 134217728"),
         ("float64 x\nstd_msgs/Hea", "at 'std_msgs/Hea'"),
         ("std_msgs/Header header\n", "does not say what std_msgs/msg/Header is"),

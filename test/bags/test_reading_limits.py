@@ -156,7 +156,7 @@ def test_every_verb_that_reads_a_bag_takes_limits() -> None:
         enough = run(rotcal, [*verb, bag, *small, "--set", "reading.unpacked_ratio=3"])
         assert "reading." not in enough.output
     table = ["solve", str(DATA / "balls.csv"), "--setup", str(DATA / "ball_plate.yaml")]
-    assert "balls.csv is no bag" in run(rotcal, [*table, *small]).stderr
+    assert "balls.csv is not a bag" in run(rotcal, [*table, *small]).stderr
     for wrong in ("reading.chunk=1", "reading=1", "reading.chunk_bytes=[1]"):
         answer = run(rotcal, ["solve", bag, "--set", wrong])
         assert (answer.exit_code, answer.stderr.count("\n")) == (2, 1), answer.stderr

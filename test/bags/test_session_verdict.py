@@ -318,7 +318,7 @@ def test_of_very_many_missing_files_the_first_are_named(tmp_path: Path) -> None:
     assert missing[-1] == "and 401 more"
     data["rosbag2_bagfile_information"]["relative_file_paths"] = "bag_0.mcap"
     (folder / "metadata.yaml").write_text(yaml.safe_dump(data))
-    assert "relative_file_paths is no list" in judged(folder).differing[0]
+    assert "relative_file_paths is not a list" in judged(folder).differing[0]
 
 
 def test_reindex_refuses_what_it_cannot_know(tmp_path: Path) -> None:
@@ -328,7 +328,7 @@ def test_reindex_refuses_what_it_cannot_know(tmp_path: Path) -> None:
     with pytest.raises(BagError, match=r"bag_5\.mcap is truncated.*rotcal bag repair"):
         reindex(folder)
     assert (folder / "metadata.yaml").read_bytes() == before
-    with pytest.raises(BagError, match="is no folder"):
+    with pytest.raises(BagError, match="is not a folder"):
         reindex(folder / "bag_0.mcap")
     assert not list(folder.glob("*.old*"))
 

@@ -91,7 +91,7 @@ def test_a_wrong_checksum_of_zstd_is_told(plain: bytes, tmp_path: Path) -> None:
     verdict = read(tmp_path / "bag.db3.zstd", bytes(packed))
     assert verdict.state == "damaged"
     assert 40 < verdict.messages < 60
-    assert "cannot be unpacked behind byte" in verdict.sentence()
+    assert "cannot be unpacked after byte" in verdict.sentence()
 
 
 @pytest.mark.parametrize(

@@ -148,7 +148,7 @@ def test_a_topic_that_others_cannot_name_is_told(change: str, path: Path) -> Non
         database.execute(change)
     found, verdict = read(path)
     assert found == MESSAGES
-    assert "something is no text in UTF-8" in verdict.sentence()
+    assert "a name or type that is not UTF-8" in verdict.sentence()
     (after,) = repair(path, path.parent / "good").after
     assert (after.state, after.messages) == ("complete", 60)
 

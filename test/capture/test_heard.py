@@ -66,14 +66,14 @@ def test_an_intruder_is_named_with_its_topic_and_what_to_do():
     assert (first.publisher, second) == (THIRD, Intruder(POINTS, STRAY))
     text = second.in_words("second_probe")
     assert "/cell/probe_point: node second_probe publishes there too" in text
-    assert "left alone" in text
+    assert "are ignored" in text
     assert "a node that is gone" in second.in_words(None)
 
 
 def test_an_instrument_that_was_started_anew_is_not_told_to_go_away():
     text = Intruder(POINTS, STRAY).in_words("probe", anew=True)
     assert "/cell/probe_point: node probe was restarted" in text
-    assert "left alone until another run begins" in text
+    assert "ignored until another run begins" in text
     assert "end that node" not in text
 
 

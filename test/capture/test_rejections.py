@@ -73,7 +73,7 @@ def test_three_running_are_an_alarm_and_an_accepted_one_ends_it():
         rejections.note(rejected("beam broken", attempt=number), 0.0)
         alarms.append(rejections.alarming)
     assert alarms == [False, False, True]
-    assert rejections.in_words() == "3 attempts rejected running, 3 of 3 like this: beam broken"
+    assert rejections.in_words() == "3 attempts rejected in a row, 3 of 3 like this: beam broken"
     rejections.note(ACCEPTED, 1.0)
     assert not rejections.alarming
     assert rejections.in_words() is None

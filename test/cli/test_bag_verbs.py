@@ -229,7 +229,7 @@ def test_a_recorded_loss_that_is_no_number(count: str, tmp_path: Path) -> None:
         writer.finish()
     found = json.loads(run("bag", "info", tmp_path / "a.mcap", "--json").stdout)
     assert found["losses_recorded"] == {"queue": 7}
-    words = f"a loss was recorded (lost /a), but its count is no number: {count[:20]!r}"
+    words = f"a loss was recorded (lost /a), but its count is not a number: {count[:20]!r}"
     assert found["losses_unread"] == [f"a.mcap: {words}"]
     assert words in run("bag", "info", tmp_path / "a.mcap").stderr
     assert run("bag", "check", tmp_path / "a.mcap").exit_code == 0

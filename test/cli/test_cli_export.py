@@ -175,7 +175,7 @@ def test_a_volumetric_table_says_which_table_was_in_force(export, tmp_path):
 def test_what_a_volumetric_table_would_not_heed_is_refused(export, tmp_path, option):
     done = export("--to", "volumetric", *option)
     assert done.exit_code == 2
-    assert f"{option[0]}: not for a volumetric table" in done.stderr
+    assert f"{option[0]}: no use for a volumetric table" in done.stderr
     assert not (tmp_path / "files").exists()
 
 

@@ -47,7 +47,7 @@ def test_it_reports_compares_and_exports(combined, tmp_path):
     assert run("compare", combined, reference(tmp_path / "reference.csv")).exit_code == 0
     itself = run("compare", combined, TRACER)
     assert itself.exit_code == 3
-    assert "rest on 288 observations that are the same" in itself.output
+    assert "share 288 observations" in itself.output
     page = tmp_path / "page.html"
     ran = run("report", combined, "-o", page)
     assert ran.exit_code == 0, ran.output

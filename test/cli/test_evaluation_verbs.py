@@ -127,7 +127,7 @@ def test_reference_in_the_wrong_unit_or_sense_is_named(tmp_path, change, reason)
     [
         ("angle,dev\n0,1\n", 2, "expected angle_deg"),
         ("angle_deg,deviation_arcsec\n0,1\n10,x\n20,1\n", 3, "line 3"),
-        ("angle_deg,deviation_arcsec\n0,1\n0,1\n20,1\n", 3, "there twice"),
+        ("angle_deg,deviation_arcsec\n0,1\n0,1\n20,1\n", 3, "occurs twice"),
         ("angle_deg,deviation_arcsec\n0,1\n180,2\n270,2\n360,9\n", 3, "same table position"),
         ("angle_deg,deviation_arcsec\n0,1\n120,1\n240,1\n", 3, "states no uncertainty"),
     ],

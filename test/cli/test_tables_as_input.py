@@ -145,7 +145,7 @@ def test_an_export_of_a_table_takes_settings_of_both_sides(lengths, tmp_path):
 def test_a_result_takes_no_set_up():
     done = run("export", DATA / "result_tracer.json", "--setup", TRACER, "--to", "csv", "-o", "x")
     assert done.exit_code == 2
-    assert "is a result already" in done.stderr
+    assert "is already a result" in done.stderr
 
 
 def test_a_reference_without_uncertainty_has_to_be_stated(tmp_path):

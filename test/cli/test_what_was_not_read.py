@@ -82,7 +82,7 @@ def test_the_same_verbs_are_silent_about_a_sound_bag(place: Path, tmp_path: Path
     for verb in ("solve {}", "bag info {}", "bag parquet {} -o {}/parquet", "bag choices {}"):
         found = run(*verb.format(sound, tmp_path).split())
         assert found.exit_code == 0, found.output
-        assert "not all was read" not in found.output
+        assert "not read completely" not in found.output
 
 
 def test_what_is_known_already_is_told_again(place: Path, tmp_path: Path) -> None:

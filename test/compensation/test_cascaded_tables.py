@@ -207,7 +207,7 @@ def test_what_fits_is_taken_and_told(measured_on, word, words):
 
 
 def test_what_a_table_left_is_never_written_alone():
-    with pytest.raises(DataError, match="alone it would take away"):
+    with pytest.raises(DataError, match="alone it would lose"):
         exported(small(measured_on="b" * 64))
 
 

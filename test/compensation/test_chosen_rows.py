@@ -58,7 +58,7 @@ def test_ten_degrees_would_leave_more_and_are_told():
     assert left(done) > 2.0 * np.sqrt(2.0) * 0.3 * ARCSEC
     told = [text for text in done.warnings if text.startswith("between rows 10 deg apart")]
     assert len(told) == 1
-    assert "more than a third of U (0.85 arcsec): leave the spacing out" in told[0]
+    assert "more than a third of U (0.85 arcsec): leave out the spacing" in told[0]
 
 
 def test_narrower_rows_than_the_measured_ones_where_these_are_too_wide():
@@ -74,6 +74,6 @@ def test_the_limits_of_the_controller_come_first():
     assert widest(done) == pytest.approx(10.0)
     told = [text for text in done.warnings if text.startswith("between rows 10 deg apart")]
     assert len(told) == 1
-    assert told[0].endswith("the controller takes no rows that leave less")  # none were stated
+    assert told[0].endswith("no rows that the controller takes leave less")  # none were stated
     with pytest.raises(ConfigurationError, match="256"):
         exported(0.05, turns=200)

@@ -192,7 +192,7 @@ def test_a_volumetric_file_that_reads_back_differently_is_refused(form, module, 
         return found
 
     monkeypatch.setattr(module, name, off_by_one_bit)
-    with pytest.raises(BagError, match=rf"vol\.{form}: read back, it is not what was measured"):
+    with pytest.raises(BagError, match=rf"vol\.{form}: read back, it differs from what was"):
         volumetric_files(volumetric_result(), "vol")
 
 

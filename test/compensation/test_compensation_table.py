@@ -193,10 +193,10 @@ def test_an_arc_says_that_it_is_one():
     angles = np.deg2rad(np.arange(0, 151, 15))
     table = table_from_result(result_of(angles, wavy(angles)))
     assert table.period == 0.0
-    assert any("arc only (0 .. 150 deg)" in text for text in table.warnings)
-    with pytest.raises(DataError, match=r"200 deg lies outside of the measured arc 0 \.\. 150"):
+    assert any("only an arc (0 .. 150 deg)" in text for text in table.warnings)
+    with pytest.raises(DataError, match=r"200 deg lies outside the measured arc 0 \.\. 150"):
         Correction(table)(np.deg2rad(200.0), Approach.POSITIVE)
-    with pytest.raises(DataError, match="outside of the measured arc"):
+    with pytest.raises(DataError, match="outside the measured arc"):
         table_from_result(result_of(angles, wavy(angles)), reference_angle=3.0)
     with pytest.raises(ConfigurationError, match="full circle"):
         table_from_result(result_of(angles, wavy(angles)), harmonics=1)
@@ -311,7 +311,7 @@ def test_lookup_wraps_knows_directions_and_its_uncertainty():
     np.testing.assert_allclose(look(at, Approach.POSITIVE), expected, atol=5e-3 * ARCSEC)
     np.testing.assert_allclose(look(at, Approach.NEGATIVE), expected - 1e-5, atol=5e-3 * ARCSEC)
     np.testing.assert_allclose(look.std(angles), table.std, atol=1e-18)
-    with pytest.raises(ConfigurationError, match="from which side"):
+    with pytest.raises(ConfigurationError, match="the side from which"):
         look(0.0, Approach.UNKNOWN)
 
 

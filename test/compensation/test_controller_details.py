@@ -130,7 +130,7 @@ def test_what_is_no_controller_is_refused(monkeypatch):
     for found in (dict, "text", int):
         monkeypatch.setattr(plugins, "load", lambda *_, found=found: found)
         with pytest.raises(
-            ConfigurationError, match=r"the controller 'odd' is .*, no subclass of"
+            ConfigurationError, match=r"the controller 'odd' is .*, not a subclass of"
         ):
             make_controller("odd")
 
@@ -175,7 +175,7 @@ def test_a_lock_names_its_owner(tmp_path):
     assert stat.S_IMODE(lock.stat().st_mode) & 0o700 == 0o600
     other = ControllerFolder(tmp_path, 10.0)
     with pytest.raises(
-        ControllerError, match=rf"is fed by process {os.getpid()} on .* already: one"
+        ControllerError, match=rf"is already fed by process {os.getpid()} on .*: one"
     ):
         other.lock()
     store.close()
@@ -194,7 +194,7 @@ def test_an_owner_without_a_name_is_another_process(tmp_path):
         (b"me \xff\n", "me �"),
     ):
         lock.write_bytes(text)
-        with pytest.raises(ControllerError, match=f"is fed by {owner} already"):
+        with pytest.raises(ControllerError, match=f"is already fed by {owner}"):
             other.lock()
     store.close()
 

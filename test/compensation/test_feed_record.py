@@ -121,7 +121,7 @@ def test_a_half_written_table_has_no_change_to_tell(cell):
     feed = cell.feed()
     applied(feed, table_of())
     (cell.folder / COMP).write_text("half")
-    with pytest.raises(ControllerError, match="to restore all the same give max_change_arcsec"):
+    with pytest.raises(ControllerError, match="to restore nevertheless, give max_change_arcsec"):
         undone(feed)
     assert np.isnan(undone(feed, max_change_arcsec=20.0).largest_change)
 

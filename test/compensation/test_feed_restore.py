@@ -123,7 +123,7 @@ def test_a_failed_restore_puts_back_what_was_there(cell):
 # Unfinished changes, the lock, and machines at work.
 
 
-@pytest.mark.parametrize(("half", "found"), [(False, "the old files"), (True, "neither the old")])
+@pytest.mark.parametrize(("half", "found"), [(False, "the old files"), (True, "neither all old")])
 def test_an_unfinished_change_is_named_at_the_start_and_has_to_be_undone(
     cell, monkeypatch, half, found
 ):
@@ -255,5 +255,5 @@ def test_a_secret_that_others_could_know_is_refused(tmp_path):
             Secret(path)
     os.mkfifo(tmp_path / "pipe", 0o600)
     for path in (tmp_path, tmp_path / "pipe"):
-        with pytest.raises(ConfigurationError, match=r"is no plain file|cannot be read"):
+        with pytest.raises(ConfigurationError, match=r"is not a plain file|cannot be read"):
             Secret(path)

@@ -95,7 +95,7 @@ def test_what_stands_twice_or_elsewhere_is_not_merged(machine):
     (machine.parent / "joint.inc").write_text("[JOINT_9]\nTYPE = ANGULAR\n")
     included = Ini(machine, TEXT + "#INCLUDE joint.inc\n")
     assert included.value("JOINT_9", "TYPE") == "ANGULAR"
-    with pytest.raises(ConfigurationError, match="in a file that it includes"):
+    with pytest.raises(ConfigurationError, match="in an included file"):
         included.merged("JOINT_9", {"COMP_FILE": "a"})
 
 

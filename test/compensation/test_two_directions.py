@@ -275,7 +275,7 @@ def test_an_angle_that_was_reached_from_one_side_only_is_left_out():
     arrivals = Arrivals(angles, target, np.zeros(23, dtype=int), upward)
     table = table_from_result(mean_of_runs(measured, arrivals))
     np.testing.assert_allclose(table.angles, np.delete(angles, 5))
-    assert any("1 of 12 angles were reached from one side only" in w for w in table.warnings)
+    assert any("1 of 12 angles were reached only from one side" in w for w in table.warnings)
     np.testing.assert_allclose(
         table.correction_forward - table.correction_reverse, 6.0 * ARCSEC, atol=1e-15
     )

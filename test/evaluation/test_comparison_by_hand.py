@@ -200,7 +200,7 @@ def test_the_ends_of_an_arc_belong_to_it(ends, common):
     degrees[[0, -1]] += ends
     found = compare(circle(np.zeros(24), np.eye(24)), arc(degrees, BENT))
     assert len(found.angles) == common
-    assert found.notes[0] == f"{24 - common} angles lie outside of the other's arc: left out"
+    assert found.notes[0] == f"{24 - common} angles lie outside the other's arc: left out"
     first = 0 if common == 5 or ends[0] < 1e-7 else 1
     expected = -((np.arange(first, first + common) * 1.5) ** 2)
     np.testing.assert_allclose(found.difference, expected - expected.mean(), atol=1e-6)
@@ -235,7 +235,7 @@ def test_a_sense_of_rotation_is_sought_on_circles_only():
     small = 1e-6 * np.eye(24)
     clockwise = -shape[(-np.arange(24)) % 24]
     notes = " ".join(compare(circle(shape, small), circle(clockwise, small)).notes)
-    assert "counted clockwise?" in notes
+    assert "count clockwise?" in notes
     first, second = (
         MeasuredCurve(np.arange(24) * TAU / 48, d, small, 0.0) for d in (shape, clockwise)
     )

@@ -44,7 +44,7 @@ def test_words_name_the_tolerance_and_the_angle():
     agreed = Identity(tolerance_arcsec=10.0)
     for value, words in (
         (0.0, "ECC is within the tolerance ±10 arcsec; conformance probability above 99.9 %"),
-        (9.0, "undecided against the tolerance ±10 arcsec: U reaches over it at 90°"),
+        (9.0, "undecided against the tolerance ±10 arcsec: U goes beyond it at 90°"),
         (15.0, "ECC is beyond the tolerance ±10 arcsec, by more than U at 90°"),
     ):
         shown = result(np.eye(2), np.array([0.0, value]))

@@ -200,7 +200,7 @@ def test_polygon_without_a_face_is_refused():
         ("angle_deg,deviation_arcsec\n0,1\n90,one\n180,1\n", "line 3: .*numbers only"),
         ("angle_deg,deviation_arcsec\n0,1\n90,inf\n180,1\n", "line 3.*finite"),
         ("angle_deg,deviation_arcsec,u_arcsec\n0,1,1\n90,1,-1\n180,1,1\n", "u not negative"),
-        ("angle_deg,deviation_arcsec\n0,1\n90,1\n90,2\n180,1\n", "90 deg is there twice"),
+        ("angle_deg,deviation_arcsec\n0,1\n90,1\n90,2\n180,1\n", "90 deg occurs twice"),
         (
             "angle_deg,deviation_arcsec,u_arcsec\n0,1,0\n120,1,0\n240,1,0\n360,9,0\n",
             "differ by 8 arcsec",

@@ -98,7 +98,7 @@ def test_runs_come_from_a_table_in_any_order():
     ("change", "text"),
     [
         (lambda lines: lines[:5] + lines[6:], r"missing 0 deg in run 5 up"),
-        (lambda lines: [*lines, lines[3]], r"line 82: 0 deg, run 3 up is there twice"),
+        (lambda lines: [*lines, lines[3]], r"line 82: 0 deg, run 3 up occurs twice"),
         (lambda lines: [*lines, "0,6,left,1"], "line 82: direction 'left'"),
         (lambda lines: [*lines, "0,6,up,x"], "'x' is not a number"),
         (lambda lines: [*lines, "0,6,up,nan"], "not a finite number"),

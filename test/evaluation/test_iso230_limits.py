@@ -59,8 +59,8 @@ def test_five_runs_are_enough(n, few):
         (3, (2, 2), (2, 2), "3 targets: expected one row per target"),
         (2, (2,), (2,), "one row per target"),
         (2, (2, 2, 2), (2, 2, 2), "one row per target"),
-        (1, (1, 2), (1, 2), "1 targets and 2 runs: at least 2 of both"),
-        (2, (2, 1), (2, 1), "2 targets and 1 runs: at least 2 of both"),
+        (1, (1, 2), (1, 2), "1 targets and 2 runs: a spread needs at least 2 of both"),
+        (2, (2, 1), (2, 1), "2 targets and 1 runs: a spread needs at least 2 of both"),
         (2, (2, 2), (2, 2), None),
     ],
 )

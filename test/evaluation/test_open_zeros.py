@@ -44,7 +44,7 @@ def test_six_balls_agree_with_twelve_but_for_what_they_leave_open(component):
     assert found.agree
     # twelve differences less two zeros; in a pair also less what turns with the second group
     assert found.dof == (GRID - 2 if component in ("EZC", "ECC") else GRID - 4)
-    assert "such offsets are taken off" in found.notes[0]
+    assert "such offsets are removed" in found.notes[0]
     backward = compare(*curves[::-1])
     np.testing.assert_allclose(backward.difference, -found.difference, atol=1e-18)
 
@@ -71,7 +71,7 @@ def test_a_second_result_tells_the_offset(other):
     if other == "autocollimator":
         assert link["std"] == pytest.approx(NOISE * np.sqrt(2.0 / 6.0), rel=0.02)
         assert found.components == ("ECC",)
-        assert any("EBC left out: no input tells the offset" in w for w in found.warnings)
+        assert any("EBC left out: no input measured the offset" in w for w in found.warnings)
     else:
         assert found.components == SIX.components
     sentence = next(w for w in found.warnings if w.startswith("ECC of six"))
@@ -176,7 +176,7 @@ def test_ranges_over_both_groups_are_not_evaluated():
 
 
 def test_no_harmonics_of_a_curve_of_parts():
-    with pytest.raises(DataError, match="pass for harmonics"):
+    with pytest.raises(DataError, match="look like harmonics"):
         harmonic_content(measured_curve(SIX))
 
 

@@ -144,5 +144,5 @@ def test_a_method_that_lists_no_disturbances_has_no_rows(real):
         def of_distances(self):
             return self
 
-    with pytest.raises(ConfigurationError, match=r"does not say how these look: drift, knock"):
+    with pytest.raises(ConfigurationError, match=r"does not say how these act: drift, knock"):
         power_rows(Bench(Silent(), runs=2))

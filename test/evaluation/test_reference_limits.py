@@ -73,8 +73,8 @@ def test_three_rows_are_enough(rows, enough):
 @pytest.mark.parametrize(
     ("rows", "words"),
     [
-        ([(0, 1, 0), (40, 1, 0), (40, 2, 0), (70, 1, 0)], "the angle 40 deg is there twice"),
-        ([(0, 1, 0), (70, 1, 0), (40, 2, 0), (40, 1, 0)], "the angle 40 deg is there twice"),
+        ([(0, 1, 0), (40, 1, 0), (40, 2, 0), (70, 1, 0)], "the angle 40 deg occurs twice"),
+        ([(0, 1, 0), (70, 1, 0), (40, 2, 0), (40, 1, 0)], "the angle 40 deg occurs twice"),
         ([(0, 1, 0), (90, 1, -0.5), (180, 1, 0)], r"line 3: 90, 1, -0.5: expected finite numbers"),
         ([(0, 1, 0), (90, 1, 0), (180, "nan", 0)], r"line 4: 180, nan, 0: expected finite"),
         ([(0, 1, 0), (90, 1), (180, 1, 0)], "line 3: 2 columns, expected 3"),

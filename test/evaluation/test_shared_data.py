@@ -288,7 +288,7 @@ def test_six_balls_of_twelve_in_a_table_of_their_own_are_the_same_data(tmp_path,
     assert len(here) == len(there) == 72
     pair = [CombinationInput.of(n, r) for n, r in results.items()]
     if some[1] == 2:  # nothing tells how errors go into the curves of separate groups
-        with pytest.raises(DataError, match="72 observations that are the same"):
+        with pytest.raises(DataError, match="share 72 observations"):
             combine(pair)
     else:
         alone = combine(pair[:1]).result.std["ECC"]
@@ -322,7 +322,7 @@ def test_two_ways_of_a_mirror_are_refused_with_the_reason():
 
     first, second = way("joint"), way("stitching")
     n = len(first.raw_data.hashes)
-    with pytest.raises(DataError, match=rf"x and y rest on {n} observations that are the same"):
+    with pytest.raises(DataError, match=rf"x and y share {n} observations"):
         compare(measured_curve(first), measured_curve(second), names=("x", "y"))
 
 

@@ -41,7 +41,7 @@ def test_every_code_has_its_words():
 @pytest.mark.parametrize(
     ("state", "words"),
     [
-        (UNHEARD, ""),
+        (UNHEARD, "silent"),
         (NodeState(State.READY), "ready"),
         (NodeState.of(State.WAITING, Why.NO_PLAN), "waiting for a plan"),
         (NodeState.of(State.MOVING, Why.ORDERED, 3, 1), "busy: step 3, attempt 1"),
@@ -72,7 +72,7 @@ def test_what_is_asked_of_a_person_is_told_with_and_without_that_it_is_a_pause()
         "emergency stop: released, it was: the door was open; nothing moves before a person "
         "resumes: make sure that the cell may move (put it there)"
     )
-    assert Reason.of(Why.MEASURING, "target 3").instruction == ""
+    assert Reason.of(Why.MEASURING, "target 3").instruction is None
 
 
 def test_what_a_later_version_or_a_stranger_tells_is_read_as_far_as_it_can_be():

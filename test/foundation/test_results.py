@@ -80,7 +80,7 @@ def test_something_else_is_refused(data: object) -> None:
 
 def test_the_missing_entry_of_another_file_is_named() -> None:
     truth = {"schema": 1, "angles_rad": [0.0], "deviations": {"ECC": [0.0]}}
-    with pytest.raises(DataError, match="no whole rotcal result: the entry 'method' is missing"):
+    with pytest.raises(DataError, match="rotcal result: the entry 'method' is missing"):
         Result.from_dict(truth)
 
 

@@ -60,10 +60,10 @@ def test_what_all_read_alike_is_read(written, value):
     [
         (
             "solver:\n  length_std_m: 0.42\n  gain: 1\n  length_std_m: 2.1\n",
-            "line 4: length_std_m is given a second time, the first is in line 2: keep one",
+            "line 4: length_std_m is given a second time, the first time in line 2: keep one",
         ),
-        ("{a: 1, b: 2, a: 3}", "line 1: a is given a second time, the first is in line 1"),
-        ('a: 1\n"a": 2', "line 2: a is given a second time, the first is in line 1"),
+        ("{a: 1, b: 2, a: 3}", "line 1: a is given a second time, the first time in line 1"),
+        ('a: 1\n"a": 2', "line 2: a is given a second time, the first time in line 1"),
         ("x: &x {a: 1}\ny: {<<: *x, <<: *x}", "line 2: << is given a second time"),
     ],
 )

@@ -266,7 +266,7 @@ def test_the_correction_is_looked_up_with_its_direction(bench):
     assert answer.correction == pytest.approx(-10 * ARCSEC, rel=1e-9)
     assert answer.table_hash == made.table_hash
     assert 0 < answer.std < ARCSEC
-    assert "from which side" in bench.correction(1.0, 0).message
+    assert "the side from which" in bench.correction(1.0, 0).message
     assert not bench.correction(1.0, 77).success
 
 
@@ -275,7 +275,7 @@ def test_what_does_not_fit_is_refused_and_told_on_diagnostics(bench):
     bench.publish(table(axis="B"))
     bench.wait_for_state("axis B was measured and this cell has axis C")
     bench.publish(table(), table_hash="0" * 64)
-    bench.wait_for_state("it was changed on its way")
+    bench.wait_for_state("it was changed on the way")
     bench.publish(replace(table(), open_zeros="the offset between odd and even is not measured"))
     bench.wait_for_state("joined by 'rotcal combine'")
     assert "no table has arrived" in bench.apply("0" * 64).message
@@ -284,7 +284,7 @@ def test_what_does_not_fit_is_refused_and_told_on_diagnostics(bench):
     assert "max_change_arcsec is 5" in bench.apply().message
     confirmation = bench.status["confirmation"]
     bench.publish(table(), correction_forward=np.zeros(24))  # other numbers under the same hash
-    bench.wait_for_state("it was changed on its way")
+    bench.wait_for_state("it was changed on the way")
     assert "no table has arrived" in bench.apply(confirmation).message
     assert bench.files() == set()
 
@@ -362,7 +362,7 @@ def test_a_change_that_was_never_finished_is_reported_and_undone(bench):
     bench.wait(lambda: "unfinished" in bench.others.get("again", {}), "the warning")
     status = bench.others["again"]
     assert status["level"] == b"\x01"
-    assert "neither the old nor the new files whole" in status["unfinished"]
+    assert "neither all old nor all new files" in status["unfinished"]
     assert first["after_hash"] in status["unfinished"]
     bench.wait_for_log("again", "was never finished")
     assert "was never finished" in bench.apply(status["confirmation"]).message

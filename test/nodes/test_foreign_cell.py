@@ -89,5 +89,5 @@ def test_a_type_and_a_unit_that_cannot_be_are_named(foreign):
     failed = live.client().result()
     assert failed["error_code"] == TOPIC_MISSING
     said = failed["error_msg"]
-    assert "std_msgs/msg/String is no message for it" in said
+    assert "std_msgs/msg/String cannot be used" in said
     assert "std_msgs/msg/Float64" in said

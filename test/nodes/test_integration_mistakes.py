@@ -38,7 +38,7 @@ TOLD = {
     "other joint": ("joint", "missing", "no joint 'rotary' (cell.joint), it has arm, C"),
     "degrees": ("joint", "doubt", "turns from zero: is it in deg?"),
     "no velocity": ("joint", "missing", "joint rotary has no velocity"),
-    "5 Hz": ("joint_states", "doubt", "comes at 5 Hz: that the table moves or rests is known"),
+    "5 Hz": ("joint_states", "doubt", "comes at 5 Hz: whether the table moves or rests is known"),
     "second table": ("joint_states", "missing", "2 publishers on"),
     "lengths in mm": ("tracer_length", "missing", "is it in mm?"),
     "lengths too small": ("tracer_length", "doubt", "converted to metres twice?"),

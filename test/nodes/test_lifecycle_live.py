@@ -71,9 +71,9 @@ def test_what_may_change_does_and_the_rest_says_why_not(cell, states):
     assert "plan.order: 'by_chance' is none of" in reason
     done, reason = states.set("planner", "method", "ball_plate")
     assert not done
-    assert reason.startswith("method: taken when node planner starts and the same until it ends")
+    assert reason.startswith("method: fixed when node planner starts")
     done, reason = states.set("recorder", "recorder.silence_s", 1.0)
     assert not done
-    assert "recorder.silence_s: taken when node recorder starts" in reason
+    assert "recorder.silence_s: fixed when node recorder starts" in reason
     states.dump("planner", live.folder / "dump.yaml")
     assert "max_attempts: 7" in (live.folder / "dump.yaml").read_text()

@@ -87,7 +87,7 @@ def test_who_joins_a_run_is_named_and_left_alone_live_and_in_the_bag(plate_cell)
     named = client.wait_for(
         "warning", where=lambda e: "probe_point: node second_probe publishes" in e["text"]
     )
-    assert "left alone" in named["text"]
+    assert "are ignored" in named["text"]
     outcome = client.result()
     assert outcome["error_code"] == 0, outcome["error_msg"]
     assert "/cell/observation: node second_probe publishes" in live.log("planner")

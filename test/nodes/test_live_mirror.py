@@ -70,7 +70,7 @@ def test_the_planner_waits_for_the_tracker_and_asks_again_for_a_displaced_nest(c
     assert paused(client).startswith("put the tracker at station 1 (of 0 to 1)")
     resume(live)
     again = paused(client)
-    assert again.startswith("not as it should be: nest 4 moved between tracker stations 0 and 1")
+    assert again.startswith("not right yet: nest 4 moved between tracker stations 0 and 1")
     assert "correct it" in again
     resume(live)
     outcome = client.result()
@@ -127,7 +127,7 @@ def test_a_station_at_which_the_tracker_drifts_is_measured_again(cell):
         assert paused(client).startswith(f"put the tracker at station {station}")
         resume(live)
         again = paused(client)
-        assert again.startswith("not as it should be: the tracker turned by ")
+        assert again.startswith("not right yet: the tracker turned by ")
         assert f"between two rounds of nests at station {station}, allowed 4" in again
         assert "leave the tracker where it is; the station is measured again" in again
         resume(live)

@@ -53,7 +53,7 @@ def test_the_planner_waits_for_the_tracer_at_every_place_and_sees_a_wrong_one(
         f"fix the tracer at place {number} (of 0 to 2)" for number in range(3)
     ]
     assert len(asked) == 4
-    assert asked[2].startswith("not as it should be: place 1: the tracer stands ")
+    assert asked[2].startswith("not right yet: place 1: the tracer stands ")
     assert event["n_used"] == 3 * PER_PLACE
 
     recording = read_recording(live.bag)

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.ros
 
 LATER = "env", "ROTCAL_SESSION=9000000000000000000-1"
 
-LEFT_ALONE = "a plan on /cell/plan is not the planner's and was left alone (plan \"nobody's\""
+LEFT_ALONE = "a plan on /cell/plan is not the planner's and was ignored (plan \"nobody's\""
 
 
 def python(*arguments):
@@ -54,7 +54,7 @@ def test_strays_are_refused_with_a_sentence_and_the_calibration_ends_as_ever(cel
     for stray in strays:
         assert live.processes.ended()[stray] == 2
         name = stray.removeprefix("stray ")
-        assert f"node {name} runs already in /cell of ROS domain" in live.log(stray)
+        assert f"node {name} already runs in /cell of ROS domain" in live.log(stray)
     outcome = client.result()
     assert outcome["error_code"] == 0, outcome["error_msg"]
     assert outcome["n_used"] == 59

@@ -49,7 +49,7 @@ def test_a_clock_that_never_comes_is_named_and_one_that_nobody_follows_is_not():
     assert "no time came on /clock" in clocks.sim.remark()
     unused = Clocks(used=False)
     unused.live(9.0, 0.0)
-    assert (unused.sim.standstill(), unused.sim.remark(), unused.sim.values()) == (None, "", {})
+    assert (unused.sim.standstill(), unused.sim.remark(), unused.sim.values()) == (None, None, {})
 
 
 @pytest.mark.parametrize("pace", [0.1, 1.0, 7.0])
@@ -57,7 +57,7 @@ def test_pace_and_pause_are_told(pace):
     clocks = Clocks()
     clocks.live(10.0, pace)
     assert not clocks.sim.stands()
-    assert clocks.sim.remark() == f"; time-outs are wall time, /clock runs at {pace:.2g} of it"
+    assert clocks.sim.remark() == f"time-outs are wall time, /clock runs at {pace:.2g} of it"
     stood_s = clocks.sim_s
     clocks.live(3.0, 0.0)
     assert clocks.sim.standstill() == (

@@ -20,7 +20,7 @@ PATIENT = (
 )
 TOPIC_MISSING, GIVEN_UP = 602, 605
 SENTENCES = {
-    "no echo": (GIVEN_UP, "the machine must echo both of the order"),
+    "no echo": (GIVEN_UP, "the machine must echo both from the order"),
     "degrees": (TOPIC_MISSING, "degrees? Publish radians"),
     "no velocity": (TOPIC_MISSING, "joint C has no velocity"),
     "clock": (

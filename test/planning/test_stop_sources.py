@@ -63,6 +63,6 @@ def test_sources_that_share_the_end_of_their_name_do_not_speak_for_each_other():
 
 
 def test_a_name_that_no_topic_can_bear_is_refused():
-    with pytest.raises(ConfigurationError, match="emergency_stop: 'e stop' is no name in ROS"):
+    with pytest.raises(ConfigurationError, match="emergency_stop: 'e stop' is not a name in ROS"):
         SafetySettings(emergency_stop="e stop")
     assert sources(topic="", silent_s=1.0).reasons(1e6) == []

@@ -91,7 +91,7 @@ def test_a_type_with_other_fields_is_named(tmp_path: Path, role: str, definition
 
 def test_no_recorded_observations(tmp_path: Path) -> None:
     folder = bag(tmp_path / "bag", names.TEMPERATURE, temperature())
-    assert "none on a topic observation" in reason(read_recording(folder, "observations"))
+    assert "no topic observation holds any" in reason(read_recording(folder, "observations"))
 
 
 def test_the_commonest_reason_of_rejections(tmp_path: Path, simulated_run: Run) -> None:

@@ -124,7 +124,7 @@ def test_another_observation_leads_to_another_choice(cell):
     other = [replace(o, mean=(o.mean[0] + 2e-5,)) if o.step == wrong else o for o in observed]
     (text,) = differences(posed, choices, other)
     assert text.startswith("run 0, choice ")
-    assert "from what was recorded the policy chooses step" in text
+    assert "from the recorded observations the policy chooses step" in text
     noise = [float(number) for number in re.findall(r"noise ([\d.]+) times", text)]
     assert "is suspect (" in text or noise[1] > 2.0 * noise[0]
 

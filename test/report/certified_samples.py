@@ -52,7 +52,7 @@ def result(**changes) -> Result:
             redundancy=np.full(24, 0.5), test_value=np.linspace(-2.0, 2.0, 24), used=row != 3,
         ),
         protections=tuple(Protection(effect, "harmless", "nothing moves") for effect in EFFECTS),
-        details={"budget": {"lengths": 0.6 * std, "targets": 0.8 * std}},
+        budget={"lengths": 0.6 * std, "targets": 0.8 * std},
         circumstances=CIRCUMSTANCES,
     )  # fmt: skip
     return replace(known, **changes)

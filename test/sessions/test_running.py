@@ -210,6 +210,6 @@ def test_the_error_that_ended_it_says_what_is_left_and_where_the_logs_are(
     monkeypatch.setattr(running, "_run", lambda *_: outcome)
     with pytest.raises(kind) as raised:
         running.calibrate(session, Told())
-    left = f"; everything up to there is in {told_bag or folder.bag}"
+    left = f"; everything measured so far is in {told_bag or folder.bag}"
     go_on = "; go on with: rotcal run c.yaml --resume f"
     assert str(raised.value) == "it broke" + recorded * (left + go_on) + "; logs: /data/logs"

@@ -49,7 +49,7 @@ def test_changes_reach_their_settings(tmp_path):
         ("plan=3", "plan: expected a group of settings, found 3"),
         ("plan=[3]", "plan: expected a group of settings"),
         ("plan=text", "plan: expected a group of settings"),
-        ('cell.namespace="/cell "', "'/cell ' is no name in ROS"),
+        ('cell.namespace="/cell "', "'/cell ' is not a name in ROS"),
         ("planner.max_attempts=0", "out of range"),
         ("recorder.writer.sync_interval_s=5.0", "out of range"),
         ("method=unheard", "unknown method 'unheard'"),

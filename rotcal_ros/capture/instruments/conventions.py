@@ -42,7 +42,7 @@ _OWNERS: Final = {
 
 
 def single_shots(settings: TopicSettings) -> tuple[str, ...]:
-    """Return the roles that send nothing before they are asked, or have arrived."""
+    """Return the roles that send nothing before they are asked or have arrived."""
     silent = {
         names.TRACER_LENGTH: settings.length_single_shot,
         names.PROBE_POINT: settings.probe_single_shot,
@@ -79,7 +79,7 @@ class Conventions:
         return value * _SHARE[self.settings.humidity_unit]
 
     def taken_ns(self, role: str, stamp_ns: Any, sent_ns: Any) -> Any:
-        """Return when a value was taken, by the common clock; times (n,) or one, integer ns.
+        """Return when a value was taken, by the common clock; one time or (n,), integer ns.
 
         ``stamp_ns`` is the time in its header, ``sent_ns`` that of sending.
         """
@@ -91,7 +91,7 @@ class Conventions:
         return (stamp_ns if by_stamp else sent_ns) - round(offset_s / NANOSECOND)
 
     def by_sending(self, role: str, type_name: str) -> bool:
-        """Return whether messages of this type were taken when they were sent."""
+        """Return whether a message of this type counts as measured when it was sent."""
         form = form_of(role, type_name)
         if form is not None and not form.stamped:
             return True
@@ -135,7 +135,7 @@ class Conventions:
 
     @property
     def plain(self) -> bool:
-        """Whether nothing is to be converted: SI, and the stamps of the headers."""
+        """Whether nothing has to be converted: SI units, and the stamps of the headers."""
         irrelevant: dict[str, Any] = {
             "length_single_shot": False,
             "probe_single_shot": False,

@@ -1,6 +1,6 @@
 """Messages of an instrument, of whatever type, become records in SI by the common clock.
 
-The same code reads live messages and bags. Bare numbers have no status, no sequence, no velocity:
+The same code reads live messages and bags. Bare numbers have no status, sequence or velocity:
 these follow from the numbers themselves.
 """
 
@@ -33,7 +33,7 @@ from rotcal_ros.planning.table_motion import TableSpeed
 Sent = tuple[Any, int]
 """A message, and when it was sent (ns)."""
 FAST: Final = (names.TRACER_LENGTH, names.JOINT_STATES)
-"""Roles whose messages are many."""
+"""Roles with many messages per second."""
 _AIR: Final[Mapping[str, Callable[[int, str, float], Any]]] = {
     names.TEMPERATURE: TemperatureSample,
     names.AIR_PRESSURE: PressureSample,
@@ -68,7 +68,7 @@ class Interpreter:
         return [record for record in records if record is not None]
 
     def record(self, role: str, type_name: str, message: Any, sent_ns: int) -> Any:
-        """Return the record of a message of a slow role, or of any role's own type."""
+        """Return the record of a message of a slow role, or of a role's own type."""
         form = form_of(role, type_name)
         if form is None:
             own = self._own(role, message)
@@ -127,8 +127,8 @@ _WRAP: Final = 1 << 32
 class BareLengths:
     """Turns bare numbers into tracer readings, numbered in the order of arrival.
 
-    NaN, an infinite number or one outside the limits in its message is a reading of a broken
-    beam: a type without a status has no other way to report it.
+    NaN, an infinite number or one outside the limits in its message means a broken beam: a type
+    without a status has no other way to report it.
     """
 
     def __init__(self, settings: TopicSettings) -> None:
@@ -152,7 +152,7 @@ class BareLengths:
 
 
 class BareAngles:
-    """Turns bare angles into feedback with a velocity; full turns are no motion."""
+    """Turns bare angles into feedback with a velocity; jumps by full turns are no motion."""
 
     def __init__(self, settings: TopicSettings) -> None:
         self._unit = settings.angle_rad

@@ -1,6 +1,6 @@
 """Which unit the numbers of an instrument seem to have, and how often it sends.
 
-Each function returns what is implausible in words that follow the name of a topic, or None.
+Each function returns what is implausible, in words that follow the name of a topic, or None.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rotcal_ros.planning.plan import Plan
 
 _FULL_TURN: Final = 2.0 * pi
 _NEAR_M: Final = 1.0
-"""A smaller plan is taken as this large: before a calibration the probe may be parked."""
+"""A smaller plan counts as this large: before a calibration the probe may be parked."""
 _THOUSAND: Final = 1e3
 _NEARLY: Final = 3.0
 """Before a plan begins, a reading may be this many times shorter or longer than in the plan."""
@@ -40,7 +40,7 @@ def likely_unit(
 ) -> str | None:
     """Return the unit in which a ``value`` in SI, read as ``stated``, is at most ``largest``.
 
-    None where it is plausible as it stands, or in none of them.
+    None if it is plausible as it stands, or in none of them.
     """
     if abs(value) <= largest:
         return None
@@ -50,7 +50,7 @@ def likely_unit(
 
 
 def implausible_length(value: float, largest: float, settings: TopicSettings) -> str | None:
-    """Return that a length (m) is implausible, and which unit it may have."""
+    """Return why a length (m) is implausible, and which unit it may have."""
     if not isfinite(value) or abs(value) <= largest:
         return None
     unit = likely_unit(value, largest, settings.length_unit, LENGTH_UNITS)
@@ -61,7 +61,7 @@ def implausible_length(value: float, largest: float, settings: TopicSettings) ->
 
 
 def implausible_angle(value: float, settings: TopicSettings) -> str | None:
-    """Return that the table's angle (rad) is more than a turn away from zero."""
+    """Return a text if the table's angle (rad) is more than a turn away from zero."""
     if not isfinite(value) or abs(value) <= _FULL_TURN:
         return None
     unit = likely_unit(value, _FULL_TURN, settings.angle_unit, ANGLE_UNITS)
@@ -74,7 +74,7 @@ def implausible_angle(value: float, settings: TopicSettings) -> str | None:
 def implausible_position(
     position: tuple[float, float, float], plan: Plan, settings: TopicSettings
 ) -> str | None:
-    """Return that the probe is far outside the plan."""
+    """Return a text if the probe is far outside the plan."""
     far = max(map(abs, position))
     largest = 10.0 * max(_NEAR_M, *(abs(x) for step in plan.steps for x in step.position))
     if not isfinite(far) or far <= largest:
@@ -89,7 +89,7 @@ def implausible_position(
 def thousandth_of_plan(
     value: float, plan_m: tuple[float, float], stated: str, setting: str
 ) -> str | None:
-    """Return that a number (m) is a thousand times too small for the plan.
+    """Return a text if a number (m) is a thousand times too small for the plan.
 
     ``plan_m`` is its least and largest value in the plan. Zero is always plausible: the probe may
     be parked there, or the instrument set to zero.
@@ -107,7 +107,7 @@ def thousandth_of_plan(
 
 
 def implausible_air(values: Mapping[str, float]) -> Iterator[tuple[str, str]]:
-    """Yield those roles of the air whose ``values`` (SI, by role) are implausible, and why."""
+    """Yield the roles of the air whose ``values`` (SI, by role) are implausible, and why."""
     for role, value in values.items():
         name, low, high, unit = _AIR[role]
         if low <= value <= high:

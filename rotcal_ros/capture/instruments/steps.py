@@ -1,7 +1,7 @@
-"""To which step a bare position belongs: by the orders, or by the plan where there are none.
+"""Finds the step that a bare position belongs to: by the orders, or without them by the plan.
 
-``geometry_msgs`` hold the position of the probe and no step. A reflector that is carried stands at
-its step as soon as table and probe are both in position; a point that is measured (a touch, the
+``geometry_msgs`` hold the position of the probe, but no step. A reflector that is carried stands
+at its step as soon as table and probe are both in position; a point that is measured (a touch, the
 centre of a ball) belongs to the step at whose angle the table rests at that time.
 """
 
@@ -33,7 +33,7 @@ _ARRIVED_SHARE: Final = 0.01
 """A probe has arrived when two positions in a row differ by less than this share of its
 tolerance."""
 _FACTORS: Final = (1e-3, 1e3, 1e-6, 1e6)
-"""Between the units of lengths."""
+"""Factors between the units of lengths."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,14 +63,14 @@ class _Awaited:
 
 
 class StepFinder:
-    """Answers orders in the place of a machine that sends positions without steps.
+    """Answers orders on behalf of a machine that sends positions without steps.
 
     The table is in position within ``position_tolerance_arcsec`` of the angle, full turns left
     out; the probe within ``probe_tolerance_m`` of its target, a touched ball within
     ``ball_tolerance_m``. With a planner, the step is the one that it has ``ordered``; without one
     (a bag from elsewhere) it is the next one of the plan that fits, and steps that were left out
     are skipped. A carried reflector that still moves within the tolerance has not arrived; a
-    ``single_shot`` probe has, for it sends only then. Events are judged in the order of their
+    ``single_shot`` probe has, because it sends only then. Events are judged in the order of their
     stamps, whichever stream arrives first.
     """
 
@@ -164,7 +164,7 @@ class StepFinder:
         return off_in_words(table.angle, table.velocity, step.table_angle, self._settings)
 
     def _wrong_factor(self, step: Step) -> float | None:
-        """Return how many times too large a position is that another unit would put in place."""
+        """Return the factor by which a position is too large, if another unit would explain it."""
         assert self._position is not None
         for factor in _FACTORS:
             position = tuple(factor * x for x in self._position.position)
@@ -185,7 +185,7 @@ class StepFinder:
         return tuple(answer for answer in answers if answer is not None)
 
     def _event(self, stamp_ns: int, event: TableSample | Position) -> ProbeSample | None:
-        """Take an event in its turn; return the answer that it gives."""
+        """Handle the next event; return the answer that it gives."""
         self._note_motion(stamp_ns, event)
         if isinstance(event, TableSample):
             resting = abs(event.velocity) <= self._speed_limit
@@ -229,7 +229,7 @@ class StepFinder:
         return moved <= _ARRIVED_SHARE * self._settings.probe_tolerance_m
 
     def _waited_for(self, stamp_ns: int) -> _Awaited | None:
-        """Return the step that is awaited at a time, if table and probe have reached it."""
+        """Return the step that is awaited at this time, if table and probe have reached it."""
         if self.ordered:
             waited = next((o for o in reversed(self._orders) if o.since_ns <= stamp_ns), None)
             return waited if waited is not None and self._is_reached(waited.step) else None

@@ -88,8 +88,7 @@ _LOCATION: Final = "{http://www.w3.org/2001/XMLSchema-instance}schemaLocation"
 def certificate(result: Result, method_title: str, issued: date) -> bytes:
     """Return the digital calibration certificate of a result as XML, UTF-8.
 
-    Raises ConfigurationError that lists what the result does not tell, DataError where its
-    verdict is not ok.
+    Raises ConfigurationError that lists what the result lacks, DataError if its verdict is not ok.
     """
     require(result)
     root = DCC.digitalCalibrationCertificate(
@@ -112,7 +111,7 @@ def as_bytes(root: Any) -> bytes:
 def _result_file(result: Result) -> Any:
     """Return result.json, from which all of it can be computed again.
 
-    A large one is compressed; of one that is too large even so only its SHA-256 is here.
+    A large one is compressed; if it is still too large, only its SHA-256 is included.
     """
     name, mime, data = "result.json", "application/json", result.to_json().encode()
     digest = sha256(data).hexdigest()
@@ -206,7 +205,7 @@ def _instrument(name: str, instrument: InstrumentIdentity) -> Any:
 
 
 def _conditions(circumstances: Circumstances) -> Any:
-    """Return what was known of the air; None: nothing."""
+    """Return the known conditions of the air; None: nothing is known."""
     ranges = (
         ("Temperature", circumstances.temperature_c, "\\degreecelsius"),
         ("Air pressure", circumstances.pressure_pa, "\\pascal"),
@@ -300,7 +299,7 @@ REQUIRED: Final = {
     "customer_address": "where the customer is",
     "certificate_number": "the unique number of the certificate",
 }
-"""Settings of the group ``identity`` that no certificate can do without, and why."""
+"""Settings of the group ``identity`` that every certificate needs, and why."""
 
 
 def require(result: Result) -> None:
@@ -313,7 +312,7 @@ def require(result: Result) -> None:
     if missing:
         lines = "\n".join(f"  {name}: {why}" for name, why in missing.items())
         raise ConfigurationError(
-            "a calibration certificate needs more than this result tells, see below: give it in "
+            "a calibration certificate needs more than this result states, see below: give it in "
             "the configuration, or with --setup or --set for a bag (the "
             "group identity changes no number)",
             lines,
@@ -338,7 +337,7 @@ def missing_settings(result: Result) -> dict[str, str]:
             "serial and date of calibration (calibrated) of one instrument or more: traceability"
         )
     if circumstances.begun_ns is None:
-        missing["time"] = "when it was measured: the result of a table does not know, a bag does"
+        missing["time"] = "when it was measured: a bag states it, the result of a table does not"
     return missing
 
 
@@ -429,7 +428,7 @@ def _item(circumstances: Circumstances) -> Any:
 
 
 def _statements(result: Result) -> Iterator[list[Any]]:
-    """Yield name and declaration of what a reader has to know."""
+    """Yield name and declaration of each statement for the reader."""
     circumstances = result.circumstances
     if circumstances.simulated:
         yield _statement(SIMULATED, NOT_MEASURED)
@@ -461,7 +460,7 @@ def signed(certificate: bytes, key: bytes, x509: bytes) -> bytes:
     """Return a certificate signed with a private ``key`` (PEM); ``x509`` is who signs (PEM).
 
     Raises ConfigurationError for a key or a certificate that cannot be used, DataError for a
-    document that is no XML.
+    document that is not XML.
     """
     signer = XMLSigner(
         method=SignatureConstructionMethod.enveloped, signature_algorithm="rsa-sha256"
@@ -469,9 +468,7 @@ def signed(certificate: bytes, key: bytes, x509: bytes) -> bytes:
     try:
         root = signer.sign(etree.fromstring(certificate), key=key, cert=x509.decode("ascii"))
     except etree.XMLSyntaxError as error:
-        raise DataError(
-            f"cannot sign: the certificate is no XML that can be read: {error}"
-        ) from error
+        raise DataError(f"cannot sign: the certificate is not readable XML: {error}") from error
     except (InvalidInput, TypeError, ValueError) as error:
         raise ConfigurationError(
             f"cannot sign: {error}; expected an RSA key and its X.509 certificate, both PEM"
@@ -480,7 +477,7 @@ def signed(certificate: bytes, key: bytes, x509: bytes) -> bytes:
 
 
 def verify(certificate: bytes, x509: bytes) -> None:
-    """Raise DataError unless ``x509`` (PEM) has signed the whole certificate as it stands."""
+    """Raise DataError unless ``x509`` (PEM) has signed the whole certificate as it is."""
     try:
         proved = XMLVerifier().verify(certificate, x509_cert=x509.decode("ascii"))
     except (InvalidSignature, InvalidInput, etree.XMLSyntaxError) as error:

@@ -57,7 +57,7 @@ UNVERIFIED_BACK: Final = (
 
 @dataclass(frozen=True, eq=False)
 class PitchTable:
-    """Increments (N,) of the way up and of the way back, in units of ``unit_deg`` degrees.
+    """Increments (N,) upwards and back, in units of ``unit_deg`` degrees.
 
     ``back_deg`` is the correction of the way back at the reference position.
     """

@@ -3,8 +3,8 @@
 Entry k holds the correction at k x spacing, k = 1 .. N; zero is zero by definition and the last
 entry is the one at zero again. The table rolls over by itself, it is added to the desired
 position. The backlash is subtracted while the motor moves in the negative direction: its size at
-home is Ixx86, which is never negative, BLCOMP holds by how much it differs elsewhere, and with
-Ixx85 = 0 none of it is applied. Sources: ``Pmac.facts``.
+home is Ixx86, which is never negative; BLCOMP holds the difference elsewhere, and with Ixx85 = 0
+none of it is applied. Sources: ``Pmac.facts``.
 """
 
 from __future__ import annotations
@@ -77,7 +77,8 @@ class Pmac(Controller):
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the on-line commands; ConfigurationError unless zero stays zero.
 
-        So is a reversal that has the wrong sign at the motor's zero for Ixx86.
+        The error is also raised for a reversal at the motor's zero with a sign that Ixx86 cannot
+        hold.
         """
         turn, motor, unit_deg = self.counts_per_turn, self.motor, self._unit_deg
         spacing = even_interval_deg(table, "PMAC", 360.0 / turn)

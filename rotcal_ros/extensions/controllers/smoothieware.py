@@ -40,9 +40,9 @@ BEND_DEG: Final = 0.01
 """Half the stretch around a row in which the multiplier changes."""
 PLACES: Final = 6
 SMALLEST, LARGEST = 0.5, 1.5
-"""Multipliers beyond are skipped by the control."""
+"""The control skips multipliers beyond these."""
 ROUNDINGS: Final = 4.0
-"""Roundings of half a step, within one interval, of what the control adds up."""
+"""Number of roundings by half a step, within one interval, in the control's sum."""
 Singles = NDArray[np.float32]
 
 
@@ -139,7 +139,7 @@ class Smoothieware(Controller):
         return PitchPoints(position, multiplier, _integrals(position, multiplier))
 
     def resolution(self, table: CompensationTable) -> float:
-        """Return twice what bends and single precision leave, in rad."""
+        """Return twice the error left by bends and single precision, in rad."""
         angles, added = columns_deg(table)[0], mean_deg(table)
         slopes = np.diff(added) / np.diff(angles)
         bend = np.max(np.abs(np.diff(np.append(slopes, slopes[0])))) * BEND_DEG / 4.0
@@ -189,5 +189,5 @@ def _integrals(position: Singles, multiplier: Singles) -> Floats:
 
 
 def _trapezium(width: Singles, before: Singles, after: Singles) -> Floats:
-    """Return the area that the control makes of it: the product in single precision."""
+    """Return the area as the control computes it: the product in single precision."""
     return np.asarray((width * (before + after)).astype(np.float64) / 2.0, dtype=np.float64)

@@ -89,7 +89,7 @@ class TwinCatNc(Controller):
 
     @property
     def unverified(self) -> tuple[str, ...]:
-        """What has not been confirmed yet on a real control."""
+        """What has not yet been confirmed on a real control."""
         return OPEN if self.one_direction else (*OPEN, TWO_BLOCKS)
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
@@ -114,10 +114,7 @@ class TwinCatNc(Controller):
         body = re.fullmatch(r"(?:\(\*[^*]*\*\)\n)?VAR_GLOBAL\n(.*)END_VAR\n", text, re.DOTALL)
         found = list(TABLE.finditer(body[1])) if body else []
         if body is None or TABLE.sub("", body[1]):
-            raise BagError(
-                f"{name}: expected VAR_GLOBAL, parameters and a table, END_VAR, and found more or "
-                "less than that"
-            )
+            raise BagError(f"{name}: expected exactly VAR_GLOBAL, parameters and a table, END_VAR")
         columns = {match[5]: _rows(f"{name}, {match[1]}", match) for match in found}
         if len(found) != len(columns) or set(columns) not in ({BOTH}, {POSITIVE, NEGATIVE}):
             raise BagError(

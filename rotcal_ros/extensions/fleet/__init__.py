@@ -1,4 +1,4 @@
-"""Many bags at once: found, solved on all cores or a cluster, kept as a dataset, looked over."""
+"""Many bags at once: found, solved on all cores or a cluster, kept as a dataset, and shown."""
 
 from rotcal_ros.foundation.plugins import Verb
 

@@ -1,4 +1,4 @@
-"""Which bags are meant: in folders, globs, lists and remote places, each of them once.
+"""Finds bags in folders, globs, lists and remote places, each of them once.
 
 Remote bags (``s3://...``) are told apart by their last bytes and fetched once.
 """
@@ -27,10 +27,10 @@ def find_bags(sources: Sequence[str]) -> tuple[str, ...]:
     """Return the bags that ``sources`` name: bags, folders of bags, globs, and lists of these.
 
     A list is a text file (``.txt``) with one bag per line, relative to itself; empty lines and
-    those that begin with # are left out; a line that names nothing stays, as a bag that cannot be
+    those that begin with # are left out; a line that names nothing counts as a bag that cannot be
     read. URLs (``s3://...``) go through fsspec and are a file, a pattern with *, or a prefix, read
-    like a folder. A bag that several paths or links lead to is returned once, under the
-    first; a session stands for each of its files.
+    like a folder. A bag that several paths or links lead to is returned once, under the first; a
+    session stands for each of its files.
 
     Raises BagError when a source names nothing.
     """
@@ -71,7 +71,7 @@ class _NamedBags:
 
 
 def _inodes(bag: str) -> Inodes:
-    """Return what is the same under all paths of a bag: device and number of its files."""
+    """Return what all paths of a bag share: device and inode of its files."""
     if is_remote(bag):
         return frozenset()
     try:
@@ -168,7 +168,7 @@ class _FolderSearch:
         return (status.st_dev, status.st_ino) in self._entered
 
     def _enter(self, path: Path) -> bool:
-        """Return whether this is the first time here."""
+        """Return whether the folder has not been entered before."""
         try:
             status = path.stat()
         except OSError:

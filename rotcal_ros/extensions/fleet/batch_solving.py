@@ -113,9 +113,9 @@ TAIL_BYTES: Final = 1 << 16
 
 @dataclass(frozen=True)
 class BagOutcome:
-    """What became of one bag; ``error`` is empty when there is a result.
+    """The outcome of one bag; ``error`` is empty if there is a result.
 
-    ``set_aside`` says that no worker survived or finished it.
+    ``set_aside``: no worker survived or finished it.
     ``table`` distinguishes rotary tables: cell and axis of the configuration that the bag was
     recorded with, else the folder it lies in. ``start_ns`` is the log time of the first message,
     ``session`` is the same for a recording, its copies and its repaired twins. ``cached`` says

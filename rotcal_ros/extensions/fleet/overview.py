@@ -25,7 +25,7 @@ from rotcal_ros.report import template
 
 OVERVIEW: Final = "overview.html"
 FOLDER: Final = "overview"
-"""What the page leads to, beside it."""
+"""Folder beside the page, for the pages that it links to."""
 PAGE: Final = 200
 """Rows of a page."""
 Row = TypeVar("Row")
@@ -46,7 +46,7 @@ class TableRow:
 
 @dataclass
 class OverviewCounts:
-    """What stands at the top of the overview."""
+    """The counts at the top of the overview."""
 
     bags: int = 0
     bad: int = 0

@@ -1,6 +1,6 @@
-"""Doing independent jobs on all cores, or on the workers of a Dask cluster.
+"""Does independent jobs on all cores, or on the workers of a Dask cluster.
 
-Each worker is a process of its own, since a bag may kill it: that costs one try of one job.
+Each worker is a process of its own, since a bag may kill it: that costs one attempt at one job.
 """
 
 from __future__ import annotations
@@ -209,7 +209,7 @@ class Supervised:
     """Does jobs one by one in a process that is started again when it dies.
 
     A job that kills it twice, or takes longer than ``time_limit_s``, becomes an outcome that
-    says so. That somebody else ends the process does not count against the job, up to
+    says so. If somebody else ends the process, that does not count against the job, up to
     ``FROM_OUTSIDE`` times. One thread calls :meth:`do`; :meth:`close` may come from another.
     """
 

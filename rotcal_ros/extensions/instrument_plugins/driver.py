@@ -80,8 +80,8 @@ class InstrumentDriver:
     """Drives one instrument from :meth:`begin` to :meth:`stop`.
 
     ``why_not(order)`` says why a place may not be measured now (the table is not at rest), None:
-    it may. ``state`` says what is done, ``trouble`` why nothing comes (None: it does), ``waits``
-    what an order has been waiting for longer than usual, if any does, ``connections`` counts.
+    it may. ``state`` says what is being done, ``trouble`` why no readings come (None: they do),
+    ``waits`` what an order waits for longer than usual, if any; ``connections`` counts.
     """
 
     def __init__(
@@ -116,15 +116,15 @@ class InstrumentDriver:
         self._thread.start()
 
     def stop(self) -> None:
-        """End with the reading or measurement under way, and let go of the instrument."""
+        """End after the present reading or measurement, and release the instrument."""
         self._end.set()
 
     def order(self, command: Command) -> None:
-        """Measure the place of ``command`` as soon as that may be; it replaces one that waits."""
+        """Measure the place of ``command`` as soon as possible; it replaces a waiting order."""
         self._order, self._ordered_s = command, time.monotonic()
 
     def forget(self) -> None:
-        """Measure no place that was ordered and waits."""
+        """Drop the order that waits."""
         self._order = None
 
     def _work(self) -> None:
@@ -144,7 +144,7 @@ class InstrumentDriver:
         self.state = NodeState.of(State.WAITING, Why.CLOSED)
 
     def _note(self, error: Exception) -> None:
-        """Say what went wrong, once for each kind; readings behind it begin at another zero."""
+        """Report what went wrong, once for each kind; later readings begin at another zero."""
         known = isinstance(error, InstrumentError | OSError)
         words = str(error) if known else f"error of the plug-in: {type(error).__name__}: {error}"
         text = f"instrument {self._settings.plugin} at {self._settings.address}: {words}"
@@ -186,7 +186,10 @@ class InstrumentDriver:
         self._lengths += 1
 
     def _measure(self) -> None:
-        """Measure the place that was ordered, if it may be; none there is told, not an end."""
+        """Measure the ordered place, if allowed.
+
+        A missing reflector is reported and ends nothing.
+        """
         order = self._order
         why = None if order is None else self._why_not(order)
         late = time.monotonic() - self._ordered_s > PATIENCE_S

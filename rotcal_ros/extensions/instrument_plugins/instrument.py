@@ -1,4 +1,4 @@
-"""What a tracer or tracker of a package of somebody else does, whatever its own language is.
+"""What a tracer or tracker of another package has to do, whatever protocol it speaks.
 
 An entry point of the group ``rotcal_ros.capture.instruments`` names a function that makes one.
 """
@@ -21,8 +21,8 @@ class InstrumentError(RotcalError):
 class Length:
     """One reading of a tracer, m, longer the farther the reflector is; any constant zero.
 
-    ``std`` is its standard deviation, 0: not told. ``valid`` is false while the beam is broken,
-    and for the first reading behind a loss of the zero: lengths behind it count from another one.
+    ``std`` is its standard deviation, 0: unknown. ``valid`` is false while the beam is broken, and
+    for the first reading after a loss of the zero: later lengths count from another one.
     ``stable`` is false for a reading that is not to be used, while the zero holds. ``stamp_ns`` is
     when it was true, in ns since 1970; None: when it was read.
     """
@@ -36,9 +36,9 @@ class Length:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """One measured place x y z, m, with standard deviations (0: not told); stamp as of a Length.
+    """One measured place x y z, m, with standard deviations (0: unknown); stamp as for a Length.
 
-    It stands in the frame of the instrument, right-handed.
+    It is in the frame of the instrument, which is right-handed.
     """
 
     position: Point
@@ -47,9 +47,9 @@ class Place:
 
 
 class Instrument(ABC):
-    """A connection to one instrument; all of it is called by one thread.
+    """A connection to one instrument; one thread calls all of it.
 
-    What it measures is said by :class:`Tracer` and :class:`Tracker`: one of them, or both. A
+    It implements :class:`Tracer`, :class:`Tracker`, or both, for what it measures. A
     connection that is lost raises OSError from whatever is called, or InstrumentError from all but
     :meth:`Tracker.measure`; then :meth:`close` and, after a while, :meth:`connect` follow.
     """
@@ -60,11 +60,11 @@ class Instrument(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the connection, if there is one; called after every error too."""
+        """Close the connection, if there is one; called after every error too."""
 
 
 class Tracer(Instrument):
-    """An instrument that tells lengths."""
+    """An instrument that measures lengths."""
 
     @abstractmethod
     def read(self, timeout_s: float) -> Sequence[Length]:
@@ -82,11 +82,11 @@ class Tracker(Instrument):
     def measure(self, near: Point, timeout_s: float) -> Place:
         """Measure the reflector ``near`` a nominal place (m, machine frame), once.
 
-        Raises InstrumentError where there is none, which ends the attempt, not the connection.
+        Raises InstrumentError if there is none, which ends the attempt, not the connection.
         """
 
 
 Make = Callable[[str, Mapping[str, str]], Instrument]
-"""What an entry point names: from the address and the options of the settings, an instrument.
+"""The function that an entry point names: makes an instrument from address and options.
 
-It connects to nothing yet; ConfigurationError for what it cannot use."""
+It does not connect yet; ConfigurationError for settings that it cannot use."""

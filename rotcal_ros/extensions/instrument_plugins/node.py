@@ -33,7 +33,7 @@ from rotcal_ros.planning.settings import CellSettings
 
 
 class TableHearing:
-    """Tells ``rest`` the feedback of ``joint``; topic, type and units as for the capture."""
+    """Passes the feedback of ``joint`` to ``rest``; topic, type and units as for the capture."""
 
     def __init__(self, node: CellNode, joint: str, rest: TableRest) -> None:
         self._joint, self._rest = joint, rest
@@ -42,7 +42,7 @@ class TableHearing:
         self._topics.listen(names.JOINT_STATES, node.health.guarded(self.hear))
 
     def why_not(self, order: Command) -> str | None:
-        """Return why the table does not rest where ``order`` has it; None: it does."""
+        """Return why the table does not rest where ``order`` sent it; None: it does."""
         if refused := self._topics.refused.get(names.JOINT_STATES):
             return refused
         why = self._rest.why_not(order)
@@ -70,7 +70,7 @@ class InstrumentDriverNode(CellNode):
         super().__init__("instrument_driver")
 
     def configure(self) -> None:
-        """Find the plug-in; the instrument is spoken to while the node is active."""
+        """Find the plug-in; the node talks to the instrument while it is active."""
         self._settings = self.settings("instrument", InstrumentSettings)
         rest = self.settings("capture", CaptureSettings)
         joint = self.settings("cell", CellSettings).joint
@@ -113,7 +113,7 @@ class InstrumentDriverNode(CellNode):
         return None if self._table is None else self._table.why_not(order)
 
     def _node_lost(self, name: str) -> None:
-        """Measure nothing for a planner that is lost."""
+        """Drop the order of a planner that is lost."""
         if name == "planner":
             self._driver.forget()
 

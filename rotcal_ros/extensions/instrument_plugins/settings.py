@@ -10,7 +10,7 @@ from rotcal_ros.foundation.settings import setting
 
 @dataclass(frozen=True)
 class InstrumentSettings:
-    """Which plug-in drives the instrument, where it is, and how patient its driver is."""
+    """Which plug-in drives the instrument, where it is, and how long its driver waits."""
 
     plugin: str = setting("", doc="name of an installed plug-in of rotcal_ros.capture.instruments")
     address: str = setting(

@@ -1,4 +1,4 @@
-"""What a check of a cell says of a machine behind I++ DME, as seen from outside."""
+"""What a check of a cell says about a machine behind I++ DME, seen from outside."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rotcal_ros.methods.check_lines import CheckLine, DriverCheck
 
 
 def brings(_settings: DmeSettings) -> tuple[str, ...]:
-    """Return the streams that the adapter will tell, and the orders that it will obey."""
+    """Return the streams that the adapter will publish, and the orders that it will obey."""
     return (names.JOINT_STATES, names.PROBE_POINT, names.TABLE_ANGLE, names.PROBE_TARGET)
 
 
@@ -19,7 +19,7 @@ def look(settings: DmeSettings, here: bool, simulated: bool) -> CheckLine:
     place = f"{settings.host}:{settings.port}"
     if here:
         return CheckLine(
-            "machine", "I++ DME", "note", f"node dme_adapter is here and speaks to {place}"
+            "machine", "I++ DME", "note", f"node dme_adapter is here and talks to {place}"
         )
     try:
         with socket.create_connection((settings.host, settings.port), settings.reply_timeout_s):

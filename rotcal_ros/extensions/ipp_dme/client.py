@@ -4,9 +4,9 @@ After an error nothing more is sent until a person has it cleared: neither Clear
 session, which clears errors too, is ordered by a program. One thread reads; whoever orders waits
 for the answer, never without a limit.
 
-1.4 knows one way to turn the table of every machine, AlignPart: a vector of the part is turned to
-a vector of the machine (12.1). Later versions take R in a GoTo. Which side the table comes from,
-neither says: that is done by two turns.
+Version 1.4 has one way to turn the table of every machine, AlignPart: a vector of the part is
+turned to a vector of the machine (12.1). Later versions take R in a GoTo. Neither states from
+which side the table comes: two turns achieve that.
 """
 
 from __future__ import annotations
@@ -51,21 +51,21 @@ from rotcal_ros.planning.table_motion import TableSpeed, approached
 
 NOT_STARTED: Final = "no session was started"
 FIRST_DISTANCE_MM: Final = 1000.0
-"""Way between reports of a moving machine: so long that the time alone counts."""
+"""Distance between reports of a moving machine: so long that only the time counts."""
 SHORTEST_PERIOD_S: Final = 0.1
-"""More reports in a second than ten the specification forbids."""
+"""The specification forbids more than ten reports in a second."""
 RADIUS: Final = "Tool.AvrRadius"
 POLLS: Final = 4
-"""Questions where the machine stands while it settles."""
+"""Number of questions for the position while the machine settles."""
 
 
 class DmeClient:
     """One session with a DME server.
 
-    ``blocked`` says why nothing is sent, empty: all is well. ``hear(feedback, position)`` is told
-    of every report, by several threads: the table's feedback (None: not known yet) and the tip's
-    position (m); ``warn(fault)`` of errors that stop nothing and errors that nobody asked for.
-    All methods but :meth:`abort` and :meth:`close` are called by one thread.
+    ``blocked`` says why nothing is sent; empty: all is well. Several threads call ``hear(feedback,
+    position)`` for every report, with the table's feedback (None: not known yet) and the tip's
+    position (m), and ``warn(fault)`` for errors that stop nothing or that belong to no command.
+    One thread calls all methods but :meth:`abort` and :meth:`close`.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class DmeClient:
         self._turned: tuple[float, Approach] | None = None
 
     def start(self) -> None:
-        """Connect and begin a session; whoever calls this speaks for a person.
+        """Connect and begin a session, on behalf of a person.
 
         Raises DmeError, after which the session is blocked.
         """
@@ -99,7 +99,7 @@ class DmeClient:
         self._begun = True
 
     def close(self) -> None:
-        """End the session in good order; what goes wrong with that harms nobody."""
+        """End the session in good order; errors of that do not matter."""
         if self._link is not None and not self.blocked:
             with suppress(DmeError):
                 self._do(call("EndSession"))
@@ -111,7 +111,7 @@ class DmeClient:
         return self._standing(call("Get", *REPORTED), self.settings.reply_timeout_s)
 
     def go(self, x: float | None, y: float | None, z: float | None) -> None:
-        """Move the tip in a straight line, m; what is None stays as it is."""
+        """Move the tip in a straight line, m; None leaves a coordinate as it is."""
         axes = (("X", x), ("Y", y), ("Z", z))
         ways = [Call(name, (to / MILLIMETRE,)) for name, to in axes if to is not None]
         self._do(call("GoTo", *ways), self.settings.motion_timeout_s)
@@ -165,10 +165,10 @@ class DmeClient:
             link.run(call("AbortE"), link.reply_timeout_s, event=True)
 
     def clear(self) -> None:
-        """Go on after an error; whoever calls this speaks for a person who has seen why.
+        """Go on after an error, on behalf of a person who has seen why.
 
-        A session that lives is told ClearAllErrors, else a new one is begun: also where the start
-        failed. Raises DmeError when that fails; the next call then begins a new session.
+        A live session gets ClearAllErrors, else a new one begins, also if the start failed. Raises
+        DmeError if that fails; then the next call begins a new session.
         """
         link, self._turned = self._link, None
         if link is None or link.broken or not self._begun:
@@ -183,7 +183,7 @@ class DmeClient:
             raise
 
     def _begin(self) -> None:
-        """Connect, and say all that a session needs; DmeError leaves it begun by half."""
+        """Connect, and send all that a session needs; a DmeError leaves it half begun."""
         s = self.settings
         self._link = DmeLink(s.host, s.port, s.reply_timeout_s, self._report, self._concern)
         self._do(call("EndSession"))  # what a lost connection left open, see 6.3.1 of 1.4.3
@@ -211,7 +211,7 @@ class DmeClient:
         return way_to_turn(self.version)
 
     def _take_tool(self) -> None:
-        """Change to the tool, set how it probes where it can be set, learn its radius."""
+        """Change to the tool, set how it probes if that can be set, and learn its radius."""
         s = self.settings
         if s.tool:
             tools = [line.strip().strip('"') for line in self._do(call("EnumTools"))]
@@ -230,10 +230,10 @@ class DmeClient:
         if not s.tip_radius_m:
             properties = self._properties(call("GetProp", Call(RADIUS)))
             if RADIUS not in properties:
-                raise DmeError(f"the server tells no {RADIUS}: set dme.tip_radius_m")
+                raise DmeError(f"the server does not state {RADIUS}: set dme.tip_radius_m")
             self.tip_radius = properties[RADIUS].number() * MILLIMETRE
             if self.tip_radius <= 0.0:
-                raise DmeError(f"the server tells {properties[RADIUS]}: set dme.tip_radius_m")
+                raise DmeError(f"the server states {properties[RADIUS]}: set dme.tip_radius_m")
 
     def _is_homed(self) -> bool:
         answer = self._properties(call("IsHomed")).get("IsHomed")
@@ -261,7 +261,7 @@ class DmeClient:
         """Run a call; whatever goes wrong blocks the session."""
         if self.blocked or self._link is None:
             raise NotClearedError(
-                f"{order.name} is not sent before a person clears: {self.blocked}"
+                f"{order.name} is not sent before a person clears the error: {self.blocked}"
             )
         try:
             limit_s = self.settings.reply_timeout_s if limit_s is None else limit_s
@@ -272,7 +272,7 @@ class DmeClient:
             self._fail(error)
 
     def _stopped(self, link: DmeLink) -> str:
-        """Stop a machine that does not answer; return in words what became of that."""
+        """Stop a machine that does not answer; return the outcome in words."""
         try:
             link.run(call("AbortE"), link.reply_timeout_s, event=True)
         except DmeError:
@@ -280,7 +280,7 @@ class DmeClient:
         return "AbortE was obeyed"
 
     def _fail(self, error: DmeError) -> NoReturn:
-        """Block the session for the reason that came first."""
+        """Block the session for the first reason."""
         self.blocked = self.blocked or str(error)
         raise error
 
@@ -297,7 +297,7 @@ class DmeClient:
     def _concern(self, fault: DmeFault) -> None:
         """Take an error that nobody asked for, or that stops nothing."""
         if fault.stops:
-            self.blocked = self.blocked or f"the server tells by itself: {fault}"
+            self.blocked = self.blocked or f"the server reports, unasked: {fault}"
         self._warn(fault)
 
     def _tell(self, standing: MachinePosition) -> None:
@@ -337,9 +337,9 @@ def standing_of(text: str, asked_by: str) -> MachinePosition:
 
 
 FIRST_WITH_R: Final = 2
-"""Major version from which R is an ordinary argument of GoTo."""
+"""From this major version on R is an ordinary argument of GoTo."""
 FAR_OFF_DEG: Final = 1.0
-"""A table that is farther from its order than this has understood it otherwise."""
+"""A table that is farther from its order than this has misunderstood it."""
 
 
 def way_to_turn(version: str) -> str:
@@ -358,7 +358,7 @@ def way_to_turn(version: str) -> str:
 
 @dataclass(frozen=True)
 class TableAxis:
-    """How angles of the table (rad, counter-clockwise about +z) become calls, and R angles."""
+    """Turns table angles (rad, counter-clockwise about +z) into calls, and R into angles."""
 
     settings: DmeSettings
     turn_by: str
@@ -368,7 +368,7 @@ class TableAxis:
         return -1.0 if self.settings.table_reversed else 1.0
 
     def angle(self, r_deg: float, near: float) -> float:
-        """Return the angle (rad) of the table at R, of all turns the one nearest to ``near``."""
+        """Return the angle (rad) of the table at R, in the turn nearest to ``near``."""
         found = radians(self._sign * (r_deg - self.settings.table_zero_deg))
         return near + remainder(found - near, 2.0 * pi)
 
@@ -444,9 +444,9 @@ class _Transaction:
 class DmeLink:
     """A connection to a DME server.
 
-    ``on_report(tag, text)`` hears the data of daemons and what the server tells by itself (tag
-    E0000), ``on_warning(fault)`` errors that stop nothing and errors that nobody asked for; both
-    are called by the reading thread. Raises ConnectionLostError when nobody answers at ``host``.
+    ``on_report(tag, text)`` gets the data of daemons and unasked reports of the server (tag
+    E0000), ``on_warning(fault)`` errors that stop nothing or belong to no command; the reading
+    thread calls both. Raises ConnectionLostError when nobody answers at ``host``.
     """
 
     def __init__(
@@ -468,7 +468,9 @@ class DmeLink:
         except OSError as error:
             why = error.strerror or str(error)
             raise ConnectionLostError(f"no DME server answers at {self.address}: {why}") from error
+        # A computer that was switched off says no goodbye: keep-alive notices in the end.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        # Commands are short, and an abort must not wait until a packet is full.
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._reader = Thread(target=self._read, name="DME reader", daemon=True)
         self._reader.start()
@@ -499,11 +501,12 @@ class DmeLink:
         return transaction.data
 
     def close(self) -> None:
-        """Close the connection; who still waits for an answer hears of it."""
+        """Close the connection; threads that wait for an answer get an error."""
         self._break("it was closed here")
         self._reader.join(self.reply_timeout_s)
 
     def _send(self, command: CommandLine) -> None:
+        # Two threads send, orders and aborts: each line must go out whole.
         line = str(command).encode("ascii") + END
         try:
             with self._sending:
@@ -515,7 +518,7 @@ class DmeLink:
     def _await(self, transaction: _Transaction, limit_s: float, what: str, until: str) -> None:
         """Wait until the transaction is ``until`` (accepted, done) or has failed.
 
-        A command that an error has ended is given the reply time for its end, no more.
+        A command that failed gets only the reply time to end.
         """
         deadline = time.monotonic() + limit_s
         with self._changed:
@@ -556,24 +559,28 @@ class DmeLink:
         self._break(why)
 
     def _abort(self) -> None:
-        """Stop a machine whose answers cannot be read; it may hear still."""
+        """Stop a machine whose answers cannot be read; it may still listen."""
         with suppress(DmeError):
             self._send(CommandLine(self._tags.event(), call("AbortE")))
 
     def _receive(self) -> bytes:
-        """Return what came, nothing at the end; the socket's time limit is for sending alone."""
+        """Return what came, nothing at the end.
+
+        The socket's time limit applies only to sending.
+        """
         while True:
             with suppress(TimeoutError):
                 return self._socket.recv(RECEIVED)
 
     def _take(self, response: ResponseLine) -> None:
-        """Give a response to its command; an answer that came too late to matter is left."""
+        """Give a response to its command; an answer that came too late is ignored."""
         with self._changed:
             transaction = self._pending.get(response.tag)
             if transaction is not None:
                 transaction.take(response)
                 self._changed.notify_all()
                 return
+        # Daemons report with the tag of the event that started them, long after its transaction.
         if response.kind is Kind.DATA and response.tag.startswith("E"):
             self._on_report(response.tag, response.text)
         elif response.kind is Kind.ERROR and response.tag == UNASKED:

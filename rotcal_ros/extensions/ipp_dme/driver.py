@@ -1,11 +1,9 @@
 """The thread that drives a machine behind I++ DME: orders in, feedback and points out.
 
-An order of the cell, carried out by a machine behind I++ DME: from a command to its points.
-
-The way of a tip around a ball: from above, beside it, against it, and up again.
-
-No part of the way leads through the ball, whichever points of its upper half are touched in
-whichever order; between the balls the tip travels at the height of clearance.
+OrderRunner carries out an order of the cell, from the command to its points. The tip goes around a
+ball from above, beside it, against it, and up again. No part of its way leads through the ball,
+whichever points of the upper half are touched in whichever order; between balls the tip travels at
+the height of clearance.
 """
 
 from __future__ import annotations
@@ -39,7 +37,7 @@ _Order = tuple[Command, Step]
 
 @dataclass
 class _Clear:
-    """A person's word that the errors may be cleared."""
+    """A person's permission to clear the errors."""
 
     done: Future[str] = field(default_factory=Future)
 
@@ -78,7 +76,7 @@ class Driver:
         return self._thread is not None and self._thread.is_alive()
 
     def begin(self, stopped: str | None = None) -> None:
-        """Begin a session; where the cell is ``stopped``, with the first :meth:`clear` only."""
+        """Begin a session; if the cell is ``stopped``, only with the first :meth:`clear`."""
         self.client.blocked = stopped or self.client.blocked
         self._thread = Thread(target=self._work, args=(not stopped,), name="DME", daemon=True)
         self._thread.start()
@@ -93,9 +91,9 @@ class Driver:
         self._wanted = None
 
     def clear(self) -> Future[str]:
-        """Clear the machine's errors, as a person orders; the future says what came of it.
+        """Clear the machine's errors for a person; the future tells the outcome.
 
-        It has the DmeError of an attempt that failed.
+        It has the DmeError of a failed attempt.
         """
         request = _Clear()
         self._jobs.put(request)
@@ -104,7 +102,7 @@ class Driver:
     def abort(self, why: str) -> None:
         """Stop all motion now; nothing moves again before :meth:`clear`.
 
-        A machine that does not answer holds up nobody: a thread of its own waits for it.
+        A machine that does not answer blocks nobody: a thread of its own waits for it.
         """
         Thread(target=self._abort, args=(why,), name="AbortE", daemon=True).start()
 
@@ -146,7 +144,7 @@ class Driver:
             self.client.close()
 
     def _obey(self, order: _Order) -> None:
-        """Carry out an order that is wanted still, or say why not."""
+        """Carry out an order that is still wanted, or report why not."""
 
         def given_up() -> bool:
             return self._stopping or self._wanted is not order or bool(self.client.blocked)
@@ -157,7 +155,7 @@ class Driver:
         name = f"step {command.step}, attempt {command.attempt}"
         if self.client.blocked:
             self.refused += 1
-            self._complain(f"{name} refused before a person clears: {self.client.blocked}")
+            self._complain(f"{name} refused until a person clears: {self.client.blocked}")
             return
         self.state = NodeState.of(State.WORKING, Why.ORDERED, command.step, command.attempt)
 
@@ -180,17 +178,17 @@ class Driver:
             self.busy = False
 
     def _tell_where(self) -> None:
-        """Tell the position unasked, so that a preflight hears the machine."""
+        """Publish the position without an order, so that a preflight hears the machine."""
         self._publish_point(self._measuring.unasked(self.client.where().position))
 
     def _move(self, work: Callable[[], None]) -> None:
-        """Do work in which the machine moves: whoever ends it in the middle aborts it."""
+        """Do work in which the machine moves; ending it in the middle aborts the motion."""
         self.busy = not self._stopping
         self._try(work)
         self.busy = False
 
     def _try(self, work: Callable[[], None]) -> None:
-        """Do work whose errors are told, not raised: the session is blocked then."""
+        """Do work whose errors are reported instead of raised: they block the session."""
         try:
             work()
         except DmeError as error:
@@ -203,11 +201,11 @@ class Driver:
 
     def _warned(self, fault: DmeFault) -> None:
         self.warnings += 1
-        self._complain(f"the machine tells: {fault}")
+        self._complain(f"the machine reports: {fault}")
 
 
 NO_ORDER: Final = Command(0, 0, 0.0, Approach.UNKNOWN, PointKind.UNKNOWN, 0, (0.0, 0.0, 0.0))
-"""Of a point that nobody ordered: its kind says so."""
+"""Step of a point that nobody ordered: its kind says so."""
 
 
 class OrderRunner:
@@ -222,8 +220,8 @@ class OrderRunner:
     ) -> Iterator[ProbeSample]:
         """Turn the table, go to the target of ``order`` and yield its points as they are made.
 
-        ``step`` says how often which ball is touched. ``given_up`` is asked before every motion,
-        whether somebody has: then it ends early. Raises DmeError.
+        ``step`` says how often which ball is touched. ``given_up`` is called before every motion
+        and ends the order early if true. Raises DmeError.
         """
         if order.kind == PointKind.SURFACE:
             return self._touches(order, step, given_up)

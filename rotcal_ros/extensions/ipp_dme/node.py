@@ -1,7 +1,7 @@
 """A measuring machine with a rotary table behind I++ DME, as a node of the cell.
 
-It passes orders to the ``driver`` beside it, which speaks to the machine in a thread of its own
-because it waits for answers, and publishes points and feedback.
+It passes orders to the ``driver`` beside it, which talks to the machine in a thread of its own
+because it waits for answers, and it publishes points and feedback.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from rotcal_ros.planning.settings import CellSettings, SafetySettings
 
 WATCH_PERIOD_S: Final = 0.1
 LOOKS_FIRST: Final = round(5.0 / WATCH_PERIOD_S)
-"""Looks before the machine is contacted: in 5 s an adapter that runs already is discovered."""
+"""Looks before the machine is contacted: within 5 s another running adapter is discovered."""
 UNBLOCKED: Final = ("", NOT_STARTED)
 HOW_TO_GO_ON: Final = "; once that is corrected, a person continues with the service clear_errors"
 
@@ -86,14 +86,17 @@ class DmeAdapter(CellNode):
         return not self._driver.alive
 
     def _begin(self) -> None:
-        """Obey, in a session that begins now; it may home, so after a stop a person allows it."""
+        """Obey in a session that begins now.
+
+        It may home, so after a stop a person has to allow it.
+        """
         why = self._stop.heed()
         self._driver.begin(why and f"{NOT_STARTED}: emergency stop: {why}")
         self._orders = self.take_orders(self._obey)
         self.offer(Trigger, "clear_errors", self._clear)
 
     def _take_plan(self, message: CalibrationPlan) -> None:
-        """Take the plan: it says which ball is touched how often."""
+        """Take the plan, which says which ball is touched how often."""
         self._follow_planner()
         early, self._early = self._early, None
         self._plan, self._run, self._loading = None, run_name(message), True

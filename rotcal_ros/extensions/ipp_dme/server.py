@@ -1,7 +1,7 @@
-"""A DME server over TCP for the simulated machine: one client at a time, others' or ours.
+"""A DME server over TCP for the simulated machine: one client at a time, ours or another.
 
 Commands wait in a queue and are done in their order; those of the fast queue, whose names end with
-E, at once. An error of severity 2 and more ends all that is pending, and nothing else is done
+E, at once. An error of severity 2 or more ends all pending commands, and nothing else is done
 before ClearAllErrors. Source: I++ DME 1.4.3, 6.2, 6.3 and 12.
 
 The machine is the physics that the simulated cell drives by orders of the suite; only who leads
@@ -72,7 +72,7 @@ class DmeServer:
         self._free = asyncio.Lock()
 
     async def serve(self, listening: Callable[[], None]) -> None:
-        """Serve until cancelled; ControllerError when the port cannot be had."""
+        """Serve until cancelled; ControllerError if the port is not available."""
         try:
             server = await asyncio.start_server(self._converse, self.host, self.port)
         except OSError as error:
@@ -84,7 +84,7 @@ class DmeServer:
             await server.serve_forever()
 
     async def _converse(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Take a client, unless there is one already."""
+        """Serve a client, unless there already is one."""
         for _ in range(PATIENCE):
             if not self._free.locked():
                 break
@@ -154,7 +154,7 @@ MOST_DAEMONS: Final = 10
 SHORTEST_PERIOD_S: Final = 0.1
 LONGEST_PERIOD_S: Final = 3600.0
 ALWAYS: Final = ("ClearAllErrors", "GetErrStatusE", "GetXtdErrStatus", "EndSession", "AbortE")
-"""What is done even after an error."""
+"""Methods that are allowed even after an error."""
 WITHOUT_SESSION: Final = ("StartSession", "EndSession")
 
 
@@ -172,7 +172,7 @@ class Conversation:
         self._worker = asyncio.create_task(self._work())
 
     def take(self, received: bytes) -> None:
-        """Take what came; ProtocolError when it can be no line of this protocol."""
+        """Take received bytes; ProtocolError if they cannot be lines of this protocol."""
         for line in self._lines.feed(received):
             self._take_line(line)
 
@@ -212,7 +212,7 @@ class Conversation:
             self._wake.set()
 
     async def _work(self) -> None:
-        """Do the waiting commands, one after the other."""
+        """Carry out the waiting commands, one after the other."""
         while True:
             while self._waiting:
                 await self._do(self._waiting.popleft())
@@ -242,7 +242,7 @@ class Conversation:
         self._say(ResponseLine(tag, Kind.DONE))
 
     async def _answer(self, order: Call) -> list[str]:
-        """Return the data of a command, as far as the state allows it to be done."""
+        """Carry out a command if the state allows it, and return its data."""
         if order.name in WITHOUT_SESSION:
             return self._begin_or_end(order)
         if not self._session:
@@ -303,7 +303,7 @@ class Conversation:
         self._say(ResponseLine(tag, Kind.DONE))
 
     async def _abort(self, tag: str) -> None:
-        """End what is done and what waits, then say that it is ended."""
+        """End running and waiting commands, then report that."""
         self._in_error = True
         waiting, current = list(self._waiting), self._current
         self._waiting.clear()
@@ -363,7 +363,7 @@ class Conversation:
             self._say(ResponseLine(command.tag, Kind.DONE))
 
     def _refuse(self, tag: str, fault: DmeFault) -> None:
-        """Answer a line that is no command."""
+        """Answer a line that is not a command."""
         self._fail(tag, fault)
         self._say(ResponseLine(tag, Kind.DONE))
 
@@ -380,7 +380,7 @@ PROBING_PREFIX: Final = "Tool.PtMeasPar."
 
 
 class Methods:
-    """What a session does with the machine; ``report`` is what PtMeas answers.
+    """The methods of a session; ``report`` lists what PtMeas answers.
 
     Every method takes its arguments and returns data lines, or raises MethodError. ``warnings``
     are errors that stop nothing, for the caller to take.

@@ -16,7 +16,7 @@ PORT: Final = 1294
 
 @dataclass(frozen=True)
 class DmeSettings:
-    """A coordinate measuring machine with a rotary table that speaks I++ DME (VDMA 8722)."""
+    """A coordinate measuring machine with a rotary table, behind I++ DME (VDMA 8722)."""
 
     host: str = setting("127.0.0.1", doc="host name or IP address of the DME server")
     port: int = setting(PORT, doc="TCP port of the DME server", minimum=1, maximum=65_535)
@@ -33,8 +33,8 @@ class DmeSettings:
     )
     turn_by: str = setting(
         AUTO,
-        doc="how the table is turned: by GoTo(R()), by AlignPart(), or as the version of the "
-        "server demands (AlignPart before 2.0)",
+        doc="how the table is turned: by GoTo(R()), by AlignPart(), or as the server's version "
+        "demands (AlignPart before 2.0)",
         choices=(AUTO, GOTO_R, ALIGN_PART),
     )
     table_zero_deg: float = setting(
@@ -73,7 +73,7 @@ class DmeSettings:
     )
     report_period_s: float = setting(
         0.2,
-        doc="s, time between reports while the machine moves, at least 0.1; 0: none are asked for",
+        doc="s, time between reports while the machine moves, at least 0.1; 0: none",
         minimum=0.0,
         maximum=60.0,
     )

@@ -35,8 +35,8 @@ def command() -> None:
 def serve(configuration: Path, host: str, port: int, version: str) -> None:
     """Serve the simulated cell of CONFIGURATION until interrupted, without ROS.
 
-    One client at a time drives the machine and its table by TCP. Nobody is asked for a password:
-    listen at other addresses than this machine's own in a network that you trust only.
+    One client at a time drives the machine and its table by TCP. There is no password: listen at
+    other addresses than this machine's own only in a network that you trust.
     """
     read = read_configuration(configuration)
     if not read.simulated:

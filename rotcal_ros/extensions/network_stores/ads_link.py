@@ -57,7 +57,7 @@ class AdsLink:
         return {name: self._form.text_of(array)} if rows else {}
 
     def write(self, tables: Mapping[str, str | None]) -> None:
-        """Replace the table; None takes it away."""
+        """Replace the table; None removes it."""
         name = self._only(list(tables))
         text = tables[name]
         rows = np.zeros((0, COLUMNS)) if text is None else self._form.rows_of(name, text)
@@ -69,8 +69,10 @@ class AdsLink:
         array = np.zeros((capacity, COLUMNS))
         array[: len(rows)] = rows
         with self._connected("write") as plc:
+            # The PLC must not use rows of two tables: none is in force while the array changes.
             self._set_count(plc, 0)
             self._set_array(plc, array)
+            # Compared bit by bit: NaN is unequal to itself, and -0.0 equals 0.0.
             if self._array(plc).tobytes() != array.tobytes():
                 raise ControllerError(
                     f"{self.address}: read back, the array differs from what was written; "
@@ -120,12 +122,12 @@ class Runtime:
         self._plc, self._end_s = plc, end_s
 
     def read(self, name: str, kind: Any) -> Any:
-        """Return the value of a variable; TimeoutError when it is too late."""
+        """Return the value of a variable; TimeoutError if the time is over."""
         self._limit()
         return self._plc.read_by_name(name, kind)
 
     def write(self, name: str, value: Any, kind: Any) -> None:
-        """Set the value of a variable; TimeoutError when it is too late."""
+        """Set the value of a variable; TimeoutError if the time is over."""
         self._limit()
         self._plc.write_by_name(name, value, kind)
 
@@ -133,6 +135,7 @@ class Runtime:
         left_s = self._end_s - time.monotonic()
         if left_s <= 0.0:
             raise TimeoutError("not done in time")
+        # One access by name makes several requests, and each may take the whole time-out.
         self._plc.set_timeout(math.ceil(1000 * left_s / REQUESTS_BY_NAME))
 
 

@@ -1,14 +1,14 @@
 """OPC UA: a controller's files behind a server, over an encrypted channel to the known server.
 
-Every access has a connection of its own, which ends with it: what a cut line leaves behind is
-known to the server as a session that has died. Source: OPC 10000-4 (sessions), 10000-7
+Every access has a connection of its own, which ends with it: what a cut line leaves behind belongs
+to a session that the server knows to be dead. Source: OPC 10000-4 (sessions), 10000-7
 (Basic256Sha256), 10000-20 (files).
 
 The files of one directory of an OPC UA server: FileType and FileDirectoryType.
 
 Where the server can create, move and delete, a table is sent under another name, read back, and
-then renamed: under its own name it is whole or not there. A server that only shows files is
-written in place; reading back tells what came of it. Source: OPC 10000-20.
+then renamed: under its own name it is complete or absent. On a server that only shows files it is
+written in place, and read back. Source: OPC 10000-20.
 """
 
 from __future__ import annotations
@@ -73,6 +73,7 @@ class OpcUaLink:
                 return await transfer(await ServerFolder.find(client, self._settings.directory))
 
         try:
+            # A loop of its own: the caller is a thread without one.
             return asyncio.run(asyncio.wait_for(session(), self._timeout_s))
         except RotcalError:
             raise
@@ -155,12 +156,12 @@ class ServerFolder:
         return cls(client, node, {str(method.BrowseName.Name) for method in methods} >= CHANGING)
 
     async def read(self, name: str) -> bytes | None:
-        """Return what the file holds, None when there is none."""
+        """Return the content of a file, None if there is none."""
         node_id = await self._file(name)
         return None if node_id is None else await self._read(node_id)
 
     async def replace(self, files: Mapping[str, bytes | None]) -> None:
-        """Replace the files; None takes one away (where nothing can be deleted: empties it)."""
+        """Replace the files; None removes one (or empties it if nothing can be deleted)."""
         if not self._changing:
             for name, data in files.items():
                 await self._write_in_place(name, data)
@@ -177,7 +178,10 @@ class ServerFolder:
             await self._delete(OLD + name)
 
     async def _send(self, name: str, data: bytes) -> None:
-        """Make the file and see that it holds ``data``; it is in force under no name yet."""
+        """Make the file and check that it holds ``data``.
+
+        Under this name it is not in force yet.
+        """
         await self._directory.create_file(name, request_file_open=False)
         node_id = await self._file(name)
         if node_id is None:
@@ -187,7 +191,7 @@ class ServerFolder:
             raise ControllerError(f"read back, {name} differs from what was sent: not in force")
 
     async def _give_name(self, name: str) -> None:
-        """Put the file that was sent in the place of the old one."""
+        """Replace the old file by the one that was sent."""
         try:
             await self._move(NEW + name, name)
         except BadBrowseNameDuplicated:  # by the standard a move replaces nothing
@@ -217,9 +221,9 @@ class ServerFolder:
         await self._write(node_id, data or b"")
 
     async def _read(self, node_id: ua.NodeId) -> bytes:
-        """Return what is read until nothing comes any more.
+        """Read until nothing more comes.
 
-        The size that a server reports does not prove what the file holds, least of all 0.
+        The size that a server reports does not prove the content of the file, least of all 0.
         """
         file, data = self._client.get_node(node_id), b""
         handle = await file.call_method("0:Open", READING)

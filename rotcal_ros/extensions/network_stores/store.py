@@ -14,15 +14,15 @@ GRACE_S: Final = 2.0
 
 
 class TableLink(Protocol):
-    """A way to a controller; it stops what takes longer than the time that it was given."""
+    """A way to a controller; it ends what takes longer than its time limit."""
 
     address: str
 
     def read(self, names: list[str]) -> dict[str, str]:
-        """Return those of the tables that exist; ControllerError when that is not known."""
+        """Return the tables that exist; ControllerError if that is not known."""
 
     def write(self, tables: Mapping[str, str | None]) -> None:
-        """Replace the tables, None takes one away; ControllerError when not all is done."""
+        """Replace the tables, None removes one; ControllerError unless all is done."""
 
 
 class NetworkStore:
@@ -41,7 +41,7 @@ class NetworkStore:
         self._records.close()
 
     def busy(self) -> None:
-        """Return None: the link does not know what the machine is doing."""
+        """Return None: the link does not show what the machine is doing."""
 
     def address(self, name: str) -> str:
         """Return the path or address of a file, for people."""
@@ -57,7 +57,7 @@ class NetworkStore:
         return found | self._records.read(filter(_is_side, wanted))
 
     def write(self, files: Mapping[str, str | None]) -> None:
-        """Replace the files, tables first: the provenance never describes what is not there."""
+        """Replace the files, tables first: so provenance never describes a missing table."""
         tables = {name: text for name, text in files.items() if not _is_side(name)}
         answered(lambda: self._link.write(tables), self._timeout_s, self._link.address, "write")
         self._records.write({name: text for name, text in files.items() if _is_side(name)})

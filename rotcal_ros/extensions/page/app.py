@@ -1,4 +1,4 @@
-"""The page as a web application: its files, a stream of events, and what a person may ask for.
+"""The page as a web application: its files, a stream of events, and a person's requests.
 
 It is served from a thread of its own. Who may ask for what: the host by its name, the person by
 the password, no other site. A page of another site that a browser shows can send requests to this
@@ -43,25 +43,25 @@ from rotcal_ros.foundation.escapes import printable_data
 STATIC: Final = Path(__file__).with_name("static")
 LOOK_PERIOD_S: Final = 0.2
 TICK_PERIOD_S: Final = 1.0
-"""A viewer hears at least this often that the page is alive."""
+"""Longest time until a viewer hears that the page is alive."""
 ANSWER_TIMEOUT_S: Final = 120.0
 MOST_BYTES: Final = 10_000
-"""Of a request; none needs more."""
+"""Most bytes of a request; none needs more."""
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What came of a request, in words."""
+    """The outcome of a request, in words."""
 
     success: bool
     message: str
 
 
 class Actions(Protocol):
-    """What a person may ask the cell for; each is done in the cell's own time."""
+    """The requests of a person to the cell; each takes its time."""
 
     def resume(self, instruction: str) -> Future[Answer]:
-        """Go on after the work of a person that this instruction asked for, and no other."""
+        """Go on after the work that this instruction asked for, and no other."""
 
     def stop(self) -> Future[Answer]:
         """End the calibration with a valid bag."""
@@ -132,7 +132,7 @@ def _event(name: str, data: dict[str, Any]) -> dict[str, str]:
 
 
 async def _asked(request: Request, *names: str) -> tuple[str, ...] | None:
-    """Return the texts that a request carries as JSON, None when it is another one."""
+    """Return the texts that a request carries as JSON, None for any other request."""
     body = b""
     async for part in request.stream():
         body += part
@@ -177,8 +177,8 @@ SAFE: Final = ("GET", "HEAD")
 class Guard:
     """Lets through what comes from the page itself; every answer carries HEADERS.
 
-    ``password`` None: whoever reaches the page may see and use it. ``token`` is new with every
-    start; only the page's own stream of events tells it.
+    ``password`` None: everybody who reaches the page may see and use it. ``token`` is new at every
+    start; only the page's own stream of events contains it.
     """
 
     def __init__(self, app: ASGIApp, password: Secret | None, host: str) -> None:
@@ -217,12 +217,12 @@ class Guard:
         if headers.get("sec-fetch-site", "same-origin") != "same-origin":
             return PlainTextResponse("the request comes from another site", 403)
         if not hmac.compare_digest(headers.get(TOKEN_HEADER, "").encode(), self.token.encode()):
-            return PlainTextResponse("the page is an old one: load it again", 403)
+            return PlainTextResponse("the page is outdated: load it again", 403)
         return None
 
 
 def _is_ours(host: str, names: Collection[str]) -> bool:
-    """Return whether a Host header names us: an address cannot be let point elsewhere."""
+    """Return whether a Host header names us; an address cannot be redirected."""
     try:
         name = urlsplit(f"//{host}").hostname or ""
         if name in names:

@@ -29,7 +29,7 @@ class PageSettings:
     )
 
     def __post_init__(self) -> None:
-        """Refuse to be seen from other machines without a password."""
+        """Refuse to serve other machines without a password."""
         if not (is_loopback(self.host) or self.password_file):
             raise ConfigurationError(
                 f"host {self.host!r} is reachable from other machines: name a password_file, or "
@@ -38,12 +38,15 @@ class PageSettings:
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether ``host`` is this machine alone; ConfigurationError for no address."""
+    """Return whether ``host`` is this machine alone.
+
+    ConfigurationError if it is not an address.
+    """
     if host == "localhost":
         return True
     try:
         return ip_address(host).is_loopback
     except ValueError:
         raise ConfigurationError(
-            f"host {host!r} is no address: expected one such as {LOOPBACK}, ::1 or 0.0.0.0"
+            f"host {host!r} is not an address: expected one such as {LOOPBACK}, ::1 or 0.0.0.0"
         ) from None

@@ -66,7 +66,7 @@ class StepProgress:
 class Curve:
     """A deviation with its expanded uncertainty (k = 2), both in ``unit``.
 
-    ``expanded`` is empty where it is withheld.
+    ``expanded`` is empty if it is withheld.
     """
 
     name: str
@@ -88,7 +88,7 @@ class PageMark:
 class Deviations:
     """What is known of the table so far; there are ``marks`` once it is ``final``.
 
-    ``withheld`` says why no uncertainty may be stated; empty where it may.
+    ``withheld`` says why no uncertainty may be stated; empty if it may.
     """
 
     angles_deg: tuple[float | None, ...]
@@ -106,8 +106,8 @@ class ShownUncertainty:
 
     ``largest_arcsec`` is U, the largest expanded uncertainty (k = 2) of the curve, as everywhere;
     ``course`` holds it over the accepted steps. ``goal_arcsec`` is for another figure, the root
-    mean square of U about the mean: ``rms_arcsec``, as the policy knows it. ``withheld`` says why
-    none of it may be stated; empty where it may.
+    mean square of U about the mean: ``rms_arcsec``, from the policy. ``withheld`` says why
+    none of it may be stated; empty if it may.
     """
 
     largest_arcsec: float | None = None
@@ -128,7 +128,7 @@ class PlanView:
 
 @dataclass(frozen=True, slots=True)
 class Pointing:
-    """The step that was ordered last; ``stand`` is None where there is no beam."""
+    """The step that was ordered last; ``stand`` is None if there is no beam."""
 
     place: str
     table_angle_deg: float
@@ -265,7 +265,7 @@ NAMES: Final = tuple(field.name for field in fields(PageState))
 
 
 def changes(seen: PageState | None, state: PageState) -> Mapping[str, Any]:
-    """Return what a viewer has to be sent who has ``seen`` a state: all of it for None."""
+    """Return what has to be sent to a viewer who has ``seen`` a state; all of it for None."""
     return {
         name: _plain(getattr(state, name))
         for name in NAMES
@@ -274,7 +274,7 @@ def changes(seen: PageState | None, state: PageState) -> Mapping[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Return what JSON can hold; a number that is none becomes None."""
+    """Return what JSON can hold; NaN and infinity become None."""
     if is_dataclass(value) and not isinstance(value, type):
         return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, tuple):

@@ -3,9 +3,8 @@
 It speaks JSON lines, for ``rotcal replay``: ``reading``, ``left_out``, ``note``, ``playing``,
 ``solving``, ``result``. SIGINT or SIGTERM ends it.
 
-Nodes beside which no bag is replayed: a machine that would move, a second source of a topic.
-
-What live nodes made of a replayed bag, compared with what was recorded.
+ReplayGuard finds nodes that forbid a replay: a machine that would move, a second source of a
+topic. ReplayOutcome compares what live nodes made of the bag with the recording.
 """
 
 from __future__ import annotations
@@ -56,7 +55,7 @@ from rotcal_ros.nodes.runtime.qos import EVENT
 from rotcal_ros.nodes.runtime.running import EndRequest, Peer, run_and_exit, say
 
 VOLATILE_DEPTH: Final = 5000
-"""The graph does not show how deep a publisher's queue was: so much is kept for slow readers."""
+"""Messages kept for slow readers: the graph does not show the depth of a publisher's queue."""
 _BEST_EFFORT: Final = ("best_effort", 2)
 _TRANSIENT_LOCAL: Final = ("transient_local", 1)
 """In words, and the numbers of older bags."""
@@ -65,7 +64,7 @@ _TRANSIENT_LOCAL: Final = ("transient_local", 1)
 def offered_qos(text: str) -> QoSProfile:
     """Return the profile that a channel's ``offered_qos_profiles`` asks for.
 
-    Of several publishers it is what all offered; where the bag says nothing it is ROS's default.
+    Of several publishers it is what all offered; if the bag says nothing it is ROS's default.
     """
     profiles = qos_profiles(text)
     best_effort = any(p["reliability"] in _BEST_EFFORT for p in profiles)
@@ -84,7 +83,7 @@ def offered_qos(text: str) -> QoSProfile:
 
 
 def _finite_ns(duration: Any) -> int | None:
-    """Return a duration of a bag in ns; None where it is no limit."""
+    """Return a duration of a bag in ns; None if it is no limit."""
     try:
         nanoseconds = int(duration["sec"]) * 1_000_000_000 + int(duration["nsec"])
     except (KeyError, TypeError, ValueError):
@@ -129,7 +128,7 @@ class ReplayPace:
 
 
 def read_arguments(argv: Sequence[str]) -> Namespace:
-    """Return the options of the player; the process ends where they are wrong."""
+    """Return the options of the player; wrong ones end the process."""
     parser = ArgumentParser(prog="player")
     parser.add_argument("bag", type=Path)
     parser.add_argument("--rate", type=float, default=1.0)
@@ -143,7 +142,7 @@ def read_arguments(argv: Sequence[str]) -> Namespace:
 
 
 LOOK_AROUND_S: Final = 2.0
-"""The graph is watched for so long before anything is published."""
+"""The graph is watched for this long before anything is published."""
 LISTENERS_S, PLAN_TAKEN_S, NODES_S = 10.0, 120.0, 60.0
 TOLD_PERIOD_S: Final = 0.2
 _AHEAD_S: Final = 5e-4  # shorter waits are not worth a sleep
@@ -167,7 +166,10 @@ class Player:
         self._publishers: dict[str, Publisher] = {}
 
     def play(self) -> None:
-        """Publish everything, then have the solver finish; ConfigurationError in bad company."""
+        """Publish everything, then have the solver finish.
+
+        ConfigurationError if a node forbids it.
+        """
         self._wait(lambda: False, LOOK_AROUND_S)
         missing = partial(self._health.missing, self._given.nodes)
         if not self._wait(lambda: not missing(), NODES_S):
@@ -293,7 +295,7 @@ WATCHERS: Final = frozenset({
     *NODES, *VIEWERS.values(), "player", "foxglove_bridge", "rosbridge_websocket",
     "rosbag2_recorder", "rviz", "rviz2", "rqt_gui_py_node",
 })  # fmt: skip
-"""Nodes that listen to orders without obeying them."""
+"""Nodes that listen to orders but do not obey them."""
 ORDERS: Final = (names.TABLE_ANGLE, names.PROBE_TARGET)
 """Roles that move machines."""
 _COMMAND_LINE: Final = "_ros2cli"
@@ -395,7 +397,7 @@ def _publishers(node: Node, topic: str) -> list[str]:
 
 
 ARRIVAL_S: Final = 10.0
-"""The last observations may take so long after the last message."""
+"""The last observations may take this long after the last message."""
 SOLVE_S: Final = 3600.0
 _SHOWN: Final = 3
 
@@ -463,10 +465,10 @@ class ReplayOutcome:
                 "reads the bag"
             )
         if clock:
-            yield "nodes follow /clock where they have use_sim_time: true"
+            yield "nodes with use_sim_time: true follow /clock"
 
     def tell(self, result: Path | None, *, finish: bool) -> None:
-        """Report the outcome, and keep the result where that is asked for."""
+        """Report the outcome, and keep the result if wanted."""
         found: dict[str, object] = {}
         if "capture" in self.live() and self._bag.plan_id:
             found = self._compared()

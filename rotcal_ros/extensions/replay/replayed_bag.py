@@ -1,4 +1,7 @@
-"""What of a recorded bag is published again, and what its nodes had made of it; no ROS."""
+"""The part of a recorded bag that is published again, and what its nodes had made of it.
+
+No ROS.
+"""
 
 from __future__ import annotations
 
@@ -39,11 +42,11 @@ Attempt = tuple[int, int, int]
 
 @dataclass
 class ReplayedBag:
-    """A bag that is published again: its channels by topic; what is left out, for which reason.
+    """A bag that is published again: its channels by topic, and what is left out for which reason.
 
     ``outputs`` are the topics that our own nodes had published, ``accepted`` the observations that
     the recorded capture had accepted, ``steps`` those of the last run, ``plan_id`` and
-    ``configuration`` those of the plan; empty where the bag has none. Times in ns.
+    ``configuration`` those of the plan; empty if the bag has none. Times in ns.
     """
 
     files: tuple[Path, ...]
@@ -64,7 +67,7 @@ class ReplayedBag:
     def read(
         cls, path: Path, *, everything: bool = False, progress: Progress | None = None
     ) -> ReplayedBag:
-        """Look through a bag; BagError where there is none, or nothing in it to publish.
+        """Look through a bag; BagError if there is none, or nothing in it to publish.
 
         ``everything``: what our own nodes had made of the streams is published too.
         """
@@ -89,7 +92,7 @@ class ReplayedBag:
 
     @property
     def seconds(self) -> float:
-        """How long it was recorded, in s."""
+        """Duration of the recording, s."""
         return (self.end_ns - self.start_ns) * NANOSECOND
 
     @property

@@ -12,11 +12,11 @@ from rotcal_ros.planning.table_motion import TableSpeed, in_degrees
 from rotcal_ros.planning.table_ways import TURN, Way
 
 _LATE = 1.5
-"""Times its duration that a way may take before it is called late."""
+"""A way that takes this multiple of its duration is called late."""
 _SPEED_S = 0.05
 """Time over which a velocity is taken from angles: long against the noise of an encoder."""
 _REST_S = 0.5
-"""So long a joint stands that is no longer on its way: what it tells meanwhile is its answer."""
+"""A joint that stands still this long is no longer on its way: then its position is its answer."""
 _FAR = 2 * TURN
 """rad, an angle at the start that is more likely one in degrees."""
 
@@ -25,7 +25,8 @@ _FAR = 2 * TURN
 class ObeyedOrder:
     """An order under way: how far its joint has come. Times are monotonic, in seconds.
 
-    ``over``: it has arrived, or was left; what the joint does then is no matter of this order.
+    ``over``: it has arrived, or was left; what the joint does after that does not concern this
+    order.
     """
 
     way: Way
@@ -35,7 +36,7 @@ class ObeyedOrder:
 
 
 class JointWatch:
-    """Follows the joint through its feedback; says what to tell the cell, and what is wrong.
+    """Follows the joint by its feedback; decides what the cell hears, and finds what is wrong.
 
     ``velocity`` (rad/s) is the latest, NaN where it is not known.
     """
@@ -50,7 +51,7 @@ class JointWatch:
         self.order: ObeyedOrder | None = None
 
     def doubt(self) -> str | None:
-        """Return why nothing may move yet, in one sentence; None where it may."""
+        """Return why nothing may move yet, in one sentence; None if it may."""
         if self.order is not None or self._settings.many_turns:
             return None
         if self.latest is None or not abs(self.latest.angle) > _FAR:
@@ -63,13 +64,13 @@ class JointWatch:
         )
 
     def here(self, now_s: float) -> float | None:
-        """Return the angle (rad) of the joint now; None where its feedback is old or none."""
+        """Return the present angle (rad) of the joint; None if its feedback is old or missing."""
         if self.latest is None or now_s - self._heard_s > self._settings.silence_s:
             return None
         return self.latest.angle if isfinite(self.latest.angle) else None
 
     def motion(self, now_s: float) -> tuple[float, float] | None:
-        """Return where the joint is (rad) and its velocity (rad/s); None where unknown."""
+        """Return where the joint is (rad) and its velocity (rad/s); None if unknown."""
         here = self.here(now_s)
         return None if here is None else (here, self.velocity)
 
@@ -88,11 +89,11 @@ class JointWatch:
         return order is not None and not order.over and not self._has_stopped(order, now_s)
 
     def hear(self, sample: TableSample, now_s: float) -> TableSample | None:
-        """Return ``sample`` as the cell shall hear it, with a velocity; None: not to be told.
+        """Return ``sample`` as the cell shall hear it, with a velocity; None: not at all.
 
-        A joint that has an order and has not begun to move is not at rest where it was sent: it
-        may stand there by chance, before it comes again from the other side. Its velocity is
-        told to be unknown (NaN), which nobody takes for rest.
+        A joint that has an order and has not begun to move is not at rest at its goal: it may
+        stand there by chance, before it comes again from the other side. Its velocity is then
+        unknown (NaN), which nobody takes for rest.
         """
         self.latest, self._heard_s = sample, now_s
         if not isfinite(sample.angle):
@@ -139,7 +140,7 @@ class JointWatch:
         if now_s - self._heard_s > 0.5 * patience:
             return None  # soon it is silent, or tells more
         if not isfinite(self.latest.angle):
-            return "the feedback of the table is no number"
+            return "the feedback of the table is not a number"
         order = self.order
         if order is None or self.arrived():
             return None

@@ -107,7 +107,7 @@ class SceneLayout:
         return places @ rotation_about_z(angle).T if self.stations.carried else places
 
     def beam(self, step: Step, angle: float) -> Floats | None:
-        """Return the ends (2, 3) of the beam to a step's place; None where there is no beam."""
+        """Return the ends (2, 3) of the beam to a step's place; None if there is no beam."""
         if step.station >= len(self.stations.places):
             return None
         return np.array([self.instruments(angle)[step.station], step.position])
@@ -170,7 +170,7 @@ COLOURS: Final[Mapping[PlaceState, Colour]] = {
     PlaceState.DONE: (0.0, 0.62, 0.45, 1.0),
     PlaceState.REJECTED: (0.84, 0.37, 0.0, 1.0),
 }
-"""Of the places; told apart by those who do not see red and green as well (Okabe and Ito)."""
+"""Colours of places, distinct also for people who confuse red and green (Okabe and Ito)."""
 _UP: Final = np.array([0.0, 0.0, 1.0])
 
 
@@ -240,7 +240,7 @@ def draw_moving(layout: SceneLayout, angle: float, step: Step | None) -> tuple[S
 
 
 def standing_frames() -> tuple[Transform, ...]:
-    """Return the frames that do not move: plans take the machine's for the table's fixed one."""
+    """Return the frames that do not move: in plans machine and fixed table frame are one."""
     return (Transform(MACHINE, TABLE_BASE),)
 
 

@@ -205,8 +205,8 @@ class SceneNode(CellNode):
         return 0.0 if sample is None else sample.angle
 
     def _wanted_exaggeration(self) -> float:
-        """Return what may be changed at any time."""
-        words = "how many times larger than they are errors are drawn"
+        """Return the setting that may be changed at any time."""
+        words = "factor by which errors are drawn larger"
         return float(self.parameter("exaggeration", 20000.0, words, read_only=False))
 
     def _show_still(self) -> None:

@@ -1,1 +1,1 @@
-"""Deviation curves: as they were measured, and continued between the measured angles."""
+"""Deviation curves: as measured, and continued between the measured angles."""

@@ -1,4 +1,4 @@
-"""The positioning of an axis for approaches from either side, one curve with one covariance."""
+"""The positioning of an axis for approaches from either side, as one curve with one covariance."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class DirectionalCurve:
     """ECC (n,) rad at ascending angles (n,) rad, for both sides of the approach.
 
     ``covariance`` (2 n, 2 n) is that of ``forward``, then ``reverse``. ``period`` is as in
-    :class:`MeasuredCurve`. Where one side alone was measured, ``both`` is False and the reverse
-    curve repeats the forward one; ``notes`` say in words what to know of the two.
+    :class:`MeasuredCurve`. If only one side was measured, ``both`` is False and the reverse curve
+    repeats the forward one; ``notes`` are remarks for people.
     """
 
     angles: Floats
@@ -52,18 +52,18 @@ class DirectionalCurve:
 
 
 def directional_curve(result: Result, reverse: Result | None = None) -> DirectionalCurve:
-    """Return what ``result`` knows of both sides, or it with an independent ``reverse`` result.
+    """Return both sides of ``result``, or ``result`` with an independent ``reverse`` result.
 
     Positions that coincide after a turn are averaged, as by :func:`measured_curve`. Raises
-    DataError when the curves do not close or are at other angles, ConfigurationError when both
-    sides are known already and ``reverse`` comes on top.
+    DataError when the curves do not close or are at other angles, ConfigurationError if both sides
+    are already known and ``reverse`` is given too.
     """
     both = result.directions.get(COMPONENT)
     if reverse is None:
         return _single(result) if both is None else _merged(result, both)
     if both is not None or COMPONENT in reverse.directions:
         raise ConfigurationError(
-            f"a result ({result.method}) holds both directions already: leave out the second "
+            f"a result ({result.method}) already holds both directions: leave out the second "
             "result of the reverse direction, or give two results of one direction each"
         )
     return _independent(measured_curve(result), measured_curve(reverse))
@@ -90,7 +90,7 @@ def _merged(result: Result, own: Directions) -> DirectionalCurve:
     twice = np.kron(np.eye(2), merge)
     missing = len(result.angles) - k
     note = (
-        f"{missing} of {len(result.angles)} angles were reached from one side only and are left "
+        f"{missing} of {len(result.angles)} angles were reached only from one side and are left "
         "out: the table holds both directions at the others"
     )
     return DirectionalCurve(

@@ -1,4 +1,4 @@
-"""What a method can see of six deviations that knows neither axis nor artefact beforehand."""
+"""What a method sees of six deviations if it knows neither axis nor artefact beforehand."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def in_words(result: Result) -> tuple[str, ...]:
     )
     return (
         f"Every deviation has zero mean over {over} (zero-mean gauge){nothing}.",
-        "In EXC, EYC and in EAC, EBC what turns with the table belongs to what stands on it and "
-        "is taken away.",
+        "In EXC, EYC and in EAC, EBC the part that turns with the table belongs to what stands on "
+        "it and is removed.",
     )
 
 
@@ -35,8 +35,8 @@ def without_axis_and_artefact(
 ) -> dict[str, Floats]:
     """Return the visible part of six deviations (n,) at ``angles`` (n,), rad.
 
-    A mean belongs to the axis. In the pairs EXC, EYC and EAC, EBC, what turns with the table
-    belongs to an artefact or instrument that stands on it. Both are taken away, by least squares
+    A mean belongs to the axis. In the pairs EXC, EYC and EAC, EBC the part that turns with the
+    table belongs to an artefact or instrument that stands on it. Both are removed by least squares
     over the angles, which need not be equidistant.
     """
     seen = {name: values - values.mean() for name, values in deviations.items()}

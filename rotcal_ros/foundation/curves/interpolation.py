@@ -27,9 +27,9 @@ SAME_ANGLE: Final = 1e-9
 def curve_through(nodes: Floats, values: Floats, period: float) -> PPoly:
     """Return the cubic spline through ``values`` (n, ...) at ``nodes`` (n,), which ascend.
 
-    With ``period`` > 0 the nodes lie within one period and the curve closes; two nodes are
-    joined by straight lines then. With ``period`` 0 they cover an arc and the spline ends
-    "not-a-knot". It takes angles that :func:`within` returned.
+    With ``period`` > 0 the nodes lie within one period and the curve closes; then two nodes are
+    joined by straight lines. With ``period`` 0 they cover an arc and the spline ends "not-a-knot".
+    It takes angles that :func:`within` returned.
     """
     # scipy.interpolate takes longer to load than most verbs, which do without, take to run.
     from scipy.interpolate import CubicSpline, PPoly
@@ -47,7 +47,7 @@ def curve_through(nodes: Floats, values: Floats, period: float) -> PPoly:
 def within(nodes: Floats, at: ArrayLike, period: float) -> Floats:
     """Return the angles ``at`` wrapped into the period that begins at the first node.
 
-    Raises DataError for angles outside of an arc (``period`` 0): nothing was measured there.
+    Raises DataError for angles outside an arc (``period`` 0): nothing was measured there.
     """
     angles = np.asarray(at, dtype=np.float64)
     if period > 0.0:
@@ -56,7 +56,7 @@ def within(nodes: Floats, at: ArrayLike, period: float) -> Floats:
     if outside.size:
         first, low, high = np.array([outside.flat[0], nodes[0], nodes[-1]]) / DEGREE
         raise DataError(
-            f"the angle {first:.6g} deg lies outside of the measured arc {low:.6g} .. "
+            f"the angle {first:.6g} deg lies outside the measured arc {low:.6g} .. "
             f"{high:.6g} deg: nothing is known there"
         )
     return angles
@@ -69,10 +69,10 @@ def interpolation_matrix(nodes: Floats, at: Floats, period: float) -> Floats:
 
 
 def row_angles(nodes: Floats, period: float, spacing: float) -> Floats:
-    """Return the row angles every ``spacing`` rad: from 0 for a circle, inside of an arc else.
+    """Return row angles every ``spacing`` rad: from 0 for a circle, else inside the arc.
 
-    When the spacing does not divide the turn the last interval of a circle is shorter. An arc
-    keeps its two ends as rows.
+    If the spacing does not divide the turn, the last interval of a circle is shorter. An arc keeps
+    its two ends as rows.
     """
     if not np.isfinite(spacing) or spacing < 1e-5 or spacing > pi:
         raise ConfigurationError(
@@ -88,7 +88,7 @@ def row_angles(nodes: Floats, period: float, spacing: float) -> Floats:
 
 
 def wrapped(angle: float) -> float:
-    """Return ``angle`` within [0, 2 pi); a hair below the full turn counts as zero."""
+    """Return ``angle`` within [0, 2 pi); rounding below the full turn counts as zero."""
     within = float(np.mod(angle, TURN))
     return 0.0 if TURN - within < SAME_ANGLE else within
 
@@ -102,10 +102,11 @@ def harmonic_basis(angles: Floats, order: int) -> Floats:
 
 
 def without_harmonics(angles: Floats, order: int, free: Floats | None = None) -> Floats:
-    """Return the projection (n, n) that takes offset and harmonics up to ``order`` off n values.
+    """Return the projection (n, n) of n values that removes offset and harmonics up to ``order``.
 
-    And the columns of ``free`` (n, q), too. Unweighted, so that nothing leans on an angle whose
-    value is zero by definition. Raises DataError when the ``angles`` leave nothing.
+    It also removes the columns of ``free`` (n, q). It is unweighted, so that nothing depends most
+    on an angle whose value is zero by definition. Raises DataError when the ``angles`` leave
+    nothing.
     """
     basis = unknown_basis(angles, order, free)
     return np.asarray(np.eye(len(angles)) - basis @ basis.T, dtype=np.float64)
@@ -114,7 +115,7 @@ def without_harmonics(angles: Floats, order: int, free: Floats | None = None) ->
 def unknown_basis(angles: Floats, order: int, free: Floats | None = None) -> Floats:
     """Return an orthonormal basis (n, u) of offset, harmonics up to ``order`` and ``free`` (n, q).
 
-    Raises DataError when they leave nothing of n values.
+    Raises DataError if they leave nothing of n values.
     """
     columns = harmonic_basis(angles, order)
     if free is not None:
@@ -131,10 +132,10 @@ def unknown_basis(angles: Floats, order: int, free: Floats | None = None) -> Flo
 def harmonic_estimator(nodes: Floats, order: int, covariance: Floats) -> Floats:
     """Return H (2 order + 1, n): coefficients of :func:`harmonic_basis` = H @ values(nodes).
 
-    The best linear unbiased estimate for values with ``covariance`` (n, n). A variance common
-    to all values is added first: the constant term takes it up, the other coefficients do not
-    feel it, and a covariance that is exactly zero at the reference angle becomes regular.
-    Raises DataError when the nodes cannot tell so many harmonics apart.
+    The best linear unbiased estimate for values with ``covariance`` (n, n). A variance common to
+    all values is added first: the constant term absorbs it, the other coefficients do not change,
+    and a covariance that is exactly zero at the reference angle becomes regular. Raises DataError
+    when the nodes cannot tell so many harmonics apart.
     """
     size = 2 * order + 1
     if order < 0 or size > len(nodes):
@@ -158,8 +159,8 @@ def harmonic_estimator(nodes: Floats, order: int, covariance: Floats) -> Floats:
 def regular_root(covariance: Floats) -> Floats:
     """Return the lower Cholesky root of ``covariance`` (n, n) plus a common variance.
 
-    Only for estimates with a free offset, which do not feel the common variance. Exact values
-    (no variance at all) all weigh the same.
+    Use it only for estimates with a free offset, which the common variance does not change. Exact
+    values (no variance at all) all have the same weight.
     """
     n = len(covariance)
     scale = float(np.trace(covariance)) / n

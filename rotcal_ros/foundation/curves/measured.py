@@ -17,9 +17,9 @@ from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import DEGREE
 
 CLOSURE_LIMIT: Final = 4.0
-"""How many standard uncertainties two measurements of one position may differ."""
+"""Two measurements of one position may differ by this many standard uncertainties."""
 WIDE: Final = 3.0
-"""Times the usual distance of the angles that a gap may have and count as measured around."""
+"""A gap up to this multiple of the usual distance counts as part of a measured circle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,11 +29,12 @@ class MeasuredCurve:
     ``period`` is 2 pi when the angles go round, with no angle twice, and 0 for an arc.
     ``verdict_line`` is that of the result it comes from, empty for a reference without one;
     ``simulated``: it comes from a simulation. The deviation is known up to any multiple of the
-    columns of ``free`` (n, q), besides a constant. ``free_names`` (q,) are those of offsets of
+    columns of ``free`` (n, q), besides a constant. ``free_names`` (q,) are the names of offsets of
     this component alone, empty for others; ``open_zeros`` says in words which offsets are open.
-    ``raw_data``: what it rests on, whose influence is that on this curve alone, as merged as its
-    values. ``serial`` and ``axis`` are of the item and axis that were measured; empty: not known.
-    ``shown``: the part of the stated noise that the residuals show, 1 where they show all or more.
+    ``raw_data`` are the observations it rests on, with their influence on this curve alone, merged
+    like its values. ``serial`` and ``axis`` are those of the measured item and axis; empty: not
+    known. ``shown`` is the share of the stated noise that the residuals show, 1 if they show all
+    or more.
     """
 
     angles: Floats
@@ -52,12 +53,12 @@ class MeasuredCurve:
 
     @property
     def free_columns(self) -> Floats:
-        """The free directions (n, q), none where nothing is open."""
+        """The free directions (n, q); q = 0 if nothing is open."""
         return np.zeros((len(self.angles), 0)) if self.free is None else self.free
 
 
 def measured_curve(result: Result, component: str = "ECC") -> MeasuredCurve:
-    """Return one component of ``result``, positions that coincide after a turn averaged.
+    """Return one component of ``result``, averaging positions that coincide after a turn.
 
     Raises DataError when it is absent, has fewer than two angles, or when two measurements of one
     table position contradict each other (the deviations do not close).
@@ -84,7 +85,7 @@ def measured_curve(result: Result, component: str = "ECC") -> MeasuredCurve:
 def merging(curve: MeasuredCurve, component: str) -> tuple[Floats, Floats]:
     """Return ascending angles (n',) within a turn, and (n', n) that averages those that coincide.
 
-    An arc is sorted and otherwise stays as it is. Raises DataError where two that coincide
+    An arc is sorted and otherwise stays as it is. Raises DataError if two that coincide
     contradict each other.
     """
     angles = curve.angles
@@ -102,8 +103,8 @@ def merging(curve: MeasuredCurve, component: str) -> tuple[Floats, Floats]:
 def covers_circle(angles: Floats) -> bool:
     """Whether ``angles`` (rad) go round: the gap left is no wider than the others allow.
 
-    Gaps count up to WIDE times the usual one: a lone angle far from the others, with wide gaps on
-    both of its sides, closes no circle.
+    Gaps up to WIDE times the usual one are allowed: a lone angle far from the others, with wide
+    gaps on both sides, does not close a circle.
     """
     ascending = np.unique(np.asarray(angles, dtype=np.float64))
     span = float(ascending[-1] - ascending[0])
@@ -127,7 +128,7 @@ def gaps_of(angles: Floats, period: float) -> Floats:
 def _complete(result: Result, component: str) -> MeasuredCurve:
     """Return ``component`` with the angles as they were measured, else raise DataError.
 
-    That there is one finite deviation for each angle a Result guarantees by itself.
+    A Result itself guarantees one finite deviation for each angle.
     """
     where = f"the {result.method} result"
     if component not in result.deviations:

@@ -1,4 +1,4 @@
-"""Speaks with a running LinuxCNC for the driver node, in JSON lines.
+"""Talks to a running LinuxCNC for the driver node, in JSON lines.
 
 LinuxCNC's modules belong to the system's own Python and not to the one that ROS runs on: this
 file is a program of its own, run by /usr/bin/python3, and imports nothing of rotcal_ros.
@@ -9,7 +9,7 @@ time ``{"stamp_ns", "angle_deg", "motor_deg", "actual_deg", "obeying", "errors"}
 joint, the motor's command, the pin ``--actual`` (null without one), whether an order is still to
 be carried out, and what LinuxCNC complained about. Standard input takes
 ``{"angle_deg": 90.0, "side": 1, "overshoot_deg": 2.0}``: go there in machine coordinates from
-below (1), from above (-1), or from anywhere (0). The same order again moves nothing; one that
+below (1), from above (-1), or from anywhere (0). A repeated order moves nothing; an order that
 finds the machine at work is not carried out. The end of standard input ends the program.
 
 ``--busy`` asks whether the machine is at work: exit code 1 and the reason if so, else 0.
@@ -48,8 +48,10 @@ class LinuxCncMachine:
         self._wait(lambda: self.stat.task_state == lx.STATE_ON, deadline, "machine that is on")
         self.command.mode(lx.MODE_MANUAL)
         self.command.wait_complete(START_TIMEOUT_S)
+        # LinuxCNC homes single joints only in joint mode, not in teleop mode.
         self.command.teleop_enable(0)
         self.command.wait_complete(START_TIMEOUT_S)
+        # -1: all joints, in the sequence of the ini file.
         self.command.home(-1)
         self._wait(self._all_homed, deadline, "homed machine")
 
@@ -90,6 +92,7 @@ class LinuxCncMachine:
         if self._reached == (angle, side) and abs(ahead) < STANDS_DEG:
             return  # one arrival for all targets of a table position
         self._reached = None
+        # On the wrong side, or at the goal: go beyond first, to arrive from the ordered side.
         if side and ahead * side <= 0.0:
             self.go(angle - side * beyond)
         self.go(angle)
@@ -137,7 +140,7 @@ def say(message: dict[str, Any]) -> None:
 def obey(
     machine: LinuxCncMachine, orders: queue.Queue[dict[str, float]], errors: list[str]
 ) -> None:
-    """Carry out orders, one after the other; what fails is reported, and the next is tried."""
+    """Carry out orders one after the other; a failure is reported, and the next order is tried."""
     while True:
         try:
             machine.move(orders.get())

@@ -46,10 +46,10 @@ class LinuxCncDriver(CellNode):
         ini = self.parameter("ini_file", "", "ini file of LinuxCNC")
         number = self.parameter("linuxcnc_joint", 0, "number of the table's joint in LinuxCNC")
         command = list(
-            self.parameter("agent_command", [""], "what starts the agent; empty: found out")
+            self.parameter("agent_command", [""], "starts the agent; empty: chosen automatically")
         )
         self._overshoot_deg = self.parameter(
-            "overshoot_deg", 2.0, "deg, overshoot to arrive from the ordered side"
+            "overshoot_deg", 2.0, "deg, overshoot for arriving from the ordered side"
         )
         cell = self.settings("cell", CellSettings)
         self._joint = cell.joint or "table"
@@ -72,14 +72,14 @@ class LinuxCncDriver(CellNode):
         self.listen(TableAngle, names.TABLE_ANGLE, self._obey, EVENT)
 
     def begin_stop(self) -> None:
-        """Have the agent end; LinuxCNC goes on, unless the agent's command started it."""
+        """End the agent; LinuxCNC goes on, unless the agent's command started it."""
         assert self._agent.stdin is not None
         self._ending_s = time.monotonic()
         with suppress(BrokenPipeError):
             self._agent.stdin.close()
 
     def stopped(self) -> bool:
-        """Return whether the agent has ended; one that does not is terminated in the end."""
+        """Return whether the agent has ended; after a while it is terminated."""
         late_s = 0.0 if self._ending_s is None else time.monotonic() - self._ending_s
         if late_s > END_TIMEOUT_S and self._agent.poll() is None:
             self._agent.terminate()
@@ -116,7 +116,7 @@ class LinuxCncDriver(CellNode):
             self._publish(reading)
 
     def _publish(self, reading: Mapping[str, Any]) -> None:
-        """Publish the joint's angle; its speed is the motor's, which the correction moves too.
+        """Publish the joint's angle, and the motor's speed, which includes the correction.
 
         A table that has an order and has not begun to move is not at rest where it was sent: if it
         stands there by chance, before it arrives again from the other side, that is not published.

@@ -1,4 +1,4 @@
-"""Which nodes play the table and the probe of a cell, by its configuration or on request."""
+"""Chooses the nodes that play the table and the probe of a cell."""
 
 from __future__ import annotations
 

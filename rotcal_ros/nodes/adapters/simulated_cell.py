@@ -27,7 +27,7 @@ from rotcal_ros.planning.settings import CellSettings, SafetySettings
 
 PERIOD_S: Final = 0.01
 LONGEST_TURN_NS: Final = 20_000_000
-"""Longest wall time made up for in one turn, so that a stall never becomes a burst."""
+"""Longest wall time that one turn makes up for, so that a stall never becomes a burst."""
 LONGEST_SIM_TURN_NS: Final = 500_000_000
 """The same for ``/clock``, which may come rarely."""
 UNASKED_PERIOD_S: Final = 0.5
@@ -39,7 +39,7 @@ AIR: Final = {
 
 
 class SimulatedCellNode(CellNode):
-    """Advances the simulated machine: ``time_scale`` times as fast as real time while it moves."""
+    """Advances the simulated machine, ``time_scale`` times as fast as real time while it moves."""
 
     def __init__(self) -> None:
         super().__init__("simulated_cell")
@@ -105,7 +105,7 @@ class SimulatedCellNode(CellNode):
         self._publish(self._cell.follow_table(stamp_ns, message.position[0]))
 
     def _turn(self) -> None:
-        """Let as much machine time pass as wall time has, or time of ``/clock``."""
+        """Let as much machine time pass as has passed on the wall clock, or on ``/clock``."""
         self.health.clock.look()
         now_ns = self._steady_ns()
         passed_ns, self._turned_ns = now_ns - self._turned_ns, now_ns

@@ -41,7 +41,7 @@ from rotcal_ros.planning.settings import CellSettings
 
 
 class BridgeNode(CellNode):
-    """Takes tables and looks up corrections; the access to the controller is a part of its own."""
+    """Takes tables and looks up corrections; ControllerAccess talks to the controller."""
 
     def __init__(self) -> None:
         super().__init__("bridge")
@@ -127,7 +127,7 @@ PERIOD_S: Final = 1.0
 class Announcer:
     """Inspects the controller in the thread of its other accesses, and publishes what it found.
 
-    ``tell`` is given in words what contradicts that, after every look; None when nothing does.
+    After every look ``tell`` gets a sentence on what contradicts that, or None.
     """
 
     def __init__(
@@ -159,7 +159,7 @@ class Announcer:
         self._looking = self._worker.submit(self._look)
 
     def _look(self) -> tuple[str, str | None]:
-        """Return what is in force, and in words what contradicts that."""
+        """Return what is in force, and a sentence on what contradicts that, or None."""
         found = self._feed.in_force()
         return found, self._feed.contradiction(found)
 
@@ -167,7 +167,7 @@ class Announcer:
 ANSWERS_PER_ACTION: Final = 20
 """Largest number of accesses to the controller in one action; each has its own time limit."""
 OPENING_PERIOD_S: Final = 0.5
-"""How often a bridge without the controller's lock tries to get it."""
+"""Interval at which a bridge without the controller's lock tries to get it."""
 DISCOVERY_S: Final = 2.0
 """How long a new node may take to know what the others offer."""
 AWARE_TIMEOUT_S: Final = 10.0
@@ -178,7 +178,7 @@ RESTORING: Final = Why.TABLE_RESTORED, Why.TABLE_NOT_RESTORED
 OFFERED: Final = "apply_offered"
 """Value in the bridge's beat: a table may be applied."""
 WITHHELD: Final = "apply_withheld"
-"""Instead: why not."""
+"""Value in the bridge's beat: why no table may be applied now."""
 NEVER: Final = "never"
 """Value in the bridge's beat: why the present table can never be applied."""
 UNFINISHED: Final = "unfinished"
@@ -278,7 +278,7 @@ class ControllerAccess:
         return response
 
     async def _may(self, secret: str, response: Any) -> bool:
-        """Return whether a request may change the controller; else the response says why not."""
+        """Return whether a request may change the controller; if not, the response says why."""
         assert self._secret is not None
         health = self._node.health
         await until(health.aware, AWARE_TIMEOUT_S)  # a calibration may have begun meanwhile
@@ -300,7 +300,7 @@ class ControllerAccess:
     async def _do(
         self, action: Callable[[], Applied], response: Any, codes: tuple[Why, Why]
     ) -> None:
-        """Change the table of the controller and say in the response what came of it.
+        """Change the table of the controller and put the outcome into the response.
 
         ``codes`` are those of success and of failure.
         """
@@ -341,8 +341,8 @@ class ControllerAccess:
             return await self._node.answer_of(self._worker.submit(work), limit_s)
         except FutureTimeout as error:
             raise ControllerError(
-                f"no end within {limit_s:g} s: it is not known yet whether the table will be "
-                "changed; /diagnostics shows when it is"
+                f"not finished within {limit_s:g} s: whether the table will be changed is not "
+                "known yet; /diagnostics will show it"
             ) from error
 
 

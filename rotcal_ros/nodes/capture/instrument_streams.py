@@ -62,7 +62,7 @@ class JointReadings:
         self._joints: dict[str, tuple[float, float]] = {}
 
     def note(self, message: JointState, chosen: str) -> None:
-        """Note the joints of a message; the ``chosen`` one is kept in any case."""
+        """Note the joints of a message; the ``chosen`` one is always kept."""
         velocities = (*message.velocity, *(math.nan for _ in message.position))
         for name, angle, velocity in zip(message.name, message.position, velocities, strict=False):
             if name in self._joints or name == chosen or len(self._joints) < MOST_JOINTS:
@@ -80,7 +80,7 @@ TIMED: Final = (*FAST, names.PROBE_POINT)
 class InstrumentStreams:
     """Listens to all instruments; every record goes to ``take``.
 
-    ``topics`` knows their names and settings, ``offsets`` whose clocks differ.
+    ``topics`` knows their names and settings, ``offsets`` which clocks differ.
     """
 
     def __init__(self, node: CellNode, take: Callable[[Any], None]) -> None:
@@ -99,18 +99,18 @@ class InstrumentStreams:
             self.topics.listen(role, node.health.guarded(partial(self._heard, role)))
 
     def use(self, configuration: Configuration) -> None:
-        """Understand the instruments as the configuration of a plan says."""
+        """Read the instruments as the configuration of a plan says."""
         self.topics.use(configuration)
         self.offsets.limits = OffsetLimits.of(configuration.capture)
         self._joint = configuration.cell.joint
         self._interpreter = Interpreter(self.topics.settings, self._joint)
 
     def not_silent(self) -> None:
-        """Count silences from now on: while the node was busy, messages were waiting unread."""
+        """Count silences from now on: while the node was busy, messages waited unread."""
         self._heard_s = dict.fromkeys(self._heard_s, self._awake.now_s())
 
     def values(self, needed: Collection[str]) -> dict[str, Any]:
-        """Return the values for the beat; of ``needed`` steady streams also their silence."""
+        """Return the values for the beat, with the silence of ``needed`` steady streams."""
         values: dict[str, Any] = self.topics.values()
         values |= {f"valid.{role}": self._valid[role] for role in self._heard_s}
         values |= {f"{NOW}{role}": reading(record) for role, record in self._latest.items()}
@@ -151,7 +151,7 @@ class InstrumentStreams:
             self._joints.note(message, self._joint)
 
     def _switched(self, role: str) -> None:
-        """Forget what was heard of an instrument that changed, or is understood differently."""
+        """Forget what was heard of an instrument that changed or is now read differently."""
         for known in (self._heard_s, self._latest, self._frames, self._valid):
             known.pop(role, None)
         self._rates.forget(role)
@@ -180,9 +180,10 @@ class InstrumentTopics:
 
     ``settings`` are the group ``topics`` in force: what a goal gives, told by the planner's beat
     before the preflight, else by the plan. Units and clocks are then those of the goal alone, as
-    for every reader of the bag; of the node's own parameters only names stay. ``switched`` is
-    called with the role of a stream that comes from elsewhere now, or is understood otherwise.
-    ``refused`` says by role which types cannot be used.
+    for every reader of the bag; of the node's own parameters only the names of topics still count.
+    ``switched`` is called with the role of a stream that has another source now, or is read
+    differently.
+    ``refused`` maps each role whose type cannot be used to the reason.
     """
 
     def __init__(self, node: CellNode, switched: Callable[[str], None]) -> None:
@@ -247,7 +248,7 @@ class InstrumentTopics:
         }
 
     def _follow(self) -> None:
-        """Use the topics that the planner's goal names."""
+        """Use the topics that the goal of the planner names."""
         goals = self._node.health.values("planner").get(TOPICS, "")
         if goals and goals != self._goals:
             self._take(json.loads(goals))
@@ -276,7 +277,7 @@ class InstrumentTopics:
 
 
 def _kind(role: str, type_name: str) -> tuple[type | None, str]:
-    """Return the class of a type in its role; None, and why, where it cannot be used."""
+    """Return the class of a type in its role, or None and the reason why it cannot be used."""
     try:
         check_type(role, type_name)
         return message_type(type_name), ""

@@ -43,13 +43,13 @@ READINGS_S: Final = 0.01
 PERIOD_S: Final = 0.02
 """How often it is checked whether a length is wanted."""
 PATIENCE_S: Final = 2.0
-"""After an answer the reading may take this long to come before it is asked for again."""
+"""A reading may arrive this long after the answer before it is asked for again."""
 ANSWER_S: Final = 30.0
 """An instrument may take this long to answer."""
 
 
 class CaptureWarnings:
-    """Reports rejections, and what prevents a measurement, once for each kind."""
+    """Reports rejections and what prevents a measurement, each kind once."""
 
     def __init__(self, health: Any, logger: Any) -> None:
         self._health, self._logger = health, logger
@@ -69,16 +69,16 @@ class CaptureWarnings:
         show(self._health, REJECTED, text, alarm=alarm)
 
     def complain(self, text: str | None) -> None:
-        """Report what is wrong with the present order; None: nothing is."""
+        """Report what is wrong with the present order; None: nothing."""
         self._tell(COMPLAINT, text)
 
     def offset(self, offsets: StampOffsets) -> None:
-        """Report streams whose clocks differ, by more than is tolerated or by less."""
+        """Report streams whose clocks differ too much, or seem to differ a little."""
         self._tell(OFFSET, offsets.reason_to_reject())
         self._tell(CLOCK_DOUBT, offsets.doubt())
 
     def _tell(self, key: str, text: str | None) -> None:
-        """Show a text as long as it lasts; each kind is one line."""
+        """Show a text while it holds; each kind has one line."""
         if text and kind_of(text) != self._kinds.get(key):
             self._logger.warning(text)
             self._kinds[key] = kind_of(text)
@@ -108,7 +108,7 @@ class CaptureNode(CellNode):
         self.every(PERIOD_S, self._ask)
 
     def gather_s(self) -> float:
-        """Handle readings together: an observation waits for a window of them anyway."""
+        """Collect readings: an observation has to wait for a window of them anyway."""
         return self.idle_s() or READINGS_S
 
     def deactivated(self) -> None:
@@ -121,7 +121,7 @@ class CaptureNode(CellNode):
         self._hear(Order(command, self._orders.stamp_ns))
 
     def _hear(self, record: Any) -> None:
-        """Feed a record to the capture; the step of a position without one is found first."""
+        """Feed a record to the capture, after finding the step of a position that names none."""
         if self._finder is not None and self.active:
             for understood in self._finder.understood(record):
                 self._feed(understood)
@@ -188,7 +188,7 @@ class CaptureNode(CellNode):
 class LengthTrigger:
     """Calls the service of an instrument that measures a length on request (std_srvs/Trigger).
 
-    ``complaint`` says what the instrument answered when it could not measure, or that it does not.
+    ``complaint`` says why the instrument could not measure, or that it does not answer.
     """
 
     def __init__(self, node: CellNode) -> None:
@@ -220,7 +220,7 @@ class LengthTrigger:
         self._call = self._client.call_async(Trigger.Request())
 
     def _is_free(self) -> bool:
-        """Return whether no answer is awaited; handle one that has come."""
+        """Return whether no answer is due; handle one that has come."""
         if self._call is None:
             return True
         if not self._call.done():

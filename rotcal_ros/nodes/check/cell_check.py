@@ -1,8 +1,8 @@
-"""ListeningNodes to a cell without taking part in it: python -m rotcal_ros.nodes.check.cell_check.
+"""Listens to a cell without taking part in it: python -m rotcal_ros.nodes.check.cell_check.
 
 Prints what was found as JSON, see :class:`~rotcal_ros.methods.check_lines.CellReport`. The suite's
-own capture listens, under a hidden name and without publishing, and the planner's preflight
-judges: what passes here passes there.
+own capture listens under a hidden name, without publishing, and the planner's preflight judges:
+what passes here passes there.
 
 Lines on drivers and other nodes are made in ``snapshot`` beside it; here are those on the frames
 (what headers name, what /tf_static says), on who may stop the cell, on the machine (the joint of
@@ -84,7 +84,7 @@ _OWN_TOPICS: Final = (
     names.HEARTBEAT, "/diagnostics", names.PLAN, names.OBSERVATION, names.TABLE_ANGLE,
     names.PROBE_TARGET,
 )  # fmt: skip
-"""What a capture publishes or obeys: here it does neither."""
+"""What a capture usually publishes or obeys; here it does neither."""
 _LOOK_S: Final = 0.1
 _NO_CONFIGURATION: Final = f"/**: {{ros__parameters: {{method: {DEFAULT}}}}}"
 
@@ -153,7 +153,7 @@ class ListeningNodes:
             self._offsets.note(topic, taken_ns, received_ns)
 
     def _look(self) -> None:
-        """Listen to the headers of every stream once it is there."""
+        """Listen to the headers of every stream as soon as it appears."""
         _, values = self._ears._report()
         for topic in STREAMS:
             name = values.get(TOPIC + topic) or self.node.resolve_topic_name(topic)
@@ -219,7 +219,7 @@ _TODO: Final = "publish the points in the machine frame, or set cell.machine_fra
 
 
 class FramesHeard:
-    """The static frames, heard from now on."""
+    """The static frames that were heard since this object was made."""
 
     def __init__(self, node: Node) -> None:
         self._static = StaticFrames(node)
@@ -336,7 +336,7 @@ def _joint_line(snapshot: CellSnapshot) -> CheckLine:
 
 
 def _order_lines(snapshot: CellSnapshot, order: str) -> Iterator[CheckLine]:
-    """Yield who obeys an order, and who gives it besides the planner."""
+    """Yield who obeys an order, and who besides the planner gives it."""
     part, graph = _PARTS[order], snapshot.graph
     name, machines = graph.resolve(order), graph.machines(order)
     if line := brought_line(snapshot, part, order, "obeys it"):
@@ -350,7 +350,7 @@ def _order_lines(snapshot: CellSnapshot, order: str) -> Iterator[CheckLine]:
         yield CheckLine(part, order, "good", f"node {', '.join(machines)} obeys it")
     strangers = sorted(set(graph.publishers(order)) - {"planner"})
     if strangers:
-        found = f"node {', '.join(strangers)} gives orders on {name}, too"
+        found = f"node {', '.join(strangers)} also gives orders on {name}"
         todo = f"only the planner may order motion: stop the other publishers on {name}"
         yield CheckLine(part, order, "doubt", found, todo)
 

@@ -2,7 +2,7 @@
 
     python -m rotcal_ros.nodes.check.message_trial
 
-Two contexts are two DDS participants, so the message takes the same way as between two processes.
+Two contexts are two DDS participants, so the message travels as between two processes.
 Prints one line and exits with 0, or says what failed and exits with 1.
 """
 

@@ -1,9 +1,9 @@
-"""Whether recorder and capture keep pace here, for ``rotcal doctor``.
+"""Tests whether recorder and capture keep pace here, for ``rotcal doctor``.
 
     python -m rotcal_ros.nodes.check.rate_trial FOLDER
 
-A tracer's readings come over DDS, are understood and written as a bag below FOLDER, for 5 s beside
-whatever else runs. Prints one line and exits with 0, or says what was missing and exits with 1.
+For 5 s, beside whatever else runs, a tracer's readings come over DDS, are decoded and written as a
+bag below FOLDER. Prints one line and exits with 0, or says what was missing and exits with 1.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ REST_S: Final = 5.0
 
 
 class TrialListener:
-    """What recorder and capture do with readings: keep their bytes, and understand them."""
+    """Does what recorder and capture do with readings: keeps their bytes and decodes them."""
 
     def __init__(self, recording: BagRecording) -> None:
         self._recording = recording
@@ -62,7 +62,7 @@ class TrialListener:
 
 
 def publish(peer: Peer, count: int) -> None:
-    """Publish so many readings at the rate; what is late is made up for."""
+    """Publish so many readings at the rate, and make up for late ones."""
     publisher = peer.node.create_publisher(TracerLength, names.TRACER_LENGTH, STREAM)
     patience = Patience(MATCH_S)
     while not publisher.get_subscription_count() and not patience.is_over():
@@ -76,7 +76,7 @@ def publish(peer: Peer, count: int) -> None:
 
 
 def try_rate(folder: Path) -> tuple[bool, str]:
-    """Return whether the rate was held, and what was found in words."""
+    """Return whether the rate was held, and the findings in words."""
     count = round(RATE_HZ * TRIAL_S)
     here, there = Peer("doctor_instrument", "/doctor"), Peer("doctor_recorder", "/doctor")
     recording = BagRecording(BagWriter(folder / "bag"), QUEUE_BYTES, lambda *_: None)

@@ -52,7 +52,7 @@ class TableBehindDriver(Protocol):
         """Return why the driver could not use this feedback; None: it can."""
 
     def outside(self) -> str | None:
-        """Return in words that the joint stands outside of its stated travel; None: no."""
+        """Return in words that the joint is outside its stated travel; None: it is inside."""
 
     def controller_lines(self) -> Iterator[CheckLine]:
         """Yield whether a controller is there that accepts the driver's orders."""
@@ -85,7 +85,7 @@ class HeaderWatch:
 
     @property
     def ahead_s(self) -> float | None:
-        """Median of stamp less time of arrival; None where nothing is stamped."""
+        """Median of stamp less time of arrival; None if nothing is stamped."""
         return median(self._ahead_ns) * NANOSECOND if self._ahead_ns else None
 
     def note(self, data: bytes, received_ns: int) -> int:
@@ -110,7 +110,7 @@ class HeaderWatch:
 
 @dataclass(frozen=True)
 class CellSnapshot:
-    """What a check has heard; ``calibration`` is None where no configuration was given.
+    """What a check has heard; ``calibration`` is None if no configuration was given.
 
     ``compared`` are the streams whose clocks could be compared with the table's. With a table
     adapter in the configuration, ``adapter`` judges the table behind it.
@@ -142,7 +142,7 @@ class CellSnapshot:
         return next(self.graph.without_instrument(self.name(role), delivered), None)
 
     def joint_faults(self) -> Iterator[str]:
-        """Yield what is wrong with the table's joint; an adapter has its own word about that."""
+        """Yield what is wrong with the table's joint; an adapter judges its joint itself."""
         if self.adapter is None:
             yield from joint_faults(self.values, self.configuration.cell.joint)
 
@@ -154,7 +154,7 @@ class CellSnapshot:
 
     @cached_property
     def brought(self) -> Mapping[str, list[str]]:
-        """Role -> nodes of all that drivers will bring which ``rotcal run`` starts."""
+        """Role -> nodes, for what the drivers that ``rotcal run`` starts will publish or obey."""
         return brought(self)
 
     @property
@@ -180,7 +180,7 @@ def table_behind_driver(node: Node, configuration: Configuration) -> TableBehind
 
 
 def brought(snapshot: CellSnapshot) -> dict[str, list[str]]:
-    """Return role -> nodes, for what drivers will publish or obey that do not run yet."""
+    """Return role -> nodes, for what drivers that do not run yet will publish or obey."""
     found: dict[str, list[str]] = {}
     for group, check in _checks(snapshot.configuration):
         if (node := FURTHER_NODES[group]) not in snapshot.nodes:
@@ -190,7 +190,7 @@ def brought(snapshot: CellSnapshot) -> dict[str, list[str]]:
 
 
 def brought_line(snapshot: CellSnapshot, part: str, role: str, does: str) -> CheckLine | None:
-    """Return the line of a role that a driver will play; None where none will."""
+    """Return the line of a role that a driver will play; None if none will."""
     nodes = snapshot.brought.get(role, [])
     if not nodes:
         return None
@@ -201,7 +201,7 @@ def brought_line(snapshot: CellSnapshot, part: str, role: str, does: str) -> Che
 
 
 def driver_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
-    """Yield whether the devices of the drivers are there, as far as can be seen from outside."""
+    """Yield whether the drivers' devices are there, as far as this can be seen from outside."""
     configuration = snapshot.configuration
     for group, check in _checks(snapshot.configuration):
         if check.look is not None:
@@ -210,7 +210,7 @@ def driver_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
 
 
 def _checks(configuration: Configuration) -> Iterator[tuple[str, DriverCheck]]:
-    """Yield the drivers that the configuration asks for, by their groups."""
+    """Yield the drivers whose groups the configuration has."""
     known = plugins.names(plugins.DRIVER_CHECKS)
     for group in FURTHER_NODES:
         if group in configuration.given and group in known:
@@ -249,11 +249,11 @@ def _nobody(snapshot: CellSnapshot) -> CheckLine:
             f"on this machine there are participants in ROS_DOMAIN_ID {shown}: "
             f"ROS_DOMAIN_ID={used[0]} rotcal cell check ..."
         )
-    return CheckLine("cell", "nodes", "missing", f"nobody at all in domain {domain}", todo)
+    return CheckLine("cell", "nodes", "missing", f"no node in domain {domain}", todo)
 
 
 def namesakes(graph: CellGraph, topic: str, own: str, kind: str) -> str | None:
-    """Return what to do where another topic has the last name or the type; None: none has."""
+    """Return what to do if another topic has the same last name or type; None: none has."""
     found = []
     for name, types in graph.node.get_topic_names_and_types():
         alike = name.rpartition("/")[2] == topic or kind in types
@@ -285,7 +285,7 @@ def read_header(data: bytes) -> tuple[int, str]:
 def watch_headers(
     node: Node, message_type: Any, topic: str, stamped: Callable[[int, int, int], None]
 ) -> HeaderWatch:
-    """Return the headers of an absolute ``topic`` from now on, whoever publishes it.
+    """Return the headers on an absolute ``topic`` from now on, whoever publishes them.
 
     ``stamped`` is called with stamp, time of sending and of arrival (ns) of every stamped message.
     """

@@ -50,7 +50,7 @@ class TrialNode:
         )
 
     def running(self) -> bool:
-        """Return whether the process is there."""
+        """Return whether the process runs."""
         return self._process.poll() is None
 
     def interrupt(self) -> None:
@@ -58,7 +58,7 @@ class TrialNode:
         self._process.send_signal(signal.SIGINT)
 
     def end(self) -> NodeError | None:
-        """Wait until it ended; return what went wrong, if anything."""
+        """Wait until it has ended; return what went wrong, if anything."""
         try:
             code = self._process.wait(patient(END_S))
         except subprocess.TimeoutExpired as late:
@@ -66,7 +66,7 @@ class TrialNode:
         return NodeError(self.last_words()) if code else None
 
     def last_words(self) -> str:
-        """Return how a process ended that has ended."""
+        """Return how the process ended."""
         self._output.seek(0)
         lines = self._output.read().strip().splitlines() or ["it said nothing"]
         return f"{self.name} ended with {self._process.returncode}: {lines[-1]}"
@@ -79,7 +79,7 @@ class TrialNode:
 
 
 def trial() -> float:
-    """Start all and end them; return the seconds until all beat. NodeError: what went wrong."""
+    """Start all nodes and end them; return the seconds until all beat. Raises NodeError."""
     beating: set[str] = set()
 
     def hear(beat: NodeStateMsg) -> None:
@@ -118,7 +118,7 @@ def main() -> int:
     except NodeError as error:
         sys.stdout.write(f"{error}\n")
         return 1
-    sys.stdout.write(f"{', '.join(NODES)} started and beat after {took:.1f} s, and ended well\n")
+    sys.stdout.write(f"{', '.join(NODES)} started, beat after {took:.1f} s and ended cleanly\n")
     return 0
 
 

@@ -1,4 +1,4 @@
-"""A small trial motion of the table that a person has confirmed; ``rotcal cell check --move``.
+"""Makes a small trial motion that a person has confirmed; ``rotcal cell check --move``.
 
     python -m rotcal_ros.nodes.check.trial_motion --ros-args -p ...
 
@@ -133,13 +133,13 @@ class TrialMotionNode(CellNode):
         await until(rests, TURN_S)
 
     def _way(self, start: float) -> float:
-        """Return how far to turn: away from an end of the travel, where one is stated."""
+        """Return how far to turn: away from the nearer end of the travel, if one is stated."""
         upper = self._calibration.configuration.table_adapter.upper_deg
         way = TRIAL_DEG * DEGREE
         return way if upper is None or start + way <= upper * DEGREE else -way
 
     def _ready(self) -> bool:
-        """Return whether the table is heard and a machine will obey; or nothing can be done."""
+        """Return whether the table is heard and a machine will obey, or nothing can be done."""
         obeys = CellGraph(self).machines(names.TABLE_ANGLE)
         return self._why_not() is not None or bool(self._table and set(obeys) - {self.get_name()})
 

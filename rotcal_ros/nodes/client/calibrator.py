@@ -1,4 +1,4 @@
-"""Calibrating a cell from a script, without knowledge of ROS.
+"""Calibrates a cell from a script, without knowledge of ROS.
 
 For example::
 
@@ -9,7 +9,8 @@ For example::
             print(calibrator.feedback())
         print(calibrator.result().load().deviations)
 
-What a script hears of a calibration, and what it sends: plain data from and for messages.
+What a script hears of a calibration and what it sends is plain data, made from messages and into
+messages.
 """
 
 from __future__ import annotations
@@ -40,9 +41,9 @@ from rotcal_ros.nodes.runtime.running import Peer, use_middleware
 CANCEL_TIMEOUT_S: Final = 15.0
 ANSWER_TIMEOUT_S: Final = 10.0
 _GRACE_S: Final = 0.5
-"""Time for a result that is on its way when the planner has left."""
+"""Time for a result that was still on its way when the planner left."""
 _ON_ITS_WAY_S: Final = 0.1
-"""Time for a feedback that is on its way when a pause has ended."""
+"""Time for feedback that was still on its way when a pause ended."""
 
 
 class CalibratorError(RotcalError):
@@ -56,8 +57,8 @@ class GoalRefusedError(CalibratorError):
 class Calibrator:
     """Sends goals to the planner of one cell, one after the other.
 
-    It works inside its calls only; between them a script may do what it likes. The end of a
-    ``with`` block cancels a goal that runs, :meth:`close` leaves the goal to the planner.
+    It works only inside its calls; between them a script may do what it likes. The end of a
+    ``with`` block cancels a running goal; :meth:`close` leaves it to the planner.
     ``args`` are arguments of ROS's command line. One object serves one thread.
     """
 
@@ -78,11 +79,11 @@ class Calibrator:
 
     @property
     def planner_state(self) -> NodeState:
-        """How the planner stands; UNKNOWN when it was never heard."""
+        """The planner's state; UNKNOWN if it was never heard."""
         return self.health.node_state(PLANNER)
 
     def is_ready(self, timeout_s: float = 0.1) -> bool:
-        """Wait for the planner; return whether it is there."""
+        """Wait this long for the planner; return whether it is there."""
         return self._peer.work_until(
             lambda: self._action.server_is_ready() and PLANNER in self.health.others, timeout_s
         )
@@ -103,8 +104,8 @@ class Calibrator:
     def start(self, configuration: Path | str | Configuration = "", start_index: int = 0) -> None:
         """Begin a calibration at a step of its plan; return once the planner has taken the goal.
 
-        A string with line breaks is YAML text, any other the path of a file; an empty one leaves
-        the configuration to the planner's parameters. A configuration that cannot be used ends
+        A string with line breaks is YAML text, any other is the path of a file; with an empty one
+        the planner uses its parameters. A configuration that cannot be used ends
         the calibration at once, see :meth:`result`. Raises GoalRefusedError while the planner is
         at work, ConfigurationError when the file cannot be read.
         """
@@ -181,7 +182,7 @@ class Calibrator:
         return self._outcome is not None
 
     def _found(self) -> Outcome | None:
-        """Return how the goal ended, also where its planner was lost."""
+        """Return how the goal ended, even if its planner was lost."""
         silent = bool(self.health.missing([PLANNER]))
         if silent:
             self._peer.work_until(self._answer.done, _GRACE_S)
@@ -195,7 +196,7 @@ class Calibrator:
         return None
 
     def no_answer(self) -> str:
-        """Say that the planner gives no answer, and how it stands."""
+        """Return the error that the planner gives no answer, with its state."""
         return f"no answer from the planner; it is {self.health.in_words(PLANNER)}"
 
     def _hear(self, message: Any) -> None:
@@ -210,13 +211,12 @@ class Calibrator:
 
 @dataclass(frozen=True, slots=True)
 class Feedback:
-    """The progress of a calibration; None is what is not known yet.
+    """The progress of a calibration; None: not known yet.
 
-    ``activity`` says in words what is done now, ``doing`` as a code; ``instruction`` what a person
-    has to do before it goes on, empty: nothing.
-    ``accepted`` and ``rejected`` count attempts, ``left`` the steps that are expected to be left.
-    ``uncertainty_rad`` (k = 2) now and ``goal_rad`` are those of a policy that has a
-    goal.
+    ``activity`` says in words what is being done, ``doing`` as a code. ``instruction`` is what a
+    person has to do before it goes on; empty: nothing.
+    ``accepted`` and ``rejected`` count attempts, ``left`` is the expected number of further steps.
+    ``uncertainty_rad`` (k = 2, at present) and ``goal_rad`` belong to a policy that has a goal.
     """
 
     step: int
@@ -261,9 +261,9 @@ def planner_lost(last: Feedback | None) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How a calibration ended: ``error_code`` 0 means with a result, see docs/interfaces.md.
+    """How a calibration ended; ``error_code`` 0: with a result (see docs/interfaces.md).
 
-    ``bag_folder`` and ``result_file`` are absolute paths, empty where there is none. The verdict
+    ``bag_folder`` and ``result_file`` are absolute paths, empty if there is none. The verdict
     is ok, suspect or failed. ``skipped_steps`` were given up after all attempts.
     """
 
@@ -295,7 +295,7 @@ class Outcome:
 
 
 def text_of(configuration: Path | str | Configuration) -> str:
-    """Return the YAML text of a configuration, however it is given."""
+    """Return the YAML text of a configuration, given as text or as a file."""
     if isinstance(configuration, Configuration):
         return configuration.text
     if isinstance(configuration, str) and ("\n" in configuration or not configuration):

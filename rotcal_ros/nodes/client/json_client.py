@@ -75,7 +75,7 @@ class Client:
         say("result", **asdict(outcome))
 
     def _planner_came(self, timeout_s: float) -> bool:
-        """Wait for the planner; False when the client has to end, CalibratorError without one."""
+        """Wait for the planner; False if the client has to end, CalibratorError if none comes."""
         patience = Patience(timeout_s)
         listen_until = time.monotonic() + LISTEN_S
         while True:
@@ -114,7 +114,7 @@ class Client:
             say("page", address=page)
 
     def _warn(self) -> None:
-        """Report a jump of the clock once, though all nodes do, and each kind of warning."""
+        """Report each kind of warning once, and a jump that all nodes report only once."""
         health = self._calibrator.health
         jumps = ((text.partition(" at ")[0], text) for text in jumps_in_words(health))
         concerns = ((kind_of(text), text) for text in warnings_told(health))
@@ -138,7 +138,7 @@ class Client:
             say("paused", instruction=instruction, doing=feedback.doing)
 
     def _listen(self) -> None:
-        """Handle the lines on standard input; after its end nothing more is expected."""
+        """Handle the lines on standard input until it ends."""
         try:
             if not self._listening or not select.select([STDIN], [], [], 0.0)[0]:
                 return

@@ -1,4 +1,4 @@
-"""The planner's links to the cell: what it publishes and receives, and what is missing.
+"""Links the planner to the cell: what it publishes and receives, and what is missing.
 
 The pause of a running goal is published on ``pause`` and ended by the service ``resume``.
 """
@@ -68,13 +68,13 @@ OWNERS: Final = {
     names.OBSERVATION: "capture", names.OBSERVATION_RECORDED: "recorder",
     **dict.fromkeys(ORDERS, "planner"),
 }  # fmt: skip
-"""The only node whose messages count on each of our own topics."""
+"""Topic -> the only node whose messages count there."""
 Attempt = tuple[int, int]
 """Step and attempt."""
 
 
 class CellLinks:
-    """Publishers, subscriptions and clients, and what came in for the steps so far."""
+    """Publishers, subscriptions and clients, and what has arrived for the steps so far."""
 
     def __init__(self, node: CellNode) -> None:
         self.node = node
@@ -100,19 +100,19 @@ class CellLinks:
         self._choices = node.create_publisher(msg.StepChoice, names.STEP_CHOICE, EVENT)
 
     def publish_anew(self) -> None:
-        """Replace all publishers: new ones may be discovered where the old ones were not."""
+        """Replace all publishers: new ones may be discovered even if the old ones were not."""
         for publisher in (self._plans, self._tables, self._probes, self._choices):
             self.node.destroy_publisher(publisher)
         self._publish()
 
     def forget(self) -> None:
-        """Forget what came in for an earlier goal."""
+        """Forget what arrived for an earlier goal."""
         self.observations.clear()
         self.receipts.clear()
         self.current_std = math.nan
 
     def last_accepted(self, attempts: Iterable[Attempt]) -> Observation | None:
-        """Return the accepted observation of the last of these attempts that has any."""
+        """Return the last accepted observation among these attempts."""
         came = (self.observations.get(attempt) for attempt in attempts)
         return max(
             (o for o in came if o is not None and o.accepted),
@@ -136,7 +136,7 @@ class CellLinks:
         self._probes.publish(probe)
 
     def warn(self, key: str, texts: Sequence[str]) -> None:
-        """Report what looks wrong, and that it is over when there is nothing."""
+        """Show what looks wrong; with no texts the warning is over."""
         for text in texts:
             self.node.get_logger().warning(text)
         show(self.health, key, "; ".join(texts))
@@ -153,20 +153,20 @@ class CellLinks:
         return lost or self.services.missing()[:1]
 
     def idle_nodes(self, but: Collection[str] = ()) -> list[str]:
-        """Return which nodes of the calibration are there and not active, in words."""
+        """Return which nodes of the calibration are present but not active, in words."""
         return not_active(self.health, sorted(self.health.present() - SPARE - {*but}))
 
     def missing_topics(
         self, topics: Sequence[str], silent: Collection[str] = (), stop: str = ""
     ) -> list[str]:
-        """Return what is missing around the instrument topics and the orders, in words.
+        """Return what the instrument topics and the orders still lack, in words.
 
-        Those that are ``silent`` before the first order need not deliver anything yet, and the
+        Topics that are ``silent`` before the first order need not deliver anything yet, and the
         emergency ``stop`` need not be published.
         """
         graph, heard = self.graph, self.health.values("capture")
         measured = [self.instrument(topic) for topic in topics]
-        found = [
+        lacking = [
             text
             for topic, name in zip(topics, measured, strict=True)
             for text in graph.without_instrument(
@@ -182,13 +182,13 @@ class CellLinks:
 
     def _unrecorded(self, name: str) -> str:
         """Say that the recorder does not listen to a topic yet, or why it cannot."""
-        why = self.health.values("recorder").get(name, "")
-        return f"the recorder does not listen to {name}{': ' + why if why else ' yet'}"
+        reason = self.health.values("recorder").get(name, "")
+        return f"the recorder does not listen to {name}{': ' + reason if reason else ' yet'}"
 
     def believed(self, instruments: Collection[str]) -> Believed:
         """Return the present publishers of a run's topics: our nodes and the ``instruments``."""
-        place = self.node.get_namespace()
-        found = {
+        namespace = self.node.get_namespace()
+        publishers = {
             self.instrument(role): self.graph.offers(self.instrument(role)) for role in instruments
         }
         for topic, owner in OWNERS.items():
@@ -197,7 +197,7 @@ class CellLinks:
             found[self.graph.resolve(topic)] = own
         return Believed({
             topic: tuple(sorted(publisher_of(info.endpoint_gid) for info in infos))
-            for topic, infos in found.items()
+            for topic, infos in publishers.items()
             if infos
         })  # fmt: skip
 
@@ -214,19 +214,19 @@ class CellLinks:
         }
 
     def unclear(self, instruments: Collection[str]) -> list[str]:
-        """Return on which topics the publisher is not unique yet, in words."""
-        believed, found = self.believed(()).publishers, list[str]()
+        """Return which topics do not have exactly one publisher yet, in words."""
+        believed, texts = self.believed(()).publishers, list[str]()
         for topic, owner in OWNERS.items():
             name = self.graph.resolve(topic)
             count = len(believed.get(name, ()))
             if count > 1:
-                found.append(
+                texts.append(
                     f"{count} nodes are called {owner} and publish {name}: end the others"
                 )
             elif not count:
-                found.append(f"node {owner} does not publish {name} yet")
+                texts.append(f"node {owner} does not publish {name} yet")
         called = (self.instrument(role) for role in instruments)
-        return found + [text for name in called for text in self.graph.crowded(name)]
+        return texts + [text for name in called for text in self.graph.crowded(name)]
 
     def missing_connections(self, believed: Believed) -> list[str]:
         """Return which nodes are not connected to the publishers of a run yet, in words."""
@@ -242,12 +242,12 @@ class CellLinks:
         ] + self._missing_machines()
 
     def _own_machines(self) -> list[str]:
-        """Return the machines that obey orders and beat as nodes of the suite do."""
+        """Return the machines that obey orders and beat like nodes of the suite."""
         obey = {name for topic in ORDERS for name in self.graph.machines(topic)}
         return sorted(obey & self.health.present())
 
     def _missing_machines(self) -> list[str]:
-        """Return the orders that do not reach all machines that beat yet, in words."""
+        """Return the orders that do not yet reach all machines that beat, in words."""
         publishers = {names.TABLE_ANGLE: self._tables, names.PROBE_TARGET: self._probes}
         return [
             f"the planner cannot be heard yet by all nodes that obey {self.graph.resolve(topic)}"
@@ -264,7 +264,7 @@ class CellLinks:
     def missing_plan(
         self, run: str | None, nodes: Sequence[str] = ("capture", "solver")
     ) -> list[str]:
-        """Return which nodes have not taken the plan of this run, with their reason."""
+        """Return which nodes have not taken the plan of this run, with their states."""
         return [
             f"node {name} has not taken the plan ({self.health.in_words(name)})"
             for name in nodes
@@ -305,14 +305,14 @@ class Pauses:
         self.waiting = False
 
     def begin(self, plan_id: str, run: int, step: int, stops: int) -> None:
-        """Wait from now on, before ``step`` of a run of a plan, after so many stops."""
+        """Wait from now on, before ``step`` of a run of a plan; ``stops`` have come so far."""
         self._stops = stops
         self._latest = msg.Pause(plan_id=plan_id, run=run, step=step, waiting=True)
         self.waiting = True
 
     def show(self, asked: Reason, move: Move | None = None) -> None:
-        """Publish what is waited for, unless that has not changed."""
-        latest, instruction = self._latest, asked.instruction
+        """Publish what is waited for if that has changed."""
+        latest, instruction = self._latest, asked.instruction or ""
         if latest.instruction == instruction:
             return
         place = move or Move("", 0)
@@ -325,12 +325,12 @@ class Pauses:
         self._publish(place.frame)
 
     def stop_between(self, stops: int) -> bool:
-        """Return, once, that a stop came after the pause began: its caller may not know of it."""
+        """Return, once, whether a stop has come since the pause began."""
         before, self._stops = self._stops, stops
         return stops > before
 
     def end(self) -> None:
-        """Publish that nothing is waited for any more."""
+        """Publish that the pause is over."""
         self.waiting = False
         if self._latest.waiting:
             latest = self._latest

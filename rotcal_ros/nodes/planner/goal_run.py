@@ -2,7 +2,7 @@
 
 ``be_ready`` waits until all nodes and instruments are there and fit the configuration. GoalBag has
 the recorder open, continue and close the bag. GoalRun does all of it, in several runs of the same
-session where a node is lost and comes back.
+session if a node is lost and comes back.
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ from rotcal_ros.nodes.runtime.cell_node import until
 from rotcal_ros.nodes.runtime.clocks import unlike_clocks
 
 MOST_IN_VAIN: Final = 2
-"""Largest number of successive runs without a newly accepted step, when nodes are lost."""
+"""When nodes are lost, this many runs in succession may end without a newly accepted step."""
 BAG_TIMEOUT_S: Final = 10.0
 OPEN_TIMEOUT_S: Final = 120.0
-"""To continue, the recorder first reads what the earlier runs have recorded."""
+"""Before it continues, the recorder reads what the earlier runs have recorded."""
 LAST_TIMEOUT_S: Final = 2.0
-"""The bag stays open this long for observations that the recorder has not received yet."""
+"""The bag stays open this long for observations that are still on their way to the recorder."""
 
 
 class GoalRun:
@@ -73,7 +73,7 @@ class GoalRun:
         self.measuring = GoalMeasurement(calibration, continuation, watch)
 
     async def execute(self) -> Codes:
-        """Carry the goal out; every way to end leaves a closed bag and an explained outcome."""
+        """Carry out the goal; however it ends, the bag is closed and the outcome explained."""
         outcome = Codes()
         try:
             answer = await self._solved()
@@ -84,7 +84,7 @@ class GoalRun:
             begun = self.bag.folder is not None or error.code == Codes.CANCELED
             onward = self.watch.how_to_go_on(error.code) if begun else ""
             outcome.error_code = error.code
-            outcome.error_msg = f"{error}{self._remarks(error)}{onward}"
+            outcome.error_msg = "; ".join([str(error), *self._likely_causes(error)]) + onward
             await self.bag.close_after_failure()
         finally:
             self._believed = Believed()
@@ -99,7 +99,7 @@ class GoalRun:
         return outcome
 
     async def _solved(self) -> FinishCalibration.Response:
-        """Return the solver's answer, after as many runs as the loss of nodes requires."""
+        """Return the solver's answer; each loss of a node may require another run."""
         in_vain = 0
         while True:
             before = len(self.watch.progress.accepted)
@@ -146,14 +146,14 @@ class GoalRun:
         return {RUN: self._run, **own} if self._run else own
 
     async def _fix_publishers(self) -> None:
-        """Fix the present publishers as those of the run, and wait until all nodes know them."""
+        """Make the present publishers those of the run, and wait until all nodes know them."""
         await self._accept_publishers()
         if not await self.watch.is_found(self._missing_connections):
             await self._accept_publishers()
             await self.watch.have(self._missing_connections, Codes.NODE_LOST)
 
     async def _accept_publishers(self) -> None:
-        """Accept the publishers that are there now, and tell all nodes in a beat at once."""
+        """Accept the present publishers, and tell all nodes at once in a beat."""
         links, watch = self.watch.links, self.watch
         instruments = self._calibration.method.topics
         await watch.have(lambda: links.unclear(instruments), Codes.TOPIC_MISSING)
@@ -167,22 +167,27 @@ class GoalRun:
     def _missing_connections(self) -> list[str]:
         return self.watch.links.missing_connections(self._believed)
 
-    def _remarks(self, error: GoalError) -> str:
-        """Return warnings of the cell that may be the reason why the goal has ended."""
+    def _likely_causes(self, error: GoalError) -> list[str]:
+        """Return warnings of the cell that may have ended the goal; none where a person did."""
+        if error.code == Codes.CANCELED:
+            return []
         health = self.watch.links.health
-        causes = (f"; {t}" for t in warnings_told(health, OF_MACHINES) if t not in str(error))
-        return "" if error.code == Codes.CANCELED else health.sim.remark() + "".join(causes)
+        told = [text for text in warnings_told(health, OF_MACHINES) if text not in str(error)]
+        clock = health.sim.remark()
+        return told if clock is None else [clock, *told]
 
     async def _go_on(self) -> None:
-        """Measure what is left, joined with what the recorder has of the runs before."""
-        known = await self.bag.recorded()
+        """Measure what is left, to be joined with what earlier runs recorded."""
+        recorded = await self.bag.recorded()
         try:
-            left = self._calibration.continued(known.run, known.observations, self._from_step)
+            left = self._calibration.continued(
+                recorded.run, recorded.observations, self._from_step
+            )
             self.measuring = GoalMeasurement(self._calibration, left, self.watch)
         except RotcalError as error:
             raise GoalError(Codes.BAD_CONFIGURATION, str(error)) from error
         self._continuation, self.watch.progress.left = left, len(left.steps)
-        text = f"run {known.run}: {len(left.steps)} steps, {len(left.again)} of them once more"
+        text = f"run {recorded.run}: {len(left.steps)} steps, {len(left.again)} of them once more"
         self.watch.links.node.get_logger().info(text)
 
     async def _announce(self) -> None:
@@ -205,7 +210,7 @@ class GoalRun:
         self.watch.begin_run(run)
 
     async def _solve(self) -> FinishCalibration.Response:
-        """Return the solver's answer, which holds a result; one that comes back is asked again."""
+        """Return the solver's answer with a result; a restarted solver is asked again."""
         watch = self.watch
         watch.tell(Why.SOLVING)
         request = FinishCalibration.Request(
@@ -224,8 +229,8 @@ class GoalRun:
         if not answer.success:
             few = not watch.progress.accepted and not self._continuation.observations
             code = Codes.TOO_FEW_OBSERVATIONS if few else Codes.SOLVER_FAILED
-            why = Commonest.of(self.measuring.reasons)
-            more = f"; rejected: {why.in_words()}" if why else ""
+            commonest = Commonest.of(self.measuring.reasons)
+            more = f"; rejected: {commonest.in_words()}" if commonest else ""
             raise GoalError(code, f"no result: {answer.message}{more}")
         return answer
 
@@ -254,7 +259,7 @@ class GoalBag:
         self.folder = SessionFolder(Path(answer.folder))
 
     async def recorded(self) -> Recorded:
-        """Return what the recorder has of the session, its earlier runs too."""
+        """Return what the recorder has of the session, including earlier runs."""
         asked = self._services.recorded_observations
         answer = await self._recorder_did(asked, Trigger.Request(), OPEN_TIMEOUT_S)
         try:
@@ -272,7 +277,7 @@ class GoalBag:
         )
 
     async def close_after_failure(self) -> None:
-        """Close the bag if the recorder still lives; a dead one left whole chunks behind."""
+        """Close the bag if the recorder still lives; a dead one has left whole chunks behind."""
         health = self._watch.links.health
         if self._is_open and not health.missing(["recorder"]):
             await self._have_all_recorded()
@@ -309,7 +314,7 @@ class GoalBag:
 
 
 async def be_ready(calibration: Calibration, watch: GoalWatch, operator: OperatorRequests) -> None:
-    """Wait for all nodes and topics; GoalError names what is missing after the time for it."""
+    """Wait for all nodes and topics; after the time limit GoalError names what is missing."""
     links, configuration = watch.links, calibration.configuration
     links.forget()
     if watch.preflight:  # a later one, after a lost node, hears of a stop in between
@@ -334,14 +339,14 @@ async def be_ready(calibration: Calibration, watch: GoalWatch, operator: Operato
 
 
 def _needed(links: CellLinks) -> set[str]:
-    """Return the nodes of the suite and those that are here, except those that only show."""
+    """Return the nodes of the suite and all others present, except those that only show."""
     return (links.health.present() | set(PREFLIGHT_NODES)) - {*VIEWERS.values()}
 
 
 async def _have_topics(
     calibration: Calibration, watch: GoalWatch, operator: OperatorRequests
 ) -> None:
-    """Wait for the topics; a stop that has broken the run off is released and resumed first.
+    """Wait for the topics, after a person has resumed from a stop that broke the run off.
 
     Instruments may be silent meanwhile, and a restarted capture has heard nothing.
     """
@@ -359,12 +364,12 @@ async def _have_topics(
 
 
 def _halted(watch: GoalWatch) -> bool:
-    """Return whether a person has to resume after an emergency stop: never in the first one."""
+    """Return whether a person has to resume after an emergency stop; not in a first preflight."""
     return not watch.preflight and bool(watch.stop.heed())
 
 
 def _missing(calibration: Calibration, links: CellLinks) -> list[str]:
-    """Return what is missing around the topics, in words."""
+    """Return what is missing or wrong with the topics, in words."""
     configuration = calibration.configuration
     if odd := names_at_odds(links.node, topics_value(configuration)):
         return odd

@@ -30,13 +30,13 @@ from rotcal_ros.planning.plan import Pause
 from rotcal_ros.planning.settings import PlannerSettings
 
 ASTRAY_TIMEOUT_S: Final = 5.0
-"""Capture and solver may work for another plan than the goal's for this long."""
+"""For this long capture and solver may work on another plan than the goal's."""
 FOUND_S: Final = 5.0
 """Time for two ends to discover each other: lost discovery packets are sent again after 3 s."""
 SETTLED_S: Final = 0.5
-"""When no new publisher was discovered for this long, those known count as all."""
+"""If no new publisher is discovered for this long, the known ones count as all."""
 HOPELESS_S: Final = 0.5
-"""The capture must report hopeless for this long: late readings may look so for a moment."""
+"""The capture must report HOPELESS for this long: late readings may look so for a moment."""
 SOLVER: Final = "solver"
 Codes = Calibrate.Result
 """The message that holds the error codes of the action."""
@@ -45,7 +45,7 @@ Codes = Calibrate.Result
 class GoalError(Exception):
     """The goal cannot go on; ``code`` is an error code of the action.
 
-    ``in_another_run`` says that it can, in another run, once the nodes of the suite are back.
+    ``in_another_run``: it can go on in another run, once the nodes of the suite are back.
     """
 
     def __init__(self, code: int, text: str, *, in_another_run: bool = False) -> None:
@@ -57,8 +57,8 @@ class GoalError(Exception):
 class RequiredNodes:
     """The ``nodes`` that must be there while a goal runs.
 
-    The solver may be away for ``restart_wait_s``: it gets from the recorder what it missed. The
-    restart of any other node breaks the run off, however quickly it came back.
+    The solver may be away for ``restart_wait_s``: it gets from the recorder what it missed. A
+    restart of any other node breaks the run off, however quick it was.
     """
 
     def __init__(self, health: Health, restart_wait_s: float) -> None:
@@ -69,18 +69,18 @@ class RequiredNodes:
         self._away: Patience | None = None
 
     def begin_run(self) -> None:
-        """Take those that are here now for those of the run."""
+        """Make the present nodes those of the run."""
         nodes = self.nodes.union(PREFLIGHT_NODES)
         self._processes = {name: self._health.process(name) for name in nodes}
 
     def end_run(self) -> None:
-        """Let the nodes of the suite come and go: a preflight looks for them."""
+        """Let the nodes of the suite come and go: the next preflight looks for them."""
         self.nodes -= set(PREFLIGHT_NODES)
         for name in PREFLIGHT_NODES:
             self._processes.pop(name, None)
 
     def newcomers(self) -> list[str]:
-        """Return which nodes are other processes than when the run began."""
+        """Return which nodes are no longer the processes they were when the run began."""
         began = self._processes.items()
         return [name for name, process in began if self._health.process(name) != process]
 
@@ -89,12 +89,12 @@ class RequiredNodes:
         return {name: s for name, s in self._health.slow.items() if name in self.nodes}
 
     def is_another(self, name: str) -> Callable[[], bool]:
-        """Return a function that says whether a node is another process than now."""
+        """Return a function that tells whether a node has become another process since now."""
         now = self._health.process(name)
         return lambda: self._health.process(name) != now
 
     def check(self, place: str) -> None:
-        """Raise GoalError where the run cannot go on with the nodes that are here."""
+        """Raise GoalError if the run cannot go on with the nodes that are here."""
         missing = self._health.missing(self.nodes)
         anew = sorted({*self.newcomers()} - {SOLVER, *missing})
         if SOLVER not in missing:
@@ -144,7 +144,7 @@ class GoalWatch:
     patience_s: float
     """How long a preflight waits for what is missing."""
     stopping: str | None = None
-    """Why the planner gives the goal up; None: it does not."""
+    """Why the planner gives up the goal; None: it does not."""
     preflight: bool = True
     """Nothing has moved yet: an emergency stop ends the goal, later the goal waits."""
     recording: bool = False
@@ -152,12 +152,12 @@ class GoalWatch:
     run: str | None = None
     """The run that capture and solver have to work for; None: none yet."""
     owed: tuple[Pause, str | None, int] | None = None
-    """A pause that was broken off, the work still to be done, and the first step to check."""
+    """An unfinished pause, its work that is still to be done, and the first step to check."""
     slow: dict[str, float] = field(default_factory=dict)
     """Nodes and instruments that are waited for: name -> seconds without a sign of life."""
     instruments: Collection[str] = ()
     heard: Offers = field(default_factory=dict)
-    """Who published the topics of the instruments when the run began."""
+    """The publishers of the instruments' topics when the run began."""
     _astray: Patience | None = None
     _hopeless: Patience | None = None
     _overload: Overload = field(default_factory=Overload)
@@ -167,11 +167,11 @@ class GoalWatch:
     _bag_open: bool = False
 
     def tell(self, code: Why, *arguments: object) -> None:
-        """Show what is done now."""
+        """Show what is being done now."""
         self.tell_again(Reason.of(code, *arguments))
 
     def tell_again(self, doing: Reason) -> None:
-        """Show what is done now, as it was shown before."""
+        """Show again what is being done now."""
         self.progress.doing = doing
         self.show(self.progress)
 
@@ -183,17 +183,17 @@ class GoalWatch:
             return ""
         if self.settings.policy != AS_LISTED:
             return "; continue with rotcal run --resume"
-        again = "start again what is lost, then " if code == Codes.NODE_LOST else ""
+        again = "restart what is lost, then " if code == Codes.NODE_LOST else ""
         step = max(0, min(self.progress.step, self.progress.total - 1))
         return f"; {again}continue with start_index {step}"
 
     def begin_run(self, run: str) -> None:
-        """Watch over a run: capture and solver have its plan, and the bag is open."""
+        """Watch a run from now on: capture and solver have its plan, and the bag is open."""
         self.run = run
         self.required.begin_run()
 
     def end_run(self, patience_s: float) -> None:
-        """Stop watching the run, and let a preflight look for the nodes of the next one."""
+        """Stop watching the run; a preflight looks for the nodes of the next one."""
         self.run, self.recording, self._bag_open, self._astray = None, False, False, None
         self._silent, self.heard = {}, {}
         self.patience_s = patience_s
@@ -207,7 +207,7 @@ class GoalWatch:
         return await until(condition, timeout_s, self._check, self._is_slow)
 
     async def wait_for_machine(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Wait as :meth:`wait` does, for what was ordered; HaltedError in an emergency stop."""
+        """Wait like :meth:`wait` for what was ordered; HaltedError in an emergency stop."""
         arrived = await until(condition, timeout_s, self._check_machine, self._is_slow)
         self.heed_stop()
         return arrived
@@ -226,13 +226,13 @@ class GoalWatch:
             raise HaltedError(f"emergency stop: {why}")
 
     def clock_jumps(self) -> int:
-        """Return how often a clock of the cell has jumped, as far as this node knows by now."""
+        """Return how often a clock of the cell has jumped, as far as this node knows."""
         health = self.links.health
         health.clock.look()
         return health.clock.watch.count + jumps_told(map(health.values, health.others))
 
     async def have(self, missing: Callable[[], list[str]], code: int) -> None:
-        """Wait until nothing is missing; after the preflight time raise what still is."""
+        """Wait until nothing is missing; after the time of a preflight GoalError names what is."""
         if not await self.wait(lambda: not missing(), self.patience_s):
             raise GoalError(code, "; ".join(missing()) or "preflight timed out")
 
@@ -251,9 +251,9 @@ class GoalWatch:
         await self.wait(settled, self.patience_s)
 
     async def is_found(self, missing: Callable[[], list[str]]) -> bool:
-        """Return whether nothing is missing within FOUND_S; otherwise make new publishers.
+        """Return whether everything was found within FOUND_S; if not, make new publishers.
 
-        Sometimes the middleware never connects two ends that it knows; new ones it connects.
+        Sometimes the middleware never connects two ends that it knows, but does connect new ones.
         """
         if await self.wait(lambda: not missing(), min(FOUND_S, self.patience_s)):
             return True
@@ -267,7 +267,7 @@ class GoalWatch:
         timeout_s: float,
         in_vain: Callable[[], bool] = lambda: False,
     ) -> Any:
-        """Return the answer of a service; None as soon as ``in_vain`` says that none will come."""
+        """Return the answer of a service; None once ``in_vain`` says that none will come."""
         future = client.call_async(request)
         if not await self.wait(lambda: future.done() or in_vain(), timeout_s):
             text = f"{client.srv_name} gave no answer in {timeout_s:g} s"
@@ -315,7 +315,7 @@ class GoalWatch:
         self._heed_slow()
 
     def _heed_slow(self) -> None:
-        """Find the slow nodes; log an overload once, and show what is waited for now."""
+        """Find the slow nodes, log an overload once, and show what is being waited for."""
         overload, before = self._overload, self._overload.text
         self.slow = self.required.slow() | self._silent
         if text := overload.look(self.slow, time.monotonic(), machine_load.in_words):
@@ -331,7 +331,7 @@ class GoalWatch:
             self.tell_again(self._interrupted)
 
     def _check_plan(self, place: str) -> None:
-        """Raise when capture or solver have worked for another plan for too long."""
+        """Raise GoalError if capture or solver have worked on another plan for too long."""
         astray = self.links.missing_plan(self.run) if self.run else []
         if not astray:
             self._astray = None
@@ -354,7 +354,7 @@ class GoalWatch:
     def _check_streams(self, place: str) -> None:
         """Raise when the capture reports that an instrument it had heard is lost.
 
-        One that is silent and still there counts as slow, like a node, for as long.
+        A silent one that is still there counts as slow for as long as a node may.
         """
         beat = self.links.health.others.get("capture")
         settled = self.links.health.sim.is_settled()
@@ -377,10 +377,10 @@ class GoalWatch:
                 raise GoalError(Codes.NODE_LOST, text)
 
     def _check_publishers(self, place: str) -> None:
-        """Raise where an instrument was restarted: this run ignores it, another run hears it.
+        """Raise GoalError if an instrument was restarted: only the next run hears it.
 
-        Required nodes are known by their beats; a restarted machine may not know any more
-        where it is, so that a person has to begin again.
+        Beats tell a restart of required nodes. A restarted machine may no longer know where it is,
+        so a person has to begin again.
         """
         found = started_anew(self.heard, self.links.offered(self.instruments))
         for path, topics in found.items():
@@ -394,7 +394,7 @@ class GoalWatch:
                 )
 
     def silent_streams(self) -> dict[str, float]:
-        """Return which instruments are silent, as the capture says: topic -> seconds."""
+        """Return which instruments are silent according to the capture: topic -> seconds."""
         return {
             self.links.instrument(key.removeprefix(SILENT)): float(value)
             for key, value in self.links.health.values("capture").items()

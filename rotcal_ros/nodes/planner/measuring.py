@@ -19,15 +19,15 @@ from rotcal_ros.planning.choices import AS_LISTED, Choice, Standing, StepOutcome
 from rotcal_ros.planning.plan import Move, Pause
 
 SETTLING_S: Final = 1.2
-"""After a clock was set the capture accepts nothing for 1 s; a little more to be sure."""
+"""After a clock is set the capture accepts nothing for 1 s; this is a little longer."""
 REPEAT_PERIOD_S: Final = 2.0
 """An instruction is repeated after this time, for clients that join late."""
 
 
 class GoalMeasurement:
-    """Measures the steps of one goal; no attempt at a step has a number twice.
+    """Measures the steps of one goal; no two attempts at a step have the same number.
 
-    ``reasons`` says why attempts were rejected, or came to nothing; ``operator`` asks a person.
+    ``reasons`` says why attempts failed; ``operator`` asks a person for work.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class GoalMeasurement:
         return [step for step in self._watch.progress.accepted if step in self._next_attempt]
 
     def _give_up(self, *, at_the_end: bool) -> None:
-        """Raise GoalError where too many steps failed; at the end the others are solved."""
+        """Raise GoalError if too many steps failed; at the end, only if none succeeded."""
         solvable = self._watch.progress.accepted or self._continuation.observations
         try:
             self._failed.check()
@@ -91,13 +91,13 @@ class GoalMeasurement:
         self._chosen += 1
 
     async def _have_done(self, pause: Pause, work: str | None, begin: int) -> None:
-        """Have the ``work`` of a pause done and check it, again and again until it is good.
+        """Have the ``work`` of a pause done and check it, until it is good.
 
-        The check begins with step ``begin``. What the method can live with is asked for
-        ``max_attempts`` times, what makes a result impossible until the goal is canceled. What is
-        broken off is still owed: the next run begins with it.
+        The check begins with step ``begin``. A fault that the method can live with is complained
+        about ``max_attempts`` times, one that makes a result impossible until the goal is
+        canceled. The next run begins with unfinished work.
         """
-        for asked in count(1):
+        for times in count(1):
             self._watch.owed = pause, work, begin
             if work:
                 self._place(pause.first)
@@ -107,14 +107,14 @@ class GoalMeasurement:
                 shows = Choice(index, f"shows {pause.instruction}", Standing(1))
                 await self._measure(index, shows)
             begin = pause.first if pause.again_from is None else pause.again_from
-            found, hopeless = self._complaints()
-            if not found or (asked >= self._watch.settings.max_attempts and not hopeless):
+            faults, hopeless = self._complaints()
+            if not faults or (times >= self._watch.settings.max_attempts and not hopeless):
                 self._watch.owed = None
                 return
-            work = f"not as it should be: {found}; correct it ({pause.instruction})"
+            work = f"not right yet: {faults}; correct it ({pause.instruction})"
 
     def _complaints(self) -> tuple[str, bool]:
-        """Return what the observations so far show against the work, and if it is hopeless."""
+        """Return what the observations find wrong with the work, and whether it is hopeless."""
         earlier, now = self._continuation.observations, self._watch.links.observations
         try:
             return "; ".join(self._calibration.check([*earlier, *now.values()])), False
@@ -122,9 +122,9 @@ class GoalMeasurement:
             return str(error), True
 
     async def _measure(self, index: int, choice: Choice) -> list[str]:
-        """Attempt a step; when an emergency stop breaks it off, again after a person has resumed.
+        """Attempt a step; if an emergency stop breaks it off, again after a person has resumed.
 
-        Return why it failed, once for every attempt; nothing when it was captured.
+        Return the reason of each failed attempt; nothing if the step was captured.
         """
         try:
             return await self._attempt(index, choice)
@@ -135,7 +135,7 @@ class GoalMeasurement:
         return await self._measure(index, choice)
 
     async def _attempt(self, index: int, choice: Choice) -> list[str]:
-        """Attempt a step until it is captured without a loss, or attempts are used up."""
+        """Attempt a step until it is captured without a loss, or all attempts are used up."""
         progress, limit = self._watch.progress, self._watch.settings.max_attempts
         self._place(index)
         first = self._next_attempt.get(index, self._continuation.run * ATTEMPTS_PER_RUN)
@@ -154,7 +154,7 @@ class GoalMeasurement:
                 if not await self._lost(key):
                     break
             else:
-                reasons.append(self._why_not(key))
+                reasons.append(self._reason_of_failure(key))
             progress.rejected += 1
         progress.note(index, accepted=captured)
         attempts = ((index, first + number) for number in range(limit))
@@ -162,8 +162,8 @@ class GoalMeasurement:
         self.reasons += reasons
         return [] if captured else reasons
 
-    def _why_not(self, key: Attempt) -> str:
-        """Return why an attempt is not captured: its rejection, or what the capture waits for."""
+    def _reason_of_failure(self, key: Attempt) -> str:
+        """Return the rejection of an attempt; without an observation, what capture waits for."""
         links, limit_s = self._watch.links, self._watch.settings.step_timeout_s
         if key in links.observations:
             return links.observations[key].reason
@@ -179,7 +179,7 @@ class GoalMeasurement:
             progress.step, progress.total = progress.done, progress.done + progress.left
 
     async def _observed(self, key: Attempt, number: int) -> bool:
-        """Order an attempt; return whether an observation came and is accepted."""
+        """Order an attempt; return whether an observation has come and is accepted."""
         index, attempt = key
         step = self._calibration.plan.steps[index]
         links = self._watch.links
@@ -210,15 +210,15 @@ class NotFreeError(RotcalError):
 
 
 class OperatorRequests:
-    """Pauses the goal of a ``watch``, which is a run of a plan."""
+    """Pauses the goal of a ``watch`` while a person has to do something."""
 
     def __init__(self, watch: GoalWatch, plan_id: str, run: int) -> None:
         self._watch, self._plan_id, self._run = watch, plan_id, run
 
     async def have_done(self, work: str | None = None, move: Move | None = None) -> None:
-        """Show what is to be done before the present step until it is, as long as it takes.
+        """Show what is to be done before the present step, until it is done.
 
-        An emergency stop may come in between; without ``work`` it is all that is waited for.
+        An emergency stop may come in between; without ``work`` only its end is waited for.
         """
         watch, pauses, stop = self._watch, self._watch.pauses, self._watch.stop
         watch.progress.pause()
@@ -236,13 +236,13 @@ class OperatorRequests:
             watch.progress.go_on()
 
     def _has_changed(self, seen: tuple[str | None, str | None]) -> bool:
-        """Return whether there is an answer, or something else to say than was ``seen``."""
+        """Return whether a person has answered, or the stop has changed since it was ``seen``."""
         stop = self._watch.stop
         return not self._watch.pauses.waiting or (stop.why, stop.latched) != seen
 
 
 def require_free(watch: GoalWatch) -> None:
-    """Raise NotFreeError where a goal cannot be resumed yet."""
+    """Raise NotFreeError if a goal cannot be resumed yet."""
     health = watch.links.health
     watch.stop.heed()
     stop = [f"the emergency stop is on: {watch.stop.why}"] if watch.stop.why else []
@@ -259,7 +259,7 @@ def require_free(watch: GoalWatch) -> None:
 
 
 def request(why: str | None, latched: str | None, work: str | None) -> Reason:
-    """Return what is asked of a person during a stop ``why``, once it is over, or as ``work``."""
+    """Return what a person has to do during a stop ``why``, once it is over, or as ``work``."""
     if why:
         return Reason.of(Why.STOPPED, why)
     if latched and work:

@@ -45,9 +45,9 @@ RESTART_WAIT_S: Final = 20.0
 """A goal waits this long for a lost node to be restarted."""
 SAFETY, HEALTH = "safety", "health"
 FROM_THE_START: Final = (SAFETY, HEALTH)
-"""The groups that hold for all nodes from their start: no goal changes them."""
+"""Groups that are fixed for all nodes at their start: no goal changes them."""
 ALWAYS: Final = ("cell", "plan", "capture", "solver", "planner", *FROM_THE_START)
-"""Groups that are parameters of the planner even if it was not given them."""
+"""Groups that are parameters of the planner even if they were not given."""
 
 
 class Planner(CellNode):
@@ -87,11 +87,11 @@ class Planner(CellNode):
         self._giving_up = None
 
     def deactivated(self) -> None:
-        """Give up the running goal; no other is accepted."""
+        """Give up the running goal and accept no other."""
         self._give_up("the planner was deactivated")
 
     def judge_parameters(self, changes: Mapping[str, Any]) -> None:
-        """Raise ConfigurationError where no goal could be measured with these parameters."""
+        """Raise ConfigurationError if no goal could be measured with these parameters."""
         if self.configured:
             self._configured.judge(changes)
 
@@ -104,7 +104,7 @@ class Planner(CellNode):
         return not self.configured or (self._run is None and not self._preparing)
 
     def gather_s(self) -> float:
-        """Let messages gather until there is a goal."""
+        """Collect messages until there is a goal."""
         return IDLE_S if self.stopped() else 0.0
 
     def _give_up(self, why: str) -> None:
@@ -122,11 +122,11 @@ class Planner(CellNode):
         return GoalResponse.REJECT
 
     def _in_words(self) -> str:
-        """Return how the planner stands, for a person to read."""
+        """Return the planner's state for a person to read."""
         return self._beat_values()[0].in_words()
 
     def _require_free(self) -> None:
-        """Raise NotFreeError where the running goal cannot be resumed yet."""
+        """Raise NotFreeError if the running goal cannot be resumed yet."""
         if self._run is not None:
             require_free(self._run.watch)
 
@@ -156,7 +156,7 @@ class Planner(CellNode):
         return Codes(error_code=Codes.UNKNOWN, error_msg=in_words(error))
 
     async def _prepared(self, handle: ServerGoalHandle) -> GoalRun:
-        """Run :meth:`_prepare` in a thread: it may take seconds, and the node has to go on."""
+        """Run :meth:`_prepare` in a thread: it may take seconds, and the node goes on."""
         self._preparing = True
         try:
             return await in_thread(self._prepare, handle)
@@ -221,8 +221,8 @@ class Planner(CellNode):
 class PlannerParameters:
     """The parameters of a planner: the groups of its configured method, and its ``safety``.
 
-    Raises ConfigurationError, with the nearest name, for whatever the node was given that is
-    misspelt or impossible.
+    Raises ConfigurationError for any parameter that is misspelt (with the nearest name) or
+    impossible.
     """
 
     def __init__(self, node: CellNode) -> None:
@@ -258,8 +258,8 @@ class PlannerParameters:
         for group, own in self._fixed.items():
             if group in configuration.given and configuration.group(group) != own:
                 raise ConfigurationError(
-                    f"{source}: its group {group} is not the one that the planner was started "
-                    "with: start the nodes with this configuration"
+                    f"{source}: its group {group} differs from the one that the planner was "
+                    "started with: start the nodes with this configuration"
                 )
         if goal.method and goal.method != configuration.method.name:
             raise ConfigurationError(
@@ -269,19 +269,19 @@ class PlannerParameters:
         return configuration
 
     def judge(self, changes: Mapping[str, Any]) -> None:
-        """Raise ConfigurationError where no goal can be measured with changes, name -> value."""
+        """Raise ConfigurationError if no goal can be measured with ``changes``, name -> value."""
         for group in {name.partition(".")[0] for name in changes} & self._groups.keys():
             read_settings(self._node, group, self._groups[group], changes)
 
 
 def feedback_message(progress: GoalProgress, current_std: float) -> Calibrate.Feedback:
-    """Return how far a goal has come; ``current_std`` in rad."""
+    """Return the progress of a goal; ``current_std`` in rad."""
     return Calibrate.Feedback(
         step=progress.step,
         total=progress.total,
         activity=progress.doing.in_words(),
         doing=progress.doing.code,
-        instruction=progress.doing.instruction,
+        instruction=progress.doing.instruction or "",
         time_left=progress.time_left(),
         current_std=current_std,
         n_accepted=len(progress.accepted),

@@ -44,14 +44,14 @@ _AIR: Final = {
 SLOW_HZ: Final = 8.0
 _SIZED: Final = (names.TRACER_LENGTH, names.PROBE_POINT)
 _OUTSIDE: Final = 3.0
-"""A probe may stand this many times nearer or further than the targets of the plan."""
+"""A probe may be this many times nearer or further away than the targets of the plan."""
 _OF_AN_INSTRUMENT: Final = {PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST}
 
 Values = Mapping[str, str]
 
 
 def faults(values: Values, configuration: Configuration, plan: Plan | None = None) -> list[str]:
-    """Return why no observation can come of these instruments, in words.
+    """Return why these instruments cannot give an observation, in words.
 
     The probe's positions are compared with the ``plan``.
     """
@@ -69,7 +69,7 @@ def faults(values: Values, configuration: Configuration, plan: Plan | None = Non
 def doubts(
     values: Values, configuration: Configuration, calibration: Calibration | None = None
 ) -> list[str]:
-    """Return what looks wrong, though observations may come of it.
+    """Return what looks wrong, though observations may still be possible.
 
     Readings are compared with the geometry of the plan of a ``calibration``.
     """
@@ -93,7 +93,7 @@ def air_doubts(values: Values, role: str) -> Iterator[str]:
 
 
 def size_doubts(values: Values, calibration: Calibration, role: str) -> Iterator[str]:
-    """Yield that lengths, or the places of the probe, are far too small for the plan."""
+    """Yield a doubt if lengths or probe positions are far too small for the plan."""
     topics, name = calibration.configuration.topics, name_in(values, role)
     if role == names.TRACER_LENGTH and role in calibration.method.topics:
         length = number_in(values.get(NOW + role, "")) or 0.0
@@ -112,20 +112,21 @@ def size_doubts(values: Values, calibration: Calibration, role: str) -> Iterator
 
 
 def slow_table(values: Values, configuration: Configuration) -> Iterator[str]:
-    """Yield that the table's feedback comes so rarely that its rest is noticed late.
+    """Yield a doubt if the table's feedback comes so rarely that its rest is noticed late.
 
-    A machine behind I++ DME is asked seldom while it has no order.
+    A machine behind I++ DME is polled seldom while it has no order.
     """
     rate = number_in(values.get(RATE + names.JOINT_STATES, ""))
     if rate and rate < SLOW_HZ and "dme" not in configuration.given:
         yield (
-            f"{name_in(values, names.JOINT_STATES)} comes at {rate:.3g} Hz: that the table moves "
-            f"or rests is known {1.0 / rate:.2g} s late; 50 Hz are usual, {SLOW_HZ:g} Hz the least"
+            f"{name_in(values, names.JOINT_STATES)} comes at {rate:.3g} Hz: whether the table "
+            f"moves or rests is known {1.0 / rate:.2g} s late; 50 Hz are usual, {SLOW_HZ:g} Hz "
+            "the least"
         )
 
 
 def frame_doubts(values: Values, configuration: Configuration) -> Iterator[str]:
-    """Yield why the points of the probe may be in another frame than the plan's targets.
+    """Yield a doubt if the probe's points may be in another frame than the plan's targets.
 
     A tracker's own points are in its own frame.
     """
@@ -144,7 +145,7 @@ def _in_the_machine_frame(configuration: Configuration) -> bool:
 
 
 def expected_air(calibration: Calibration) -> tuple[list[str], list[str]]:
-    """Return the topics of the air without which nothing is measured, and those waited for."""
+    """Return the topics of the air that are required, and those that are waited for."""
     settings = calibration.configuration.capture
     required = calibration.refraction.required(settings)
     expected = [(n, topic) for n, topic in _AIR.items() if getattr(settings, f"{n}_expected")]
@@ -153,7 +154,7 @@ def expected_air(calibration: Calibration) -> tuple[list[str], list[str]]:
 
 
 def without_air(role: str, topic: str, configuration: Configuration) -> str:
-    """Say what it means that nobody publishes the expected ``topic`` of a quantity of the air."""
+    """Return what follows if nobody publishes the expected ``topic`` of a quantity of the air."""
     name = next(name for name, last in _AIR.items() if role == last)
     return (
         f"nobody publishes {topic}: every observation waits for it for "
@@ -175,9 +176,9 @@ def length_faults(values: Values, configuration: Configuration) -> Iterator[str]
 
 
 def probe_faults(values: Values, configuration: Configuration, plan: Plan) -> Iterator[str]:
-    """Yield that the probe's positions are in another unit than stated.
+    """Yield a fault if the probe's positions are in another unit than stated.
 
-    A tracker's own points say nothing of that: they are not where the plan's targets are.
+    A tracker's own points do not show it: they are not where the plan's targets are.
     """
     words = values.get(NOW + names.PROBE_POINT, "").split()
     if len(words) != 3 or not _in_the_machine_frame(configuration):
@@ -189,7 +190,7 @@ def probe_faults(values: Values, configuration: Configuration, plan: Plan) -> It
 
 
 def rate_faults(values: Values, configuration: Configuration) -> Iterator[tuple[str, str]]:
-    """Yield the role of a stream that is too slow for what waits for it, and what to change."""
+    """Yield each stream that is too slow for what waits for it, and what to change."""
     capture, planner = configuration.capture, configuration.planner
     lengths, table = names.TRACER_LENGTH, names.JOINT_STATES
     found = {role: number_in(values.get(RATE + role, "")) for role in (lengths, table)}
@@ -213,19 +214,19 @@ def rate_faults(values: Values, configuration: Configuration) -> Iterator[tuple[
             lengths,
             f"{name} comes at {rate:.3g} Hz: {capture.window_samples} readings of a window take "
             f"{window_s:.3g} s, more than capture.step_timeout_s = {capture.step_timeout_s:g} s "
-            "leaves: a smaller capture.window_samples, or a longer time-out",
+            "leaves: set a smaller capture.window_samples, or a longer time-out",
         )
     if 1.0 / rate > planner.stream_timeout_s:
         yield (
             lengths,
             f"{name} comes every {1.0 / rate:.3g} s: after planner.stream_timeout_s = "
-            f"{planner.stream_timeout_s:g} s it is silent; a longer time, or "
-            "topics.length_single_shot: true for an instrument that is asked",
+            f"{planner.stream_timeout_s:g} s it counts as silent: set a longer time, or "
+            "topics.length_single_shot: true for an instrument that measures on request",
         )
 
 
 def joint_faults(values: Values, joint: str) -> Iterator[str]:
-    """Yield what is wrong with the joint that stands for the table."""
+    """Yield what is wrong with the joint of the table."""
     heard = joints(values)
     chosen, topic = chosen_joint(values, joint), name_in(values, names.JOINT_STATES)
     if not heard or (chosen not in heard and len(heard) >= MOST_JOINTS):  # not all are told
@@ -238,8 +239,8 @@ def joint_faults(values: Values, joint: str) -> Iterator[str]:
         )
     elif not isfinite(heard[chosen][1]):
         yield (
-            f"{topic}: joint {printable(chosen)} has no velocity, without which no "
-            f"table is at rest: {PUBLISH_VELOCITY}"
+            f"{topic}: joint {printable(chosen)} has no velocity, so it is never known to be at "
+            f"rest: {PUBLISH_VELOCITY}"
         )
 
 
@@ -251,14 +252,14 @@ def joint_doubts(values: Values, configuration: Configuration) -> Iterator[str]:
 
 
 def table_angle(values: Values, configuration: Configuration) -> float:
-    """Return where the table says it is (rad); 0 where it says nothing."""
+    """Return the table's angle by its feedback (rad); 0 if there is none."""
     if chosen := joints(values).get(chosen_joint(values, configuration.cell.joint)):
         return Conventions(configuration.topics).angle(chosen[0])
     return number_in(values.get(NOW + names.JOINT_STATES, "")) or 0.0
 
 
 def chosen_joint(values: Values, joint: str) -> str:
-    """Return the joint that stands for the table: the configured one, else the first."""
+    """Return the joint of the table: the configured one, else the first."""
     return joint or next(iter(joints(values)), "")
 
 
@@ -273,7 +274,7 @@ def joints(values: Values) -> dict[str, tuple[float, float]]:
 
 
 def number_in(text: str) -> float | None:
-    """Return the number that a reading begins with, if it does and is finite."""
+    """Return the number that a reading begins with, if it is finite."""
     try:
         number = float(text.split()[0])
     except (IndexError, ValueError):

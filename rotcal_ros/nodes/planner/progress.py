@@ -1,4 +1,4 @@
-"""How far a goal has come, and the time that is left. Needs no ROS."""
+"""The progress of a goal, and the time that is left. Needs no ROS."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ BEGINNING: Final = Reason(Why.PREFLIGHT)
 
 @dataclass
 class GoalProgress:
-    """How far a goal has come, and what it is ``doing``.
+    """The progress of a goal, and what it is ``doing``.
 
     ``uncertainty`` and ``goal`` are those of the policy, rad.
 
@@ -37,7 +37,7 @@ class GoalProgress:
     def time_left(self) -> float:
         """Return the estimated seconds to the last step; NaN before the first is done.
 
-        They stand still during a pause.
+        The estimate stands still during a pause.
         """
         if not self.done:
             return math.nan
@@ -66,7 +66,7 @@ class GoalProgress:
         self.paused_s = None
 
     def note(self, index: int, *, accepted: bool) -> None:
-        """Note how step ``index`` ended; what was noted of it before no longer counts."""
+        """Note how step ``index`` ended; this replaces what was noted before."""
         for book in (self.accepted, self.skipped):
             if index in book:
                 book.remove(index)

@@ -17,15 +17,15 @@ NEVER_PAUSE: Final = (
 )  # fmt: skip
 """Roles of the streams that are watched, once somebody publishes them."""
 NEEDED: Final = ((names.TRACER_LENGTH, names.PROBE_POINT), (names.JOINT_STATES,))
-"""Roles whose readings must have come before an observation is confirmed: one of each row."""
+"""Before an observation is confirmed, readings of one role of each row must have come."""
 
 
 class TopicLosses:
-    """Gaps in the numbers of the publishers, and the reports of the middleware itself.
+    """Losses by gaps in the publishers' numbers, and by the reports of the middleware.
 
     The numbers do not cover what a publisher sent before the first or after the last message that
-    arrived; reports come too late or, from some middlewares, never. Both count the same messages:
-    the larger number is the better one.
+    arrived; reports come too late or, from some middlewares, never. Both count the same messages,
+    so the larger number is the better one.
     """
 
     def __init__(self) -> None:
@@ -43,10 +43,10 @@ class TopicLosses:
         self._gaps = self._reported = 0
 
     def number(self, number: int | None, publisher: bytes) -> int | None:
-        """Take the number that ``publisher`` gave a message; None or 0 where there are none.
+        """Take the number that ``publisher`` gave a message; None or 0 if it gives none.
 
-        Return how many messages are known to be lost before it which were not known before, 0
-        where they had been reported; None where nothing is missing.
+        Return how many messages before it are newly known to be lost, 0 if they had been
+        reported; None if nothing is missing.
         """
         if not number:
             return None
@@ -73,7 +73,7 @@ class Silence:
 
 
 class Silences:
-    """Silences since the beginning: ``counts`` has how many there were per ``silent <topic>``."""
+    """Silences since the beginning; ``counts`` holds their number by ``silent <topic>``."""
 
     def __init__(self, limit_s: float, now_s: float) -> None:
         self._limit_s = limit_s
@@ -103,13 +103,13 @@ class Silences:
 
 
 JUMP_ON_ITS_WAY_S: Final = 60.0
-"""For this long after a clock was set, messages stamped before may still arrive."""
+"""For this long after a clock was set, messages with older stamps may still arrive."""
 
 
 class LogTimes:
     """Log times in the order of a topic: none goes back, unless the clock of this machine did.
 
-    A packet that was lost and sent again arrives behind those that had to wait for it: each has
+    Messages that wait for a packet that is sent again arrive together with it: a message has
     arrived when it can be taken. ``jumps`` counts the jumps of the clock so far.
     """
 
@@ -136,14 +136,14 @@ class LogTimes:
 
 
 _SETTLED_NS: Final = 1_000_000_000
-"""This long after a clock was set back no earlier observation is on its way any more."""
+"""This long after a clock was set back, no earlier observation is still on its way."""
 PATIENCE_S: Final = 2.0
-"""How long an observation waits for the point that answers its order, after all else came."""
+"""How long an observation waits for the point that answers its order, once all else is here."""
 
 
 @dataclass(frozen=True, slots=True)
 class Receipt:
-    """A request to confirm that everything before it is on disk; ``lost`` messages are not."""
+    """Confirms that everything before it is on disk, except ``lost`` messages."""
 
     step: int
     attempt: int
@@ -152,9 +152,9 @@ class Receipt:
 
 @dataclass(frozen=True, slots=True)
 class _WaitingObservation:
-    """An observation without a receipt; all but its point has been here since ``all_else_s``.
+    """An observation without a receipt.
 
-    That is monotonic time.
+    All but its point has been here since ``all_else_s`` (monotonic time).
     """
 
     window_end_ns: int
@@ -163,9 +163,9 @@ class _WaitingObservation:
 
 
 class PendingReceipts:
-    """Receipts of observations whose readings may still be on their way here.
+    """Observations that wait for their receipts: readings may still be on their way.
 
-    Where the clock of the readings is set back, those of the windows before it have come. Where
+    If the clock of the readings is set back, the readings of all earlier windows have come. Where
     orders are ``answered`` by points that echo them, each observation waits for its own; one that
     does not come within ``PATIENCE_S`` after all else is lost.
     """
@@ -178,7 +178,7 @@ class PendingReceipts:
         self._set_back: tuple[int, int] | None = None  # from one stamp to another
 
     def reach(self, reached_ns: int) -> None:
-        """Note the stamp that the readings have come to."""
+        """Note the latest stamp of the readings."""
         if reached_ns < self._reached_ns:
             self._set_back = self._reached_ns, reached_ns
         elif self._set_back is not None and reached_ns > self._set_back[1] + _SETTLED_NS:
@@ -203,8 +203,8 @@ class PendingReceipts:
         """Yield what can be confirmed now that the readings have come to ``reached_ns``.
 
         None: there is no such stream. ``lost`` counts the losses since the bag was opened; each
-        receipt tells those since the one before, and its point if that is lost. ``now_s`` is of
-        a clock that stands while this process does.
+        receipt tells those since the previous one, and its point if that is lost. The clock of
+        ``now_s`` stands still while this process does.
         """
         if reached_ns is not None:
             self.reach(reached_ns)
@@ -222,7 +222,7 @@ class PendingReceipts:
                 self._waiting.append(replace(observed, all_else_s=since_s))
 
     def is_answered(self, receipt: Receipt) -> bool:
-        """Return whether the point that echoes this order has come, or none does."""
+        """Return whether the point that echoes this order has come, or points echo no orders."""
         return self._answers is None or (receipt.step, receipt.attempt) in self._answers
 
     def __bool__(self) -> bool:

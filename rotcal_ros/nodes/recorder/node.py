@@ -1,4 +1,4 @@
-"""The recorder node: writes every topic of the cell to the disk before the next step begins.
+"""The recorder node: writes every topic of the cell to disk before the next step begins.
 
 An observation is confirmed by a receipt once it and all readings of its window are on the disk.
 """
@@ -77,7 +77,7 @@ class RecorderNode(CellNode):
         self.every(GRAPH_PERIOD_S, self._note_losses)
 
     def deactivated(self) -> None:
-        """Write what has arrived and close the bag, also one that is about to be opened."""
+        """Write what has arrived and close the bag, even one that is about to be opened."""
         self._unwanted = True
         self._close()
 
@@ -86,7 +86,7 @@ class RecorderNode(CellNode):
         return self._writing() is None and not self._reading
 
     def gather_s(self) -> float:
-        """Let messages gather while no bag is open."""
+        """Collect messages while no bag is open."""
         return IDLE_S if not self.configured or self._writing() is None else 0.0
 
     def _writing(self) -> BagRecording | None:
@@ -94,7 +94,7 @@ class RecorderNode(CellNode):
         return self._recording if self._recording and not self._recording.finished else None
 
     def _note_losses(self) -> None:
-        """Keep losses and their counters in the bag, so that they outlive this node."""
+        """Write losses and their counters into the bag, so that they outlive this node."""
         self._called.look(self.health.values)
         recording = self._writing()
         if recording is None:
@@ -127,12 +127,12 @@ class RecorderNode(CellNode):
         return topic in map(self._called.topic, (*FAST, names.HEARTBEAT))
 
     def _clock_jumps(self) -> int:
-        """Return how often the clock was set, just now included."""
+        """Return how often the clock was set, up to now."""
         self.health.clock.look()
         return self.health.clock.watch.count
 
     def _all_losses(self) -> Counter[str]:
-        """Return what was lost since the bag was opened, here and at the full queue."""
+        """Return what was lost since the bag was opened, on the way here and at the full queue."""
         handle_events(self)
         queued = self._recording.losses if self._recording is not None else Counter[str]()
         return self._listener.losses + queued
@@ -147,7 +147,7 @@ class RecorderNode(CellNode):
         return response
 
     async def _go_on(self, request: Request, response: Response) -> Response:
-        """Record the next run of the last session of a plan; what is still open is closed."""
+        """Record the next run of the last session of a plan, after closing an open bag."""
         self._close()
         topic = self._called.topic(names.OBSERVATION)
         try:
@@ -229,7 +229,7 @@ class RecorderNode(CellNode):
 
 
 class Receipts:
-    """Confirms observations on a topic, as soon as they and their readings are on the disk."""
+    """Confirms observations on a topic as soon as they and their readings are on disk."""
 
     def __init__(
         self,
@@ -246,7 +246,7 @@ class Receipts:
         )
 
     def begin(self) -> None:
-        """Forget what is still waiting: a bag begins."""
+        """Forget what is still waiting; called when a bag begins."""
         points = self._listener.topics.get(self._called.topic(names.PROBE_POINT))
         self._pending = PendingReceipts(answered=points is not None and _echoes(points))
 
@@ -263,7 +263,7 @@ class Receipts:
                 self._pending.answer(point.step, point.attempt)
 
     def due(self, losses: Callable[[], Mapping[str, int]]) -> Iterator[Receipt]:
-        """Yield what can be confirmed; ``losses`` are those since the bag was opened."""
+        """Yield what can be confirmed; ``losses`` counts from the opening of the bag."""
         reached_ns = self._listener.reached_ns(NEEDED, self._called.topic)
         if not self._pending:
             self._pending.reach(reached_ns or 0)

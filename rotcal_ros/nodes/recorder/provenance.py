@@ -32,7 +32,7 @@ _PACKAGES = ("numpy", "scipy", "mcap", "rclpy", "ros-rclpy", "rotcal_msgs")
 
 
 def keep_provenance(recording: BagRecording, configuration_text: str) -> None:
-    """Put the configuration, its subject and the versions into a bag."""
+    """Put the configuration, what it measures and the versions into a bag."""
     recording.attach(names.CONFIGURATION, "application/yaml", configuration_text.encode())
     recording.note(names.SUBJECT, subject(configuration_text))
     recording.attach(names.VERSIONS, "application/json", versions_json().encode())
@@ -71,7 +71,7 @@ def _version(package: str) -> str:
 
 
 class NodeParameters:
-    """What the nodes say of their parameters: node name -> parameter -> value, as JSON in a bag.
+    """The parameters of all nodes, as JSON in a bag: node name -> parameter -> value.
 
     They are asked while the calibration begins, those that are slow again and again. A node that
     has not answered after ASKING_S, or when the bag was closed, is null.
@@ -83,7 +83,7 @@ class NodeParameters:
         self._attached = False
 
     async def ask(self) -> None:
-        """Ask all nodes that the graph lists in the cell's namespace, or that beat."""
+        """Ask all nodes that beat or are in the cell's namespace."""
         node, namespace = self._node, self._node.get_namespace()
         listed = {n for n, space in node.get_node_names_and_namespaces() if space == namespace}
         others = sorted((listed | node.health.present()) - {node.get_name()})
@@ -101,7 +101,7 @@ class NodeParameters:
         return [name for name, said in self._found.items() if said is None]
 
     def attach(self) -> None:
-        """Put what is known into the bag, once."""
+        """Put the answers so far into the bag, once."""
         if not self._attached:
             text = json.dumps(self._found, indent=1, sort_keys=True)
             self._recording.attach(names.PARAMETERS, "application/json", text.encode())

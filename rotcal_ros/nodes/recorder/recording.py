@@ -1,4 +1,4 @@
-"""One bag while it is written: a thread takes messages from a queue and writes them to the disk.
+"""One bag while it is written: a thread takes messages from a queue and writes them to disk.
 
 Receiving never waits for the disk. The queue is bounded; messages that do not fit are lost and
 counted, and a note of what is missing (a dropout) goes into the bag.
@@ -37,7 +37,7 @@ _TURN_S: Final = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """What the writer needs to know of a topic."""
+    """What the writer needs to know about a topic."""
 
     topic: str
     type_name: str
@@ -99,13 +99,13 @@ class Messages:
 
     @classmethod
     def taken(cls, channel: Channel, batch: Batch) -> Messages:
-        """Return messages as they were taken from the middleware, which may know no times."""
+        """Return messages as the middleware delivers them, perhaps without times."""
         now_ns = time.time_ns()
         times = ((d, i["received_timestamp"] or now_ns, i["source_timestamp"]) for d, i in batch)
         return cls(channel, [(data, taken, sent or taken) for data, taken, sent in times])
 
     def at(self, received_ns: Sequence[int]) -> Messages:
-        """Return them with other times of reception."""
+        """Return the same messages with other times of reception."""
         times = zip(self.items, received_ns, strict=True)
         return Messages(self.channel, [(data, now, sent) for (data, _, sent), now in times])
 
@@ -117,8 +117,8 @@ class Messages:
 class BagRecording:
     """One bag being written. ``confirm`` is called from the thread, after the sync.
 
-    After a failure of the disk ``error`` says why, nothing is confirmed any more, and what still
-    arrives counts as lost. ``losses`` are those at the full queue.
+    After a failure of the disk ``error`` says why; nothing is confirmed any more, and later
+    messages count as lost. ``losses`` are those at the full queue.
     """
 
     def __init__(
@@ -149,7 +149,7 @@ class BagRecording:
         return not self._thread.is_alive()
 
     def put(self, messages: Messages, *, in_any_case: bool = False) -> bool:
-        """Queue messages; those that find the queue full are lost and counted: False."""
+        """Queue messages; with a full queue return False: they are lost and counted."""
         size = messages.size()
         with self._lock:
             full = self._waiting + size > self._limit and not in_any_case
@@ -228,17 +228,17 @@ class BagRecording:
 
 
 def _rest() -> None:
-    """Do nothing for a turn."""
+    """Pause between two turns of the thread."""
 
 
 JOINED_WITHIN_S: Final = 1.0
-"""Gaps of a topic for the same reason within this time are written as one dropout."""
+"""Gaps of a topic with the same reason within this time are written as one dropout."""
 
 
 class DropoutNotes:
     """What is missing from the bag being written: at most a message per topic, reason and second.
 
-    They stand in the bag at the log time of their end, on ``topic``.
+    They are written to ``topic``, at the log time of their end.
     """
 
     def __init__(self, topic: str) -> None:
@@ -247,7 +247,7 @@ class DropoutNotes:
         self._waiting: dict[tuple[str, str], tuple[float, Dropout]] = {}
 
     def begin(self, recording: BagRecording) -> None:
-        """Write into ``recording`` from now on; what was missing earlier is not noted there."""
+        """Write into ``recording`` from now on; earlier gaps are not noted there."""
         self._recording = recording
         self._waiting.clear()
 
@@ -272,7 +272,7 @@ class DropoutNotes:
             self.note(Dropout(silence.topic, begin, end, 0, SILENCE))
 
     def write(self, older_than_s: float = 0.0) -> None:
-        """Write the dropouts that have waited for others to join for long enough."""
+        """Write the dropouts that no later one can join any more."""
         if self._recording is None or self._recording.error:
             return
         now_s = time.monotonic()

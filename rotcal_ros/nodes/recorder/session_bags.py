@@ -1,4 +1,4 @@
-"""The bags of a session: begun, or continued after an interruption; what they hold already."""
+"""Opens the bags of a session, new or continued, and reads what they already hold."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from rotcal_ros.methods.continuation import Recorded
 
 @dataclass(frozen=True)
 class OpenBag:
-    """A bag that is open for a run; ``earlier`` is what the runs before observed."""
+    """A bag that is open for a run; ``earlier`` holds the observations of the runs before."""
 
     folder: SessionFolder
     writer: BagWriter
@@ -40,7 +40,7 @@ class OpenBag:
     def keep(self, configuration_text: str) -> None:
         """Put the configuration into the folder, so that ``rotcal run --resume`` can go on there.
 
-        Opening the bag itself shows whether the disk can be written.
+        Opening the bag shows whether the disk can be written.
         """
         if not self.folder.configuration.exists():
             with suppress(OSError):
@@ -84,7 +84,7 @@ class SessionBags:
         return OpenBag(folder, writer, run, observed)
 
     def _writer(self, folder: SessionFolder, earlier: InterruptedSession | None) -> BagWriter:
-        """Return the writer of a new file, behind the files of ``earlier``."""
+        """Return the writer of a new file that follows the files of ``earlier``."""
         files = None if earlier is None else earlier.files
         writer = BagWriter(folder.bag, self._settings.writer, earlier=files)
         if earlier is not None:
@@ -135,14 +135,14 @@ class SessionBags:
 
 
 class RecordedSession:
-    """The observations of the session that is being recorded, all its runs, in their order."""
+    """The observations of all runs of the session that is being recorded, in order."""
 
     def __init__(self) -> None:
         self._plan_id, self._run = "", 0
         self._observations: list[Observation] = []
 
     def begin(self, plan_id: str, run: int = 0, earlier: Iterable[Observation] = ()) -> None:
-        """Begin a run; ``earlier`` are those of the runs before it."""
+        """Begin a run; ``earlier`` holds the observations of the runs before it."""
         self._plan_id, self._run = plan_id, run
         self._observations = list(earlier)
 
@@ -174,7 +174,7 @@ def observations_in(files: Sequence[Path], topic: str) -> tuple[Observation, ...
 
 
 def _observation(data: bytes, file: Path) -> Observation:
-    """Return a message as the bag holds it; rclpy is quicker to begin than a decoder of ours."""
+    """Return a message as the bag holds it, by rclpy: our own decoder takes longer to load."""
     try:
         return messages.observation(deserialize_message(data, msg.Observation))
     except Exception as error:

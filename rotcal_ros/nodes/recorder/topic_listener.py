@@ -1,4 +1,4 @@
-"""Subscribes to every topic of the cell as serialised bytes, whoever publishes it and when."""
+"""Subscribes to every topic of the cell as serialised bytes, as soon as it has a publisher."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from rotcal_ros.planning.settings import SafetySettings
 ALWAYS: Final = ("/diagnostics", "/rosout", names.TF_STATIC)
 """Topics outside the namespace of the cell that are recorded too."""
 FAST_PERIOD_S: Final = 0.02
-"""Period of the fast topics: a turn costs as much for one message as for many."""
+"""Period at which fast topics are read: a turn costs as much for one message as for many."""
 MOST_LATCHED: Final = 100
 """Number of batches of static transforms that are kept for the next bag."""
 _STAMP: Final = struct.Struct("<4xiI")
@@ -46,7 +46,7 @@ _STAMP: Final = struct.Struct("<4xiI")
 
 @dataclass
 class HeardTopic:
-    """A topic that is listened to: its channel and how far it has come.
+    """A topic that is recorded: its channel and how far it has come.
 
     ``heard_s`` is the monotonic time of the latest batch, or of the subscription, ``heard_ns`` the
     log time of the latest message; ``latched`` is what was published once for late subscribers.
@@ -61,7 +61,7 @@ class HeardTopic:
     losses: TopicLosses = field(default_factory=TopicLosses)
 
     def taken_ns(self, role: str, conventions: Conventions) -> int:
-        """Return when the newest message was taken, by the common clock; 0: none came."""
+        """Return when the newest message was taken, by the common clock; 0: none has come."""
         if not self.latest:
             return 0
         form = form_of(role, self.channel.type_name)
@@ -75,10 +75,10 @@ class HeardTopic:
 class TopicListener:
     """Subscribes to topics as they appear and hands their messages to ``take``.
 
-    What is missing goes to ``missed``, before the messages behind it go to ``take``. Those are the
-    topics of the namespace of the cell and the ``further`` ones, by absolute name. Messages of a
-    ``fast`` topic wake nothing: they are taken together. ``topics`` maps absolute names to what
-    was heard, ``refused`` names topics whose type is not installed.
+    Gaps go to ``missed`` before the messages that follow them go to ``take``. Recorded are the
+    topics of the cell's namespace and the ``further`` ones, by absolute name. Messages of a
+    ``fast`` topic do not wake the node: they are taken together. ``topics`` maps absolute names to
+    what was heard; ``refused`` holds topics whose type is not installed.
     """
 
     def __init__(
@@ -107,12 +107,12 @@ class TopicListener:
 
     @property
     def losses(self) -> Counter[str]:
-        """What the middleware lost, and how many publishers nobody can hear, by name."""
+        """What the middleware lost, and how many publishers cannot be heard, by topic."""
         lost = {f"{names.LOST} {name}": topic.losses.count for name, topic in self.topics.items()}
         return Counter({name: count for name, count in lost.items() if count}) + self._incompatible
 
     def begin(self, configuration_text: str) -> None:
-        """Begin a bag: count losses from zero, understand the instruments as it says."""
+        """Begin a bag: count losses from zero, and read the instruments by its configuration."""
         self._conventions = Conventions(read_topics(configuration_text))
         self._incompatible.clear()
         for topic in self.topics.values():
@@ -121,9 +121,9 @@ class TopicListener:
     def reached_ns(
         self, rows: Iterable[Iterable[str]], called: Callable[[str], str]
     ) -> int | None:
-        """Return how far all ``rows`` have come: of each row its first role that came at all.
+        """Return how far all ``rows`` have come, each by its first role that has come at all.
 
-        ``called`` returns the topic of a role. None: nothing came.
+        ``called`` returns the topic of a role. None: nothing has come.
         """
         reached = (self._first_reached_ns(roles, called) for roles in rows)
         return min((stamp for stamp in reached if stamp is not None), default=None)
@@ -142,7 +142,7 @@ class TopicListener:
         return {name: t.heard_s for name, t in self.topics.items() if role(name) in steady}
 
     def tell_again(self, take: Callable[[Messages], object]) -> None:
-        """Hand over latched messages as if they came now: every bag begins with them."""
+        """Hand over latched messages as if they had just come: every bag begins with them."""
         now_ns = time.time_ns()
         for topic in self.topics.values():
             for latched in topic.latched:
@@ -240,14 +240,14 @@ class TopicListener:
 
 
 def _left_alone(node: Node, topic: HeardTopic) -> HeardTopic:
-    """Return the channel of what others published on a topic while a run believed its own."""
+    """Return the channel for messages of publishers that are ignored during a run."""
     last = topic.channel.topic.rpartition("/")[2]
     beside = node.resolve_topic_name(f"~/{last}_{names.LEFT_ALONE}")
     return HeardTopic(replace(topic.channel, topic=beside))
 
 
 def _lost_before(topic: HeardTopic, info: Any) -> int | None:
-    """Return how many messages are newly missing before one, by its number; None: none is."""
+    """Return how many messages are newly missing before one, by its number; None: none."""
     publisher = info.get("publisher_gid")
     if publisher is None:
         return None
@@ -255,9 +255,9 @@ def _lost_before(topic: HeardTopic, info: Any) -> int | None:
 
 
 def _wanted_topics(node: Node, further: Collection[str]) -> dict[str, str]:
-    """Return name -> type of all topics of the cell: its namespace, diagnostics, log, others.
+    """Return name -> type of all topics to record: namespace, diagnostics, log, others.
 
-    Of the topics that ROS hides only those of its action are among them.
+    Of the hidden topics only those of the cell's action are among them.
     """
     prefix = node.get_namespace().rstrip("/") + "/"
     further = {*further, *(prefix + name for name in names.ACTION)}

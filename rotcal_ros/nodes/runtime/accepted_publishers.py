@@ -21,7 +21,7 @@ from rotcal_ros.nodes.runtime.timers_and_subscriptions import Batch
 BELIEVED: Final = "believed"
 """Value in the planner's beat: which publishers count on each topic while a goal runs."""
 LISTENERS: Final = {names.OBSERVATION: 3, names.STEP_CHOICE: 1}
-"""How many of our nodes subscribe to a topic; to any other topic of a run, USUAL."""
+"""Topic -> how many of our nodes subscribe; to any other topic of a run, USUAL."""
 USUAL: Final = 2
 UNNAMED: Final = "_NODE_NAME_UNKNOWN_"
 """rclpy's name for a node whose name discovery has not delivered yet."""
@@ -32,9 +32,9 @@ APART: Final = "apart"
 
 
 class AcceptedPublishers:
-    """Which messages of a run a node accepts; it reports the publishers that it ignores.
+    """Decides which messages of a run a node accepts, and reports ignored publishers.
 
-    ``quiet``: it does not, because other nodes report them already.
+    ``quiet``: it does not report them, because other nodes do.
     """
 
     def __init__(self, node: Any, *, quiet: bool = False) -> None:
@@ -45,11 +45,11 @@ class AcceptedPublishers:
         self._words: dict[str, str] = {}
 
     def decide(self, believed: Believed) -> None:
-        """Accept these publishers, in the planner itself; where none are given, accept all."""
+        """Accept these publishers; without any, accept all. Only the planner calls this."""
         self._believe(believed)
 
     def hears(self, topic: str, info: Any) -> bool:
-        """Return whether a message of a topic (absolute name) counts, by its message info."""
+        """Return whether a message on a topic (absolute name) counts, by its message info."""
         self._follow()
         if self._judge.hears(topic, origin_of(info)):
             return True
@@ -77,9 +77,9 @@ class AcceptedPublishers:
     def _apart(self) -> list[str]:
         """Return the topics of the run on which this node is not connected to all others yet.
 
-        Publisher and subscriber discover each other separately, one perhaps seconds after the
-        other. What is sent once, such as an order or an observation, never reaches a subscriber
-        that its publisher has not discovered yet.
+        Publisher and subscriber discover each other separately, perhaps seconds apart. What is
+        sent once, such as an order or an observation, never reaches a subscriber that its
+        publisher has not discovered yet.
         """
         if self._joined:
             return []
@@ -145,12 +145,12 @@ class AcceptedPublishers:
 
 
 def origin_of(info: Any) -> Origin:
-    """Return where a message comes from, by its message info, which not every ROS 2 fills in."""
+    """Return the publisher of a message by its message info, which not every ROS 2 fills in."""
     publisher, number = info.get("publisher_gid"), info.get("publication_sequence_number")
     identity = publisher_of(publisher["data"]) if publisher else ""
     return Origin(identity, None if number is None else int(number))
 
 
 def digest(believed: Believed) -> str:
-    """Return a short name of the accepted publishers."""
+    """Return a hash of the accepted publishers."""
     return hashlib.sha256(believed.in_a_beat().encode()).hexdigest()[:12]

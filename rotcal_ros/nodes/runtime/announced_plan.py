@@ -1,6 +1,6 @@
-"""The plan that the planner announces: accepted from the planner alone, then worked out.
+"""The plan that the planner announces: accepted from the planner alone, then prepared.
 
-Another node may publish a plan on the same topic; it must not stop a running calibration. So the
+Another node may publish a plan on the same topic; that must not stop a running calibration. So the
 planner's beat names the run, and a plan of another publisher is reported and ignored.
 """
 
@@ -35,15 +35,15 @@ RUN: Final = "run"
 
 
 def run_name(message: CalibrationPlan) -> str:
-    """Return a name for this run of a plan that no other run has."""
+    """Return a unique name for this run of a plan."""
     return f"{message.plan_id}@{stamp_ns(message.header.stamp)}"
 
 
 def calibration_of(message: CalibrationPlan) -> Calibration:
     """Return the calibration that a plan message describes.
 
-    Raises PlanError when the configuration leads to another plan here than at the planner,
-    which means that the two run different versions; ConfigurationError when it is wrong.
+    Raises PlanError if the configuration gives another plan here than at the planner, because the
+    two run different versions; ConfigurationError if it is wrong.
     """
     configuration = parse_configuration(message.configuration, "the announced plan")
     calibration = prepare(configuration)
@@ -51,7 +51,7 @@ def calibration_of(message: CalibrationPlan) -> Calibration:
     if found != (message.plan_id, message.total_steps):
         raise PlanError(
             f"the announced plan has {message.total_steps} steps and the hash {message.plan_id}, "
-            f"here it has {found[1]} and {found[0]}: install the same version everywhere"
+            f"here it would have {found[1]} and {found[0]}: install the same version everywhere"
         )
     return calibration
 
@@ -66,9 +66,9 @@ def load_method(node: CellNode) -> None:
 
 
 def read_continuation(node: CellNode) -> Continuation | None:
-    """Declare ``continuation_file`` and return what it holds; None when it is not given."""
+    """Declare ``continuation_file`` and return its content; None if it is not given."""
     path = node.parameter(
-        "continuation_file", "", "what an interrupted calibration has left; empty: nothing"
+        "continuation_file", "", "file that an interrupted calibration has left; empty: none"
     )
     if not path:
         return None
@@ -81,8 +81,8 @@ def read_continuation(node: CellNode) -> Continuation | None:
 class PlanSubscription:
     """Calls ``take`` with the planner's plans; while a goal runs, the beat names its run.
 
-    Beat and plan come on two topics in any order: a plan waits until a beat decides about it. A
-    plan of another publisher that cannot be used is reported and ignored, which is no error.
+    Beat and plan come on two topics, in any order: a plan waits until a beat decides about it. An
+    unusable plan of another publisher is reported and ignored; it is no error.
     """
 
     def __init__(self, node: CellNode, take: Callable[[CalibrationPlan], None]) -> None:
@@ -99,7 +99,7 @@ class PlanSubscription:
         """Hand over the plans that are known to be the planner's; report the others."""
         for message, whose in self._heard.judged(self._goals_run(), time.monotonic()):
             if whose is Whose.A_STRANGERS:
-                self._ignored(message, "is not the planner's and was left alone")
+                self._ignored(message, "is not the planner's and was ignored")
                 continue
             show(self._node.health, FOREIGN_PLAN, None)
             try:
@@ -110,7 +110,7 @@ class PlanSubscription:
                 self._ignored(message, f"cannot be used: {error}")
 
     def _goals_run(self) -> str | None:
-        """Return the run of the planner's goal; empty: it has none, None: it is not known."""
+        """Return the run of the planner's goal; empty: it has none, None: not known."""
         health = self._node.health
         if "planner" in health.lost:
             return ""

@@ -1,11 +1,11 @@
 """The values in a node's beat, by key: warnings, latest readings, names of topics. Needs no ROS.
 
-A beat (rotcal_msgs/NodeState) carries key and value as text. Warnings are there while they last,
-and in /diagnostics too. The capture adds the latest reading of every instrument, so that people
-see it without subscribing to a stream of 1 kHz themselves.
+A beat (rotcal_msgs/NodeState) carries key and value as text. Warnings stay there as long as they
+hold, and appear in /diagnostics too. The capture adds the latest reading of every instrument, so
+that people see it without subscribing to a stream of 1 kHz themselves.
 
-A topic is called by its role below the namespace of the cell, unless it is remapped or the
-configuration names another one in its group ``topics``; a beat tells such other names.
+A topic has the name of its role below the namespace of the cell, unless it is remapped or the
+group ``topics`` of the configuration names another one; a beat tells such other names.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from rotcal_ros.foundation.observations import TemperatureSample as Thermometer
 from rotcal_ros.methods import Configuration
 
 REJECTED: Final = "rejected_running"
-"""Attempts that were rejected since the last accepted one, and why."""
+"""The attempts that were rejected since the last accepted one, and the reasons."""
 COMPLAINT: Final = "complaint"
 """What keeps the present order from being measured."""
 PREFLIGHT: Final = "preflight"
@@ -42,26 +42,26 @@ CLOCK_DOUBT: Final = "clock_doubt"
 FOREIGN_PLAN: Final = "foreign_plan"
 """A plan that is not the planner's."""
 INTRUDER: Final = "intruder"
-"""Who publishes on a topic of the run and was not there when it began."""
+"""Who publishes on a topic of the run, but was not there when it began."""
 SIM_CLOCK: Final = "sim_clock"
-"""That ``/clock`` stands still, or does not come, for a node that follows it."""
+"""A node that follows ``/clock`` reports that it stands still or does not come."""
 EMERGENCY: Final = "emergency_stop"
 """Who stops the cell, and what this node does meanwhile."""
 BLOCKED: Final = "blocked"
 """Why a machine does nothing until a person has cleared it."""
 SLOW: Final = "slow"
-"""Who is slow and waited for, with the load of the machine."""
+"""The slow nodes that are waited for, with the load of the machine."""
 FOR_PEOPLE: Final = (
     REJECTED, COMPLAINT, PREFLIGHT, OFFSET, CLOCK_DOUBT, FOREIGN_PLAN, INTRUDER, SIM_CLOCK,
     BLOCKED, SLOW,
 )  # fmt: skip
 """Values in a beat that are shown to the person who runs a calibration."""
 OF_MACHINES: Final = (BLOCKED, COMPLAINT)
-"""Values in a beat that may be why a calibration cannot go on."""
+"""Values in a beat that may explain why a calibration cannot go on."""
 
 
 def show(health: Any, key: str, text: str | None, *, alarm: bool = False) -> None:
-    """Show ``text`` as a warning, or as an error with ``alarm``; None: it is over."""
+    """Show ``text`` as a warning, or with ``alarm`` as an error; None: it is over."""
     for book, is_its in ((health.concerns, not alarm), (health.alarms, alarm)):
         book.pop(key, None)
         if text and is_its:
@@ -78,7 +78,7 @@ def warnings_told(health: Any, keys: Collection[str] = FOR_PEOPLE) -> Iterator[s
 NOW: Final = "now."
 """Beginning of the capture's values with the latest reading of a topic."""
 FRAME: Final = "frame."
-"""Beginning of the capture's values with the frame that a topic is stamped with."""
+"""Beginning of the capture's values with the frame in a topic's headers."""
 HOPELESS: Final = "hopeless"
 """Value in the capture's beat: why no attempt at any step will ever be accepted."""
 WAITING_FOR: Final = "waiting_for"
@@ -96,7 +96,7 @@ MOST_JOINTS: Final = 32
 
 
 def reading(record: Record | Position) -> str:
-    """Return a reading in SI: length and status, point, angle, or the air and its sensor."""
+    """Return a reading in SI: length and status, point, angle, or air and sensor."""
     match record:
         case TracerSample():
             return f"{record.length:.9f} {LengthStatus(record.status).name}"
@@ -114,7 +114,7 @@ def reading(record: Record | Position) -> str:
 
 
 TOPICS: Final = "topics"
-"""Value of the planner while it has a goal: what its group ``topics`` gives, as JSON; of the
+"""Value of the planner while it has a goal: its group ``topics`` as JSON; of the
 capture: what it follows."""
 _HEARD_OF_THE_PLANNER: Final = {
     "capture": (names.PLAN, names.OBSERVATION, names.TABLE_ANGLE, names.PROBE_TARGET),
@@ -138,7 +138,7 @@ def name_in(values: Mapping[str, str], role: str) -> str:
 
 
 def at_odds(values: Values, namespace: str, resolve: Resolve) -> Iterator[str]:
-    """Yield in words which topics have other names in a node than in the planner."""
+    """Yield which topics have another name in a node than in the planner, in words."""
     for node, roles in _HEARD_OF_THE_PLANNER.items():
         for role in roles:
             theirs = values(node).get(TOPIC + role, plain_name(namespace, role))
@@ -150,7 +150,7 @@ def at_odds(values: Values, namespace: str, resolve: Resolve) -> Iterator[str]:
 
 
 def names_at_odds(node: Any, topics_of_goal: str) -> list[str]:
-    """Return why the names of topics do not fit, in words, as the planner's ``node`` sees it."""
+    """Return which names of topics do not match, in words, as the planner's ``node`` sees it."""
     values = node.health.values
     if values("capture").get(TOPICS) != topics_of_goal:
         return ["node capture has not taken the names in the group topics yet"]

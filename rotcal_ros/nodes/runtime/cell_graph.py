@@ -1,4 +1,4 @@
-"""Who publishes and who subscribes in a cell, and which of them cannot connect."""
+"""The graph of a cell: who publishes, who subscribes, and which of them cannot connect."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rotcal_ros.nodes.runtime.qos import EVENT
 
 ORDERS: Final = (names.TABLE_ANGLE, names.PROBE_TARGET)
 NO_MACHINE: Final = frozenset({"capture", "recorder", *VIEWERS.values()})
-"""Nodes that subscribe to orders without obeying them."""
+"""Nodes that subscribe to orders but do not obey them."""
 _AS_THE_GRAPH_SHOWS_IT: Final = QoSProfile(
     depth=EVENT.depth,
     reliability=EVENT.reliability,
@@ -86,7 +86,7 @@ class CellGraph:
         yield from incompatible_listeners(self.node, name, {"capture", "recorder"}.__contains__)
 
     def crowded(self, topic: str) -> Iterator[str]:
-        """Yield that an instrument's ``topic`` has several publishers."""
+        """Yield a complaint if an instrument's ``topic`` has several publishers."""
         publishers = self.publishers(topic)
         if len(publishers) > 1:
             yield (
@@ -98,7 +98,7 @@ class CellGraph:
     def without_machine(self, topic: str) -> Iterator[str]:
         """Yield why no machine can receive the order ``topic``.
 
-        A machine that cannot receive it does not matter where another one can.
+        A machine that cannot does not matter if another one can.
         """
         machines = self.machines(topic)
         if not machines:

@@ -17,6 +17,7 @@ from rotcal_msgs.msg import ProbeTarget, TableAngle
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture.messages import Orders
+from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.machine_load import Patience
 from rotcal_ros.foundation.node_state import NodeState
 from rotcal_ros.foundation.observations import Command
@@ -33,7 +34,7 @@ T = TypeVar("T")
 IDLE_S: Final = 0.1
 """While nothing is measured, messages are collected for this time and handled together."""
 _QUIET: Final = frozenset({"recorder", "solver"})
-"""Nodes that log nothing of an ignored publisher: capture and planner name it already."""
+"""Nodes that do not log ignored publishers: capture and planner already do."""
 
 
 @coroutine
@@ -67,10 +68,14 @@ async def until(
     return True
 
 
+class NotActiveError(RotcalError):
+    """A node that is not active was asked for something."""
+
+
 class CellNode(ManagedNode, ABC):
     """A node of the cell; ``given`` holds the parameters it was started with, in groups.
 
-    Subscriptions, timers and services that are made by :meth:`listen`, :meth:`every` and
+    Subscriptions, timers and services made by :meth:`listen`, :meth:`every` and
     :meth:`offer` work only while the node is active. A latched message that comes earlier waits
     until then, since its publisher will not send it again. The node beats in every state.
     """
@@ -116,7 +121,7 @@ class CellNode(ManagedNode, ABC):
                 self._latched[handle] = message
             elif topic not in self._left_alone:
                 self._left_alone.add(topic)
-                self.get_logger().warning(f"{topic} is ignored: {self.why_not()}")
+                self.get_logger().warning(f"{topic} is ignored: {self.not_active_error()}")
 
         self.create_subscription(kind, topic, take, qos)
 
@@ -128,15 +133,15 @@ class CellNode(ManagedNode, ABC):
     def offer(
         self, kind: type, name: str, handle: Callable[[Any, Any], Any], *, always: bool = False
     ) -> None:
-        """Offer a service, whose response has a ``message`` that says why it was refused.
+        """Offer a service; a ``message`` in its response says why a request was refused.
 
-        ``always``: it is not refused while the node is inactive. An answer that takes its time
-        holds up other services, but neither what the node hears nor its beat.
+        ``always``: it is not refused while the node is inactive. A slow answer holds up other
+        services, but neither subscriptions nor the beat.
         """
 
         async def answer(request: Any, response: Any) -> Any:
             if not (self.active or always):
-                response.message = self.why_not()
+                response.message = str(self.not_active_error())
                 return response
             self._answering += 1
             try:
@@ -161,7 +166,7 @@ class CellNode(ManagedNode, ABC):
         self.executor.create_task(do)
 
     def take_orders(self, obey: Callable[[Command], None]) -> Orders:
-        """Call ``obey`` with every complete order; return the halves (table, probe) that wait."""
+        """Call ``obey`` with every complete order; return the waiting halves (table, probe)."""
         orders = Orders()
 
         def listen(kind: type, topic: str, take: Callable[[Any], Command | None]) -> None:
@@ -183,9 +188,9 @@ class CellNode(ManagedNode, ABC):
         """Return :meth:`gather_s` of a node that works in calibrations only."""
         return 0.0 if self.health.is_calibrating() else IDLE_S
 
-    def why_not(self) -> str:
-        """Return why this node does not do what it is asked: it is not active."""
-        return f"node {self.get_name()} is {self.inactivity().in_words()}"
+    def not_active_error(self) -> NotActiveError:
+        """Return the error of a request to this node while it is not active."""
+        return NotActiveError(f"node {self.get_name()} is {self.inactivity().in_words()}")
 
     def over(self) -> bool:
         """Return whether the node has to end: shut down, finished, or second of its name."""

@@ -28,7 +28,7 @@ class ReportedClockJumps:
         self.concerns: dict[str, str] = {}
 
     def look(self) -> None:
-        """Look at the clock; regularly, and whenever it matters just now."""
+        """Look at the clock; called regularly, and whenever the present time matters."""
         jump = self.watch.look()
         if jump is None:
             return
@@ -41,7 +41,7 @@ class ReportedClockJumps:
         return {JUMPS: self.watch.count} if self.watch.count else {}
 
     def since(self, count: int) -> tuple[ClockJump, ...]:
-        """Return the jumps after the first ``count``, as far as they are remembered."""
+        """Return the jumps after the first ``count``, as far as they are still remembered."""
         new = self.watch.count - count
         return tuple(self.watch.jumps)[-new:] if new else ()
 
@@ -61,9 +61,9 @@ def jumps_in_words(health: Any) -> tuple[str, ...]:
 SIM_TIME: Final = "sim_time_s"
 """Value in a beat: the time of ``/clock`` in s; only of nodes that follow it."""
 STILL_S: Final = 1.5
-"""``/clock`` may stand still this long before a person is told."""
+"""``/clock`` may stand still this long before people are told."""
 _SETTLING_S: Final = 2.0
-"""Streams may need this long to come again after ``/clock`` goes on."""
+"""Streams may need this long to resume after ``/clock`` goes on."""
 _PACE_S: Final = 2.0
 """The pace is measured over at least this time."""
 
@@ -71,7 +71,7 @@ _PACE_S: Final = 2.0
 class SimClock:
     """The clock of a node, checked regularly; without ``use_sim_time`` there is nothing to report.
 
-    ``now`` and ``steady`` (monotonic, s) are read for the time.
+    ``now`` and ``steady`` (monotonic, s) give the time.
     """
 
     def __init__(self, node_clock: Any, steady: Any = time.monotonic) -> None:
@@ -114,7 +114,7 @@ class SimClock:
         return self.used and self._still_s() > STILL_S
 
     def is_settled(self) -> bool:
-        """Return whether streams must come: the clock runs, and has been running for a while."""
+        """Return whether streams must be arriving: the clock has been running for a while."""
         return not self.stands() and self._steady() > self._went_on_s + _SETTLING_S
 
     def standstill(self) -> str | None:
@@ -130,33 +130,33 @@ class SimClock:
             f"/clock stands still at {self._now_ns * NANOSECOND:.3f} s: is the simulation paused?"
         )
 
-    def remark(self) -> str:
+    def remark(self) -> str | None:
         """Return what an error has to add where the clock may be the cause of a time-out."""
         if not self.used:
-            return ""
+            return None
         words = self.standstill()
         if words is None and self._pace is not None:
             words = f"/clock runs at {self._pace:.2g} of it"
-        return "; time-outs are wall time" + ("" if words is None else f", {words}")
+        return "time-outs are wall time" + ("" if words is None else f", {words}")
 
     def _still_s(self) -> float:
         return float(self._steady() - self._moved_s)
 
 
 def unlike_clocks(health: Any, configuration: Configuration) -> list[str]:
-    """Return why the nodes have no common time, in words."""
+    """Return why the nodes do not share one time, in words."""
     own = health.sim.used
     other = [name for name in PREFLIGHT_NODES if (SIM_TIME in health.values(name)) != own]
     standstill = health.sim.standstill()
-    found = [] if standstill is None else [standstill]
+    texts = [] if standstill is None else [standstill]
     if other:
-        found.append(
+        texts.append(
             f"use_sim_time is {str(own).lower()} for node planner, but not for "
-            f"{', '.join(other)}: set it alike for all nodes of the cell"
+            f"{', '.join(other)}: set it to the same value for all nodes of the cell"
         )
     elif configuration.use_sim_time and not own:
-        found.append(
+        texts.append(
             "the configuration says use_sim_time: true, the nodes run without: start them with "
             "--ros-args -p use_sim_time:=true"
         )
-    return found
+    return texts

@@ -1,4 +1,4 @@
-"""Dataclasses into messages; the way back is capture/messages.py, as for the replay of bags."""
+"""Converts dataclasses into messages; capture/messages.py does the reverse, for bags too."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ TRACER: Final = "tracer"
 """The frames that messages of the cell are stamped with."""
 _WRAPS: Final = 0xFFFFFFFF
 MOST_ANGLES: Final = 200
-"""Of a message that holds covariances: 2 MB for all six; result.json has those of more."""
+"""Most angles of a message with covariances (2 MB for all six); else see result.json."""
 
 
 def time_message(nanoseconds: int) -> Time:
@@ -232,15 +232,15 @@ def compensation_table(message: msg.CompensationTable) -> CompensationTable:
     if table.table_hash != message.table_hash:
         raise DataError(
             f"the table of axis {message.axis} carries the hash {message.table_hash or 'none'}, "
-            f"its numbers have {table.table_hash}: it was changed on its way"
+            f"its numbers have {table.table_hash}: it was changed on the way"
         )
     return table
 
 
 def result_values(result: Result) -> dict[str, str]:
-    """Return a result in words, as values of a diagnostic status: needs no message of ours.
+    """Return a result in words, as values of a diagnostic status, which needs no message of ours.
 
-    Of every deviation its range and its largest expanded uncertainty (k = 2).
+    Each deviation has its range and its largest expanded uncertainty (k = 2).
     """
     values = {"verdict": result.verdict_line}
     for name, curve in result.deviations.items():

@@ -1,4 +1,4 @@
-"""The emergency stop: every node that orders or carries out motion subscribes to it by itself.
+"""The emergency stop: every node that orders or carries out motion subscribes to it itself.
 
 This is no safety function in the sense of ISO 13849: messages may come late or never.
 """
@@ -31,7 +31,7 @@ LATCHED_EVENT: Final = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-"""A latched stop whose release comes in the same turn is not to be lost."""
+"""Deep enough that a latched stop is not lost when its release comes in the same turn."""
 
 
 class EmergencyStop:
@@ -69,7 +69,7 @@ class EmergencyStop:
         steady_timer(node, LOOK_PERIOD_S, node.health.guarded(self._attend))
 
     def heed(self) -> str | None:
-        """Return :attr:`latched`, after handling what has arrived and waits."""
+        """Return :attr:`latched`, after handling the messages that wait."""
         for heard in self._heard:
             heard.drain()
         return self.latched
@@ -82,11 +82,11 @@ class EmergencyStop:
         return bool(self.why)
 
     def forget(self) -> None:
-        """Start afresh; a stop that lasts stays."""
+        """Forget earlier stops; a stop that lasts stays."""
         self.latched = self.why
 
     def _subscribe(self, qos: QoSProfile) -> None:
-        """Listen with a quality of service too, once."""
+        """Listen with a further quality of service, unless that is done."""
         if qos not in self._profiles:
             self._profiles.append(qos)
             self._drain(Bool, self._topic, qos, self._hear)
@@ -98,7 +98,7 @@ class EmergencyStop:
         self._heard.append(DrainedSubscription(self._node, kind, topic, qos, handle))
 
     def _attend(self) -> None:
-        """Listen as reliably as the publishers allow: best effort hears all, but may lose some."""
+        """Listen as reliably as all publishers allow: best effort may lose messages."""
         for info in self._node.get_publishers_info_by_topic(self._topic) if self._topic else ():
             offered = info.qos_profile
             if offered.reliability == ReliabilityPolicy.RELIABLE:
@@ -118,13 +118,13 @@ class EmergencyStop:
                 self._judge()
 
     def _look(self) -> None:
-        """Check for silence after all that has come: this node may have stood still itself."""
+        """Check for silence after handling what waits: this node itself may have stood still."""
         self.heed()
         self._looked_s = time.monotonic()
         self._judge()
 
     def _judge(self) -> None:
-        """Begin and end a stop by what was heard; silence is that of the latest look."""
+        """Begin or end a stop by what was heard; silence is judged at the latest look."""
         before, self.why = self.why, "; ".join(self._sources.reasons(self._looked_s)) or None
         if self.why and not before:
             self.latched, self.count = self.why, self.count + 1

@@ -1,8 +1,8 @@
 """The heartbeat and the diagnostics of a node, and what it hears of the other nodes.
 
 Every node beats on ``heartbeat`` (rotcal_msgs/NodeState, 5 Hz), and reports in words on
-``/diagnostics`` at 1 Hz. A beat shows that the process lives, and how long ago its executor took
-a turn: a node that hangs is slow, a node whose process is gone is lost. Beats are sent at every
+``/diagnostics`` at 1 Hz. A beat shows that the process lives, and how long ago its executor last
+ran: a node that hangs is slow, a node whose process is gone is lost. Beats are sent at every
 change, and otherwise by a thread of their own, which a busy executor cannot block.
 """
 
@@ -35,7 +35,7 @@ from rotcal_ros.nodes.runtime.liveness import (
     Liveness,
     NameHolders,
     ProcessIdentity,
-    second_of_its_name,
+    SecondNodeError,
 )
 from rotcal_ros.nodes.runtime.timers_and_subscriptions import (
     UNWAITED,
@@ -49,7 +49,7 @@ HEAR_PERIOD_S: Final = 0.1
 """Interval at which the beats of the others are handled, all together."""
 DIAGNOSTICS_PERIOD_S: Final = 1.0
 AWARE_S: Final = 0.7
-"""After a standstill a node needs this long to know the present state of the others."""
+"""After a standstill a node needs this long to learn the present state of the others."""
 PLANNER: Final = "planner"
 
 Values = Mapping[str, object]
@@ -60,7 +60,7 @@ _TOLD_S: Final = 0.5
 
 
 class Heartbeat:
-    """Sends the node's latest state, from the second beat on also while its executor is busy."""
+    """Sends the node's latest state, from the second beat on even while its executor is busy."""
 
     def __init__(self, node: Node, identity: ProcessIdentity) -> None:
         self._context, self._clock, self._identity = node.context, node.get_clock(), identity
@@ -80,7 +80,7 @@ class Heartbeat:
             self._send()
 
     def go_on(self) -> None:
-        """Start the thread of the beats, in the first turn of the executor: all is loaded then."""
+        """Start the thread of the beats; called when everything is loaded."""
         if self._thread is None:
             self._thread = Thread(target=self._beat, name="heartbeat", daemon=True)
             self._thread.start()
@@ -117,10 +117,10 @@ class Heartbeat:
 class Health:
     """The health of one node.
 
-    ``concerns`` is what a person should look at, ``alarms`` what a person must look at. ``report``
-    returns (state, values) at any time for every beat; without it the node only listens, and is
-    not missed. ``on_lost`` is called with the name of every other node that is lost. ``refused``
-    says why this node must end: an older one of its name is there; None: it need not.
+    ``concerns`` are what a person should look at, ``alarms`` what a person must look at.
+    ``report`` returns (state, values) for every beat; without it the node only listens, and nobody
+    misses it. ``on_lost`` is called with the name of every other node that is lost. ``refused`` is
+    the error with which this node must end, because an older one of its name is there.
     """
 
     def __init__(
@@ -210,17 +210,17 @@ class Health:
         return self._read[name][1]
 
     def node_state(self, name: str) -> NodeState:
-        """Return how node ``name`` stands by its last beat; UNKNOWN where it was never heard."""
+        """Return state and reasons in the last beat of node ``name``; UNKNOWN: never heard."""
         beat = self.others.get(name)
         return UNHEARD if beat is None else conversions.node_state(beat)
 
     def state(self, name: str) -> State:
-        """Return the state of node ``name`` by its last beat; UNKNOWN: it was never heard."""
+        """Return what node ``name`` did at its last beat; UNKNOWN: never heard."""
         beat = self.others.get(name)
         return State.UNKNOWN if beat is None else State(beat.state)
 
     def process(self, name: str) -> str | None:
-        """Return which process node ``name`` is, or was last; None where it was never heard."""
+        """Return which process node ``name`` is, or was last; None if it was never heard."""
         beat = self.others.get(name)
         return None if beat is None else str(beat.process)
 
@@ -229,11 +229,11 @@ class Health:
         return self.state(PLANNER) is State.CALIBRATING
 
     def in_words(self, name: str) -> str:
-        """Return how node ``name`` stands, for a person to read."""
-        return self.node_state(name).in_words() or "silent"
+        """Return the state of node ``name``, for a person to read."""
+        return self.node_state(name).in_words()
 
     def last_words(self, name: str) -> str:
-        """Return why a lost node is lost and what it did before, for a person to read."""
+        """Return the cause of a node's loss and what it did before, for a person to read."""
         return f"{self.lost[name]}; before that: {self.in_words(name)}"
 
     def leave(self) -> None:
@@ -263,16 +263,15 @@ class Health:
                 self.others[name] = beat
 
     def _meet(self, other: ProcessIdentity) -> None:
-        """Handle a beat under this node's own name: of two such nodes the younger one ends."""
+        """Handle a beat of another node with this node's name: the younger of the two ends."""
         if self._report is None or other.process == self.identity.process:
             return
-        name, place = self._node.get_name(), self._node.get_namespace()
+        name, namespace = self._node.get_name(), self._node.get_namespace()
         if self.identity.is_older(other):
-            text = f"a second node {name} was started in {place}: it is refused"
+            text = f"a second node {name} was started in {namespace}: it is refused"
             self._node.get_logger().warning(text, once=True)
         else:
-            domain = os.environ.get("ROS_DOMAIN_ID", "")
-            self.refused = second_of_its_name(name, place, domain)
+            self.refused = SecondNodeError(name, namespace, os.environ.get("ROS_DOMAIN_ID", ""))
 
     def _turn(self) -> None:
         """Beat, and look at the clocks and at the others."""
@@ -287,7 +286,7 @@ class Health:
                 self._on_lost(name)
 
     def _gone(self, name: str) -> str | None:
-        """Return why a node whose beat is late is gone; None: it is there, as far as is known.
+        """Return why a node whose beat is late is gone; None: as far as known it is there.
 
         On another machine, or where its process is not known, the graph decides: DDS removes a
         participant that does not renew its lease.

@@ -1,4 +1,6 @@
-"""Which nodes are present, slow or lost, and which process each one is. Needs no ROS.
+"""Keeps track of which nodes are present, slow or lost, and which process each one is.
+
+Needs no ROS.
 
 A node is *lost* when its process is gone and *slow* while its beat is late. A slow node is kept
 until ``health.lost_after_s`` is over.
@@ -17,7 +19,7 @@ from pathlib import Path
 from typing import Any, Final
 from uuid import getnode, uuid4
 
-from rotcal_ros.foundation.errors import RotcalError
+from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.node_names import NODES
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.planning.settings import HealthSettings
@@ -30,9 +32,9 @@ OVER_S: Final = 60.0
 
 @dataclass
 class Liveness:
-    """Which nodes are present; ``seen`` is name -> when it last answered, on a clock in s.
+    """The nodes that are present; ``seen`` is name -> when it last answered, in s.
 
-    That clock is the caller's, and stands still while the caller does (see
+    The clock is the caller's, and stands still while the caller does (see
     :class:`~rotcal_ros.foundation.machine_load.AwakeClock`): a node that was itself suspended must
     not take all others for lost. ``slow`` is name -> seconds, ``lost`` is name -> reason, both as
     of the latest look.
@@ -76,9 +78,9 @@ class Liveness:
 
 @dataclass
 class Overload:
-    """Reports an overload of the machine: once when it begins, and once when it is over.
+    """Reports an overload of the machine once when it begins and once when it is over.
 
-    ``text`` says which nodes are waited for now; None: none.
+    ``text`` says which nodes are waited for at present; None: none.
     """
 
     text: str | None = None
@@ -91,7 +93,7 @@ class Overload:
     ) -> str | None:
         """Note which nodes are slow (name -> s); return what to log, if anything.
 
-        ``now_s`` is monotonic, ``machine`` tells the load of the machine in words.
+        ``now_s`` is monotonic, ``machine`` returns the load of the machine in words.
         """
         was_waiting = bool(self.text)
         if not slow:
@@ -116,7 +118,7 @@ class Overload:
 
 
 SESSION_VARIABLE: Final = "ROTCAL_SESSION"
-"""Environment variable: what all processes of one session have in common.
+"""Environment variable: the name that all processes of one session share.
 
 It begins with the monotonic time (ns) at which the session began.
 """
@@ -131,7 +133,7 @@ TAKE_OVER_S: Final = 0.7
 
 @dataclass(frozen=True, slots=True)
 class ProcessIdentity:
-    """A process, its session, and when that began: on the monotonic clock of whoever holds this.
+    """A process, its session, and when that began, on the monotonic clock of the holder of this.
 
     Beats carry ages instead of times, so that clocks of two machines need not agree.
     """
@@ -142,7 +144,7 @@ class ProcessIdentity:
 
     @classmethod
     def own(cls, environment: Mapping[str, str], now_s: float) -> ProcessIdentity:
-        """Return a new identity for this process; without a session it is one by itself."""
+        """Return a new identity for this process; without a session it is one of its own."""
         process, session = uuid4().hex, environment.get(SESSION_VARIABLE, "")
         begun_ns, _, _ = session.partition("-")
         known = begun_ns.isdecimal() and len(begun_ns) < _DIGITS
@@ -155,11 +157,11 @@ class ProcessIdentity:
         return cls(beat.session, beat.process, now_s - beat.age * NANOSECOND)
 
     def age_ns(self, now_s: float) -> int:
-        """Return how long ago it began, for a beat."""
+        """Return the age for a beat."""
         return round(max(0.0, now_s - self.born_s) / NANOSECOND)
 
     def is_older(self, other: ProcessIdentity) -> bool:
-        """Return whether this process began first; at the same time the smaller id decides."""
+        """Return whether this process began first; at equal times the smaller id decides."""
         earlier_s = other.born_s - self.born_s
         return self.process < other.process if abs(earlier_s) < _AT_ONCE_S else earlier_s > 0.0
 
@@ -188,10 +190,14 @@ class NameHolders:
         return True
 
 
-def second_of_its_name(name: str, place: str, domain: str) -> str:
-    """Say why a node ends whose ``name`` in the namespace ``place`` an older one has."""
-    where = f"{place} of ROS domain {domain or '0'}"
-    return f"node {name} runs already in {where}: this second one ends, the first goes on; {_HOW}"
+class SecondNodeError(ConfigurationError):
+    """An older node has the name of this one."""
+
+    def __init__(self, name: str, namespace: str, domain: str) -> None:
+        super().__init__(
+            f"node {name} already runs in {namespace} of ROS domain {domain or '0'}: this second "
+            f"one ends, the first goes on; {_HOW}"
+        )
 
 
 class OtherSessionError(RotcalError):
@@ -199,7 +205,7 @@ class OtherSessionError(RotcalError):
 
 
 def require_own_session(health: Any, environment: Mapping[str, str]) -> None:
-    """Raise OtherSessionError where a node of the cell is of another session than this process."""
+    """Raise OtherSessionError if a node of the cell belongs to another session."""
     if SESSION_VARIABLE not in environment:
         return
     own = ProcessIdentity.own(environment, 0.0).session
@@ -214,12 +220,12 @@ def require_own_session(health: Any, environment: Mapping[str, str]) -> None:
 
 _DEAD: Final = ("Z", "X")
 _STATE, _START = 0, 19
-"""Fields of ``/proc/PID/stat`` behind the name of the program."""
+"""Indices of fields of ``/proc/PID/stat`` behind the name of the program."""
 
 
 @cache
 def machine() -> str:
-    """Return what identifies this machine and its space of process ids."""
+    """Return a name for this machine and its space of process ids."""
     with suppress(OSError):
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
         return f"{boot}/{Path('/proc/self/ns/pid').stat().st_ino}"  # containers count anew
@@ -246,7 +252,7 @@ class HostProcess:
 
     @property
     def is_gone(self) -> bool:
-        """Whether it is known that it does not exist any more; of another machine it is not."""
+        """Whether it is known to have ended; of another machine that is never known."""
         if not self.is_of_here:
             return False
         if not _exists(self.pid):

@@ -44,7 +44,7 @@ def entities(node: Node) -> Iterator[Any]:
 
 
 def destroy(node: Node, kept: Collection[Any]) -> None:
-    """Destroy all entities but those ``kept``; what belongs to another one goes with that."""
+    """Destroy all entities but those ``kept``; an entity that belongs to another goes with it."""
     ways = (
         (node.timers, node.destroy_timer),
         (node.subscriptions, node.destroy_subscription),
@@ -70,7 +70,7 @@ FAILURE: Final = TransitionCallbackReturn.FAILURE
 
 
 def not_active(health: Any, names: Iterable[str]) -> list[str]:
-    """Return which of the other nodes are not active, and how that ends."""
+    """Return which of these nodes are not active, and how to activate them."""
     idle = (name for name in names if health.state(name) in NOT_ACTIVE)
     return [f"node {name} is {health.in_words(name)}" for name in idle]
 
@@ -78,7 +78,8 @@ def not_active(health: Any, names: Iterable[str]) -> list[str]:
 class ManagedNode(LifecycleNode):
     """A node that makes what it needs in :meth:`configure` and works while it is active.
 
-    ``autostart`` (parameter) takes it through both at its start. ``shut_down``: it has to end.
+    The parameter ``autostart`` configures and activates it at its start. ``shut_down``: it has to
+    end.
     """
 
     def __init__(self, name: str, **options: Any) -> None:
@@ -93,11 +94,11 @@ class ManagedNode(LifecycleNode):
         )
 
     def create_subscription(self, *arguments: Any, **options: Any) -> Any:
-        """Make one whose events are polled."""
+        """Create one whose events are polled."""
         return with_unwaited_events(super().create_subscription(*arguments, **options))
 
     def create_publisher(self, *arguments: Any, **options: Any) -> Any:
-        """Make one whose events are polled."""
+        """Create one whose events are polled."""
         return with_unwaited_events(super().create_publisher(*arguments, **options))
 
     def parameter(
@@ -114,8 +115,8 @@ class ManagedNode(LifecycleNode):
         try:
             if fixed := [p.name for p in parameter_list if self._is_fixed(p.name)]:
                 raise ConfigurationError(
-                    f"{', '.join(fixed)}: taken when node {self.get_name()} starts and the same "
-                    "until it ends; restart it with the value, or give it in the configuration"
+                    f"{', '.join(fixed)}: fixed when node {self.get_name()} starts; restart it "
+                    "with the value, or give it in the configuration"
                 )
             self.judge_parameters({p.name: p.value for p in parameter_list})
         except ConfigurationError as error:
@@ -124,10 +125,10 @@ class ManagedNode(LifecycleNode):
         return result
 
     def judge_parameters(self, changes: Mapping[str, Any]) -> None:
-        """Raise ConfigurationError where parameters cannot take values, name -> value."""
+        """Raise ConfigurationError if parameters cannot take these values (name -> value)."""
 
     def autostart(self) -> None:
-        """Configure and activate, unless told not to; raise what makes that impossible."""
+        """Configure and activate, unless told not to; an error on the way is raised."""
         if not self._autostart:
             self.get_logger().info(f"autostart is false: {self.inactivity().in_words()}")
             return
@@ -138,20 +139,20 @@ class ManagedNode(LifecycleNode):
         self._starting = False
 
     def inactivity(self) -> NodeState:
-        """Return which state the node is in while it is not active, and how that ends."""
+        """Return the state of a node that is not active, and how to activate it."""
         name = self.get_fully_qualified_name()
         if self.configured:
             return NodeState.of(State.INACTIVE, Why.TO_ACTIVATE, name)
         return NodeState.of(State.UNCONFIGURED, Why.TO_CONFIGURE, name)
 
     def configure(self) -> None:
-        """Make what the node needs; what is raised leaves it unconfigured."""
+        """Make what the node needs; an exception leaves it unconfigured."""
 
     def activated(self) -> None:
         """Begin to work."""
 
     def deactivated(self) -> None:
-        """Stop working: give up what is going on, and keep what was made."""
+        """Stop working: give up running work, and keep what was made."""
 
     def begin_stop(self) -> None:
         """Begin to end: give up running work, close files."""
@@ -193,7 +194,7 @@ class ManagedNode(LifecycleNode):
         return self._entered(True)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Give back all that :meth:`configure` made; FAILURE while something is still ending."""
+        """Destroy all that :meth:`configure` made; FAILURE while something is still ending."""
         if not self._ending:
             self._ending = True
             self._did("clean up", self.begin_stop)
@@ -217,7 +218,7 @@ class ManagedNode(LifecycleNode):
         return SUCCESS if success else FAILURE
 
     def _did(self, what: str, work: Callable[[], None]) -> bool:
-        """Do a part of a transition; return whether it succeeded, the console says why not."""
+        """Do a part of a transition; return whether it succeeded. A failure is logged."""
         self._failure = None
         try:
             work()
@@ -235,7 +236,7 @@ class ManagedNode(LifecycleNode):
 T = TypeVar("T")
 
 OF_ROS: Final = ("use_sim_time", "start_type_description_service", "qos_overrides")
-"""Parameters, or the first parts of their names, that ROS itself gives to every node."""
+"""Parameters (or first parts of their names) that ROS itself gives every node."""
 _TYPES: Final = {
     bool: (Parameter.Type.BOOL, Parameter.Type.BOOL_ARRAY),
     int: (Parameter.Type.INTEGER, Parameter.Type.INTEGER_ARRAY),
@@ -251,7 +252,7 @@ _RANGES: Final[dict[type, Any]] = {
 
 
 def given_parameters(node: Node) -> dict[str, Any]:
-    """Return what a node was given at its start, as nested groups."""
+    """Return the parameters that a node was given at its start, as nested groups."""
     # rclpy has no other way to see what is not declared yet; an empty list has no value there.
     given = {
         name: [] if parameter.value is None else parameter.value
@@ -266,10 +267,9 @@ def declare_settings(
 ) -> T:
     """Declare the settings ``cls`` as parameters ``group.*`` and return their values.
 
-    What was ``given`` is checked by settings.load, so that a wrong or misspelt one gets the same
-    ConfigurationError text as in ``rotcal run``; it also takes 1 for 1.0. An optional setting that
-    has no value becomes no parameter: a listed one without value keeps ``ros2 param dump`` from
-    showing any.
+    What was ``given`` is checked by settings.load, so that a wrong or misspelt one raises the same
+    ConfigurationError as in ``rotcal run``; it also takes 1 for 1.0. An optional setting without a
+    value is not declared: a parameter without a value keeps ``ros2 param dump`` from showing any.
     """
     settings = load(cls, given.get(group), f"{node.get_name()}: parameters {group}")
     for declared in declarations(cls):
@@ -284,8 +284,8 @@ def read_settings(
 ) -> T:
     """Return the present values of parameters that :func:`declare_settings` declared.
 
-    ``changes`` is parameter name -> value of those that shall be changed. ConfigurationError when
-    these settings cannot be together.
+    ``changes`` is parameter name -> new value. Raises ConfigurationError if these settings exclude
+    each other.
     """
     values = {}
     for declared in declarations(cls):
@@ -298,7 +298,7 @@ def read_settings(
 
 
 def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return groups of groups from dotted names; what is None is left out."""
+    """Return nested groups from dotted names, without those that are None."""
     found: dict[str, Any] = {}
     for dotted, value in values.items():
         *groups, name = dotted.split(".")
@@ -325,7 +325,7 @@ def _declare(node: Node, name: str, value: Any, declared: Declaration, read_only
 
 
 def _descriptor(declared: Declaration, read_only: bool) -> ParameterDescriptor:
-    """Describe a setting; ROS knows ranges of scalars only, all else goes into the description."""
+    """Describe a setting; ROS knows ranges of scalars only, others go into the description."""
     info = declared.info
     descriptor = ParameterDescriptor(description=info.description, read_only=read_only)
     words = []

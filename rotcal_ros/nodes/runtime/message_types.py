@@ -1,4 +1,4 @@
-"""Message types by name: their classes, and whether a recorded one is the installed one."""
+"""Finds message types by name, and tells whether a recorded one is the installed one."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ _FEEDBACK: Final = "_FeedbackMessage"
 
 
 def importable_type(type_name: str, type_hash: str) -> type:
-    """Return the class of a recorded message type; BagError where it is not the same here.
+    """Return the class of a recorded message type; BagError if the type differs here.
 
-    ``type_hash`` is that of the recorded definition, empty where it is not known.
+    ``type_hash`` is that of the recorded definition, empty if it is not known.
     """
     found, here = message_type(type_name), installed_hash(type_name)
     if type_hash and here and type_hash != here:
@@ -26,7 +26,7 @@ def importable_type(type_name: str, type_hash: str) -> type:
 
 
 def message_type(type_name: str) -> type:
-    """Return the class of a message type (``pkg/msg/Name``); BagError where there is none."""
+    """Return the class of a message type (``pkg/msg/Name``); BagError if there is none."""
     package, kind, name = [*type_name.split("/"), "", ""][:3]
     try:
         if kind == "action" and name.endswith(_FEEDBACK):
@@ -40,7 +40,7 @@ def message_type(type_name: str) -> type:
 
 
 def installed_hash(type_name: str) -> str | None:
-    """Return the hash of a type's definition as it is installed; None where it is not known."""
+    """Return the hash of a type's definition as it is installed; None if it is not known."""
     package, kind, name = type_name.split("/")
     try:
         described = share_folder(package) / kind / f"{name}.json"

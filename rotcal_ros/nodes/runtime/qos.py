@@ -1,4 +1,4 @@
-"""The qualities of service of the cell: one profile per kind of topic."""
+"""The qualities of service of the cell, one profile per kind of topic."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -20,13 +20,13 @@ GOAL: Final = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-"""Request and answer of a goal: a recorder that finds the action only then still gets both."""
+"""Request and answer of a goal: a recorder that discovers the action only then still gets both."""
 
 STREAM: Final = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 """Readings at kilohertz rates, published reliably by our own nodes."""
 
 VIEW: Final = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""For nodes that only watch: no publisher repeats anything for them, or waits."""
+"""For nodes that only watch: no publisher repeats anything for them or waits for them."""
 
 LISTENING_DEPTH: Final = 50_000
 """Messages that the middleware keeps for a busy listener: a second of the fastest load."""

@@ -1,6 +1,7 @@
 """Runs the process of a node until SIGINT, SIGTERM or the end of its supervisor.
 
-Also here: a node for programs that spin it themselves, long work in a thread, lines of JSON.
+It also holds a node for programs that spin it themselves, long work in a thread, and lines of
+JSON.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ T = TypeVar("T")
 def run(make: Callable[[], CellNode], default_range: str = ROS_DEFAULT_RANGE) -> NoReturn:
     """Make a node, spin it until it has to end, and exit.
 
-    ``default_range`` is the discovery range where the user has not set one.
+    ``default_range`` is the discovery range unless the user has set one.
     """
     run_and_exit(lambda: _spin(make), default_range)
 
@@ -70,7 +71,7 @@ def run_and_exit(work: Callable[[], None], default_range: str = ROS_DEFAULT_RANG
 
 
 def use_middleware(default_range: str = ROS_DEFAULT_RANGE) -> None:
-    """Let this process use the transport of the nodes; what the user has set stays."""
+    """Let this process use the transport of the nodes, unless the user has set another."""
     os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
     os.environ |= middleware(os.environ, default_range)
 
@@ -83,7 +84,7 @@ def use_single_thread() -> None:
 
 @contextmanager
 def default_context() -> Iterator[None]:
-    """Init and shut down rclpy's default context; rclpy.init of Jazzy is no context manager."""
+    """Init and shut down rclpy's default context: in Jazzy rclpy.init is no context manager."""
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:
         yield
@@ -120,7 +121,7 @@ class _Rest:
         self._taken_s = 0.0
 
     def take(self, node: CellNode) -> None:
-        """Pause as long as the node asks for, if it was awake for long enough."""
+        """Pause for as long as the node asks, if it has been awake for long enough."""
         if time.monotonic() < self._taken_s + _AWAKE_S:
             return
         if not node.health.sim.used:
@@ -152,7 +153,7 @@ def _spin(make: Callable[[], CellNode]) -> None:
         refused = node.health.refused
         node.destroy_node()
     if refused:
-        raise ConfigurationError(refused)
+        raise refused
 
 
 def _finish(node: CellNode, executor: SingleThreadedExecutor) -> None:
@@ -166,7 +167,7 @@ def _finish(node: CellNode, executor: SingleThreadedExecutor) -> None:
 
 
 async def in_thread(work: Callable[..., T], *arguments: object) -> T:
-    """Return what ``work`` returns, or raise what it raises; it has a thread of its own."""
+    """Run ``work`` in a thread of its own; return what it returns or raise what it raises."""
     with ThreadPoolExecutor(max_workers=1) as aside:
         found = aside.submit(work, *arguments)
         await until(found.done, math.inf)
@@ -174,7 +175,7 @@ async def in_thread(work: Callable[..., T], *arguments: object) -> T:
 
 
 def say(event: str, **values: Any) -> None:
-    """Print one line; the reader may be gone already."""
+    """Print one line, even if its reader is gone."""
     with suppress(BrokenPipeError):
         sys.stdout.write(json.dumps({"event": event, **values}) + "\n")
         sys.stdout.flush()
@@ -197,7 +198,7 @@ class Peer:
         wake_after_jumps(self._executor)
 
     def work_until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Handle what comes in until ``condition``; False after the time-out."""
+        """Handle incoming messages until ``condition``; False after the time-out."""
         deadline = time.monotonic() + timeout_s
         while not condition():
             left = deadline - time.monotonic()

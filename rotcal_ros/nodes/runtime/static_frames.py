@@ -26,7 +26,7 @@ _QOS = QoSProfile(
 
 
 class StaticFrames:
-    """The static transforms of the domain so far; the last one of a child counts."""
+    """The static transforms of the domain so far; for each child the last one counts."""
 
     def __init__(self, node: Node, guarded: Callable[..., Any] = lambda work: work) -> None:
         self.heard = TFMessage is not None
@@ -36,7 +36,7 @@ class StaticFrames:
 
     @property
     def frames(self) -> tuple[StaticFrame, ...]:
-        """The transforms, each child once."""
+        """The transforms, one for each child."""
         return tuple(self._frames.values())
 
     def take(self, message: Any) -> None:

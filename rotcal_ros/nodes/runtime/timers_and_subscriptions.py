@@ -1,6 +1,7 @@
 """Timers, subscriptions and events of nodes: independent of the system clock, and quick.
 
-rclpy's own timers run by the system clock: set back by an hour, they stand still for an hour.
+rclpy's own timers follow the system clock: when it is set back by an hour, they stand still for an
+hour.
 
 An executor takes one message per wait, which limits a node to some 2,700 messages per second;
 emptying the subscription inside the callback takes several times more without a loss.
@@ -40,7 +41,7 @@ def steady_timer(node: Node, period_s: float, work: Callable[[], Any]) -> Any:
 def wake_after_jumps(executor: Executor) -> None:
     """Wake an executor when the system clock has jumped.
 
-    The middleware may wait until a time of the system clock: set back, it would wait for hours.
+    The middleware may wait for a time of the system clock: set back, it would wait for hours.
     """
 
     def watch() -> None:
@@ -57,7 +58,7 @@ def wake_after_jumps(executor: Executor) -> None:
 class Unwaited(CallbackGroup):
     """A callback group whose entities no executor waits for: a timer polls them.
 
-    An executor leaves out of its wait set what its group says cannot be executed.
+    An executor leaves an entity out of its wait set if the group says that it cannot be executed.
     """
 
     def can_execute(self, entity: Any) -> bool:
@@ -76,7 +77,7 @@ UNWAITED: Final = Unwaited()
 
 
 def with_unwaited_events(entity: Any) -> Any:
-    """Return a publisher or subscription whose events :func:`handle_events` looks for."""
+    """Return a publisher or subscription whose events :func:`handle_events` polls."""
     for handler in entity.event_handlers:
         handler.callback_group = UNWAITED
     return entity
@@ -92,7 +93,7 @@ def handle_events(node: Node) -> None:
 
 
 LIMIT: Final = 1000
-"""Messages taken in one callback at most, so that no topic starves the others."""
+"""Most messages that one callback takes, so that no topic starves the others."""
 
 GRAPH_PERIOD_S: Final = 0.1
 """Period at which the graph is searched for new publishers."""
@@ -107,15 +108,15 @@ def received_ns(info: Any) -> int:
 
 
 def sent_ns(info: Any) -> int:
-    """Return when a message was sent; when it arrived where the middleware does not say that.
+    """Return when a message was sent, or when it arrived if the middleware does not say that.
 
-    It is the same for every listener, and in the bag.
+    The time of sending is the same for every listener, and in the bag.
     """
     return int(info["source_timestamp"]) or received_ns(info)
 
 
 class DrainedSubscription:
-    """A subscription whose ``handle`` gets all waiting messages at once, in their order."""
+    """A subscription whose ``handle`` gets all waiting messages at once, in order."""
 
     def __init__(
         self,
@@ -153,6 +154,7 @@ class DrainedSubscription:
         handle = self.subscription.handle
         with handle:
             while len(batch) < LIMIT:
+                # rclpy itself takes one message per turn; this empties the queue in one turn.
                 pair = handle.take_message(self._type, self._raw)
                 if pair is None:
                     return
@@ -162,9 +164,8 @@ class DrainedSubscription:
 class InstrumentSubscription:
     """Subscribes once there is a publisher, with a quality of service that matches it.
 
-    That is reliable where the publisher is: best effort would match every publisher, but lose
-    readings of a fast one. ``message_type`` may be a function that chooses one of the publishers'
-    types.
+    It is reliable if the publisher is: best effort would match every publisher, but lose readings
+    of a fast one. ``message_type`` may be a function that chooses one of the publishers' types.
     """
 
     def __init__(
@@ -180,7 +181,7 @@ class InstrumentSubscription:
         self._timer = steady_timer(node, GRAPH_PERIOD_S, self._look)
 
     def move(self, topic: str) -> bool:
-        """Subscribe to another topic from now on; return False where it is the same one."""
+        """Subscribe to another topic; return False if it is the same one."""
         if self._node.resolve_topic_name(topic) == self._node.resolve_topic_name(self.topic):
             return False
         self.topic = topic

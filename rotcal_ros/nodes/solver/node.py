@@ -82,7 +82,7 @@ class SolverNode(CellNode):
         self._worker.shutdown(wait=False, cancel_futures=True)
 
     def gather_s(self) -> float:
-        """Let observations gather: no one waits for a preliminary result."""
+        """Collect observations: no one waits for a preliminary result."""
         return 0.0 if self._answering else self.idle_s() or OBSERVATIONS_S
 
     def _take_plan(self, message: msg.CalibrationPlan) -> None:
@@ -127,7 +127,7 @@ class SolverNode(CellNode):
             self._observations[message.run, message.step] = messages.observation(message)
 
     def _preliminary(self) -> None:
-        """Begin a solution of what is there, unless one is running or nothing is new."""
+        """Begin to solve the observations so far, unless that is going on or nothing is new."""
         if self._is_solving() or len(self._observations) == self._solved_count:
             return
         calibration, run = self._calibration, self._run
@@ -166,7 +166,7 @@ class SolverNode(CellNode):
         try:
             result = await self._final(request)
             if not self.active:
-                raise DataError(self.why_not())
+                raise self.not_active_error()
             self._publish(result, final=True)
             response.result_json, response.verdict = result.to_json(), result.verdict
             response.success = True
@@ -222,9 +222,9 @@ class SolverNode(CellNode):
 
 
 PATIENCE_S: Final = 10.0
-"""After this long without an answer the recorder is asked again."""
+"""The recorder is asked again after this long without an answer."""
 NO_GOAL_S: Final = 2.0
-"""A planner that has had no goal for this long did not announce the plan."""
+"""If the planner has had no goal for this long, it did not announce the plan."""
 Known = Mapping[RunStep, Observation]
 Take = Callable[[Known], None]
 
@@ -232,8 +232,8 @@ Take = Callable[[Known], None]
 class EarlierObservations:
     """Asks the recorder for the observations of a plan so far, all runs of its session.
 
-    Only where the planner works for this plan: a plan that another node announces has none. While
-    it does, they are waited for: without them the joined runs could not be solved.
+    It asks only while the planner works on this plan: a plan of another node has none. Meanwhile
+    the observations are waited for: without them the joined runs cannot be solved.
     """
 
     def __init__(self, node: CellNode) -> None:
@@ -249,7 +249,7 @@ class EarlierObservations:
     def ask(self, message: msg.CalibrationPlan, kept: Known, take: Take) -> None:
         """Call ``take`` with the accepted ones, later.
 
-        ``kept`` is what the node itself has; it counts where the recorder knows no earlier run.
+        ``kept`` is what the node itself has; it counts if the recorder knows no earlier run.
         """
         self._plan, self._kept = message, kept
         self.ask_again(take)
@@ -274,7 +274,7 @@ class EarlierObservations:
             self._asked_s, self._asked = now_s, self._client.call_async(Trigger.Request())
             self._asked.add_done_callback(self._node.health.guarded(lambda _: self._look()))
         elif now_s - max(self._asked_s, since_s) > PATIENCE_S:
-            text = "the recorder does not answer what was measured earlier: waiting for it"
+            text = "the recorder does not say what was measured earlier: waiting for it"
             self._node.get_logger().warning(text, throttle_duration_sec=PATIENCE_S)
             self._asked = None
 

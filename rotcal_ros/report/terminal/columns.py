@@ -1,8 +1,8 @@
-"""A table in two forms: for people whose terminal may be narrow, and as plain CSV in a pipe.
+"""A table in two forms: for people at a terminal, perhaps a narrow one, and as CSV in a pipe.
 
 At a terminal numbers are rounded, and what is too wide is stacked: tables below each other with
-the first column in each, so that no digit and no unit is ever cut. Where standard output is no
-terminal it takes CSV alone, in full precision; all words for people go to standard error.
+the first column in each, so that no digit and no unit is ever cut. If standard output is not a
+terminal it gets CSV alone, in full precision; all words for people go to standard error.
 """
 
 from __future__ import annotations
@@ -23,17 +23,16 @@ from rotcal_ros.report.terminal.console import tell
 
 BORDER: Final = 1
 PADDING: Final = 3
-"""Characters that a column takes beside its cells: a blank on each side, and a line."""
+"""Characters that a column takes besides its cells: a blank on each side, and a line."""
 
 
 @dataclass(frozen=True)
 class Column:
     """One column: its ``heading`` names the unit, ``cells`` hold numbers in it, texts, or None.
 
-    ``digits`` is the format of the numbers for people, e.g. ``+.3f``. ``std``, where given, are
-    the standard uncertainties of the cells: for people the expanded ones (k = 2) stand behind
-    them, with the digits that these ask for; in CSV they are a column of their own. Nowhere are
-    they shown unless ``valid``.
+    ``digits`` is the format of the numbers for people, e.g. ``+.3f``. ``std``, if given, are the
+    standard uncertainties of the cells: for people the expanded ones (k = 2) follow each cell,
+    with suitable digits; in CSV they are a column of their own. They are shown only if ``valid``.
     """
 
     heading: str
@@ -51,7 +50,7 @@ class Column:
         return [write(float(cell), float(expanded)) for cell, expanded in pairs]
 
     def is_text(self) -> bool:
-        """Return whether the cells are words, which may be broken at blanks."""
+        """Return whether the cells are words, which may be wrapped at blanks."""
         return all(isinstance(cell, str) for cell in self.cells)
 
     def least_width(self) -> int:
@@ -62,7 +61,7 @@ class Column:
         return max(map(len, texts), default=0)
 
     def plain(self) -> Iterator[tuple[str, Sequence[Any] | Floats | Ints]]:
-        """Yield heading and cells of the columns in CSV."""
+        """Yield heading and cells of each column in CSV."""
         yield self.heading, self.cells
         if self.std is not None:
             name, _, unit = self.heading.partition("/")
@@ -72,7 +71,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Titled:
-    """A table with its title; ``key`` tells it from others of one verb, where these are joined."""
+    """A table with its title; ``key`` distinguishes it where the tables of a verb are joined."""
 
     columns: Sequence[Column]
     title: str = ""
@@ -106,7 +105,7 @@ def print_tables(tables: Sequence[Titled], key: str = "") -> None:
 
 
 def print_words(*texts: str, colour: str = "") -> None:
-    """Print lines for people, broken at blanks at a terminal; on standard error in a pipe."""
+    """Print lines for people, wrapped at a terminal; on standard error in a pipe."""
     if not for_people():
         tell(*texts, colour=colour, err=True)
         return
@@ -170,7 +169,7 @@ def _shown(cell: Any, digits: str) -> str:
 
 
 def _exact(cell: Any) -> Any:
-    """Return a cell of CSV: numbers with all their digits, texts that are no formulas."""
+    """Return a cell of CSV: numbers with all digits, texts that no program takes for formulas."""
     if isinstance(cell, str):
         return table_cell(cell)
     return float(cell) if hasattr(cell, "dtype") and cell.dtype.kind == "f" else cell

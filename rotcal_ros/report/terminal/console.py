@@ -1,4 +1,4 @@
-"""What people read while something runs: lines and progress bars on standard error."""
+"""Shows people lines and progress bars on standard error while something runs."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 
 def say(text: str) -> None:
-    """Print a line for people on standard error; above a progress bar where one is shown."""
+    """Print a line for people on standard error, above a progress bar if there is one."""
     note_told(text)
     # Not click.echo: it writes past what rich puts in the place of standard error meanwhile.
     sys.stderr.write(f"{printable(text)}\n")
 
 
 def tell(*lines: str, colour: str = "", err: bool = False) -> None:
-    """Print lines on standard output (``err``: error), whatever names of others are in them."""
+    """Print lines on standard output (``err``: error), safe with any names in them."""
     for line in lines:
         note_told(line)
         click.echo(click.style(printable(line), colour) if colour else printable(line), err=err)
@@ -35,7 +35,7 @@ def progress_bar(*, time_left: bool = True) -> Progress:
     """Return a progress bar with counts and time left on standard error; a context manager.
 
     It is silent when standard error is not a terminal. Without ``time_left`` the description may
-    tell it.
+    state it.
     """
     # rich takes longer to load than a short verb takes to run.
     from rich.console import Console

@@ -32,7 +32,7 @@ if TYPE_CHECKING:  # a result is printed without what compares and combines
 def print_result(result: Result) -> None:
     """Print deviations with their expanded uncertainties, warnings and the marks.
 
-    Where no uncertainty may be stated it is left out, and a line says why.
+    If no uncertainty may be stated it is left out, and a line says why.
     """
     columns, reason = [_angles(result.angles)], withheld(result)
     about, *against = marks(result)
@@ -117,7 +117,7 @@ def print_check(check: QuickCheck, component: str) -> None:
 
 
 def print_iso230(figures: Iso230, n_runs: int) -> None:
-    """Print what belongs to each target, then the figures of the axis, in arc seconds."""
+    """Print the figures of each target, then those of the axis, in arc seconds."""
     by_target = {
         "mean up": figures.mean_forward,
         "s up": figures.s_forward,
@@ -137,7 +137,7 @@ def print_iso230(figures: Iso230, n_runs: int) -> None:
 
 
 def _say_figures(figures: Iso230) -> None:
-    """Print the figures of the axis: of both directions, then of each."""
+    """Print the figures of the axis, for both directions and for each."""
     for (name, values), expanded in zip(figures.summary(), figures.expanded(), strict=True):
         both, up, down = ("" if v is None else f"{v / ARCSEC:.3f}" for v in values)
         sides = f"; {up} up, {down} down" if up else ""
@@ -147,7 +147,7 @@ def _say_figures(figures: Iso230) -> None:
 def print_uncertainty(both: Propagated) -> None:
     """Print, for each component, both U and the interval of the trials by angle.
 
-    Where no uncertainty of what was measured may be stated they are left out, and a line says why.
+    If no uncertainty of the measurement may be stated they are left out, and a line says why.
     """
     interval, reason = f"{100 * both.spread.probability:g} % interval", withheld(both.result)
     k = f"(k = {COVERAGE_FACTOR:g})"

@@ -130,7 +130,7 @@ def test_what_is_not_understood_is_named():
     ({"angle_unit": "deg", "angle_unit_rad": 0.5}, "two units"),
     ({"angle_unit_rad": 0.0}, "zero"),
     ({"length_unit": "inch"}, "is none of"),
-    ({"length_trigger": "not a name"}, "no name in ROS"),
+    ({"length_trigger": "not a name"}, "not a name in ROS"),
 ])  # fmt: skip
 def test_units_that_cannot_be(given, words):
     with pytest.raises(ConfigurationError, match=words):

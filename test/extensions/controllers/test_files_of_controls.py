@@ -155,7 +155,7 @@ DAMAGE = [
     ("kflop", "90.000000\n0.0", "90\n9.0", r"every 90 deg from 9, expected 0 \.\. 360 deg"),
     ("kflop", "2,180.0", "2;180.0", r"x\.txt, row 3: 1 columns, expected 2"),
     ("kflop", "1,89.995000000\n2,180.003000000\n3,269.999000000\n", "", "and at least 3"),
-    ("twincat_nc each", "END_VAR", "", "expected VAR_GLOBAL, parameters and a table, END_VAR, an"),
+    ("twincat_nc each", "END_VAR", "", "expected exactly VAR_GLOBAL, parameters and a table"),
     ("twincat_nc each", ")\n    ];", "),\n    ];", "and found more or less than that"),
     ("twincat_nc each", "WorkDirectionNegative", "WorkDirectionBoth", "Positive, Both, expect"),
     ("twincat_nc each", "WorkDirectionNegative", "WorkDirectionPositive", "Positive, Positive, e"),

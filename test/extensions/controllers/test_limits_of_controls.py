@@ -97,9 +97,7 @@ def test_uneven_rows_are_refused_by_name(name, title):
      ("kflop", "KFLOP"), ("smoothieware", "Smoothieware")],
 )  # fmt: skip
 def test_an_arc_is_refused_by_name(name, title):
-    words = (
-        rf"^{title} takes the table of a whole turn and this one covers only 0 \.\. 19\.5 deg: "
-    )
+    words = rf"^{title} takes a table of a whole turn, and this one covers only 0 \.\. 19\.5 deg: "
     with pytest.raises(ConfigurationError, match=words):
         make_controller(name).write(arc(40), "t")
 

@@ -97,4 +97,4 @@ def test_a_line_that_names_nothing_stays_a_bag_that_cannot_be_read(bags, tmp_pat
     assert found == (str(bags / "one"), *gone)
     for name in gone:
         outcome = solve_bag(Job(name, CONFIGURATION, str(tmp_path / "cache")))
-        assert "does not exist" in outcome.error or "is no bag" in outcome.error
+        assert "does not exist" in outcome.error or "is not a bag" in outcome.error

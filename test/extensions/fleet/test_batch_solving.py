@@ -79,7 +79,7 @@ def test_bags_are_found_in_folders_globs_and_lists(fleet):
 def test_each_outcome_equals_the_bag_solved_alone_and_one_bad_bag_stops_nobody(jobs):
     outcomes = by_source(on_all_cores(jobs, 2))
     assert [bool(outcome.error) for outcome in outcomes] == [False, False, False, True]
-    assert "is no MCAP file" in outcomes[-1].error
+    assert "is not an MCAP file" in outcomes[-1].error
     for job, outcome in zip(jobs[:3], outcomes[:3], strict=True):
         assert (
             outcome.result
@@ -144,7 +144,7 @@ def test_the_verb_writes_table_and_overview(fleet, tmp_path):
     assert [row["std"] for row in rows] == result.std["ECC"].tolist()
     assert {row["verdict_line"] for row in rows} == {result.verdict_line}
     page = (tmp_path / "out" / "overview.html").read_text()
-    assert "is no MCAP file" in page
+    assert "is not an MCAP file" in page
     assert not re.search(r'(src|href)="(?!overview/)[^#]', page)
     pages = [path.read_text() for path in (tmp_path / "out" / "overview").glob("table-*.html")]
     assert any(f">{result.verdict_line}</td>" in text for text in pages)

@@ -105,7 +105,7 @@ def large(tmp_path_factory):
     columns = {
         "source": sources, "table": [s.split("/")[2] for s in sources],
         "key": sources, "session": sources, "start": number * 3600 * 10**9,
-        "error": np.where(missing, "is no MCAP file", None), "warnings": [""] * n,
+        "error": np.where(missing, "is not an MCAP file", None), "warnings": [""] * n,
         "verdict": np.where(missing, None, "ok"), "verdict_line": np.where(missing, None, "ok"),
         "covered": np.ones(n, bool), "component": np.where(missing, None, "ECC"),
         "deviation": np.zeros(n), "std": np.full(n, U), "n_observations": np.ones(n, int),

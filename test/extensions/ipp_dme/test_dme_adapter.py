@@ -18,6 +18,7 @@ from rotcal_ros.extensions.ipp_dme import node as dme_adapter
 from rotcal_ros.extensions.ipp_dme.node import LOOKS_FIRST, DmeAdapter
 from rotcal_ros.foundation.observations import Approach, Command, PointKind
 from rotcal_ros.nodes.runtime.announced_plan import RUN, run_name
+from rotcal_ros.nodes.runtime.liveness import SecondNodeError
 
 ORDER = Command(1, 0, 0.5, Approach.POSITIVE, PointKind.SURFACE, 0, (0.1, 0.0, 0.0))
 
@@ -276,7 +277,7 @@ def test_after_a_stop_no_session_begins_and_no_machine_homes_by_itself(made):
 
 
 def test_an_adapter_that_is_refused_never_speaks_to_the_machine(made):
-    made.health.refused = "node dme_adapter runs already"
+    made.health.refused = SecondNodeError("dme_adapter", "/cell", "")
     for _ in range(2 * LOOKS_FIRST):
         made._watch()
     assert (made._driver.told, made.listening) == ([], {})

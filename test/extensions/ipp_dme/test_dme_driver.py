@@ -39,7 +39,7 @@ def test_an_order_is_refused_before_a_person_clears(serve):
     assert "PtMeas" in complaints[0]
     driver.order(TARGET, STEP)
     wait_for(lambda: driver.refused == 1)
-    assert "step 3, attempt 0 refused before a person clears: PtMeas" in complaints[1]
+    assert "step 3, attempt 0 refused until a person clears: PtMeas" in complaints[1]
     server.harmed = ""
     assert "cleared: PtMeas" in driver.clear().result(DEADLINE_S)
     driver.order(TARGET, STEP)

@@ -58,7 +58,7 @@ def test_a_machine_that_stops_goes_on_by_a_person_and_is_aborted_by_a_cancel(cel
 
     again = live.processes.children["dme_adapter"].args
     live.processes.start("second", ["env", "-u", "ROTCAL_SESSION", *again])  # of somebody else
-    live.wait_for_log("second", "node dme_adapter runs already in /cell")
+    live.wait_for_log("second", "node dme_adapter already runs in /cell")
     second = live.processes.children["second"]
     wait_until(lambda: second.poll() is not None, "the second adapter ends")
     assert relay.clients == 1

@@ -168,7 +168,7 @@ def test_old_feedback_says_nothing_of_where_the_joint_is():
 def test_what_is_no_number_is_not_told():
     joint = Joint(nan)
     assert joint.told == []
-    assert joint.complaint() == "the feedback of the table is no number"
+    assert joint.complaint() == "the feedback of the table is not a number"
 
 
 def test_who_falls_silent_with_an_order_is_not_blamed_for_standing_still():

@@ -192,7 +192,7 @@ def assert_budget(result, slope, parts):
     for name, part in parts.items():
         share = np.sqrt(np.diag(part))
         np.testing.assert_allclose(
-            result.details["budget"][name], share, atol=1e-5 * np.sqrt(total.max()), err_msg=name
+            result.budget[name], share, atol=1e-5 * np.sqrt(total.max()), err_msg=name
         )
 
 
@@ -242,13 +242,13 @@ def test_too_small_a_noise_scales_all_but_the_error_motion(options):
     assert found["covariance_scale"] == pytest.approx(result.sigma0, rel=0.05)
     assert result.sigma0 > 1.2
     assert result.verdict == "suspect"
-    total = sum(part**2 for part in found["budget"].values())
+    total = sum(part**2 for part in result.budget.values())
     np.testing.assert_allclose(result.std["ECC"] ** 2, total, rtol=1e-9)
     slope = slope_of_bearings(found["stations"], problem.table_angles)
     normal = circle_of(found["stations"])[0]
     across = 1e-7**2 * (np.eye(3) - np.outer(normal, normal))
     motion = np.sqrt(np.diag(slope @ block_diag(*[across] * M) @ slope.T))
-    np.testing.assert_allclose(found["budget"]["error_motion"], motion, atol=1e-5 * motion.max())
+    np.testing.assert_allclose(result.budget["error_motion"], motion, atol=1e-5 * motion.max())
 
 
 def test_coordinates_are_tested_along_the_axes_that_the_lengths_check():

@@ -116,7 +116,7 @@ def test_sound_lengths_stay_sound_and_their_covariance_as_it_was(one_zero):
         here = world(100 + seed, one_zero=one_zero)
         result = solve(problem(here, here.sound, one_zero))
         alarms += result.verdict != "ok"
-        grown += "gathered" in result.details["budget"]
+        grown += "gathered" in result.budget
         assert all(one["rejected"] <= 2 for one in result.details["gathering"]["groups"])
     assert alarms <= most(0.01, runs)
     assert grown <= runs * 0.15

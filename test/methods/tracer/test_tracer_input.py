@@ -228,7 +228,7 @@ def test_unstated_error_motion_is_seen_on_the_circle():
     assert any("error motion is larger" in text for text in result.warnings)
     stated = solve(scene.problem(error_motion_std=2e-6))
     assert stated.verdict == "ok"
-    assert stated.details["budget"]["error_motion"][1:].min() > 5 * ARCSEC
+    assert stated.budget["error_motion"][1:].min() > 5 * ARCSEC
 
 
 def test_clockwise_table_is_told():

@@ -176,7 +176,7 @@ def test_either_side_may_be_eliminated(m, n):
     assert ours["station_std"] == pytest.approx(std, rel=1e-6)
     leverage = np.einsum("ka,ab,kb->k", slope, covariance, slope)[: m * n]
     assert result.residuals.redundancy == pytest.approx(1.0 - leverage, abs=1e-6)
-    shares = ours["budget"]
+    shares = result.budget
     assert np.hypot(shares["lengths"], shares["targets"]) == pytest.approx(result.std["ECC"])
 
 

@@ -64,7 +64,7 @@ def test_a_driver_that_is_here_is_asked_for_nothing():
     (line,) = driver_lines(cell)
     assert (line.state, line.found) == (
         "note",
-        "node dme_adapter is here and speaks to 127.0.0.1:1294",
+        "node dme_adapter is here and talks to 127.0.0.1:1294",
     )
     assert brought(cell) == {}
 

@@ -107,7 +107,7 @@ def test_work_that_nobody_has_confirmed_is_asked_for_before_another_run_moves(la
 
 def test_a_complaint_is_still_to_be_put_right_when_its_steps_were_accepted():
     calibration, cell = Checked(["nest 2 has moved"]), Cell(fails=1)
-    text = "not as it should be: nest 2 has moved; correct it (mount the mirror)"
+    text = "not right yet: nest 2 has moved; correct it (mount the mirror)"
     assert run_of(calibration, cell, range(6)) == [0, 1, "mount the mirror", 2, 3, 4, text, "lost"]
     assert run_of(calibration, cell, [5], 1) == [text, 2, 3, 4, 5]
 

@@ -75,7 +75,8 @@ def test_what_could_not_be_configured_leaves_nothing_and_is_tried_again(node):
     node.trouble = ""
     assert node.trigger_configure() == SUCCESS
     assert parts(node) == [n + more for n, more in zip(before, (2, 2, 1, 1), strict=True)]
-    assert node.why_not() == "node fragile is inactive: ros2 lifecycle set /fragile activate"
+    text = "node fragile is inactive: ros2 lifecycle set /fragile activate"
+    assert str(node.not_active_error()) == text
     node.trouble = "activate"
     assert node.trigger_activate() == FAILURE
     assert not node.active

@@ -8,8 +8,8 @@ from rotcal_ros.nodes.runtime.liveness import (
     NameHolders,
     OtherSessionError,
     ProcessIdentity,
+    SecondNodeError,
     require_own_session,
-    second_of_its_name,
 )
 
 FIRST = ProcessIdentity("one", "a", -100.0)
@@ -68,10 +68,10 @@ def test_only_the_farewell_of_the_holder_counts():
 
 
 def test_the_younger_of_two_ends_with_a_sentence():
-    text = second_of_its_name("capture", "/cell", "7")
-    assert "node capture runs already in /cell of ROS domain 7" in text
+    text = str(SecondNodeError("capture", "/cell", "7"))
+    assert "node capture already runs in /cell of ROS domain 7" in text
     assert "another ROS_DOMAIN_ID" in text
-    assert "ROS domain 0" in second_of_its_name("capture", "/cell", "")
+    assert "ROS domain 0" in str(SecondNodeError("capture", "/cell", ""))
 
 
 class Heard:

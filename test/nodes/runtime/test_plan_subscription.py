@@ -73,9 +73,7 @@ def test_the_planners_plan_is_taken_with_its_beat_whatever_came_before_it_or_beh
     node.look()
     assert taken == [OURS]
     (warning,) = node.warnings
-    assert (
-        "is not the planner's and was left alone (plan 'stray', published by stranger)" in warning
-    )
+    assert "is not the planner's and was ignored (plan 'stray', published by stranger)" in warning
 
 
 def test_without_a_goal_every_plan_is_taken_at_once(clock):
@@ -165,4 +163,4 @@ def test_what_came_in_a_goal_is_left_alone_behind_it_too(clock):
     clock.now_s += PATIENCE_S + 0.1
     node.look()
     assert taken == []
-    assert "is not the planner's and was left alone (plan 'stray'" in node.warnings[0]
+    assert "is not the planner's and was ignored (plan 'stray'" in node.warnings[0]

@@ -153,7 +153,7 @@ def tracer(
     ]
     beyond = any(row.lengths is None for row in rows)
     notes = (
-        "where no number of lengths is given it is out of reach: U is that of all lengths",
+        "if no number of lengths is given, it is out of reach: U is that of all lengths",
     ) * beyond
     return TradeTable({"need_rad": need_arcsec * ARCSEC, **_rows(rows)}, columns, title, notes)
 
@@ -200,8 +200,8 @@ def plate(
         column_of("no plan saves more than/%", [row.saving for row in rows], 0.01, ".1f"),
     ]
     note = (
-        f"whichever balls at whichever positions: {100.0 * least:.0f} to {100.0 * most:.0f} % of "
-        "the centres is all that a plan could gain; only R, sigma and the number of centres matter"
+        f"whichever balls at whichever positions, a plan could save at most {100.0 * least:.0f} "
+        f"to {100.0 * most:.0f} % of the centres; only R, sigma and the number of centres matter"
     )
     return TradeTable({"need_rad": need_arcsec * ARCSEC, **_rows(rows)}, columns, title, (note,))
 

@@ -1,4 +1,4 @@
-"""The operator's page: shows in a browser what the cell does, and passes on what a person asks.
+"""The operator's page: shows in a browser what the cell does, and passes on a person's requests.
 
 It receives what the nodes publish anyway and subscribes to no instrument; no node waits for it.
 FollowedGoal follows the planner's latest goal, whoever sent it; PageTopics takes plan, deviations,
@@ -131,7 +131,8 @@ class OperatorPage(CellNode):
 
         async def do() -> None:
             try:
-                answer = await work() if self.active else Answer(False, self.why_not())
+                inactive = Answer(False, str(self.not_active_error()))
+                answer = await work() if self.active else inactive
                 future.set_result(answer)
             except Exception as error:
                 self.health.note_error("request of a person", error)
@@ -187,7 +188,7 @@ class OperatorPage(CellNode):
         )
 
     def _standing(self) -> ShownUncertainty:
-        """Return U of the curve, and where there is a goal the policy's figure beside it."""
+        """Return U of the curve, and if there is a goal the policy's figure beside it."""
         feedback, curve = self._goal.feedback, self._topics.uncertainty
         if feedback is None:
             return self.board.state.standing
@@ -241,7 +242,7 @@ class FollowedGoal:
 
     @property
     def settled(self) -> bool:
-        """Whether nothing more is to be heard of a goal."""
+        """Whether nothing more will be heard of a goal."""
         return self._id is None or self.outcome is not None
 
     def steps(self) -> StepProgress | None:

@@ -48,7 +48,7 @@ def cell(calibration: Calibration, namespace: str) -> Cell:
 
 
 def plan_view(calibration: Calibration) -> PlanView:
-    """Return targets and stands as they are seen from above."""
+    """Return targets and positions of the instrument, seen from above."""
     plan = calibration.plan
     targets = dict.fromkeys(above(step.position) for step in plan.steps)
     places = (calibration.stand_at(step) for step in plan.steps)
@@ -64,12 +64,12 @@ def plan_view(calibration: Calibration) -> PlanView:
 
 
 def above(place: Point) -> tuple[float, float]:
-    """Return a place as it is seen from above."""
+    """Return a place seen from above."""
     return round(place[0], 4), round(place[1], 4)
 
 
 def deviations(message: DeviationArray, identity: Identity) -> Deviations:
-    """Return the curves of a solution, in the units of people; without U where it is withheld."""
+    """Return the curves of a solution, in units for people; without U if it is withheld."""
     why = withheld_by(message.verdict, message.warnings) if message.final else None
     curves = []
     for name in COMPONENTS:

@@ -66,9 +66,9 @@ class TableBehindAdapter:
         return None
 
     def outside(self) -> str | None:
-        """Return in words that the joint stands outside of its stated travel; None: it does not.
+        """Return in words that the joint is outside its stated travel; None: it is inside.
 
-        Degrees that are taken for radians often show so.
+        Degrees that are taken for radians often show this way.
         """
         low, high, latest = self._settings.lower_deg, self._settings.upper_deg, self._watch.latest
         if low is None or high is None or latest is None:
@@ -77,7 +77,7 @@ class TableBehindAdapter:
         if low - 1.0 <= angle <= high + 1.0:
             return None
         return (
-            f"the joint stands at {latest.angle:.6g} rad = {angle:.6g}°, outside of its stated "
+            f"the joint stands at {latest.angle:.6g} rad = {angle:.6g}°, outside its stated "
             f"travel of {low:g}° to {high:g}°: are these degrees?"
         )
 

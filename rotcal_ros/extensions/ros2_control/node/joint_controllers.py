@@ -1,4 +1,4 @@
-"""How controllers of ros2_control are told where a joint has to go: by topics, or by goals."""
+"""Tells controllers of ros2_control where a joint has to go: by topics, or by goals."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class JointController(ABC):
 
 
 def interface_of(settings: TableAdapterSettings) -> str:
-    """Return goals, trajectory or positions, whichever it is here.
+    """Return the interface to use: goals, trajectory or positions.
 
     Raises ConfigurationError for goals where their messages are not installed.
     """
@@ -105,7 +105,7 @@ class TrajectoryController(JointController):
         self._publisher.publish(trajectory_message(self._joint, way))
 
     def halt(self) -> str:
-        """Do nothing: only a new target replaces the trajectory, an empty one is refused."""
+        """Do nothing: only a new target replaces the trajectory."""
         return "a trajectory sent by topic cannot be taken back, it goes on to its end"
 
 
@@ -137,7 +137,7 @@ class PositionController(JointController):
     def halt(self) -> str:
         """Leave the joint where it was sent last."""
         self.forget()
-        return "it is sent no more positions"
+        return "it gets no further positions"
 
     def _step(self) -> None:
         """Publish where the joint shall be now; the last position once."""

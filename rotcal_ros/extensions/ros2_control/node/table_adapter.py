@@ -1,8 +1,8 @@
 """A joint of ros2_control as the table: orders become trajectories, its feedback the cell's.
 
 Controllers may accept an order and not carry it out, so only the feedback of the joint shows
-whether the table is where it was sent. What is impossible, or does not happen, is logged and
-stands in the diagnostics.
+whether the table is where it was sent. What is impossible, or does not happen, is logged and shown
+in the diagnostics.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from rotcal_ros.planning.table_ways import way_to, way_to_rest
 
 LOOK_PERIOD_S: Final = 0.2
 FRESH_S: Final = 1.0
-"""The planner beats more often than this: after it, its beat is younger than the order."""
+"""The planner beats more often: after this time its latest beat is younger than the order."""
 
 
 class TableAdapter(CellNode):
@@ -158,7 +158,7 @@ class TableAdapter(CellNode):
             show(self.health, COMPLAINT, text)
 
     def _wrong(self) -> str | None:
-        """Say what is wrong with the table; None: nothing is, or it was stopped."""
+        """Return what is wrong with the table; None: nothing, or it was stopped."""
         if self._refused:
             return self._refused
         if self._watch.latest is None and self._others:
@@ -177,7 +177,7 @@ class TableAdapter(CellNode):
         return f"joint {self._joint!r} of {self._settings.controller}: {text}" if text else None
 
     def _why_waiting(self) -> str | None:
-        """Say why an order is not sent; nothing while discovery may still be going on."""
+        """Return why an order is not sent; None while discovery may still be going on."""
         if doubt := self._watch.doubt():
             return doubt
         if self.health.awake.now_s() <= self._waiting_s + self._settings.silence_s:

@@ -69,6 +69,7 @@ def result_of(solution: TracerSolution) -> Result:
         protections=ordered((*protections(solution), numbering.protection())),
         raw_data=RawData(influence=influence_of(solution)),
         zeros=Zeros("first angle"),
+        budget=solution.angles.budget,
     )
 
 
@@ -125,10 +126,9 @@ def _details(solution: TracerSolution) -> dict[str, Any]:
     ``station_ids`` (m,), which are table positions, and ``target_ids`` (n,) are the problem's
     indices of ``stations`` (m, 3) and ``targets`` (n, 3), all other arrays follow them.
     ``distances``: range at reading zero. ``radial``, ``axial``: distances of the stations from
-    circle and plane. ``budget``: shares of the cumulative standard deviation by source, which add
-    in squares. ``algorithm_error``: Eq. 36
-    at the commanded steps, ``scatter``: Eq. 34. ``returned``: positions at the same angle, and by
-    less than what (m, 95 %) their stations lie apart along the circle.
+    circle and plane. ``algorithm_error``: Eq. 36 at the commanded steps, ``scatter``: Eq. 34.
+    ``returned``: positions at the same angle, and by less than what (m, 95 %) their stations lie
+    apart along the circle.
     """
     problem, motion = solution.problem, solution.motion
     stated = solution.evidence.circle_statement
@@ -143,7 +143,6 @@ def _details(solution: TracerSolution) -> dict[str, Any]:
         "tilt": motion.tilt,
         "algorithm_error": algorithm_error(np.diff(solution.table_angles), motion.tilt),
         "scatter": scatter(motion.adjacent),
-        "budget": dict(solution.angles.budget),
         "covariance_scale": solution.scale * float(solution.noise.factors[0]),
         "coverage_factor": HALF_OF_95_PERCENT,
         **_tests(solution),
