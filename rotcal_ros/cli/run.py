@@ -61,7 +61,7 @@ def command(
     from rotcal_ros.sessions.attaching import Viewers
     from rotcal_ros.sessions.lasting_output import go_to_background, lasting_output
     from rotcal_ros.sessions.processes import page_can_be_served, require_ros
-    from rotcal_ros.sessions.products import goal_line, write_products
+    from rotcal_ros.sessions.products import goal_standing, write_products
     from rotcal_ros.sessions.running import calibrate
     from rotcal_ros.sessions.session import prepare_session, resume_session
 

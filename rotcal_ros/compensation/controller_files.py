@@ -160,7 +160,7 @@ def numbers(name: str, lines: list[str], columns: int, separator: str | None) ->
 
 
 def matches(name: str, text: str, pattern: str, example: str) -> Iterator[tuple[str, Match[str]]]:
-    """Yield place and match of every line of ``text``; BagError for one unlike ``example``."""
+    """Yield place and match of every line of ``text``; BagError for a line unlike ``example``."""
     for row, line in enumerate(text.splitlines(), start=1):
         match = re.fullmatch(pattern, line.strip())
         if match is None:

@@ -146,8 +146,8 @@ def _refuse(
     check_verdict(table)
     if known_hash(table.measured_on) and not table.adds_to:
         raise DataError(
-            f"{in_words(table.measured_on)}, and alone it would take away what that table "
-            "corrects: add to it (rotcal export --add-to); nothing was written"
+            f"{in_words(table.measured_on)}, and alone it would lose what that table corrects: "
+            "add to it (rotcal export --add-to); nothing was written"
         )
     if axis is not None and check_axis(axis) != table.axis:
         raise ConfigurationError(
@@ -157,7 +157,7 @@ def _refuse(
     if controller.unverified and not accept_unverified:
         raise ConfigurationError(
             f"{controller.facts.title}: not verified: {'; '.join(controller.unverified)}. Give "
-            "--accept-unverified to write the file all the same, and test it with one small value "
+            "--accept-unverified to write the file nevertheless, and test it with one small value "
             "first"
         )
 

@@ -2,9 +2,9 @@
 
 With t the correction in force, c = -t is the deviation that it was made for. A table that acts
 leaves nothing of it; one that does not act, or acts on another axis, leaves c; one with the wrong
-sign adds c once more and leaves 2 c; one that acts twice takes it off twice and leaves -c. So the
-regression factor of what is left on c tells which it is; adding what is left to a table that does
-not act as it should would be wrong in each of these cases.
+sign adds c again and leaves 2 c; one that acts twice subtracts it twice and leaves -c. So the
+regression factor of what is left on c shows which case it is; to add what is left to a table that
+does not act as it should would be wrong in each of them.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def _side(files: Mapping[str, str]) -> str:
 
 WRONG: Final = ((-1.5, -0.75), (0.75, 1.5), (1.5, 2.5))
 """Factors of a table that acts twice, does not act, or acts with the wrong sign. A larger factor
-is that of a table that corrects a small part only; to add to it is right."""
+belongs to a table that corrects only a small part; adding to it is right."""
 CAUSES: Final = (
     "it acts twice (at two places of the control, or in the control and in software)",
     "it is inactive, or on the wrong axis: check whether the control has loaded it (restart, "
@@ -122,9 +122,9 @@ CAUSES: Final = (
     "its sign is wrong: the control adds what it should subtract",
 )
 SURE: Final = 0.5
-"""The factor less two standard uncertainties must differ from 0 by at least this."""
+"""The factor, reduced by two standard uncertainties, must differ from 0 by at least this."""
 SHARE: Final = 0.8
-"""Share of the variance of what is left, beyond noise, that the factor must explain; less is
+"""Least share of the variance of what is left, beyond noise, that the factor explains; less is
 chance."""
 
 
@@ -142,7 +142,7 @@ class Effect:
 
     @property
     def fault(self) -> str | None:
-        """What the table in force does wrong, in words, if that is certain."""
+        """The fault of the table in force, in words, if it is certain."""
         sure = abs(self.factor) - COVERAGE_FACTOR * self.std > SURE and self.share >= SHARE
         for (low, high), cause in zip(WRONG, CAUSES, strict=True):
             if sure and low <= self.factor < high:
@@ -159,7 +159,7 @@ class Effect:
 
 
 def effect(left: Floats, corrected: Floats, covariance: Floats) -> Effect | None:
-    """Return the factor of the deviations ``left`` (n,) on those that are ``corrected`` (n,), rad.
+    """Return the regression factor of ``left`` (n,) on the ``corrected`` deviations (n,), rad.
 
     ``covariance`` (n, n), rad^2, is that of ``left``; both may count from any zero. None for a
     table that corrects nothing, or fewer than three values.
@@ -182,9 +182,9 @@ def effect(left: Floats, corrected: Floats, covariance: Floats) -> Effect | None
 
 
 def effect_of_result(result: Result, held: HeldTable) -> Effect | None:
-    """Return what the ECC of ``result``, measured on top of ``held``, says of it.
+    """Return the effect of ``held`` by the ECC of ``result``, which was measured on top of it.
 
-    With the joint covariance of both directions, as far as it is known.
+    It uses the joint covariance of both directions, if known.
     """
     curve = directional_curve(result)
     ways = DIRECTIONS if curve.both else DIRECTIONS[:1]
@@ -194,10 +194,10 @@ def effect_of_result(result: Result, held: HeldTable) -> Effect | None:
 
 
 def effect_on(table: CompensationTable, held: HeldTable) -> Effect | None:
-    """Return what ``table``, measured on top of ``held``, says of it.
+    """Return the effect of ``held`` by ``table``, which was measured on top of it.
 
-    A table knows the standard uncertainty of each value and no correlation: the factor's is the
-    bound that holds for any.
+    A table has a standard uncertainty for each value but no correlations: the one of the factor is
+    the bound that holds for any.
     """
     ways = DIRECTIONS if table.directional else DIRECTIONS[:1]
     columns = (table.correction_forward, table.correction_reverse)

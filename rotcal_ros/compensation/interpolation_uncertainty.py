@@ -103,9 +103,9 @@ SIZES: Final = np.geomspace(1e-3, 30.0, 46)
 NOTHING: Final = 1e-20
 """Range (rad or m) of values below any meaning."""
 QUIET: Final = 1e-3
-"""A range of values below this part of their uncertainty is raised to this part."""
+"""A range of values is taken as at least this share of their uncertainty."""
 EXACT: Final = 1e-6
-"""Part of their range to which values are believed, even where no uncertainty is stated."""
+"""Values count as exact only to this share of their range, even without an uncertainty."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +116,7 @@ class Content:
     variance: Floats
 
     def covariance(self, apart: Floats) -> Floats:
-        """Return the covariance of the curve at angles that are ``apart`` (rad), any shape."""
+        """Return the covariance of the curve at two angles that are ``apart`` (rad), any shape."""
         cosine = np.cos(apart)
         kinds = zip(self.decay, self.variance, strict=True)
         total = (size * harmonics(cosine, decay) for decay, size in kinds if size > 0.0)
@@ -126,7 +126,7 @@ class Content:
         """Return the variance (m,) of the curve at ``at`` (m,) less ``weights`` @ its nodes.
 
         ``weights`` (m, n), whose rows add up to 1, are a line through exact values at ``nodes``
-        (n,) rad: what is left is what the sampling cannot see.
+        (n,) rad: the rest is what the sampling cannot see.
         """
         variance = float(self.covariance(np.zeros(1))[0])
         across = np.sum(weights * self.covariance(at[:, None] - nodes), axis=1)
@@ -137,8 +137,8 @@ class Content:
 def content_of(nodes: Floats, values: Floats, covariance: Floats) -> Content:
     """Return the content of a curve with ``values`` (n,) at ``nodes`` (n,) rad.
 
-    ``covariance`` (n, n) is theirs; what they all have in common tells nothing, nor does a
-    constant. Raises DataError when the covariance is none.
+    ``covariance`` (n, n) is that of the values; their common part says nothing, nor does a
+    constant. Raises DataError if it is not a covariance.
     """
     size, n = float(np.ptp(values)), len(values)
     if size < NOTHING:

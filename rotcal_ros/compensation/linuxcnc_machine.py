@@ -198,7 +198,7 @@ def _coordinates(ini: Ini) -> str:
 
 
 ENCODING: Final = "latin-1"
-"""Takes every byte, so that the copy differs in nothing but the new lines."""
+"""An encoding for any byte, so that the copy differs only in the new lines."""
 _SECTION: Final = re.compile(r"\s*\[([^\]]*)\]")
 _PAIR: Final = re.compile(r"\s*([^\s=#;][^\s=]*)\s*=\s*(.*?)\s*")
 _INCLUDE: Final = re.compile(r"#INCLUDE\s+(\S+)\s*")
@@ -226,7 +226,7 @@ class Ini:
             ) from error
 
     def value(self, section: str, key: str) -> str | None:
-        """Return what LinuxCNC finds for ``key`` in ``section``; None: nothing."""
+        """Return the value that LinuxCNC finds for ``key`` in ``section``; None: none."""
         inside = False
         for line in self._lines():
             if header := _SECTION.match(line):
@@ -259,7 +259,7 @@ class Ini:
     def merged(self, section: str, values: Mapping[str, str | int]) -> str:
         """Return the text with ``values`` in ``section``: old lines replaced, new ones at its end.
 
-        All other lines stay as they are. Raises ConfigurationError unless this very file holds
+        All other lines stay as they are. Raises ConfigurationError unless this file itself holds
         the section exactly once.
         """
         self.require_once(section)
@@ -268,8 +268,8 @@ class Ini:
         start = [i for i in headers if (m := _SECTION.match(lines[i])) and m[1] == section]
         if not start:
             raise ConfigurationError(
-                f"{self.path}: section [{section}] stands in a file that it includes: put the two "
-                "lines there by hand"
+                f"{self.path}: section [{section}] is in an included file: put the two lines "
+                "there by hand"
             )
         end = next((i for i in headers if i > start[0]), len(lines))
         kept = [line for line in lines[start[0] : end] if not _holds(line, values)]
@@ -291,7 +291,10 @@ class Ini:
             )
 
     def _lines(self) -> Iterator[str]:
-        """Yield all lines, those of included files in their place; these include no others."""
+        """Yield all lines, with those of included files in their place.
+
+        Includes are not nested.
+        """
         for line in self.text.splitlines():
             if include := _INCLUDE.fullmatch(line):
                 yield from Ini.read(self.path.parent / include[1]).text.splitlines()

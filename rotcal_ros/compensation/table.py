@@ -428,7 +428,7 @@ def resample(
 
 
 def _reverse_bound(table: CompensationTable, weights: Floats, *, moved: bool) -> Floats | None:
-    """Return the bound for the reverse column; its zero is the forward one, where it is moved."""
+    """Return the bound for the reverse column; if the zero is moved, it is the forward one."""
     if table.std_reverse is None:
         return None
     bound = np.abs(weights[:-1]) @ table.std_reverse
@@ -440,7 +440,7 @@ def _reverse_bound(table: CompensationTable, weights: Floats, *, moved: bool) ->
 def averaged(table: CompensationTable) -> CompensationTable:
     """Return the mean of both directions, zero at the reference angle.
 
-    For controls with one column. The warnings state what it cannot remove.
+    It is for controls with one column. The warnings state what it cannot remove.
     """
     if not table.directional:
         return table
@@ -478,8 +478,8 @@ class Correction:
         """Return the correction (rad), of the shape of ``angle`` (rad)."""
         if approach not in self._curves:
             raise ConfigurationError(
-                f"direction {approach!r}: a correction needs to know from which side the table "
-                "comes, POSITIVE (angle increasing) or NEGATIVE"
+                f"direction {approach!r}: expected the side from which the table comes: POSITIVE "
+                "(angle increasing) or NEGATIVE"
             )
         at = within(self.table.angles, angle, self.table.period)
         return np.asarray(self._curves[approach](at), dtype=np.float64)

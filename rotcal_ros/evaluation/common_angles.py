@@ -3,10 +3,10 @@
 They are compared at the angles of the first: measured there or interpolated.
 
 To first order a curve is its truth plus B e, with the errors e of its observations and of what
-these have in common (a target's coordinates), each of unit variance, and the influences B that
-its method states. Two curves with the same e have the covariance B1 B2', and not zero. What the
-covariance of a curve holds beyond B B' (error motion, slips, allowances) belongs to the run that
-both were measured in: at equal angles it is taken for the same in both.
+these have in common (a target's coordinates), each of unit variance, and the influences B that its
+method states. Two curves with the same e have the covariance B1 B2' instead of zero. The
+covariance of a curve beyond B B' (error motion, slips, allowances) belongs to the run that both
+were measured in: at equal angles it counts as the same in both.
 """
 
 from __future__ import annotations
@@ -116,13 +116,13 @@ def _common(first: MeasuredCurve, second: MeasuredCurve) -> tuple[Floats, NDArra
 
 
 NONLINEAR: Final = 1e-4
-"""Part of a standard uncertainty that what is not linear may leave between two evaluations."""
+"""Share of a standard uncertainty by which two evaluations may differ, as they are not linear."""
 
 
 def shared_covariance(
     first: MeasuredCurve, second: MeasuredCurve, names: tuple[str, str]
 ) -> Floats | None:
-    """Return the covariance (n1, n2) of two curves of one component by what they share.
+    """Return the covariance (n1, n2) of two curves of one component by shared observations.
 
     None where they share nothing. Raises DataError where its effect on both is not known.
     """
@@ -132,10 +132,10 @@ def shared_covariance(
     ours, theirs = first.raw_data.influence, second.raw_data.influence
     if ours is None or theirs is None:
         raise DataError(
-            f"{names[0]} and {names[1]} rest on {len(here)} observations that are the same "
-            f"(of {len(first.raw_data.hashes)} and {len(second.raw_data.hashes)}), and it is "
-            "not known how their errors affect both: take results of different measurements, or "
-            "one of the two"
+            f"{names[0]} and {names[1]} share {len(here)} observations (of "
+            f"{len(first.raw_data.hashes)} and {len(second.raw_data.hashes)}), and it is not "
+            "known how their errors affect both: use results of different measurements, or one of "
+            "the two"
         )
     causes = [cause for cause in ours.causes if cause in set(theirs.causes)]
     both = _columns(ours, here, causes) @ _columns(theirs, there, causes).T
@@ -143,11 +143,11 @@ def shared_covariance(
 
 
 def of_observations_alone(curve: MeasuredCurve) -> MeasuredCurve:
-    """Return a curve with the covariance of its observations alone, as it is where none tells.
+    """Return a curve with the covariance of its observations alone, or as it is if unknown.
 
-    What else U holds, such as a scatter that was estimated and may not be there, makes independent
-    results agree better than U says, and so does noise that is stated larger than the residuals
-    show it: whether they agree too well is asked without either.
+    Other parts of U, such as an estimated scatter that may not exist, make independent results
+    agree better than U says, and so does noise that is stated larger than the residuals show. The
+    test whether results agree too well leaves out both.
     """
     influence = curve.raw_data.influence
     if influence is None or not np.any(_matrix(influence)):
@@ -175,7 +175,7 @@ def _columns(influence: Influence, wanted: Ints, causes: list[str]) -> Floats:
 
 
 def _rest(first: MeasuredCurve, second: MeasuredCurve) -> Floats:
-    """Return the covariance (n1, n2) of what is no influence, where the angles are the same."""
+    """Return the covariance (n1, n2) beyond the influences, at equal angles."""
     alike = len(first.angles) == len(second.angles) and np.allclose(
         first.angles, second.angles, rtol=0.0, atol=1e3 * SAME_ANGLE
     )
@@ -193,5 +193,5 @@ def _root(curve: MeasuredCurve) -> Floats:
 
 
 def floor(covariance: Floats) -> Floats:
-    """Return the variances (n, n) that keep curves of the same data from being one exactly."""
+    """Return the variances (n, n) that keep curves of the same data from being exactly one."""
     return NONLINEAR**2 * float(np.mean(covariance.diagonal())) * np.eye(len(covariance))

@@ -606,9 +606,9 @@ def _whitened(part: ComponentInput) -> ComponentInput:
 
 
 SAME: Final = 1e3 * SAME_ANGLE
-"""rad; angles of two curves that are closer than this are common, as in a comparison."""
+"""rad; angles of two curves that are closer than this count as common, as in a comparison."""
 LINKING: Final = 2
-"""Common angles that join two curves; with a single one a shift between them would not show."""
+"""Least common angles that join two curves; with a single one a shift would not show."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -676,7 +676,7 @@ def _merged(at: Sequence[Floats], turn: bool) -> tuple[Floats, list[Ints]]:
 
 
 def _linked(groups: list[set[int]]) -> list[set[int]]:
-    """Return the unions of groups that share enough places, until none does any more."""
+    """Merge groups that share enough angles until none do; return their unions."""
     for i, first in enumerate(groups):
         for second in groups[i + 1 :]:
             if len(first & second) >= LINKING:

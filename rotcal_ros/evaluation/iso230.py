@@ -346,8 +346,8 @@ DIRECTIONS: Final = ("up", "down")
 def read_runs(text: str, name: str) -> BidirectionalRuns:
     """Return the runs in ``text``, the file ``name``.
 
-    Every target must be there once in every run and direction. Raises BagError for other columns;
-    DataError names what is missing, double or no number.
+    Every target must occur once in every run and direction. Raises BagError for other columns;
+    DataError names what is missing, double or not a number.
     """
     found: dict[tuple[float, str, str], float] = {}
     reader = csv_rows(text, name)
@@ -360,7 +360,7 @@ def read_runs(text: str, name: str) -> BidirectionalRuns:
             key, deviation = _row(cells, f"{name}, line {row}")
             if key in found:
                 raise DataError(
-                    f"{name}, line {row}: {key[0]:g} deg, run {key[1]} {key[2]} is there twice"
+                    f"{name}, line {row}: {key[0]:g} deg, run {key[1]} {key[2]} occurs twice"
                 )
             found[key] = deviation
     targets = sorted({key[0] for key in found})
@@ -387,13 +387,14 @@ def read_runs(text: str, name: str) -> BidirectionalRuns:
 def runs_of(result: Result) -> BidirectionalRuns | None:
     """Return the repeated runs of a result where both directions have two or more, else None.
 
-    What the covariance of the result holds beyond the scatter of the runs is common to them all.
+    The covariance of the result beyond the scatter of the runs is common to them all.
     DataError names an arrival that is missing, or offsets between targets that are open.
     """
     runs = result.runs
     if runs is not None and (words := result.zeros.in_words(["ECC"])):
         raise DataError(
-            f"{words}: figures of ISO 230-2 are ranges over all targets, nothing bounds them"
+            f"{words}: figures of ISO 230-2 are ranges over all targets, and nothing would bound "
+            "them"
         )
     if runs is None or runs.forward is None or runs.reverse is None or runs.forward.shape[1] < 2:
         return None
@@ -407,7 +408,7 @@ def runs_of(result: Result) -> BidirectionalRuns | None:
 def with_device(runs: BidirectionalRuns, std: float) -> BidirectionalRuns:
     """Return ``runs`` with a standard uncertainty (rad) of the device at every target.
 
-    The same in all runs, independent from target to target; it adds to what is known already.
+    It is the same in all runs, independent from target to target, and adds to what is known.
     """
     known = np.zeros((len(runs.targets),) * 2) if runs.common is None else runs.common
     return replace(runs, common=known + std**2 * np.eye(len(runs.targets)))
@@ -416,8 +417,8 @@ def with_device(runs: BidirectionalRuns, std: float) -> BidirectionalRuns:
 def _common_to_all_runs(runs: BidirectionalRuns, covariance: Floats) -> Floats:
     """Return the part of the covariance of the mean curve that no repetition shows.
 
-    Noise and repeatability differ from run to run: they are in the scatter, and their share in
-    the mean of all runs is taken off. The mean counts from its first target.
+    Noise and repeatability differ from run to run: they are in the scatter, and their share in the
+    mean of all runs is subtracted. The mean counts from its first target.
     """
     n = runs.forward.shape[1]
     scatter = (runs.forward.var(axis=1, ddof=1) + runs.reverse.var(axis=1, ddof=1)) / 2.0

@@ -31,7 +31,7 @@ from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 
 Decision = Literal["within", "beyond", "undecided"]
 DRAWS: Final = 20_000
-"""Curves drawn for the probability of a whole curve; that of 0.5 is then known to 0.004."""
+"""Curves drawn for the probability of a whole curve; one of 0.5 is then known to 0.004."""
 RULE: Final = "JCGM 106:2012, guard band w = U (k = 2)"
 
 
@@ -39,9 +39,9 @@ RULE: Final = "JCGM 106:2012, guard band w = U (k = 2)"
 class Conformity:
     """One component against its tolerance, SI.
 
-    ``probability`` is that of the whole curve, all angles at once; ``worst`` the number of the
-    angle that decides, where |deviation| + U is largest. With ``open_zeros`` U is unbounded,
-    nothing is decided, and the probability is NaN.
+    ``probability`` is that of the whole curve, all angles at once; ``worst`` is the index of the
+    deciding angle, where |deviation| + U is largest. With ``open_zeros`` U is unbounded, nothing
+    is decided, and the probability is NaN.
     """
 
     component: str
@@ -63,7 +63,7 @@ class Conformity:
         verb = {
             "within": f"within the tolerance {limit}",
             "beyond": f"beyond the tolerance {limit}, by more than U at {place}",
-            "undecided": f"undecided against the tolerance {limit}: U reaches over it at {place}",
+            "undecided": f"undecided against the tolerance {limit}: U goes beyond it at {place}",
         }[self.decision]
         return f"{self.component} is {verb}; conformance probability {_percent(self.probability)}"
 
@@ -77,7 +77,7 @@ def decide(values: Floats, stds: Floats, tolerance: float) -> Decision:
 
 
 def conformities(result: Result, identity: Identity) -> tuple[Conformity, ...]:
-    """Return every measured component against the tolerance of ``identity``, if one is agreed."""
+    """Return the conformity of each measured component for which ``identity`` has a tolerance."""
     found = []
     for name in result.components:
         tolerance = tolerance_of(name, identity)
@@ -112,7 +112,7 @@ def _whole_curve(values: Floats, covariance: Floats, tolerance: float) -> float:
 
 
 def _percent(probability: float) -> str:
-    """Return a probability in percent, no closer to 0 or 100 than the draws can resolve."""
+    """Return a probability in percent, not closer to 0 or 100 than the draws can resolve."""
     if probability > 0.999:
         return "above 99.9 %"
     return "below 0.1 %" if probability < 0.001 else f"{100.0 * probability:.1f} %"

@@ -97,9 +97,7 @@ def quick_check(
     difference = keep @ (both.first - both.second)
     std = std_of(keep @ both.first_covariance @ keep)
     if not np.all(std > 0.0):
-        raise DataError(
-            "the new measurement states no uncertainty: no risk can be stated without one"
-        )
+        raise DataError("the new measurement states no uncertainty, so no risk can be stated")
     expected = std_of(rule.expected(both.second_covariance, keep))
     verdict, why = _judge(rule, both.angles, difference, std, expected, (unit, unit_name))
     if new.verdict_line.startswith("suspect"):

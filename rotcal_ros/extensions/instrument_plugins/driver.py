@@ -212,9 +212,9 @@ class InstrumentDriver:
 
 
 class TableRest:
-    """Hears the feedback; at rest are ``settle_s`` of it in position and slow enough.
+    """Hears the feedback; the table is at rest after ``settle_s`` in position and slow enough.
 
-    ``tolerance_arcsec`` and ``speed_deg_s`` are those of the capture, which judges again.
+    ``tolerance_arcsec`` and ``speed_deg_s`` are those of the capture, which checks again.
     """
 
     def __init__(self, tolerance_arcsec: float, speed_deg_s: float, settle_s: float) -> None:
@@ -232,11 +232,11 @@ class TableRest:
         self._latest = sample
 
     def forget(self) -> None:
-        """Know nothing: the feedback is another one from now on."""
+        """Forget everything: another feedback begins."""
         self._since = self._latest = None
 
     def why_not(self, order: Command) -> str | None:
-        """Return why the table does not rest where ``order`` has it; None: it does."""
+        """Return why the table does not rest where ``order`` sent it; None: it does."""
         since, latest = self._since, self._latest
         if latest is None:
             return "no feedback of the table has come"
@@ -266,7 +266,7 @@ def brings(settings: InstrumentSettings) -> tuple[str, ...]:
 
 
 def look(settings: InstrumentSettings, here: bool, _simulated: bool) -> CheckLine:
-    """Say what the plug-in makes; only its driver may connect, since that may move something."""
+    """Return a line on the plug-in; only its driver may connect, since that may move something."""
     title = f"plug-in {settings.plugin}, {settings.address or 'no address'}"
     if here:
         found = f"{title}: node instrument_driver is here"
@@ -278,7 +278,7 @@ def look(settings: InstrumentSettings, here: bool, _simulated: bool) -> CheckLin
         return CheckLine("instrument", "plug-in", "missing", str(error), todo)
     does = {Tracer: "tells lengths", Tracker: "finds reflectors"}
     found = " and ".join(words for kind, words in does.items() if isinstance(instrument, kind))
-    todo = "whether it answers is seen when rotcal run connects"
+    todo = "rotcal run will show whether it answers"
     return CheckLine("instrument", "plug-in", "open", f"{title}: {found}", todo)
 
 

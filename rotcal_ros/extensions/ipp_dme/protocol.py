@@ -19,7 +19,7 @@ from rotcal_ros.foundation.errors import RotcalError
 
 
 class Severity(IntEnum):
-    """How bad an error is; from ERROR on the server obeys no more until ClearAllErrors()."""
+    """How bad an error is; from ERROR on the server obeys nothing until ClearAllErrors()."""
 
     INFO = 0
     WARNING = 1
@@ -95,7 +95,7 @@ class DmeFault:
 
     @property
     def stops(self) -> bool:
-        """Whether the server obeys no more until somebody clears its errors."""
+        """Whether the server obeys nothing until somebody clears its errors."""
         return self.severity >= Severity.ERROR
 
     def __str__(self) -> str:
@@ -123,7 +123,7 @@ class ConnectionLostError(DmeError):
 
 
 class ProtocolError(DmeError):
-    """What came is not I++ DME."""
+    """The received data are not I++ DME."""
 
 
 class NotClearedError(DmeError):
@@ -187,7 +187,7 @@ def call(name: str, *arguments: Value) -> Call:
 
 
 def written(value: Value) -> str:
-    """Return a value as it stands on the wire; ProtocolError when it cannot stand there."""
+    """Return the text of a value for the wire; ProtocolError if there is none."""
     if isinstance(value, float):
         if not abs(value) <= LARGEST:
             raise ProtocolError(f"{value:g} mm or deg cannot be meant (at most {LARGEST:g})")
@@ -195,7 +195,7 @@ def written(value: Value) -> str:
         return "0" if text == "-0" else text
     if isinstance(value, str):
         if not re.fullmatch(r"[ !#-~]*", value):
-            raise ProtocolError(f"{value!r:.80} has characters that I++ DME has not")
+            raise ProtocolError(f"{value!r:.80} has characters that I++ DME does not allow")
         return f'"{value}"'
     return str(value)
 
@@ -284,7 +284,7 @@ class _Reader:
 LONGEST: Final = 65_536
 """Characters of a line, its end included."""
 UNASKED: Final = "E0000"
-"""The tag of what a server tells by itself."""
+"""The tag of an unasked report of a server."""
 END: Final = b"\r\n"
 _TAG: Final = re.compile(r"(?!00000)\d{5}|E(?!0000)\d{4}")
 _RESPONSE: Final = re.compile(r"(\d{5}|E\d{4}) ([&%#!])(?: (.*))?")
@@ -344,7 +344,7 @@ def parse_response(line: str) -> ResponseLine:
     """Return the response that a line is; ProtocolError when it is none."""
     found = _RESPONSE.fullmatch(line)
     if found is None:
-        raise ProtocolError(f"the server sent no line of I++ DME: {line!r:.200}")
+        raise ProtocolError(f"the server sent a line that is not I++ DME: {line!r:.200}")
     return ResponseLine(found[1], Kind(found[2]), found[3] or "")
 
 
@@ -389,5 +389,5 @@ class LineBuffer:
 
 def _ascii(line: bytes) -> str:
     if not re.fullmatch(rb"[ -~]*", line):
-        raise ProtocolError(f"a line has characters that I++ DME has not: {line!r:.120}")
+        raise ProtocolError(f"a line has characters that I++ DME does not allow: {line!r:.120}")
     return line.decode("ascii")

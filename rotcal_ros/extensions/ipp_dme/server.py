@@ -575,9 +575,9 @@ def _flat(vector: Floats) -> list[float]:
 VOLUME_M: Final = 2.0
 """Farthest coordinate that the machine reaches, either way."""
 SLICE_S: Final = 0.02
-"""Wall time between looks at what has become of a motion."""
+"""Wall time between two looks at a motion."""
 SHORTEST_SLEEP_S: Final = 5e-4
-"""A sleep is never shorter than a system's clock tick: motions that are go without."""
+"""A sleep is never shorter than a tick of the system's clock: shorter motions do not sleep."""
 TURNS_DEG: Final = 36_000.0
 """Farthest R, either way."""
 TOUCH_S: Final = 0.2
@@ -644,7 +644,7 @@ class SimulatedMachine:
         return cell.table.feedback(self._reported, np.array([cell.now_ns]))[0].angle
 
     async def home(self) -> None:
-        """Go up and call it home; the simulated machine knows its axes anyway."""
+        """Go up and count that as home; the simulated machine knows its axes anyway."""
         x, y, z = self.position().tolist()
         await self.go(np.array([x, y, max(z, 0.0)]), None, "Home")
         self.homed = True

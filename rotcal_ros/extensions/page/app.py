@@ -244,7 +244,7 @@ def _carries(headers: Headers, password: Secret) -> bool:
 
 
 CLOSING_S: Final = 2
-"""For viewers to be told the end."""
+"""Time for viewers to hear the end."""
 MOST_VIEWERS: Final = 64
 
 
@@ -283,12 +283,12 @@ class PageServer:
 
     @property
     def closed(self) -> bool:
-        """Whether nobody is served any more."""
+        """Whether the server has ended."""
         return not self._thread.is_alive()
 
 
 def _name(host: str) -> str:
-    """Return how a browser calls a host; all interfaces together go by the machine's name."""
+    """Return a host's name for a browser; for all interfaces it is the machine's name."""
     if ip_address(host).is_unspecified:
         return socket.gethostname()
     return f"[{host}]" if ":" in host else host

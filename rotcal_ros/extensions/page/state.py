@@ -295,12 +295,12 @@ class Board:
         self.state = PageState()
 
     def show(self, **sections: Any) -> None:
-        """Show new sections in the place of the old ones."""
+        """Replace sections by new ones."""
         self.state = replace(self.state, **sections)
 
 
 class Course:
-    """What a value did over any time, in at most ``limit`` points: every other is left out."""
+    """The course of a value over any time, thinned to at most ``limit`` points."""
 
     def __init__(self, limit: int = COURSE_POINTS) -> None:
         self._limit = limit
@@ -338,10 +338,10 @@ _HEADLINES: Final = {
 class HeardPlanner:
     """What was heard of the planner and its goal.
 
-    ``planner`` is its state, UNKNOWN when it is not there; ``silent`` that it was there and fell
-    silent. ``calibrating`` that a goal runs: ``doing`` and ``activity`` are what it does, as a
-    code and in words, ``instruction`` what it waits for. ``ended`` that the last goal has: with a
-    verdict, or with an error.
+    ``planner`` is its state, UNKNOWN if it is not there; ``silent``: it was there and fell silent.
+    ``calibrating``: a goal runs; ``doing`` and ``activity`` say what it does, as a code and in
+    words, ``instruction`` what it waits for. ``ended``: the last goal has ended, with a verdict or
+    an error.
     """
 
     planner: NodeState = UNHEARD

@@ -174,11 +174,11 @@ class CellLinks:
             )
         ]
         here = [] if all(map(graph.publishers, measured)) else [discovery_in_words(os.environ)]
-        found += [text for topic in ORDERS for text in graph.without_machine(topic)]
+        lacking += [text for topic in ORDERS for text in graph.without_machine(topic)]
         stops = [stop] if stop and graph.publishers(stop) else []
         recorded = (*measured, *ORDERS, names.PLAN, names.OBSERVATION, names.STEP_CHOICE, *stops)
         unheard = (topic for topic in recorded if "recorder" not in graph.listeners(topic))
-        return found + here + [self._unrecorded(self.graph.resolve(topic)) for topic in unheard]
+        return lacking + here + [self._unrecorded(self.graph.resolve(topic)) for topic in unheard]
 
     def _unrecorded(self, name: str) -> str:
         """Say that the recorder does not listen to a topic yet, or why it cannot."""
@@ -193,8 +193,8 @@ class CellLinks:
         }
         for topic, owner in OWNERS.items():
             offers = self.graph.offers(topic)
-            own = [i for i in offers if (i.node_name, i.node_namespace) == (owner, place)]
-            found[self.graph.resolve(topic)] = own
+            own = [i for i in offers if (i.node_name, i.node_namespace) == (owner, namespace)]
+            publishers[self.graph.resolve(topic)] = own
         return Believed({
             topic: tuple(sorted(publisher_of(info.endpoint_gid) for info in infos))
             for topic, infos in publishers.items()

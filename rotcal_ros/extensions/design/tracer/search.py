@@ -305,7 +305,7 @@ class _Parts:
 
 
 def finite(value: float) -> float | None:
-    """Return a number for JSON, which has no infinity: None."""
+    """Return a number for JSON: None for infinity, which it lacks."""
     return float(value) if np.isfinite(value) else None
 
 

@@ -468,7 +468,7 @@ class CapturedValues:
         return tuple(found)
 
     def lengths(self) -> LiveReading | None:
-        """Return the live reading: a length, else where the probe is; None before any."""
+        """Return the live reading: a length, else the probe's position; None before the first."""
         if words := self._reading(names.TRACER_LENGTH):
             length = float(words[0]) * 1e3
             shown = f"{length:.4f} mm" if math.isfinite(length) else "–"
@@ -484,7 +484,7 @@ class CapturedValues:
         return tuple((t, x) for t, x in self._lengths if until_s - LENGTHS_S < t <= until_s)
 
     def temperatures(self) -> tuple[Temperature, ...]:
-        """Return what every sensor has told."""
+        """Return the temperatures of every sensor."""
         return tuple(
             Temperature(sensor, now, *self._ranges[sensor], drift(points), points)
             for sensor, now in sorted(self._latest.items())
@@ -546,7 +546,7 @@ class WaitingTable:
         self._apply = node.create_client(ApplyTable, "apply")
 
     def offer(self) -> ShownOffer | None:
-        """Return what the bridge says now."""
+        """Return the present offer of the bridge."""
         health = self._node.health
         values = health.values(BRIDGE) if BRIDGE in health.present() else {}
         if "table_hash" not in values:
@@ -591,7 +591,7 @@ class WaitingTable:
         self._table = message
 
     def _see_to_the_drawing(self, confirmation: str, table_hash: str) -> None:
-        """Ask for the drawing, again where an answer was lost."""
+        """Ask for the drawing, again if an answer was lost."""
         silent = time.monotonic() - self._heard_s > SILENCE_S
         if (silent or self._asked_for != confirmation) and self._can_draw(table_hash):
             self._asked_for, self._attempt = confirmation, object()
@@ -604,7 +604,10 @@ class WaitingTable:
         return known and bool(self._look_up.service_is_ready())
 
     async def _draw(self, confirmation: str, table: Any, attempt: object) -> None:
-        """Draw the correction at the rows; what was measured is left of the one before."""
+        """Draw the correction at the rows.
+
+        The measured deviations are what the previous one left.
+        """
         every = max(1, ceil(len(table.angles) / MOST_ANGLES))
         angles = np.array(table.angles[::every])
         drawing = {"angles_deg": _rounded(angles / DEGREE)}

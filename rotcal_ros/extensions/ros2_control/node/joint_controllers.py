@@ -110,7 +110,7 @@ class TrajectoryController(JointController):
 
 
 class PositionController(JointController):
-    """A controller that passes positions on at once: it gets the way in small steps."""
+    """A controller that passes on positions at once: it gets the way in small steps."""
 
     def __init__(self, node: CellNode, controller: str, joint: str) -> None:
         self._publisher = node.create_publisher(Float64MultiArray, f"{controller}/commands", EVENT)
