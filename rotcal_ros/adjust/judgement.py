@@ -411,7 +411,7 @@ class _Tried:
     def polished(self, subset: Bools) -> Bools:
         """Return ``subset`` with elements taken in and put back while that gains."""
         exchange = ElementExchange(self.group)
-        for element in np.flatnonzero(subset):
+        for element in np.flatnonzero(subset).tolist():
             exchange.flip(element)
         value = self.merit(subset)
         for _ in range(POLISHED):

@@ -164,13 +164,13 @@ def _scaled(computed: Floats) -> Floats:
 def from_first(blocks: Mapping[str, int], name: str) -> Floats:
     """Return outputs (k, p): the k unknowns of a block, counted from the first of them."""
     outputs = _of_block(blocks, name)
-    return outputs - outputs[0]
+    return np.asarray(outputs - outputs[0], dtype=np.float64)
 
 
 def from_mean(blocks: Mapping[str, int], name: str) -> Floats:
     """Return outputs (k, p): the k unknowns of a block, counted from their mean."""
     outputs = _of_block(blocks, name)
-    return outputs - outputs.mean(axis=0)
+    return np.asarray(outputs - outputs.mean(axis=0), dtype=np.float64)
 
 
 def _of_block(blocks: Mapping[str, int], name: str) -> Floats:
@@ -496,7 +496,7 @@ def _solved(model: Model, white: Floats) -> tuple[Floats, Floats]:
     determined = s > OPEN * s[0]
     if not determined.all() or len(s) < len(scale):
         full = vt if len(vt) == len(scale) else np.linalg.svd(white / scale)[2]
-        _require_unfelt(model, scale, full[int(determined.sum()) :], white.any(axis=0))
+        _require_unfelt(model, scale, full[int(determined.sum()) :], (white != 0.0).any(axis=0))
     gain = (vt[determined].T / s[determined]) @ u[:, determined].T / scale[:, None]
     return u[:, determined], gain
 

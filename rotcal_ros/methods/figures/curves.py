@@ -97,7 +97,8 @@ def injected(truth: Mapping[str, Any] | None, name: str, angles: Floats) -> Floa
     if truth is None or name not in truth.get("deviations", {}):
         return None
     known_at, first = np.unique(np.asarray(truth["angles_rad"]), return_index=True)
-    return np.interp(angles, known_at, np.asarray(truth["deviations"][name])[first])
+    known = np.asarray(truth["deviations"][name], dtype=np.float64)[first]
+    return np.asarray(np.interp(angles, known_at, known), dtype=np.float64)
 
 
 def _draw_truth(ax: style.Axes, name: str, truth: Mapping[str, Any] | None) -> None:
