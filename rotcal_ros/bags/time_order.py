@@ -8,9 +8,11 @@ converters and merges write them: then the messages are sorted, by
 2. their publish times, else the stamps in their headers, if the streams have those in common but
    hardly any log time: then the log times are those of the program that wrote the file.
 
-Where the log times of one and the same channel go back while its numbers ascend, or where it has
-none, the clock of the recorder was set: the order of the file is the only one there is. Where its
-numbers go back too, or the stamps from one file to the next, the parts are in another order.
+If the log times of one channel go back while its numbers ascend, the clock of the recorder was
+set: only the order of the file remains. Many writers do not number messages; then the stamps
+decide. If they ascend, that clock was set; if they go back too, the clock of the whole machine was
+set, provided that what follows covers times that were there before, else parts of the file were
+exchanged.
 
 Sorting takes bounded memory: runs of messages are sorted into a temporary file, then merged.
 """
@@ -39,7 +41,9 @@ STANDSTILL_NS: Final = 20_000_000_000
 LOG, PUBLISH, STAMP = range(3)
 IN_WORDS: Final = ("log times", "publish times", "the stamps in their headers")
 _SHARED, _APART = 0.5, 0.1
-"""Share of the whole time that long streams have in common by a true clock, and by a false one."""
+"""Share of the whole time that long streams have in common by a true and by a false clock."""
+_MOST_SETS: Final = 10
+"""A clock is not set more often than that while a bag is recorded."""
 _STAMP_AT: Final = 4
 """Byte of a message at which its header's stamp begins: behind the four of CDR's encapsulation."""
 _LARGEST: Final = (1 << 63) - 1
@@ -106,6 +110,52 @@ class _Progress:
 
 
 @dataclass
+class _Unnumbered:
+    """Steps back in the log times of a channel whose messages have no numbers.
+
+    ``count`` is how often by a second or more, ``most_ns`` how far at most, ``small`` how often at
+    all; ``with_stamps`` says that the stamps always went back with them. ``first`` and ``last``
+    are the log times at which stretches without a gap begin and end, but for the last end.
+    """
+
+    count: int = 0
+    most_ns: int = 0
+    small: int = 0
+    with_stamps: bool = True
+    first: list[int] = field(default_factory=list)
+    last: list[int] = field(default_factory=list)
+
+    def take(self, times: Ints, steps: Ints, before: int) -> None:
+        """Add log times and their ``steps``; the first step is from ``before``."""
+        self.small += int(np.count_nonzero(steps < 0))
+        if self.small <= _MOST_SETS:
+            breaks = np.flatnonzero(np.abs(steps) >= LEAST_NS)
+            self.first += times[breaks].tolist()
+            self.last += np.where(breaks > 0, times[breaks - 1], before).tolist()
+
+    def fall(self, by_ns: Ints, *, with_stamps: bool) -> None:
+        """Add by how much they went back, and whether the stamps always did as well."""
+        if len(by_ns):
+            self.count += len(by_ns)
+            self.most_ns = max(self.most_ns, int(by_ns.max()))
+            self.with_stamps &= with_stamps
+
+    def clock_was_set(self, newest: int) -> bool:
+        """Return whether a clock was set; ``newest`` is the last log time.
+
+        Then log times after a step back lie within stretches that were there before.
+        """
+        if not self.with_stamps:
+            return True
+        if self.small > _MOST_SETS:
+            return False
+        first, last = np.array(self.first), np.array([*self.last[1:], newest])
+        order = np.argsort(first, kind="stable")
+        overlap = np.maximum.accumulate(last[order])[:-1] - first[order][1:]
+        return int(overlap.max(initial=0)) >= LEAST_NS // 2
+
+
+@dataclass
 class _Channel(_Progress):
     """A channel of one file, with what distinguishes a clock that was set from a sorted file."""
 
@@ -114,6 +164,14 @@ class _Channel(_Progress):
     sequence: int = -1
     back: int = 0
     back_ns: int = 0
+    unnumbered: _Unnumbered = field(default_factory=_Unnumbered)
+
+    def set_back(self) -> tuple[int, int]:
+        """Return how often a clock was set back, and by how much at most (ns)."""
+        steps = self.unnumbered
+        if not steps.count or not steps.clock_was_set(int(self.newest[LOG])):
+            return self.back, self.back_ns
+        return self.back + steps.count, max(self.back_ns, steps.most_ns)
 
 
 @dataclass
@@ -156,8 +214,9 @@ class TimeOrders:
         streams = [topic for topic in self._topics.values() if topic.count > 1]
         apart = int(self._all.most[clock])
         mixed = any(len(t.channels) > 1 and t.most[clock] > 0 for t in streams)
-        back = max((channel.back for channel in self._channels.values()), default=0)
-        back_ns = max((channel.back_ns for channel in self._channels.values()), default=0)
+        sets = [channel.set_back() for channel in self._channels.values()]
+        back = max((count for count, _ in sets), default=0)
+        back_ns = max((far for _, far in sets), default=0)
         if clock != LOG:
             lost = any(t.unknown[clock] for t in streams)
             in_channels = max((int(c.most[clock]) for c in self._channels.values()), default=0)
@@ -185,13 +244,21 @@ class TimeOrders:
         known = self._channels.setdefault(key, _Channel())
         steps = np.diff(times[LOG], prepend=known.newest[LOG])
         numbers = np.diff(headers["sequence"].astype(np.int64), prepend=known.sequence)
+        stamps = np.append(known.stamp, times[STAMP])
         falls = np.flatnonzero(steps <= -LEAST_NS)
+        with_stamps = np.minimum(stamps[falls], stamps[falls + 1]) >= 0
+        with_stamps &= np.abs(np.diff(stamps)[falls] - steps[falls]) < LEAST_NS
         rearranged = numbers[falls] < 0
         if len(falls) and not falls[0] and part[0] != known.part[0] and part[1] == known.part[1]:
-            rearranged[0] |= _fell_with(steps[0], int(known.stamp), int(times[STAMP, 0]))
-        set_back = falls[~rearranged]
-        known.back += len(set_back)
-        known.back_ns = max(known.back_ns, -int(steps[set_back].min(initial=0)))
+            rearranged[0] |= with_stamps[0]
+        unnumbered = ~rearranged & (numbers[falls] == 0)
+        known.unnumbered.take(times[LOG], steps, int(known.newest[LOG]))
+        known.unnumbered.fall(
+            -steps[falls][unnumbered], with_stamps=bool(with_stamps[unnumbered].all())
+        )
+        set_back = ~rearranged & ~unnumbered
+        known.back += int(np.count_nonzero(set_back))
+        known.back_ns = max(known.back_ns, -int(steps[falls][set_back].min(initial=0)))
         known.take(times)
         known.newest[LOG], known.stamp = times[LOG, -1], times[STAMP, -1]
         known.sequence, known.part = int(headers["sequence"][-1]), part
@@ -222,11 +289,6 @@ class TimeOrders:
             if _in_common(long, other) >= _SHARED and _in_common(long, LOG) < _APART:
                 return other
         return LOG
-
-
-def _fell_with(step_ns: int, before_ns: int, now_ns: int) -> bool:
-    """Return whether stamps, both known, went back by as much as the log time did."""
-    return min(before_ns, now_ns) >= 0 and abs(now_ns - before_ns - step_ns) < LEAST_NS
 
 
 def _in_common(topics: list[_Topic], clock: int) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import struct
 from collections import Counter
 from dataclasses import replace
@@ -152,6 +153,29 @@ def test_steps_without_an_observation_are_told(every, told, tmp_path):
     ]
     words = read_recording(write_mcap(tmp_path / "a.mcap", kept)).warnings()[0]
     assert words.startswith("6 of 32 steps were tried in vain, ") == told
+
+
+def quarters(run, order):
+    return [m for n in order for m in run[n * len(run) // 4 : (n + 1) * len(run) // 4]]
+
+
+UNNUMBERED = {
+    "halves exchanged": lambda run: quarters(run, (2, 3, 0, 1)),
+    "quarters in another order": lambda run: quarters(run, (3, 1, 0, 2)),
+    "in no order at all": lambda run: random.Random(8).sample(run, len(run)),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", UNNUMBERED)
+def test_without_numbers_the_stamps_tell(how, expected, tmp_path):
+    messages = changed(
+        UNNUMBERED[how](run_messages()), lambda _, m: {"sequence": 0, "publish_ns": m.log_ns}
+    )
+    found = read_recording(write_mcap(tmp_path / "a.mcap", messages, chunk_size=30_000))
+    assert found.observations == expected
+    (words,) = found.warnings()
+    assert words.endswith("its messages were read by log times")
 
 
 @pytest.mark.slow
