@@ -18,7 +18,6 @@ from rclpy.utilities import get_rmw_implementation_identifier
 from rotcal_ros import __version__
 from rotcal_ros.bags import names
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.machine_load import Patience
 from rotcal_ros.foundation.middleware import distribution, rclpy_version
 from rotcal_ros.methods.configuration import read_subject
 from rotcal_ros.nodes.recorder.recording import BagRecording
@@ -73,8 +72,8 @@ def _version(package: str) -> str:
 class NodeParameters:
     """The parameters of all nodes, as JSON in a bag: node name -> parameter -> value.
 
-    They are asked while the calibration begins, those that are slow again and again. A node that
-    has not answered after ASKING_S, or when the bag was closed, is null.
+    All are asked at once while the calibration begins, again and again where they are slow. A node
+    that has not answered after ASKING_S, or when the bag was closed, is null.
     """
 
     def __init__(self, recording: BagRecording, node: CellNode) -> None:
@@ -90,15 +89,15 @@ class NodeParameters:
         own = node.get_parameters_by_prefix("")
         self._found = dict.fromkeys(others)
         self._found[node.get_name()] = {key: _plain(mine.value) for key, mine in own.items()}
-        patience = Patience(ASKING_S)
-        while not self._attached and (silent := self._silent()) and not patience.is_over():
-            for name in silent:
-                self._found[name] = await _parameters_of(node, f"{namespace.rstrip('/')}/{name}")
+        for name in others:
+            node.begin(self._ask, name, f"{namespace.rstrip('/')}/{name}")
+        await until(lambda: None not in self._found.values(), ASKING_S)
         self.attach()
 
-    def _silent(self) -> list[str]:
-        """Return the nodes that have not answered yet."""
-        return [name for name, said in self._found.items() if said is None]
+    async def _ask(self, name: str, remote: str) -> None:
+        """Ask one node until it has answered; who is silent holds up nobody else."""
+        while self._found[name] is None and not self._attached:
+            self._found[name] = await _parameters_of(self._node, remote)
 
     def attach(self) -> None:
         """Put the answers so far into the bag, once."""

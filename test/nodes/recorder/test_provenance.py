@@ -1,6 +1,7 @@
 """What a bag's metadata say of the measurement."""
 
 import json
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -22,11 +23,14 @@ def test_a_bag_says_what_was_measured_and_whether_anything_was(name, simulated):
 
 
 class Open:
-    """A recording, and the one node that answers."""
+    """A recording, and the node that records it."""
 
     def __init__(self):
         self.health = SimpleNamespace(present=lambda: {"solver"})
-        self.attached = []
+        self.attached, self.tasks = [], []
+
+    def begin(self, work, *arguments):
+        self.tasks.append(work(*arguments))
 
     def attach(self, name, _media_type, data):
         self.attached.append((name, json.loads(data)))
@@ -44,46 +48,68 @@ class Open:
         return {"depth": SimpleNamespace(value=3)}
 
 
-class Never:
+class Turn:
+    """What a coroutine waits for that goes on at the next turn."""
+
     def __await__(self):
         yield
 
 
-def test_a_bag_that_is_closed_early_says_which_nodes_had_not_answered(monkeypatch):
-    from rotcal_ros.nodes.recorder import provenance as surroundings
+def turn(tasks):
+    """Let each of the coroutines go on once; return those that have not ended."""
+    left = []
+    for task in tasks:
+        with suppress(StopIteration):
+            task.send(None)
+            left.append(task)
+    return left
 
+
+def asked_of(monkeypatch, answer):
+    """Return a recording whose nodes are asked, the asking, and its coroutine."""
+    from rotcal_ros.nodes.recorder import provenance
+
+    async def until(condition, _timeout_s):
+        while not condition():
+            await Turn()
+
+    monkeypatch.setattr(provenance, "_parameters_of", answer)
+    monkeypatch.setattr(provenance, "until", until)
+    cell = Open()
+    parameters = provenance.NodeParameters(cell, cell)
+    return cell, parameters, parameters.ask()
+
+
+def test_a_silent_node_holds_up_nobody_and_is_named_when_the_bag_is_closed(monkeypatch):
     async def answer(_node, remote):
-        if remote != "/cell/planner":
-            await Never()
+        while remote == "/cell/planner":
+            await Turn()
         return {"speed": 2.0}
 
-    monkeypatch.setattr(surroundings, "_parameters_of", answer)
-    cell = Open()
-    parameters = surroundings.NodeParameters(cell, cell)
-    asked = parameters.ask()
-    asked.send(None)
+    cell, parameters, asking = asked_of(monkeypatch, answer)
+    (asking,) = turn([asking])
+    (silent,) = turn(cell.tasks)
     assert cell.attached == []
     parameters.attach()  # as the bag is closed
-    known = {"planner": {"speed": 2.0}, "recorder": {"depth": 3}, "solver": None}
+    known = {"planner": None, "recorder": {"depth": 3}, "solver": {"speed": 2.0}}
     assert cell.attached == [("parameters.json", known)]
-    with pytest.raises(StopIteration):
-        asked.send(None)
-    assert len(cell.attached) == 1
+    silent.close()
+    asking.close()
 
 
 def test_a_node_that_is_slow_at_first_is_asked_again(monkeypatch):
-    from rotcal_ros.nodes.recorder import provenance as surroundings
-
     asked = []
 
     async def answer(_node, remote):
+        await Turn()
         asked.append(remote)
         return {"speed": 2.0} if len(asked) > 2 else None
 
-    monkeypatch.setattr(surroundings, "_parameters_of", answer)
-    cell = Open()
-    with pytest.raises(StopIteration):
-        surroundings.NodeParameters(cell, cell).ask().send(None)
+    cell, _, asking = asked_of(monkeypatch, answer)
+    (asking,) = turn([asking])
+    while cell.tasks:
+        cell.tasks = turn(cell.tasks)
+    assert turn([asking]) == []
     assert asked == ["/cell/planner", "/cell/solver"] * 2
     known = {"planner": {"speed": 2.0}, "recorder": {"depth": 3}, "solver": {"speed": 2.0}}
     assert cell.attached == [("parameters.json", known)]
