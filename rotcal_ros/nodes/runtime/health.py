@@ -139,7 +139,7 @@ class Health:
         self._liveness = Liveness(self.settings)
         self._holders = NameHolders()
         self.identity = ProcessIdentity.own(os.environ, time.monotonic())
-        self.refused: str | None = None
+        self.refused: SecondNodeError | None = None
         self.others: dict[str, msg.NodeState] = {}
         self._read: dict[str, tuple[msg.NodeState, dict[str, str]]] = {}
         self.errors: Counter[str] = Counter()
