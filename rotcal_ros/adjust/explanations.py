@@ -130,39 +130,25 @@ def shifts(group: Group, subsets: Bools) -> Hypotheses:
     e, c = group.residual.shape
     along = part @ group.score
     if c == 1:
-        square = ((part @ group.weight[:, 0, :, 0]) * part).sum(axis=1)[:, None, None]
-        values, along, _ = _own_axes(square, along)
+        square = ((part @ group.weight[:, 0, :, 0]) * part).sum(axis=1)[:, None]
         return Hypotheses(
-            values,
-            along,
+            np.maximum(square, 0.0),
+            np.where(square < UNSEEN, 0.0, along),
             lambda: (subsets.T * group.relative)[:, :, None],
             group.sensitivity,
         )
     both = (part @ group.weight.reshape(e, -1)).reshape(-1, c, e, c)
     square = (both.swapaxes(2, 3) @ part[:, None, :, None])[..., 0]
-    values, along, vectors = _own_axes(square, along)
+    values, vectors = np.linalg.eigh(square)
     return Hypotheses(
-        values,
-        along,
+        np.maximum(values, 0.0),
+        np.where(values < UNSEEN, 0.0, np.einsum("qab,qa->qb", vectors, along)),
         lambda: np.einsum("qe,ea,qab->eaqb", part, group.relative, vectors).reshape(
             e * c, len(part), c
         ),
         group.sensitivity,
         vectors,
     )
-
-
-def _own_axes(square: Floats, along: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return s (q, c) and u (q, c) of shifts along their own axes, and these, V (q, c, c).
-
-    ``square`` (q, c, c): S, ``along`` (q, c): u along the axes of the elements.
-    """
-    if square.shape[1] == 1:
-        values, vectors = square[:, 0], np.ones_like(square)
-    else:
-        values, vectors = np.linalg.eigh(square)
-        along = np.einsum("qab,qa->qb", vectors, along)
-    return np.maximum(values, 0.0), np.where(values < UNSEEN, 0.0, along), vectors
 
 
 def scatter(group: Group) -> Hypotheses:
@@ -188,81 +174,6 @@ def free(group: Group, subset: Bools) -> Hypotheses:
         return mix.reshape(-1, 1, k * c)
 
     return Hypotheses(np.maximum(values, 0.0)[None], along[None], on_rows, group.sensitivity)
-
-
-class ElementExchange:
-    """What speaks for a subset with one element taken in or put back, for all elements at once.
-
-    ln B of :func:`shifts` and of :func:`free`, without their axes. Where the errors of a free
-    subset have the covariance t^2 C its Bayes factor follows from g'(C^-1 / t^2 + W)^-1 g and the
-    determinant of that matrix, with W and g (weight and score) of its elements. C^-1 is a multiple
-    of I but for a part of rank one. So for each t the table
-
-        W + I / (OWN t)^2 | g 1
-        -----------------------
-             (g 1)'       |  0
-
-    is swept by the elements of the subset (Gauss and Jordan): then its diagonal and its last
-    columns tell what any other element changes.
-    """
-
-    def __init__(self, group: Group) -> None:
-        e, c = group.residual.shape
-        self.group, self.subset = group, np.zeros(e, dtype=np.bool_)
-        self._own = 1.0 / (OWN * SIZES) ** 2
-        known = np.concatenate([group.score.reshape(-1, 1), np.tile(np.eye(c), (e, 1))], axis=1)
-        weight = group.weight.reshape(e * c, e * c)
-        whole = np.block([[weight, known], [known.T, np.zeros((1 + c, 1 + c))]])
-        self._table = np.repeat(whole[None], len(SIZES), axis=0)
-        rows = np.arange(e * c)
-        self._table[:, rows, rows] += self._own[:, None]
-        self._log = np.zeros(len(SIZES))
-        self._shared = np.zeros((e, c, c))  # of each with the subset, by which S grows
-
-    def flip(self, element: int) -> None:
-        """Take an ``element`` in, or put it back."""
-        c = self._shared.shape[1]
-        at = slice(element * c, element * c + c)
-        table, inside = self._table, self.subset[element]
-        pivot = table[:, at, at].copy()
-        self._log += np.linalg.slogdet(pivot)[1]
-        row, inverse = table[:, at].copy(), np.linalg.inv(pivot)
-        share = inverse @ row
-        table -= row.swapaxes(1, 2) @ share
-        table[:, at] = -share if inside else share
-        table[:, :, at] = table[:, at].swapaxes(1, 2)
-        table[:, at, at] = -inverse
-        own = self.group.weight[:, :, element]
-        self._shared += -own if inside else own
-        self.subset = self.subset ^ (np.arange(len(self.subset)) == element)
-
-    def log_bayes(self) -> Floats:
-        """Return ln B (e, 2 t) of what the flip of each element leads to, shifts first."""
-        return np.concatenate([self._of_shifts(), self._of_free()], axis=1)
-
-    def _of_shifts(self) -> Floats:
-        group, sign = self.group, np.where(self.subset, -1.0, 1.0)
-        each = np.arange(len(sign))
-        both = self._shared + self._shared.swapaxes(1, 2)
-        square = self._shared[self.subset].sum(axis=0) + group.weight[each, :, each]
-        square = square + sign[:, None, None] * both
-        along = group.score[self.subset].sum(axis=0) + sign[:, None] * group.score
-        return log_bayes(*_own_axes(square, along)[:2])
-
-    def _of_free(self) -> Floats:
-        e, c = self.group.residual.shape
-        each, n = np.arange(e), e * c
-        corner, last = self._table[:, n:, n:], self._table[:, :n, n:].reshape(-1, e, c, 1 + c)
-        pivot = self._table[:, :n, :n].reshape(-1, e, c, e, c)[:, each, :, each].swapaxes(0, 1)
-        forms = last.swapaxes(2, 3) @ np.linalg.solve(pivot, last) - corner[:, None]
-        count = self.subset.sum() + np.where(self.subset, -1.0, 1.0)
-        share = self._own[:, None] / (OWN**2 + count)
-        left = np.eye(c) - share[:, :, None, None] * forms[:, :, 1:, 1:]
-        rest = (forms[:, :, :1, 1:] @ np.linalg.solve(left, forms[:, :, 1:, :1]))[:, :, 0, 0]
-        fitted = forms[:, :, 0, 0] + share * rest
-        prior = np.log1p(count / OWN**2) - count * np.log(self._own[:, None])
-        log = self._log[:, None] + np.linalg.slogdet(pivot)[1] + np.linalg.slogdet(left)[1]
-        return np.asarray(0.5 * (fitted - log - c * prior).T)
 
 
 @lru_cache(maxsize=256)

@@ -26,7 +26,6 @@ import numpy as np
 from rotcal_ros.adjust.distributions import chi2_sf
 from rotcal_ros.adjust.explanations import (
     SIZES,
-    ElementExchange,
     Hypotheses,
     any_subset,
     free,
@@ -55,8 +54,6 @@ LARGEST_LOG: Final = 690.0
 """Of a Bayes factor; exp of it, a million times over, is still a number."""
 POLISHED: Final = 20
 """Exchanges of single elements after which a blamed subset stays as it is."""
-GAIN: Final = 1e-9
-"""What an exchange gains at least: less is rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -395,38 +392,28 @@ class _Tried:
         bayes = log_sum(np.concatenate([alike.log_bayes()[0], apart.log_bayes()[0]]))
         return float(prior + bayes) - float(np.log(2 * len(SIZES)))
 
-    def neighbours(self, exchange: ElementExchange) -> Floats:
-        """Return the merits (e,) with each element taken in or put back; -inf: not to be had."""
-        here, e = exchange.subset, self.group.size
-        count = here.sum() + np.where(here, -1, 1)
-        prior = np.where(count > 1, any_subset(e, count), -np.log(e))
-        prior = prior + np.log(self.belief.scattered)
-        part = here ^ np.eye(e, dtype=np.bool_)
-        known = np.array([subset.tobytes() in self._gathered for subset in part])
-        listed = np.log(self.belief.gathered / max(len(self._gathered), 1))
-        prior = np.where(known, np.logaddexp(prior, listed), prior)
-        merit = prior + log_sum(exchange.log_bayes()) - float(np.log(2 * len(SIZES)))
-        return np.where((count >= 1) & (count <= most_of(e)), merit, -np.inf)
+    @cached_property
+    def limits(self) -> tuple[int, int]:
+        """Fewest and most elements of a subset."""
+        return 1, most_of(self.group.size)
 
     def polished(self, subset: Bools) -> Bools:
         """Return ``subset`` with elements taken in and put back while that gains."""
-        exchange = ElementExchange(self.group)
-        for element in np.flatnonzero(subset).tolist():
-            exchange.flip(element)
-        value = self.merit(subset)
+        here: Bools = subset.copy()
         for _ in range(POLISHED):
-            merit = self.neighbours(exchange)
-            best = _first_of_best(merit)
-            if not merit[best] > value + GAIN:
-                break
-            exchange.flip(best)
-            value = merit[best]
-        return exchange.subset
-
-
-def _first_of_best(merit: Floats) -> int:
-    """Return the first of those with the largest merit; what differs by rounding is alike."""
-    return int(np.argmax(merit > merit.max() - GAIN))
+            best: Bools | None = None
+            value = self.merit(here)
+            for k in range(len(here)):
+                other = here.copy()
+                other[k] ^= True
+                if not self.limits[0] <= other.sum() <= self.limits[1]:
+                    continue
+                if self.merit(other) > value + 1e-9:
+                    best, value = other, self.merit(other)
+            if best is None:
+                return here
+            here = best
+        return here
 
 
 def _candidates(group: Group, tried: _Tried) -> Bools:
@@ -443,9 +430,11 @@ def _candidates(group: Group, tried: _Tried) -> Bools:
 
 def _forward(group: Group, tried: _Tried) -> Bools:
     """Return the subsets that a forward search by free errors passes through."""
-    exchange, path = ElementExchange(group), list[Bools]()
+    here = np.zeros(group.size, dtype=np.bool_)
+    path = []
     for _ in range(most_of(group.size)):
-        merit = np.where(exchange.subset, -np.inf, tried.neighbours(exchange))
-        exchange.flip(_first_of_best(merit))
-        path.append(exchange.subset)
+        trial = here | np.eye(group.size, dtype=np.bool_)
+        merit = [-np.inf if here[k] else tried.merit(trial[k]) for k in range(group.size)]
+        here = trial[int(np.argmax(merit))]
+        path.append(here)
     return np.array(path)

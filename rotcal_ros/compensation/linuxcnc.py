@@ -115,7 +115,7 @@ class LinuxCnc(Controller):
         0.0, doc="deg/s, MAX_VELOCITY of the joint; 0: not known", minimum=0.0
     )
     servo_period_ns: int = setting(
-        0, doc="ns, SERVO_PERIOD; 0: not known, 1000000 is assumed", minimum=0
+        0, doc="ns, SERVO_PERIOD; 0: not known, 1000000 is taken", minimum=0
     )
     feed_deg_s: float = setting(
         0.0, doc="deg/s, fastest programmed feed; 0: MAX_VELOCITY", minimum=0.0

@@ -276,7 +276,7 @@ def suspicion(first: Floats, second: Floats, second_mirrored: Floats | None) -> 
     if second_mirrored is not None:
         straight, mirrored = _likeness(first, second), _likeness(first, second_mirrored)
         if mirrored > ALIKE and mirrored > abs(straight) + 0.2:
-            return "the curves fit if one is reversed: does its angle count clockwise?"
+            return "the curves fit if one is reversed: is its angle counted clockwise?"
     likeness = _likeness(first, second)
     if abs(likeness) < ALIKE:
         return None

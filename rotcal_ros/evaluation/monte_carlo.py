@@ -129,7 +129,7 @@ def compare_with_linear(
     return [
         f"{names[i] if names else f'output {i}'}: the linear standard uncertainty is "
         f"{std[i]:.3g}, the trials say {result.std[i]:.3g} (mean shifted by "
-        f"{result.mean[i] - value[i]:.2g}); believe the trials"
+        f"{result.mean[i] - value[i]:.2g}); trust the trials"
         for i in np.flatnonzero((low > tolerance) | (high > tolerance)).tolist()
     ]
 

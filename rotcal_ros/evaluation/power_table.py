@@ -136,7 +136,7 @@ def power_rows(
     listed = {d.effect: d for d in bench.listed()}
     if missing := [effect for effect in EFFECTS if effect not in listed]:
         raise ConfigurationError(
-            f"the method {bench.calibration.method.name} does not say how these look: "
+            f"the method {bench.calibration.method.name} does not say how these act: "
             f"{', '.join(missing)}"
         )
     rows = []

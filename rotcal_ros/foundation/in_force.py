@@ -79,7 +79,7 @@ def known_hash(state: str) -> bool:
 def in_words(state: str) -> str:
     """Return what was in force during a measurement, for people."""
     if known_hash(state):
-        return f"measured on top of the table {state[:12]}: the deviations are what it leaves over"
+        return f"measured on top of the table {state[:12]}: the deviations are what it leaves"
     if state == NONE:
         return "measured with no table in force: the deviations are complete"
-    return "unknown which table was in force: complete deviations, or what a table leaves over"
+    return "not known which table was in force: the whole deviation, or what a table leaves"

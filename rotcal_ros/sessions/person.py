@@ -126,7 +126,7 @@ class Person:
         if self._simulated and not stopped:
             return ": done by the simulated person"
         if self._as_done and not stopped:
-            return ": counts as done (--yes)"
+            return ": taken as done (--yes)"
         if sys.stdin.isatty():
             return "; then press Enter"
         return (

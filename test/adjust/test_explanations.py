@@ -11,7 +11,6 @@ from scipy.special import comb, logsumexp
 from rotcal_ros.adjust.explanations import (
     OWN,
     SIZES,
-    ElementExchange,
     free,
     scatter,
     search,
@@ -142,24 +141,3 @@ def test_no_subset_of_three_elements():
     view, _, _ = world()
     group = view.group("station", "small", np.arange(3), np.arange(3))
     assert search(group).shape == (0, 3)
-
-
-@pytest.mark.parametrize("axes", [1, 3])
-def test_exchanges_of_single_elements_are_worked_out_as_if_one_by_one(axes):
-    rng = np.random.default_rng(axes)
-    design, count = rng.standard_normal((45, 7)), 45 // axes
-    errors = rng.standard_normal(45) + 4.0 * (np.arange(45) < 15)
-    view = Dense(design, np.eye(7), residuals(design, errors))
-    rows, unit = np.arange(45).reshape(count, axes), rng.uniform(0.5, 2.0, (count, axes))
-    group = view.group("station", "station 0", np.arange(count), rows, unit)
-    exchange = ElementExchange(group)
-    for element in (3, 1, 8, 3, 12, 5):
-        exchange.flip(element)
-        others = exchange.subset ^ np.eye(count, dtype=bool)
-        by_shift = shifts(group, others).log_bayes()
-        by_each = [free(group, subset).log_bayes()[0] for subset in others if subset.any()]
-        found = exchange.log_bayes()
-        assert found[:, : len(SIZES)] == pytest.approx(by_shift, abs=1e-10)
-        some = found[others.any(axis=1), len(SIZES) :]
-        assert some == pytest.approx(np.array(by_each), abs=1e-9)
-    assert np.flatnonzero(exchange.subset).tolist() == [1, 5, 8, 12]

@@ -211,7 +211,7 @@ def test_damaged_first_chunk_does_not_cost_the_definitions(sample: Sample, tmp_p
 def test_foreign_file_is_refused(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "foreign.mcap"
     path.write_bytes(content)
-    with pytest.raises(BagError, match="no MCAP file"):
+    with pytest.raises(BagError, match="is not an MCAP file"):
         scan(path)
 
 

@@ -52,7 +52,7 @@ CASES = {
     "chunk index, time": (0x08, add(0), "index of the chunk"),
     "chunk index, offset": (0x08, add(16), "where no chunk is"),
     "chunk index, length": (0x08, add(24), "index of the chunk"),
-    "chunk index, place of an index": (0x08, add(38), "places of the indexes"),
+    "chunk index, place of an index": (0x08, add(38), "positions of the indexes"),
     "attachment index, offset": (0x0A, add(0), "where no attachment is"),
     "attachment index, length": (0x0A, add(8), "index of the attachment"),
     "attachment index, size": (0x0A, add(32), "index of the attachment"),

@@ -130,7 +130,7 @@ def test_what_is_no_controller_is_refused(monkeypatch):
     for found in (dict, "text", int):
         monkeypatch.setattr(plugins, "load", lambda *_, found=found: found)
         with pytest.raises(
-            ConfigurationError, match=r"the controller 'odd' is .*, not a subclass of"
+            ConfigurationError, match=r"the controller 'odd' is .*, which is not a subclass of"
         ):
             make_controller("odd")
 

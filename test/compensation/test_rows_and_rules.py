@@ -41,7 +41,7 @@ def test_the_first_row_of_a_turn_stands_at_zero(first, text):
         np.testing.assert_allclose(np.deg2rad(up[[0, -1]]), table.correction_forward[0])
         np.testing.assert_allclose(np.deg2rad(down[[0, -1]]), table.correction_reverse[0])
         return
-    with pytest.raises(ConfigurationError, match=rf"stands at {text} deg and a controller's"):
+    with pytest.raises(ConfigurationError, match=rf"is at {text} deg and a controller's"):
         columns_deg(table)
 
 

@@ -283,9 +283,9 @@ def test_an_angle_that_was_reached_from_one_side_only_is_left_out():
 
 def test_both_directions_and_a_reverse_result_contradict():
     result = both_ways(even(12), wavy, play)
-    with pytest.raises(ConfigurationError, match="holds both directions already"):
+    with pytest.raises(ConfigurationError, match="already holds both directions"):
         table_from_result(result, reverse=result_of(even(12), np.zeros(12)))
-    with pytest.raises(ConfigurationError, match="holds both directions already"):
+    with pytest.raises(ConfigurationError, match="already holds both directions"):
         table_from_result(result_of(even(12), np.zeros(12)), reverse=result)
 
 

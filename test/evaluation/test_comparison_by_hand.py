@@ -235,7 +235,7 @@ def test_a_sense_of_rotation_is_sought_on_circles_only():
     small = 1e-6 * np.eye(24)
     clockwise = -shape[(-np.arange(24)) % 24]
     notes = " ".join(compare(circle(shape, small), circle(clockwise, small)).notes)
-    assert "count clockwise?" in notes
+    assert "counted clockwise?" in notes
     first, second = (
         MeasuredCurve(np.arange(24) * TAU / 48, d, small, 0.0) for d in (shape, clockwise)
     )

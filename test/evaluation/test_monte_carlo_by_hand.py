@@ -303,7 +303,7 @@ def test_contradictions_are_told_in_the_units_of_people():
     found = trials_about(2.0, stable=False)
     assert found.warnings == (
         "ECC at 45 deg (arcsec): the linear standard uncertainty is 0.1, the trials say 0.2 "
-        "(mean shifted by 0); believe the trials",
+        "(mean shifted by 0); trust the trials",
     )
     assert found.in_words() == (
         "10000 trials CONTRADICT the solver's uncertainty; not yet stable to 2 digits, seed 11"

@@ -119,7 +119,7 @@ def test_what_cannot_be_told_is_refused():
     observations = calibration.nominal_observations()
     result = calibration.solve(observations)
     found = reliability(result.residuals)
-    with pytest.raises(DataError, match="of one observation each"):
+    with pytest.raises(DataError, match="one observation each"):
         effects_on_deviations(calibration, observations[1:], result, found, found.worst(1))
     silent = reliability(residuals([0.5] * len(observations), std=None))
     with pytest.raises(DataError, match="no standard deviation"):

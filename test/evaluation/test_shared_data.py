@@ -180,7 +180,7 @@ def test_evaluations_of_one_table_do_not_lower_the_uncertainty(tracer):
     fooled = combine(bare).result
     assert fooled.std["ECC"].mean() < 0.75 * best
     assert fooled.verdict == "suspect"  # chi-squared is too small
-    assert "they agree better than independent measurements do" in " ".join(fooled.warnings)
+    assert "they agree better than independent measurements would" in " ".join(fooled.warnings)
     assert set(whole.raw_data.hashes) == {h for r in inputs.values() for h in r.raw_data.hashes}
 
 
@@ -189,7 +189,7 @@ def test_a_combination_does_not_combine_with_what_it_rests_on(tracer):
     other = tracer.solve(tracer.observations(np.random.default_rng(2)))
     pair = [CombinationInput.of(n, r) for n, r in (("a", first), ("b", other))]
     both = combine(pair).result
-    with pytest.raises(DataError, match=r"c and a rest on 288 observations.*288 and 576|same"):
+    with pytest.raises(DataError, match=r"a and c share 288 observations \(of 288 and 576\)"):
         combine([CombinationInput.of("c", both), CombinationInput.of("a", first)])
     third = tracer.solve(tracer.observations(np.random.default_rng(3)))
     combine([CombinationInput.of("c", both), CombinationInput.of("d", third)])

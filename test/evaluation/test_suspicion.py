@@ -102,7 +102,7 @@ def test_clockwise_needs_a_shape_that_fits_clearly_better(straight, mirrored, na
     found = suspicion(
         unit, of_correlation(straight, unit, across), of_correlation(mirrored, unit, other)
     )
-    words = "the curves fit if one is reversed: does its angle count clockwise?"
+    words = "the curves fit if one is reversed: is its angle counted clockwise?"
     assert found == (words if named else None)
 
 

@@ -12,7 +12,7 @@ from rotcal_ros.methods.ball_plate.solver.gathering import WORDS
 def in_the_engine(problem):
     """The dense fit of the engine to the rows one by one; its outputs are the six deviations."""
     design, constraints = model.design_matrix(problem), model.constraint_matrix(problem)
-    free = model.null_space(problem)  # the engine looks whether nothing tells it
+    free = model.null_space(problem)
     to_constraints = np.eye(len(free)) - free @ np.linalg.solve(constraints @ free, constraints)
     to_constraints[np.abs(to_constraints) < 1e-12] = 0.0  # an output feels no rounding
     places = (model.component_places(problem, name) for name in COMPONENTS)
@@ -23,7 +23,6 @@ def in_the_engine(problem):
         equations=linear(design),
         outputs=np.concatenate([to_constraints[own] / length for own, length in places]),
         words=WORDS,
-        free=free,
     )
     require_determined(plate)
     drift = drift_columns(problem.run_time, problem.drift).reshape(len(plate.observed), -1)

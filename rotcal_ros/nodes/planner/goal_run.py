@@ -172,9 +172,9 @@ class GoalRun:
         if error.code == Codes.CANCELED:
             return []
         health = self.watch.links.health
-        told = [text for text in warnings_told(health, OF_MACHINES) if text not in str(error)]
+        beside = [text for text in warnings_told(health, OF_MACHINES) if text not in str(error)]
         clock = health.sim.remark()
-        return told if clock is None else [clock, *told]
+        return beside if clock is None else [clock, *beside]
 
     async def _go_on(self) -> None:
         """Measure what is left, to be joined with what earlier runs recorded."""

@@ -156,7 +156,7 @@ DAMAGE = [
     ("kflop", "2,180.0", "2;180.0", r"x\.txt, row 3: 1 columns, expected 2"),
     ("kflop", "1,89.995000000\n2,180.003000000\n3,269.999000000\n", "", "and at least 3"),
     ("twincat_nc each", "END_VAR", "", "expected exactly VAR_GLOBAL, parameters and a table"),
-    ("twincat_nc each", ")\n    ];", "),\n    ];", "and found more or less than that"),
+    ("twincat_nc each", ")\n    ];", "),\n    ];", "expected exactly VAR_GLOBAL"),
     ("twincat_nc each", "WorkDirectionNegative", "WorkDirectionBoth", "Positive, Both, expect"),
     ("twincat_nc each", "WorkDirectionNegative", "WorkDirectionPositive", "Positive, Positive, e"),
     ("twincat_nc each", "Elements := 5", "Elements := 4", r"C1_Positive: 5 rows, and the param"),

@@ -216,7 +216,7 @@ def test_refusals(arguments, text):
     ("text", "message"),
     [
         ("/**: {ros__parameters: {method: tracer_multistation}}", "'rotcal plan tracer --like'"),
-        ("- 1.2", "expected lines NAME: VALUE"),
+        ("- 1.2", "expected lines of NAME: VALUE"),
         ("need_arcsec: [1.2", "not valid YAML"),
     ],
 )

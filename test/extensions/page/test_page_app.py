@@ -255,7 +255,7 @@ def test_loopback_needs_no_password(host):
 
 
 def test_a_host_that_is_no_address_is_refused():
-    with pytest.raises(ConfigurationError, match="no address"):
+    with pytest.raises(ConfigurationError, match="not an address"):
         PageSettings(host="machine-shop", password_file="somewhere")
 
 

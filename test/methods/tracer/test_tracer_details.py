@@ -64,7 +64,7 @@ def slope_of_bearings(stations, angles):
 def test_details_are_those_of_the_documentation(options):
     _, result = solved(options)
     sizes = {"m": M, "n": N, "m-1": M - 1}
-    assert_documented(result.details, documented("tracer_multistation"), sizes)
+    assert_documented(result.all_details, documented("tracer_multistation"), sizes)
     assert result.details["variant"] == options["variant"]
     assert result.details["datum"] == options.get("datum", "targets")
     assert result.details["station_ids"].tolist() == list(range(M))

@@ -68,7 +68,7 @@ def test_a_recorder_that_is_not_heard_is_waited_for_and_asked_again(clock):
     clock.now_s += 10 * PATIENCE_S
     node.look()
     assert taken == []
-    assert "does not answer" in node.warnings[0]
+    assert "does not say what was measured earlier" in node.warnings[0]
     node.ready = True
     node.look()
     clock.now_s += PATIENCE_S + 0.1  # the first request got lost

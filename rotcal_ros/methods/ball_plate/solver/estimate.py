@@ -156,8 +156,8 @@ class _Bordered(LinearFit):
         return self.plain.unit_std.merged(std, self.parameters)
 
     def unit_covariance(self, first: str, second: str) -> Floats:
-        one, other = self.parameters.component(first), self.parameters.component(second)
-        added: Floats = one @ self.inverse @ other.T
+        left, right = self.parameters.component(first), self.parameters.component(second)
+        added: Floats = left @ self.inverse @ right.T
         return self.plain.unit_covariance(first, second) + added
 
     def cofactor(self) -> Floats:

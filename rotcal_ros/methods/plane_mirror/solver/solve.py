@@ -30,10 +30,10 @@ from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.solver.readings import cones, islands
 from rotcal_ros.methods.plane_mirror.solver.ways import (
     AdjustedCurve,
-    Fit,
     PreparedNormals,
     PreparedPoints,
     PreparedWay,
+    WayFit,
 )
 
 METHOD: Final = "plane_mirror"
@@ -131,7 +131,7 @@ def _with_drift(
         return curve, correction
     fit = curve.fit
     if not len(prepared.nests.row):  # else the nests are in the fit, with what the drift took
-        fit = fit + sum((Fit(s.chi_square, s.dof) for s in drift.stations), Fit())
+        fit = fit + sum((WayFit(s.chi_square, s.dof) for s in drift.stations), WayFit())
     return replace(curve, covariance=curve.covariance + correction.covariance, fit=fit), correction
 
 

@@ -70,16 +70,16 @@ _CERTAIN: Final = 1e-300
 
 
 @dataclass(frozen=True)
-class Fit:
+class WayFit:
     """Chi square and degrees of freedom of what was fitted, and plain values for the result."""
 
     chi_square: float = 0.0
     dof: int = 0
     details: Mapping[str, Any] = field(default_factory=dict)
 
-    def __add__(self, other: Fit) -> Fit:
+    def __add__(self, other: WayFit) -> WayFit:
         """Return both together, which are fitted apart from each other."""
-        return Fit(
+        return WayFit(
             self.chi_square + other.chi_square,
             self.dof + other.dof,
             {**self.details, **other.details},
@@ -92,7 +92,7 @@ class AdjustedCurve:
 
     deviations: Floats
     covariance: Floats
-    fit: Fit
+    fit: WayFit
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +188,7 @@ class PreparedPoints(Prepared):
         return AdjustedCurve(
             deviations=self.joining @ direct_readings(placed, sets),
             covariance=gain @ covariance[: 2 * m, : 2 * m] @ gain.T,
-            fit=Fit(details=details) + circles + nests,
+            fit=WayFit(details=details) + circles + nests,
         )
 
 
@@ -233,7 +233,7 @@ class PreparedNormals(Prepared):
         return AdjustedCurve(
             deviations=gain @ readings,
             covariance=gain @ reading_covariance @ gain.T + tilt_crosstalk(problem, lean, n),
-            fit=Fit(details=details) + groups + about_cones + overlaps + nests,
+            fit=WayFit(details=details) + groups + about_cones + overlaps + nests,
         )
 
     @property
@@ -267,7 +267,7 @@ class PreparedJoint(PreparedNormals):
         # Three equations of each pair and each reading of a nest, less three for the place of a
         # nest, and less three for psi, eps and d of a position, of which eps is observed itself.
         n_known = len(pairs.direct) + len(self.nests.row) - self.nests.n_points
-        fit = Fit(
+        fit = WayFit(
             chi_square=float(equations.chi_square) + groups.chi_square,
             dof=3 * n_known - equations.shared.shape[0] - 2 * n - taken,
             details={
@@ -290,7 +290,7 @@ PreparedWay = PreparedPoints | PreparedNormals
 
 def _circles(
     prepared: PreparedPoints, residuals: Residuals, off_circle: Floats, covariance: Floats
-) -> Fit:
+) -> WayFit:
     """Fit of the points about their circles, radially and axially; enters the residuals.
 
     ``covariance`` (2 M, 2 M): of all radial, then all axial movements, m^2.
@@ -308,26 +308,26 @@ def _circles(
     return _misfit(off_circle.T.ravel(), both, covariance)
 
 
-def _groups(prepared: PreparedNormals, residuals: Residuals) -> tuple[Normals, Fit]:
+def _groups(prepared: PreparedNormals, residuals: Residuals) -> tuple[Normals, WayFit]:
     """Return the normals, and the fit of the pairs about the plane of their group."""
     pairs, weight = prepared.pairs, prepared.pair_weight
     normals = prepared.normals(prepared.problem.xyz)
     _enter_pairs(residuals, prepared, normals)
     e = normals.misclosure
     chi_square = float(np.einsum("pi,pij,pj->", e, weight, e))
-    return normals, Fit(chi_square, 3 * (len(pairs.direct) - pairs.n_groups))
+    return normals, WayFit(chi_square, 3 * (len(pairs.direct) - pairs.n_groups))
 
 
-def _nests(prepared: Prepared, residuals: Residuals) -> Fit:
+def _nests(prepared: Prepared, residuals: Residuals) -> WayFit:
     """Return the fit of the fixed nests, if there are any; enters the residuals."""
     nests, problem = prepared.nests, prepared.problem
     if not len(nests.row):
-        return Fit()
+        return WayFit()
     taken = prepared.drift.size
     fit = nest_fit(problem.xyz, nests, prepared.nest_weight, prepared.poses, taken)
     length = np.linalg.norm(fit.residual, axis=1)
     _enter(residuals, nests.row, length, fit.redundancy, fit.test_value)
-    return Fit(fit.chi_square, fit.dof, {"nests": _nest_entries(prepared, fit)})
+    return WayFit(fit.chi_square, fit.dof, {"nests": _nest_entries(prepared, fit)})
 
 
 def _nest_entries(prepared: Prepared, fit: NestFit) -> list[dict[str, Any]]:
@@ -392,7 +392,7 @@ def _enter_pairs(residuals: Residuals, prepared: PreparedNormals, normals: Norma
         _enter(residuals, rows, length, own, test)
 
 
-def _about_cones(normals: Floats, axes: Floats, sets: Sets, covariance: Floats) -> Fit:
+def _about_cones(normals: Floats, axes: Floats, sets: Sets, covariance: Floats) -> WayFit:
     """Return the fit of normals (G, 3) about their cones; ``covariance`` (G, G): of all eta."""
     # Fewer than three normals have no plane of their own that they could leave.
     known = np.isin(sets.number, np.flatnonzero(np.bincount(sets.number) >= 3))
@@ -402,7 +402,7 @@ def _about_cones(normals: Floats, axes: Floats, sets: Sets, covariance: Floats) 
     return _misfit(values, design, covariance[np.ix_(known, known)])
 
 
-def _misfit(values: Floats, design: Floats, covariance: Floats) -> Fit:
+def _misfit(values: Floats, design: Floats, covariance: Floats) -> WayFit:
     """Return the fit of ``values`` (m,).
 
     ``design`` (m, k) spans what the unweighted fit takes away, ``covariance`` (m, m) is that of
@@ -413,7 +413,7 @@ def _misfit(values: Floats, design: Floats, covariance: Floats) -> Fit:
     rank = int((size > 1e-9 * size.max()).sum())
     rest = basis[:, rank:]  # combinations of the values that the fit leaves alone
     if rest.shape[1] == 0:
-        return Fit()
+        return WayFit()
     part = rest.T @ values
     chi_square = part @ np.linalg.solve(rest.T @ covariance @ rest, part)
-    return Fit(float(chi_square), rest.shape[1])
+    return WayFit(float(chi_square), rest.shape[1])
