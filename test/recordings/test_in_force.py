@@ -77,7 +77,7 @@ def announcing_bag(folder, run, states, axes=("C",)):
         (("none", "none"), "none", ""),
         (("unknown", ONE), ONE, ""),
         ((ONE, OTHER), "unknown", "more than one table was in force"),
-        ((ONE, "yes"), "unknown", "'yes', which is no table"),
+        ((ONE, "yes"), "unknown", "'yes', which is not a table"),
     ],
 )
 def test_what_a_cell_announced_is_read_from_the_bag(
