@@ -110,7 +110,7 @@ def _wrong(code, out, _error):
     assert "nobody obeys /lab/probe_target" in lines["probe", "probe_target"]["found"]
     found = [line["found"] for line in json.loads(out)["lines"] if line["name"] == "table_angle"]
     assert "transient local" in found[0]
-    assert "foreign gives orders on /lab/table_angle, too" in found[1]
+    assert "foreign also gives orders on /lab/table_angle" in found[1]
 
 
 def _astray(code, out, _error):

@@ -122,7 +122,7 @@ def test_a_shifted_plate_is_told_and_given_up_after_three_balls(plate_cell):
     client.wait_for(
         "warning",
         where=lambda event: (
-            "rejected running" in event["text"] and "plate mounted shifted" in event["text"]
+            "rejected in a row" in event["text"] and "plate mounted shifted" in event["text"]
         ),
     )
     outcome = client.result()

@@ -210,4 +210,4 @@ def check_type(role: str, type_name: str) -> None:
     """Raise ConfigurationError unless messages of a type can be used in a role."""
     if type_name != OWN.get(role) and form_of(role, type_name) is None:
         usable = ", ".join([OWN[role], *FORMS[role]])
-        raise ConfigurationError(f"{role}: {type_name} is no message for it; it may be {usable}")
+        raise ConfigurationError(f"{role}: {type_name} cannot be used; expected {usable}")
