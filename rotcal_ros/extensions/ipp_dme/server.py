@@ -578,8 +578,8 @@ SLICE_S: Final = 0.02
 """Wall time between two looks at a motion."""
 SHORTEST_SLEEP_S: Final = 5e-4
 """A sleep is never shorter than a tick of the system's clock: shorter motions do not sleep."""
-TURNS_DEG: Final = 36_000.0
-"""Farthest R, either way."""
+TURNS: Final = 36_000.0 * DEGREE
+"""Farthest R, either way, rad."""
 TOUCH_S: Final = 0.2
 """Machine time of a probing motion, if the instrument's settings have none."""
 
@@ -664,7 +664,7 @@ class SimulatedMachine:
             if not free:
                 raise MethodError(2504, cause)
         if angle is not None:
-            if abs(angle) > TURNS_DEG * DEGREE:
+            if abs(angle) > TURNS:
                 raise MethodError(2505, cause)
             cell.table.order(cell.now_ns, angle, Approach.UNKNOWN)
         rest_ns = max(cell.table.rest_ns, cell.instrument.rest_ns)

@@ -96,7 +96,7 @@ def test_results_of_a_plan_state_what_it_promises(tmp_path, motion, confidence, 
 @pytest.mark.parametrize(
     ("setting", "words"),
     [
-        ((), "as none is stated, the solver estimates it"),
+        ((), "which is not stated, so that the solver estimates it"),
         (("error_motion_std_m=0.0",), "a table without error motion, stated as 0"),
         (("error_motion_std_m=1.0e-7",), "error motion of the table 0.1 um (k = 1)"),
         (
@@ -112,7 +112,7 @@ def test_what_a_promise_assumes_is_printed(setting, words):
     assert "assumed: a length 0.2 um (k = 1, readings and all), a target 1 um" in result.stdout
     assert words in result.stdout
     assert "that results state: with a probability of 50 % at most" in result.stdout
-    assert "% are sound but not called ok, which more lengths would not change" in result.stdout
+    assert "% are sound but not called ok, which more lengths do not change" in result.stdout
 
 
 @pytest.mark.slow
