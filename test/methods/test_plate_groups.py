@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from plate_data import RADIUS, grid_rows, simulated
+from plate_disturbed import drifted, knocked, measured
 
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import ObservabilityError
@@ -165,3 +166,61 @@ def test_a_drift_is_estimated_in_every_group():
     for found in result.details["drift"]:  # the rows of a group do not span quite the whole run
         np.testing.assert_allclose(found["amount"], drift, atol=1.5e-7)
     assert sum("drifts by" in sentence for sentence in result.warnings) == 2
+
+
+ODD = [1, 3, 7, 11, 15, 21]
+"""Ball steps of two groups on a grid of 24, whose frames are turned by 15 and by 30 degrees."""
+
+
+def test_a_drift_is_told_in_the_frame_of_the_machine():
+    amount = np.array([3e-6, 0.0, 1e-6])
+    problem, _ = measured(
+        24, ODD, 3, separate_groups=True, displaced=lambda i, _: drifted(len(i), amount)
+    )
+    drifts = solve(problem).details["drift"]
+    assert len(drifts) == 2
+    for drift in drifts:
+        size = np.linalg.norm(drift["amount"])  # over the time of the group, most of the run
+        assert 0.9 < size / np.linalg.norm(amount) <= 1.0
+        direction = amount / np.linalg.norm(amount)
+        np.testing.assert_allclose(drift["amount"] / size, direction, atol=0.03)
+
+
+def test_a_knock_is_told_in_the_frame_of_the_table_and_by_its_place():
+    shift, moment = np.array([2e-5, 0.0, 0.0]), 61
+    problem, _ = measured(
+        24, ODD, 3, separate_groups=True,
+        displaced=lambda i, j: knocked(24, i, j, moment, shift, np.zeros(3)),
+    )  # fmt: skip
+    result = solve(problem)
+    knocks = [group["knock"] for group in result.details["groups"]]
+    for knock in knocks:
+        np.testing.assert_allclose(knock["shift"], shift, atol=5e-7)
+        assert knock["last_row"] < moment <= knock["first_row"]
+        row = int(np.flatnonzero(problem.rows == knock["first_row"])[0])
+        where = f"ball step {problem.ball_step[row]} at table position {problem.position[row]}"
+        assert any(where in w for w in result.warnings)
+
+
+def test_a_rejected_centre_is_named_as_people_number_it():
+    problem, _ = measured(24, ODD, 3, separate_groups=True)
+    for position in (6, 7):
+        row = int(np.flatnonzero((problem.position == position) & (problem.ball_step == 11))[0])
+        centres = problem.centres.copy()
+        centres[row] += 1e-4
+        (rejected,) = solve(replace(problem, centres=centres)).rejected
+        assert f"ball step 11, table position {position})" in rejected.why
+
+
+def test_a_closure_is_told_by_its_place_in_the_frame_of_the_machine():
+    order = {"order": "interleaved"}
+    problem, _ = measured(24, ODD, 3, order=order, separate_groups=True, noise=0.0)
+    closing = solve(problem).details["closure"]
+    places = {c["position"] for c in closing}
+    stops = problem.position[np.argsort(problem.rows)]
+    assert places == {int(stops[-1])}
+    moved = problem.centres.copy()
+    again = np.argsort(problem.rows)[-len(ODD) :]
+    moved[again] += (0.0, 4e-6, 0.0)
+    (closure,) = solve(replace(problem, centres=moved)).details["closure"]
+    np.testing.assert_allclose(closure["shift"], (0.0, 4e-6, 0.0), atol=1e-9)

@@ -171,9 +171,7 @@ def _counted(
     return replace(before, counts=tuple(found))
 
 
-def left_out(
-    gathering: Gathering, problem: BallPlateProblem
-) -> tuple[Gathering, dict[int, str]] | None:
+def left_out(gathering: Gathering) -> tuple[Gathering, dict[int, str]] | None:
     """Return what is proved to be wrong together, and why by its rows; None: nothing is."""
     found = gathering.judgement
     if found is None or not found.proved(SIGNIFICANCE):
@@ -186,8 +184,7 @@ def left_out(
         f"one of {len(rows)} centres of {case.group.name} that are off together, by "
         f"{WORDS.size(case.size)} (x, y, z)"
     )
-    found_why = {int(r): f"{problem.row_name(r)}: {why}" for r in rows}
-    return replace(gathering, blamed=(*gathering.blamed, case)), found_why
+    return replace(gathering, blamed=(*gathering.blamed, case)), dict.fromkeys(rows.tolist(), why)
 
 
 def suspected(gathering: Gathering) -> Ints:

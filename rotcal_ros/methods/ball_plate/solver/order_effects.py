@@ -11,7 +11,7 @@ motion finds what is too small for it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
 
@@ -219,6 +219,11 @@ class DriftTest:
     p_value: float
     estimated: bool
 
+    def turned(self, rotation: Floats) -> DriftTest:
+        """Return the same in another frame, to which ``rotation`` (3, 3) takes vectors."""
+        std = np.sqrt(rotation**2 @ self.std**2)
+        return replace(self, amount=rotation @ self.amount, std=std)
+
     @property
     def significant(self) -> bool:
         """Whether there is a drift."""
@@ -247,6 +252,10 @@ class MotionTest:
     shift: Floats
     rotation: Floats
     p_value: float
+
+    def turned(self, rotation: Floats) -> MotionTest:
+        """Return the same in another frame, to which ``rotation`` (3, 3) takes vectors."""
+        return replace(self, shift=rotation @ self.shift, rotation=rotation @ self.rotation)
 
     @property
     def significant(self) -> bool:
@@ -368,6 +377,17 @@ class Knock:
     rotation: Floats
     gain: float
     scatter: float
+
+    def in_whole(self, whole: BallPlateProblem, rotation: Floats) -> Knock:
+        """Return the same in the numbers of ``whole``, in the frame that ``rotation`` leads to."""
+        at = int(np.flatnonzero(whole.rows == self.first)[0])
+        return replace(
+            self,
+            ball_step=int(whole.ball_step[at]),
+            position=int(whole.position[at]),
+            shift=rotation @ self.shift,
+            rotation=rotation @ self.rotation,
+        )
 
     def sentence(self) -> str:
         """Say in words what happened and when."""

@@ -92,7 +92,7 @@ def fit_and_reject(problem: BallPlateProblem, named: BallPlateProblem | None = N
     whole, rejected, poor = named or problem, list[Rejection](), list[Rejection]()
     gathering = Gathering()
     while True:
-        problem, open_ = _without_poor_positions(problem)
+        problem, open_ = _without_poor_positions(problem, whole)
         poor += open_
         linear, solution = _solve(problem)
         if solution.dof < 1:
@@ -112,7 +112,10 @@ def fit_and_reject(problem: BallPlateProblem, named: BallPlateProblem | None = N
             gathering, why = _next(gathering, problem, solution, test)
         if not why:
             return Fitted(problem, linear, solution, test, (*rejected, *poor), knock, gathering)
-        rejected += [Rejection(int(problem.rows[r]), text) for r, text in why.items()]
+        rejected += [
+            Rejection(int(problem.rows[r]), f"{_name(problem, whole, r)}: {text}")
+            for r, text in why.items()
+        ]
         _check_share(len(rejected), whole, rejected[0])
         problem = problem.take(np.setdiff1d(np.arange(len(problem.centres)), list(why)))
 
@@ -121,7 +124,7 @@ def _next(
     gathering: Gathering, problem: BallPlateProblem, solution: Solution, test: CentreTest
 ) -> tuple[Gathering, dict[int, str]]:
     """Return which rows to leave out next, with the reason, and what is known to gather then."""
-    together = left_out(gathering, problem) if len(gathering.blamed) < MOST_PLACES else None
+    together = left_out(gathering) if len(gathering.blamed) < MOST_PLACES else None
     if together is not None:
         return together
     bad, kept = choose(problem, test), suspected(gathering)
@@ -129,11 +132,18 @@ def _next(
         # The centre that fits worst is often a good one among several that are displaced.
         bad = np.setdiff1d(bad, kept)
         gathering = replace(gathering, contested=True)
-    why = {int(r): _reason(problem, solution.residuals[r], test, int(r)) for r in bad}
+    why = {int(r): _reason(solution.residuals[r], test, int(r)) for r in bad}
     return gathering, why
 
 
-def _without_poor_positions(problem: BallPlateProblem) -> tuple[BallPlateProblem, list[Rejection]]:
+def _name(problem: BallPlateProblem, whole: BallPlateProblem, r: int) -> str:
+    """Return what people call a row of ``problem``: its place among ``whole`` rows."""
+    return whole.row_name(int(np.flatnonzero(whole.rows == problem.rows[r])[0]))
+
+
+def _without_poor_positions(
+    problem: BallPlateProblem, whole: BallPlateProblem
+) -> tuple[BallPlateProblem, list[Rejection]]:
     """Leave out the table positions with fewer than three balls: their six errors are open.
 
     Their balls connect nothing, so the others lose nothing. Raises ObservabilityError that names
@@ -147,10 +157,10 @@ def _without_poor_positions(problem: BallPlateProblem) -> tuple[BallPlateProblem
     rejected = [
         Rejection(
             int(problem.rows[r]),
-            f"{problem.row_name(r)}: only {count[problem.position[r]]} balls are left at this "
-            "table position, which leaves its six errors open: the angle is left out",
+            f"{_name(problem, whole, r)}: only {count[problem.position[r]]} balls are left at "
+            "this table position, which leaves its six errors open: the angle is left out",
         )
-        for r in np.flatnonzero(away)
+        for r in np.flatnonzero(away).tolist()
     ]
     return (problem.take(~away) if rejected else problem), rejected
 
@@ -174,12 +184,12 @@ def _solve(problem: BallPlateProblem) -> tuple[LinearFit, Solution]:
         raise
 
 
-def _reason(problem: BallPlateProblem, residual: Floats, test: CentreTest, r: int) -> str:
+def _reason(residual: Floats, test: CentreTest, r: int) -> str:
     """Say why a row is rejected; ``residual`` (3,), m."""
     size = float(np.linalg.norm(residual)) / MICROMETRE
     return (
-        f"{problem.row_name(r)}: residual {size:.3g} um, normalised {test.value[r]:.1f} where "
-        f"{test.critical[r]:.1f} is the limit"
+        f"residual {size:.3g} um, normalised {test.value[r]:.1f} where {test.critical[r]:.1f} is "
+        "the limit"
     )
 
 

@@ -15,7 +15,7 @@ have one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
 
@@ -67,6 +67,16 @@ class PlateClosure:
     p_value: float
     n_balls: int
     n_gross: int
+
+    def turned(self, rotation: Floats) -> PlateClosure:
+        """Return the same in another frame, to which ``rotation`` (3, 3) takes vectors."""
+        return replace(
+            self,
+            shift=rotation @ self.shift,
+            shift_std=np.sqrt(rotation**2 @ self.shift_std**2),
+            rotation=rotation @ self.rotation,
+            rotation_std=np.sqrt(rotation**2 @ self.rotation_std**2),
+        )
 
     @property
     def closed(self) -> bool:
@@ -235,6 +245,17 @@ class Repeatability:
     smallest: Floats
     added: Floats
     n_stops: int
+
+    def turned(self, rotation: Floats) -> Repeatability:
+        """Return the same in another frame, to which ``rotation`` (3, 3) takes vectors."""
+        square = np.kron(np.eye(2), rotation**2)
+        return replace(
+            self,
+            std=np.sqrt(square @ self.std**2),
+            significant=square @ self.significant > 0.0,
+            smallest=np.sqrt(square @ self.smallest**2),
+            added=square @ self.added,
+        )
 
     @property
     def significant_std(self) -> Floats:

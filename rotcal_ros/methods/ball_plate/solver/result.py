@@ -33,6 +33,7 @@ from rotcal_ros.methods.ball_plate.solver.model import least_variance, of_compon
 from rotcal_ros.methods.ball_plate.solver.noise import CentreNoise
 from rotcal_ros.methods.ball_plate.solver.order_effects import (
     DriftTest,
+    Knock,
     MotionTest,
     OrderEffects,
     drift_error,
@@ -94,7 +95,7 @@ def result_of(solution: PlateSolution) -> Result:
     place enlarge the covariance.
     """
     problem, noise, rejected = solution.problem, solution.noise, solution.rejected
-    found = [_findings(group, fit, noise) for group, fit in solution.parts]
+    found = [_findings(group, fit, noise, solution.whole) for group, fit in solution.parts]
     added, vectors = _added(solution, found), _residual_vectors(solution)
     covariance = {}
     if problem.bidirectional or problem.grid <= COVARIANCE_LIMIT:
@@ -124,18 +125,22 @@ def result_of(solution: PlateSolution) -> Result:
 class Findings:
     """What the tests in the order of measurement found in one group of table positions.
 
-    ``effects`` are what drift and knocks do in this order. Drift, motion of the plate and
-    repeatability (``scatter``) are None where they cannot be told.
+    ``effects`` are what drift and knocks do in this order, in the frame of the group; all else is
+    told in the frame and the numbers of the whole. Knock, drift, motion of the plate and
+    repeatability (``scatter``) are None where there is none, or they cannot be told.
     """
 
     effects: OrderEffects
+    knock: Knock | None
     drift: DriftTest | None
     motion: MotionTest | None
     scatter: Repeatability | None
     closures: tuple[PlateClosure, ...]
 
 
-def _findings(group: PositionGroup, fit: Fitted, noise: CentreNoise) -> Findings:
+def _findings(
+    group: PositionGroup, fit: Fitted, noise: CentreNoise, whole: BallPlateProblem
+) -> Findings:
     """Run all tests of a group; where a knock is found already, there is no second search."""
     problem, solution = fit.problem, fit.solution
     effects, scatter = order_effects(problem, group.closing), _scatter(fit)
@@ -155,12 +160,16 @@ def _findings(group: PositionGroup, fit: Fitted, noise: CentreNoise) -> Findings
             solution.drift,
             lengths,
         )
+    fixed, on_table = rotation_about_z(group.turn), rotation_about_z(group.on_table)
+    drift = find_drift(problem, solution, effects)
+    motion = find_motion(problem, solution, effects) if fit.knock is None else None
     return Findings(
         effects,
-        find_drift(problem, solution, effects),
-        find_motion(problem, solution, effects) if fit.knock is None else None,
-        scatter,
-        closed,
+        None if fit.knock is None else fit.knock.in_whole(whole, on_table),
+        None if drift is None else drift.turned(fixed),
+        None if motion is None else motion.turned(on_table),
+        None if scatter is None else scatter.turned(fixed),
+        tuple(replace(c.turned(fixed), position=int(group.positions[c.position])) for c in closed),
     )
 
 
@@ -193,9 +202,9 @@ def _warnings(solution: PlateSolution, found: Sequence[Findings]) -> list[str]:
             f"The offset between {groups_in_words(len(solution.parts))} is not measured: each "
             "group has its own zero"
         )
-    for _, fit in solution.parts:
-        if fit.knock is not None:
-            warnings.append(fit.knock.sentence())
+    for (_, fit), mine in zip(solution.parts, found, strict=True):
+        if mine.knock is not None:
+            warnings.append(mine.knock.sentence())
         weak = separability(fit.problem.grid, fit.problem.balls).sentences()
         warnings += [sentence for sentence in weak if sentence not in warnings]
     warnings += noise.sentences(own_std=solution.problem.std is not None)
@@ -300,7 +309,10 @@ def _details(
             "p_value": noise.p_value,
             "passed": not noise.contradicts,
         },
-        "groups": [_group_details(group, fit, noise.scale) for group, fit in solution.parts],
+        "groups": [
+            _group_details(*part, mine.knock, noise.scale)
+            for part, mine in zip(solution.parts, found, strict=True)
+        ],
         "residual_rows": {
             "row": whole.rows[order],
             "cmm_index": whole.cmm_index[order],
@@ -311,7 +323,9 @@ def _details(
     }
 
 
-def _group_details(group: PositionGroup, fit: Fitted, scale: Floats) -> dict[str, Any]:
+def _group_details(
+    group: PositionGroup, fit: Fitted, knock: Knock | None, scale: Floats
+) -> dict[str, Any]:
     problem, solution = fit.problem, fit.solution
     names = {
         "plate": "plate_errors",
@@ -330,12 +344,12 @@ def _group_details(group: PositionGroup, fit: Fitted, scale: Floats) -> dict[str
     for field, name in names.items():
         details[name] = getattr(solution.estimate, field)
         details[f"{name}_std"] = getattr(std, field)
-    if fit.knock is not None:
+    if knock is not None:
         details["knock"] = {
-            "last_row": fit.knock.last,
-            "first_row": fit.knock.first,
-            "shift": fit.knock.shift,
-            "rotation": fit.knock.rotation,
+            "last_row": knock.last,
+            "first_row": knock.first,
+            "shift": knock.shift,
+            "rotation": knock.rotation,
         }
     return details
 

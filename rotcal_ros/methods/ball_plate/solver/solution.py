@@ -40,12 +40,14 @@ PAIRS = (("EXC", "EYC"), ("EAC", "EBC"))
 class PositionGroup:
     """One group: the table positions (M,) of the whole grid, and the problem of the group.
 
-    The problem lives on the group's own grid, in a frame turned by ``turn`` radians about z.
+    The problem lives on the group's own grid, in a frame turned by ``turn`` radians about z; on
+    the table, at the group's position 0, its frame is turned by ``on_table`` radians.
     ``closing`` are rows measured again at the end, which the fit does without.
     """
 
     positions: Ints
     turn: float
+    on_table: float
     problem: BallPlateProblem
     closing: BallPlateProblem | None = None
 
@@ -138,7 +140,7 @@ def adjust(problem: BallPlateProblem) -> PlateSolution:
 
 def _fitted(whole: BallPlateProblem, closing: BallPlateProblem | None) -> tuple[SolvedGroup, ...]:
     """Cut a problem into its groups, if it has any, and fit each."""
-    alone = PositionGroup(np.arange(whole.n_positions), 0.0, whole, closing)
+    alone = PositionGroup(np.arange(whole.n_positions), 0.0, 0.0, whole, closing)
     groups = split(whole, closing) if whole.separate_groups else (alone,)
     named = (whole.take(np.isin(whole.rows, group.problem.rows)) for group in groups)
     return tuple(
@@ -219,7 +221,7 @@ def _group(
     )
     own = np.arange(group_problem.n_positions)
     positions = position_of(first + count * grid_step(own, grid), own < grid, problem.grid)
-    return PositionGroup(positions, turn, group_problem)
+    return PositionGroup(positions, turn, float(problem.angles[start]), group_problem)
 
 
 def turned_back(group: PositionGroup, vectors: Floats) -> Floats:
