@@ -42,6 +42,8 @@ _LEAST_ROW: Final = 16
 """Least bytes of a row of messages."""
 _NEEDED: Final = {"topics": ("id", "name", "type"), "messages": ("topic_id", "timestamp", "data")}
 _UNKNOWN: Final = "(unknown topic)"
+_UNNAMED: Final = "/unknown_topic_"
+_NO_TYPE: Final = "unknown/msg/Unknown"
 _LEFT_BESIDE: Final = ("-wal", "-journal")
 """Endings of the files in which sqlite3 has changes that are not in the database yet."""
 _MAX_FAULTS: Final = 20
@@ -325,7 +327,9 @@ class SqliteScan(Scan):
     def _batches(self, database: Database) -> Iterator[Block]:
         batch: list[tuple[int, int, bytes]] = []
         size, room = 0, 4 * self._plain_size + LARGEST_MESSAGE
-        for topic_id, time_ns, data, length in database.select("messages", _MESSAGE, "timestamp"):
+        odd = not self._damages and database.connection.execute(_ODD_TIMES).fetchone() is not None
+        by = "CAST(timestamp AS INTEGER)" if odd else "timestamp"
+        for topic_id, time_ns, data, length in database.select("messages", _MESSAGE, by):
             if (message := self._message(topic_id, time_ns, data, length)) is None:
                 continue
             batch.append(message)
@@ -346,10 +350,14 @@ class SqliteScan(Scan):
     ) -> tuple[int, int, bytes] | None:
         """Return channel, log time and message of a row; count what is wrong with it."""
         number = self._numbers.get(topic_id) if isinstance(topic_id, int) else None
+        if number is None and isinstance(topic_id, int):
+            number = self._unnamed_channel(topic_id)
         if number is None:
             self._oddities["messages of no topic"] += 1
             self._unreadable += 1
             return None
+        if not isinstance(time_ns, int) and (time_ns := _whole(time_ns)) is not None:
+            self._oddities["messages whose time is a text or a fraction, read as a whole one"] += 1
         if not isinstance(time_ns, int) or not isinstance(data, bytes):
             large = size and not isinstance(data, bytes)
             what = "whose size is out of range" if large else "without content or time"
@@ -359,6 +367,17 @@ class SqliteScan(Scan):
         if time_ns < 0:
             self._oddities["messages with a time before 1970, read as 1970"] += 1
         return number, max(0, time_ns), data
+
+    def _unnamed_channel(self, topic_id: int) -> int | None:
+        """Return a new channel for a topic whose row is missing; None when there are too many."""
+        number = len(self.channels)
+        if number >= _MAX_CHANNELS:
+            return None
+        self._numbers[topic_id] = number
+        name = f"{_UNNAMED}{topic_id}".replace("-", "minus_")
+        self.channels[number] = ChannelDefinition(number, name, _NO_TYPE, "", "")
+        self._oddities["topics without name and type; their messages are kept as they are"] += 1
+        return number
 
     def _plain(self, block: Block) -> Iterator[Block]:
         """Count and yield the messages of ``block`` as they were published."""
@@ -384,6 +403,19 @@ _MESSAGE: Final = (
     "topic_id", "timestamp", f"CASE WHEN length(data) <= {LARGEST_MESSAGE} THEN data END",
     "length(data)",
 )  # fmt: skip
+_ODD_TIMES: Final = "SELECT 1 FROM messages WHERE typeof(timestamp) != 'integer' LIMIT 1"
+_TIME: Final = re.compile(rb"\s*([+-]?[0-9]{1,19})(\.[0-9]*)?([eE][+-]?[0-9]{1,3})?\s*")
+_LARGEST_TIME: Final = float(1 << 62)
+
+
+def _whole(time_ns: object) -> int | None:
+    """Return a time that is stored as a text or a fraction as a whole number; None for others."""
+    found = _TIME.fullmatch(time_ns) if isinstance(time_ns, bytes) else None
+    if found is not None:  # a double does not hold all digits of a time of today
+        time_ns = float(found[0]) if found[3] else int(found[1])
+    if isinstance(time_ns, float | int) and abs(time_ns) < _LARGEST_TIME:
+        return int(time_ns)
+    return None
 
 
 def _block(batch: list[tuple[int, int, bytes]]) -> Block:

@@ -73,7 +73,7 @@ def assert_close(found, stored, place=""):
         assert len(found["sha256"]) == len(stored["sha256"]), place
         return
     if isinstance(stored, dict):
-        assert found.keys() == stored.keys(), place
+        assert list(found) == list(stored), place
         for key, value in stored.items():
             assert_close(found[key], value, f"{place}.{key}")
     elif isinstance(stored, list):

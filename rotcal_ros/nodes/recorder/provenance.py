@@ -120,9 +120,8 @@ async def _parameters_of(node: Node, remote: str) -> dict[str, Any] | None:
         if len(values) == len(wanted):
             return dict(zip(wanted, map(_value, values), strict=True))
         found: dict[str, Any] = {}
-        for (
-            name
-        ) in wanted:  # asked for several, a node answers with none if one of them has no value
+        # Asked for several, a node answers with none if one of them has no value.
+        for name in wanted:
             answer = await _ask(getter, GetParameters.Request(names=[name]))
             if answer is not None and answer.values:
                 found[name] = _value(answer.values[0])
