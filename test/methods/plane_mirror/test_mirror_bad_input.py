@@ -37,6 +37,35 @@ def without(problem, gone):
     return replace(problem, **columns)
 
 
+def test_direct_and_mirrored_exchanged():
+    problem = simulated()
+    d, m = (rows_of(problem, position=4, station=1, kind=kind)[0] for kind in (DIRECT, MIRRORED))
+    bad = with_points(problem, {d: problem.xyz[m], m: problem.xyz[d]})
+    with pytest.raises(DataError, match=r"position 4 \(90 deg\), tracker station 1.*exchange"):
+        solve(bad)
+
+
+def test_same_point_measured_twice():
+    problem = simulated()
+    d, m = (rows_of(problem, position=4, station=1, kind=kind)[0] for kind in (DIRECT, MIRRORED))
+    again = with_points(problem, {m: problem.xyz[d] + 3e-6})
+    with pytest.raises(DataError, match=r"position 4.*the same point was measured twice"):
+        solve(again)
+    with pytest.raises(DataError, match=rf"row {m} .*row {d} .*same point to the last digit"):
+        with_points(problem, {m: problem.xyz[d]})
+
+
+def test_nests_exchanged_or_measured_on_the_same_place():
+    problem = simulated("joint")
+    a, b = (rows_of(problem, kind=NEST, nest=k, station=4)[0] for k in (2, 5))
+    swapped = with_points(problem, {a: problem.xyz[b], b: problem.xyz[a]})
+    with pytest.raises(DataError, match="nests 2 and 5 are exchanged at tracker station 4"):
+        solve(swapped)
+    same = with_points(problem, {a: problem.xyz[b] + 2e-5})
+    with pytest.raises(DataError, match=r"station 4 nests 2 and 5 are .* mm apart.*wrong nest"):
+        solve(same)
+
+
 def test_reflector_on_the_wrong_mirror_nest():
     """One reflector: its normal is degrees off. Two: they show different planes."""
     problem = simulated()
