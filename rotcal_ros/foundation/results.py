@@ -34,7 +34,8 @@ FILE_NAMES: Final = {"table_position": "table_index", "angles": "angles_rad"}
 """Names that files use for something, where they differ from ours."""
 RUNS: Final = "runs"
 BUDGET: Final = "budget"
-"""Where a file has the repeated runs and the budget: among the details."""
+ERROR_MOTION: Final = "error_motion"
+"""Where a file has the repeated runs, the budget and the error motion: among the details."""
 
 Verdict = Literal["ok", "suspect", "failed"]
 COUNTS_FROM: Final = (
@@ -89,6 +90,63 @@ class RepeatedRuns:
     forward: Floats | None
     reverse: Floats | None
     repeatability_std: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorMotion:
+    """Standard deviations of the table's error motion per direction in the plane, m.
+
+    ``stated``: None when nothing was stated. ``likely``: the most likely one, from the circle's
+    ``dof`` free residuals, ``allowed``: the one that covers what these leave open, ``used``: what
+    the covariance holds.
+    """
+
+    stated: float | None
+    likely: float
+    allowed: float
+    dof: int
+    used: float
+
+    @property
+    def estimated(self) -> bool:
+        """Whether the circle, not the statement, tells what is used."""
+        return self.stated is None or self.used > self.stated
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Placement:
+    """Where a solution has the table's axis and the instrument in the machine frame.
+
+    ``point`` (3,) m lies on the axis, ``direction`` (3,) is its unit vector, upwards.
+    ``stations`` (m, 3) m are the places of an instrument that rides on the table, at the
+    ``positions`` (m,) of the plan; none for a method that does not look for them.
+    """
+
+    point: Floats
+    direction: Floats
+    positions: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    stations: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+
+    @classmethod
+    def upwards(cls, point: Floats, direction: Floats, *stations: Any) -> Placement:
+        """Return the placement with a ``direction`` of any length and sense, turned upwards."""
+        unit = direction / np.linalg.norm(direction)
+        return cls(point, unit if unit[2] >= 0.0 else -unit, *stations)
+
+    def __post_init__(self) -> None:
+        """Raise DataError for shapes that do not fit, and for a direction that is no unit."""
+        rows = len(self.positions)
+        shapes = {"point": (3,), "direction": (3,), "positions": (rows,), "stations": (rows, 3)}
+        for name, wanted in shapes.items():
+            found = np.shape(getattr(self, name))
+            if found != wanted:
+                raise DataError(f"placement.{name} has shape {found}, expected {wanted}")
+        if not np.isclose(np.linalg.norm(self.direction), 1.0):
+            raise DataError("placement.direction: expected a unit vector")
+
+    def distance(self, place: Floats) -> float:
+        """Return how far (m) a ``place`` (3,) is from the axis."""
+        return float(np.linalg.norm(np.cross(place - self.point, self.direction)))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -205,6 +263,7 @@ class Result:
     say what the deviations count from, and which offsets are open. ``raw_data``: the observations
     that it rests on, so that they are not counted twice. ``budget`` splits the uncertainty of ECC:
     standard uncertainties (n,) by source, which add in squares; empty if only the whole is known.
+    ``placement`` and ``error_motion`` are None for a method that does not find them.
 
     >>> import rotcal_ros as rc
     >>> result = rc.read_result("examples/data/result_ball_plate.json")
@@ -235,6 +294,8 @@ class Result:
     zeros: Zeros = field(default_factory=Zeros)
     raw_data: RawData = field(default_factory=RawData)
     budget: Mapping[str, Floats] = field(default_factory=dict)
+    placement: Placement | None = None
+    error_motion: ErrorMotion | None = None
 
     @property
     def simulated(self) -> bool:
@@ -280,12 +341,16 @@ class Result:
 
     @property
     def all_details(self) -> Mapping[str, Any]:
-        """The details with budget and repeated runs among them, as a file has them."""
-        details = {**self.details, BUDGET: self.budget} if self.budget else self.details
-        if self.runs is None:
-            return details
-        runs = {name: value for name, value in asdict(self.runs).items() if value is not None}
-        return {**details, RUNS: runs}
+        """The details with budget, error motion and repeated runs among them, as in a file."""
+        details = dict(self.details)
+        if self.budget:
+            details[BUDGET] = self.budget
+        if self.error_motion is not None:
+            details[ERROR_MOTION] = asdict(self.error_motion)
+        if self.runs is not None:
+            runs = asdict(self.runs).items()
+            details[RUNS] = {name: value for name, value in runs if value is not None}
+        return details
 
     def __post_init__(self) -> None:
         """Refuse deviations and uncertainties that are not one number per angle.
@@ -325,6 +390,8 @@ class Result:
                 name: {FILE_NAMES.get(key, key): v for key, v in plain_fields(both).items()}
                 for name, both in self.directions.items()
             }
+        if self.placement is not None:
+            data["placement"] = plain_fields(self.placement)
         if self.zeros.counts_from != UNKNOWN:
             data["zeros"] = plain_fields(self.zeros) | {
                 "free": [plain_fields(direction) for direction in self.zeros.free]
@@ -463,7 +530,8 @@ def _result(data: Mapping[str, Any]) -> Result:
     angles = _column(data["angles_rad"], "angles_rad")
     n, runs = len(angles), _runs(plain.details.get(RUNS))
     budget = _budget(plain.details.get(BUDGET), n)
-    typed = {RUNS: runs, BUDGET: budget}
+    error_motion = _error_motion(plain.details.get(ERROR_MOTION))
+    typed = {RUNS: runs, BUDGET: budget, ERROR_MOTION: error_motion}
     deviations = _columns(data["deviations"], "deviations", (n,))
     std = _columns(data["std"], "std", (n,))
     if n == 0 or not std.keys() >= deviations.keys():
@@ -489,6 +557,8 @@ def _result(data: Mapping[str, Any]) -> Result:
         details={name: value for name, value in plain.details.items() if not typed.get(name)},
         runs=runs,
         budget=budget,
+        placement=None if data.get("placement") is None else _placement(data["placement"]),
+        error_motion=error_motion,
         directions=_directions(data.get("directions", {})),
         measured_on=check_in_force(plain.measured_on),
         circumstances=Circumstances.from_dict(data["circumstances"]),
@@ -527,6 +597,23 @@ def _budget(data: Any, n: int) -> dict[str, Floats]:
     if not isinstance(data, Mapping) or any(np.shape(share) != (n,) for share in data.values()):
         return {}
     return {source: _floats(share, f"budget.{source}") for source, share in data.items()}
+
+
+def _error_motion(data: Any) -> ErrorMotion | None:
+    """Return the error motion; None if the details have something else of that name."""
+    names = {field.name for field in fields(ErrorMotion)}
+    if not isinstance(data, Mapping) or data.keys() != names:
+        return None
+    return record(ErrorMotion, dict(data), f"details.{ERROR_MOTION}")
+
+
+def _placement(data: Mapping[str, Any]) -> Placement:
+    return Placement(
+        _column(data["point"], "placement.point"),
+        _column(data["direction"], "placement.direction"),
+        np.asarray(data["positions"], dtype=np.int64),
+        _floats(data["stations"], "placement.stations").reshape(-1, 3),
+    )
 
 
 def _side(values: Any, targets: int, name: str) -> Floats | None:

@@ -8,7 +8,14 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.results import Directions, Rejection, Residuals, Result
+from rotcal_ros.foundation.results import (
+    Directions,
+    ErrorMotion,
+    Placement,
+    Rejection,
+    Residuals,
+    Result,
+)
 
 finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
 
@@ -48,6 +55,40 @@ def test_json_keeps_every_bit(values: np.ndarray) -> None:
     assert again.to_json() == original.to_json()
     assert again.residuals is not None
     np.testing.assert_array_equal(again.residuals.used, [True, False, True, True])
+
+
+def test_what_a_method_finds_of_axis_and_error_motion_is_kept() -> None:
+    placement = Placement.upwards(
+        np.array([0.1, 0.2, 0.3]), np.array([0.3, 0.0, -3.0]), np.array([0, 2]), np.eye(3)[:2]
+    )
+    motion = ErrorMotion(None, 1e-7, 2e-7, 5, 3e-7)
+    known = replace(result(np.array([0.0, 1.0])), placement=placement, error_motion=motion)
+    written = known.to_json()
+    again = Result.from_dict(json.loads(written))
+    assert again.to_json() == written
+    assert again.error_motion == motion and "error_motion" not in again.details
+    assert again.placement is not None
+    np.testing.assert_allclose(again.placement.direction, [-0.0995037, 0.0, 0.9950372], atol=1e-7)
+    np.testing.assert_array_equal(again.placement.stations, placement.stations)
+    # The axis leans away from x: a point on x at height 0.3 is nearer by the cosine.
+    assert again.placement.distance(np.array([1.1, 0.2, 0.3])) == pytest.approx(0.9950372)
+
+
+@pytest.mark.parametrize(
+    ("entry", "value", "words"),
+    [
+        ("point", [0.0, 1.0], "placement.point has shape"),
+        ("direction", [0.0, 0.0, 2.0], "unit vector"),
+        ("stations", [[0.0, 1.0, 2.0]], "placement.stations has shape"),
+        ("positions", ["first"], "damaged rotcal result"),
+    ],
+)
+def test_a_damaged_placement_is_refused(entry: str, value: object, words: str) -> None:
+    placement = Placement(np.zeros(3), np.array([0.0, 0.0, 1.0]))
+    data = replace(result(np.array([0.0, 1.0])), placement=placement).to_dict()
+    data["placement"][entry] = value
+    with pytest.raises(DataError, match=words):
+        Result.from_dict(data)
 
 
 def test_form_follows_the_published_schema() -> None:

@@ -82,8 +82,8 @@ def in_place(reduced: ReducedWindow, step: Step, settings: CaptureSettings) -> R
 
 def _doubt(
     points: Floats, spheres: Spheres, step: Step, tip_radius: float, settings: CaptureSettings
-) -> str:
-    """Say what speaks against a fitted ball; empty: nothing."""
+) -> str | None:
+    """Say what speaks against a fitted ball, if anything does."""
     radius = 0.5 * step.ball_diameter
     free = fit_spheres(points, radius=None, tip_radius=tip_radius, used=spheres.used, reject=False)
     found, doubt = float(free.radii[0]), _DOUBT * float(free.radius_std[0])
@@ -111,4 +111,4 @@ def _doubt(
             f"form deviation {form / MICROMETRE:.3g} um of the touch points, allowed "
             f"{settings.max_form_m / MICROMETRE:g} um: dirt, or something moved"
         )
-    return ""
+    return None

@@ -53,8 +53,8 @@ def trials(
     prepared, arrivals = plane_mirror.mirror_trials(problem), _arrivals(configuration)
     if arrivals is None:
         return prepared
-    result = plane_mirror.solve(problem)
-    return RepeatedTrials.of(prepared, result, arrivals.take(result.details["table_positions"]))
+    result, positions = plane_mirror.solved(problem)
+    return RepeatedTrials.of(prepared, result, arrivals.take(positions))
 
 
 def _arrivals(configuration: Configuration) -> Arrivals | None:
@@ -118,24 +118,23 @@ def _solve_ways(
     problem: PlaneMirrorProblem, details: dict[str, Any], arrivals: Arrivals | None
 ) -> Result:
     """Solve the chosen way; the other ways of the same points go into the details."""
-    result = _mean(plane_mirror.solve(problem), arrivals)
+    result = _mean(problem, arrivals)
     others = [way for way in WAYS if DIRECT not in (way, problem.way) and way != problem.way]
     if others:
         details = {**details, "ways": [_other_way(problem, way, arrivals) for way in others]}
     return replace(result, details={**result.details, **details})
 
 
-def _mean(result: Result, arrivals: Arrivals | None) -> Result:
+def _mean(problem: PlaneMirrorProblem, arrivals: Arrivals | None) -> Result:
     """Return the result over the distinct angles, where both directions were measured."""
-    if arrivals is None:
-        return result
-    return mean_of_runs(result, arrivals.take(result.details["table_positions"]))
+    result, positions = plane_mirror.solved(problem)
+    return result if arrivals is None else mean_of_runs(result, arrivals.take(positions))
 
 
 def _other_way(problem: PlaneMirrorProblem, way: Way, arrivals: Arrivals | None) -> dict[str, Any]:
     """Return the curve of another way, or why there is none."""
     try:
-        result = _mean(plane_mirror.solve(replace(problem, way=way)), arrivals)
+        result = _mean(replace(problem, way=way), arrivals)
     except DataError as error:
         return {"way": way, "why_not": str(error)}
     return {
@@ -189,7 +188,7 @@ class TrackerCheck:
         """Return the observation, rejected when it cannot be."""
         if not observation.accepted:
             return observation
-        reason = ""
+        reason = None
         key = (observation.station, observation.table_position, observation.target)
         if observation.kind == PointKind.DIRECT:
             self._direct[key] = observation.mean
@@ -199,7 +198,8 @@ class TrackerCheck:
             reason = self._on_another_nest(observation)
         return replace(observation, accepted=False, reason=reason) if reason else observation
 
-    def _on_another_nest(self, observation: Observation) -> str:
+    def _on_another_nest(self, observation: Observation) -> str | None:
+        """Say on which nest the reflector stands, if it is not the one that was asked for."""
         nests = self._nests.setdefault(observation.station, {})
         for number, place in nests.items():
             apart = dist(place, observation.mean)
@@ -209,4 +209,4 @@ class TrackerCheck:
                     f"{number} was measured: reflector on the wrong nest"
                 )
         nests[observation.target] = observation.mean
-        return ""
+        return None

@@ -111,10 +111,10 @@ def stated(
         result = Calibration(configuration, plan).solve(observations)
     except RotcalError as error:
         return Stated(np.inf, doubt=str(error))
-    motion = result.details["error_motion"]
+    motion = result.error_motion
     return Stated(
         COVERAGE_FACTOR * rms_about_mean(result.covariance["ECC"]),
-        motion["likely"] if motion["used"] != motion["stated"] else 0.0,
+        motion.likely if motion is not None and motion.used != motion.stated else 0.0,
         "" if result.verdict == "ok" else next(iter(result.warnings), result.verdict),
     )
 

@@ -41,7 +41,7 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     result = with_reported(result_of(weighed.solution), weighed.reported)
     if not configuration.plan.bidirectional:
         return result
-    return mean_of_runs(result, _both_sides(plan, result), from_first=False)
+    return mean_of_runs(result, _both_sides(plan, weighed.solution), from_first=False)
 
 
 def trials(
@@ -51,8 +51,7 @@ def trials(
     prepared = SixTrials(_at_equal_places(configuration, plan, observations).solution)
     if not configuration.plan.bidirectional:
         return prepared
-    result = result_of(prepared.solution)
-    arrivals = _both_sides(plan, result)
+    result, arrivals = result_of(prepared.solution), _both_sides(plan, prepared.solution)
     return RepeatedTrials.of(prepared, result, arrivals, from_first=False)
 
 
@@ -72,9 +71,9 @@ def _at_equal_places(
     return adjust_at_equal_places(posed, np.einsum("ki,ki->k", beam, shift))
 
 
-def _both_sides(plan: Plan, result: Result) -> Arrivals:
+def _both_sides(plan: Plan, solution: SixSolution) -> Arrivals:
     """Return the arrivals of the solved positions of a plan that measures both directions."""
-    return _every(plan).take(result.details["position_ids"])
+    return _every(plan).take(solution.positions)
 
 
 def _every(plan: Plan) -> Arrivals:

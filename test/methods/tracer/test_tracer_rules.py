@@ -9,6 +9,7 @@ from tracer_scene import arc, low_ring, simulate
 
 from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.foundation.errors import ObservabilityError
+from rotcal_ros.foundation.results import ErrorMotion
 from rotcal_ros.methods.tracer.solver.grid import arrange
 from rotcal_ros.methods.tracer.solver.joined_runs import (
     RepeatedLengths,
@@ -26,7 +27,7 @@ from rotcal_ros.methods.tracer.solver.observability import (
 from rotcal_ros.methods.tracer.solver.screening import NoiseFactors
 from rotcal_ros.methods.tracer.solver.solution import adjust
 from rotcal_ros.methods.tracer.solver.solve import solve
-from rotcal_ros.methods.tracer.solver.uncertainty import ErrorMotion, GlobalTest
+from rotcal_ros.methods.tracer.solver.uncertainty import GlobalTest
 from rotcal_ros.methods.tracer.solver.verdict import CircleClosure, Evidence, closures, judge
 from rotcal_ros.methods.tracer.solver_settings import TracerLimits
 

@@ -7,7 +7,7 @@ from rotcal_ros.methods.plane_mirror.solver.problem import (
     problem_from_observations,
 )
 from rotcal_ros.methods.plane_mirror.solver.registration import check_nests
-from rotcal_ros.methods.plane_mirror.solver.solve import METHOD, mirror_trials, solve
+from rotcal_ros.methods.plane_mirror.solver.solve import METHOD, mirror_trials, solve, solved
 
 __all__ = [
     "METHOD",
@@ -18,4 +18,5 @@ __all__ = [
     "mirror_trials",
     "problem_from_observations",
     "solve",
+    "solved",
 ]

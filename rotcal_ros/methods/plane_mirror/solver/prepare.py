@@ -212,8 +212,8 @@ def check_pairs(problem: PlaneMirrorProblem, pairs: MirrorPairs) -> None:
             )
 
 
-def not_an_image(direct: Sequence[float], mirrored: Sequence[float]) -> str:
-    """Say why a point is not the image of the reflector at ``direct``; empty: it may be.
+def not_an_image(direct: Sequence[float], mirrored: Sequence[float]) -> str | None:
+    """Say why a point cannot be the image of the reflector at ``direct``; None: it may be.
 
     The plane half way between M and M' separates the tracker from the image, so the direct point
     is always the nearer one.
@@ -230,7 +230,7 @@ def not_an_image(direct: Sequence[float], mirrored: Sequence[float]) -> str:
             f"the mirrored point is {far:.4f} m away, the direct one {near:.4f} m, but an image "
             "is always the farther one: direct and mirrored exchanged"
         )
-    return ""
+    return None
 
 
 def drop_steep(

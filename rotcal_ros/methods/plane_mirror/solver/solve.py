@@ -14,7 +14,7 @@ import numpy as np
 
 from rotcal_ros.adjust import gathering as engine
 from rotcal_ros.adjust.distributions import chi2_isf, normal_isf
-from rotcal_ros.foundation.arrays import Bools, Floats
+from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.protection import POWER, Protection, ordered
 from rotcal_ros.foundation.results import FreeDirection, Residuals, Result
@@ -55,6 +55,11 @@ def solve(problem: PlaneMirrorProblem) -> Result:
 
     Raises DataError, GeometryError (see :mod:`~rotcal_ros.methods.plane_mirror.solver.prepare`).
     """
+    return solved(problem)[0]
+
+
+def solved(problem: PlaneMirrorProblem) -> tuple[Result, Ints]:
+    """Return :func:`solve` with the positions (n,) of the problem that the result has."""
     (screened, gathered, points), residuals = gathering.settled(problem), _no_residuals(problem)
     prepared = screened.prepared
     curve, correction = _with_drift(prepared, prepared.curve(residuals))
@@ -103,7 +108,7 @@ def solve(problem: PlaneMirrorProblem) -> Result:
             (*_protections(facts), *gathering.protection(gathered, prepared, std))
         ),
     )
-    return result.counted_from(*_zeros(prepared))
+    return result.counted_from(*_zeros(prepared)), prepared.positions
 
 
 def _no_residuals(problem: PlaneMirrorProblem) -> Residuals:

@@ -190,9 +190,9 @@ class UntilGoal:
     def _next(self) -> Choice:
         """Return the choice without its standing."""
         stop = self._beyond_reach()
-        while not self._queue and not stop:
+        while not self._queue and stop is None:
             stop = self._plan_further()
-        if stop:
+        if stop is not None:
             return Choice(None, stop + self._closing.in_words(), NOWHERE)
         step, reason = self._queue[0]
         if step not in self._measured and self._beams.chance[step] < POOR_CHANCE:
@@ -245,8 +245,8 @@ class UntilGoal:
         known = now if now < UNKNOWN else math.nan
         return Standing(len(self._queue), known, self._limits.uncertainty)
 
-    def _plan_further(self) -> str:
-        """Queue what is needed next; return why nothing is."""
+    def _plan_further(self) -> str | None:
+        """Queue what is needed next; or return why nothing is."""
         if self._spoiled:
             self._spoiled = False
             first = self._measured.only(self._first_stage)
@@ -255,9 +255,9 @@ class UntilGoal:
         noise, suspect = self._experiment.noise(self._measured, self._limits.significance, known)
         if suspect is not None and self._suspects.single(self._measured):
             self._measure_again(*suspect)
-            return ""
+            return None
         if self._drifts(noise):
-            return ""
+            return None
         if not self._first_stage and self._experiment.solvable(self._measured):
             self._first_stage = self._measured.steps if noise.dof > 0.0 else set()
             self._state(noise)
@@ -281,7 +281,7 @@ class UntilGoal:
             self._reach.doubt()  # worked out for the next choice: this one was long enough
         why = f"{self._learnt}: {len(more)} more lengths to {_in_words(goal)}"
         self._queue += ((step, why) for step in _as_sweep(self._experiment, more, self._at))
-        return ""
+        return None
 
     def _reached(self, now: float, result: Stated | None) -> str:
         """Return that the goal is reached, by the U of the result, and with which verdict."""
@@ -322,14 +322,14 @@ class UntilGoal:
         beams = self._beams
         return pick(self._experiment, self._measured, beams.allowed, beams.chance, wish)
 
-    def _beyond_reach(self) -> str:
+    def _beyond_reach(self) -> str | None:
         """Return that all steps together miss the goal, if that was doubted and is so."""
         best = self._reach.best(
             self._experiment, self._measured, self._beams.allowed, self._allowance
         )
         goal = self._limits.uncertainty
         if not goal <= best < math.inf:
-            return ""
+            return None
         self._queue.clear()
         missed = f"all steps that are left would give {_in_words(best)} > {_in_words(goal)}"
         if self._allowance.floor >= goal:

@@ -70,8 +70,8 @@ def check_counts(grid: Grid, dropped: Iterable[str] = ()) -> None:
         raise ObservabilityError("; ".join([missing, *named]))
 
 
-def what_is_missing(m: int, n: int, lengths: int, free: bool, least: int) -> str:
-    """Return what m stations and n targets lack; empty when they can be solved (Eq. 2).
+def what_is_missing(m: int, n: int, lengths: int, free: bool, least: int) -> str | None:
+    """Return what m stations and n targets lack; None when they can be solved (Eq. 2).
 
     A station is one with at least ``least`` usable lengths. Where the machine tells the targets,
     three coordinates of each are observed and their unknowns count for nothing: ``least`` m
@@ -89,7 +89,7 @@ def what_is_missing(m: int, n: int, lengths: int, free: bool, least: int) -> str
             f"4 m + 3 n = {unknowns} unknowns (Eq. 2): measure more targets (with 4 stations at "
             "least 16) or more stations"
         )
-    return ""
+    return None
 
 
 def check_station_rank(design: Floats, position_ids: Ints) -> None:

@@ -106,10 +106,10 @@ class Reported:
     spoils: float = 0.0
 
     @property
-    def warning(self) -> str:
-        """What to say where the reports are not believed, or should not be; empty: all is well."""
+    def warning(self) -> str | None:
+        """What to say where the reports are not believed, or should not be; None: all is well."""
         if self.weight == 1.0 and not self.estimated:
-            return self._doubt() if self.spoils else ""
+            return self._doubt() if self.spoils else None
         text = (
             f"reported places: what the machine reports of the probe scatters by "
             f"{self.along / MICROMETRE:.2g} um along the beams, and the lengths "
@@ -210,7 +210,8 @@ def with_reported(result: Result, reported: Reported | None) -> Result:
     """Return a result that says what was made of the reported places."""
     if reported is None:
         return result
-    warnings = (reported.warning,) if reported.warning else ()
+    warning = reported.warning
+    warnings = () if warning is None else (warning,)
     return replace(
         result,
         warnings=(*result.warnings, *warnings),

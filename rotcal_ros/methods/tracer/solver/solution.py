@@ -12,6 +12,7 @@ from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.noise import NoiseEvidence
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import DataError, RotcalError
+from rotcal_ros.foundation.results import ErrorMotion
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods.tracer.solver.adjustment import (
     Adjustment,
@@ -48,7 +49,6 @@ from rotcal_ros.methods.tracer.solver.uncertainty import (
     AngleUncertainty,
     CircleStatement,
     CircleTest,
-    ErrorMotion,
     GlobalTest,
     angle_uncertainty,
     circle_test,

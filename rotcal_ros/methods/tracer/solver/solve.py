@@ -11,7 +11,7 @@ from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
 from rotcal_ros.foundation.protection import ordered
 from rotcal_ros.foundation.raw_data import RawData
-from rotcal_ros.foundation.results import Rejection, Residuals, Result, Zeros
+from rotcal_ros.foundation.results import Placement, Rejection, Residuals, Result, Zeros
 from rotcal_ros.methods.tracer.solver.adjustment import Adjustment
 from rotcal_ros.methods.tracer.solver.circle import algorithm_error, scatter
 from rotcal_ros.methods.tracer.solver.gathering import details as gathering_details
@@ -70,6 +70,10 @@ def result_of(solution: TracerSolution) -> Result:
         raw_data=RawData(influence=influence_of(solution)),
         zeros=Zeros("first angle"),
         budget=solution.angles.budget,
+        placement=Placement.upwards(
+            motion.centre, motion.plane.normal, solution.grid.position_ids, solution.fit.stations
+        ),
+        error_motion=solution.error_motion,
     )
 
 
@@ -184,7 +188,6 @@ def _tests(solution: TracerSolution) -> dict[str, Any]:
     return {
         "dof_effective": solution.covariance.dof_effective,
         "noise": solution.noise.details(),
-        "error_motion": asdict(solution.error_motion),
         "length_test": asdict(evidence.lengths),
         "circle_test": asdict(evidence.circle),
         "redundancy_per_station": redundancy,

@@ -37,6 +37,7 @@ from rotcal_ros.adjust.low_rank import LowRank, Slopes
 from rotcal_ros.adjust.roots import root_between
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import HALF_OF_95_PERCENT
+from rotcal_ros.foundation.results import ErrorMotion
 from rotcal_ros.methods.tracer.solver.adjustment import Adjustment, StationCovariance
 from rotcal_ros.methods.tracer.solver.circle import (
     TableMotion,
@@ -59,27 +60,6 @@ NOTICED: Final = 1.5
 """Error motion, in units of the stations' noise, from which the prior is that of Jeffreys."""
 STEEPNESS: Final = 6
 """Power of sigma by which the prior vanishes below, so that "none" and "some" stay apart."""
-
-
-@dataclass(frozen=True, slots=True)
-class ErrorMotion:
-    """Standard deviations of the error motion per direction in the plane, m.
-
-    ``stated``: None when nothing was stated. ``likely``: the most likely one, from the circle's
-    ``dof`` free residuals, ``allowed``: the one that covers what these leave open, ``used``: what
-    the covariance holds.
-    """
-
-    stated: float | None
-    likely: float
-    allowed: float
-    dof: int
-    used: float
-
-    @property
-    def estimated(self) -> bool:
-        """Whether the circle, not the statement, tells what is used."""
-        return self.stated is None or self.used > self.stated
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,12 +27,12 @@ from rotcal_ros.adjust.distributions import normal_isf
 from rotcal_ros.adjust.gathering import Gathering
 from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
-from rotcal_ros.foundation.results import Verdict
+from rotcal_ros.foundation.results import ErrorMotion, Verdict
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.tracer.solver.gathering import doubts as doubt_gathering
 from rotcal_ros.methods.tracer.solver.grid import FREE_TARGET_MINIMUM
 from rotcal_ros.methods.tracer.solver.screening import NoiseFactors
-from rotcal_ros.methods.tracer.solver.uncertainty import CircleStatement, ErrorMotion, GlobalTest
+from rotcal_ros.methods.tracer.solver.uncertainty import CircleStatement, GlobalTest
 from rotcal_ros.methods.tracer.solver.zeros import Jump
 from rotcal_ros.methods.tracer.solver_settings import TracerLimits
 

@@ -31,7 +31,7 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS, HALF_OF_95_PERCENT, ROTATIONS
 from rotcal_ros.foundation.protection import POWER, Effect, Protection, ordered
 from rotcal_ros.foundation.raw_data import MOST_INFLUENCES, Influence, RawData
-from rotcal_ros.foundation.results import Rejection, Result, Verdict, Zeros
+from rotcal_ros.foundation.results import Placement, Rejection, Result, Verdict, Zeros
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix
 from rotcal_ros.methods.tracer.solver import gathering
@@ -100,6 +100,7 @@ def result_of(solution: SixSolution) -> Result:
     upward = Upward.of(solution)
     verdict, warnings = upward.judged(*numbering.judged(*judge(solution)))
     problem, grid, fit = solution.problem, solution.grid, solution.fit
+    curves = solution.table.curves
     residual = np.full(len(problem.length), np.nan)
     residual[grid.row[grid.row >= 0]] = fit.residual[grid.row >= 0]
     return Result(
@@ -119,6 +120,7 @@ def result_of(solution: SixSolution) -> Result:
         protections=ordered((*protections(solution), numbering.protection(), upward.protection())),
         raw_data=RawData(influence=influence_of(solution)),
         zeros=Zeros("mean"),
+        placement=Placement.upwards(curves.origin, curves.axes[:, 2]),
     )
 
 
