@@ -66,7 +66,8 @@ def test_what_a_method_finds_of_axis_and_error_motion_is_kept() -> None:
     written = known.to_json()
     again = Result.from_dict(json.loads(written))
     assert again.to_json() == written
-    assert again.error_motion == motion and "error_motion" not in again.details
+    assert again.error_motion == motion
+    assert "error_motion" not in again.details
     assert again.placement is not None
     np.testing.assert_allclose(again.placement.direction, [-0.0995037, 0.0, 0.9950372], atol=1e-7)
     np.testing.assert_array_equal(again.placement.stations, placement.stations)

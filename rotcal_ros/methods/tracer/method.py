@@ -88,7 +88,7 @@ METHOD: Final = Method(
     trials=calibration.trials,
     nominal=nominal,
     stations=stations,
-    table=TableReader(table.HEADERS, table.read),
+    table=TableReader((*table.HEADERS, *table.STATIONS), table.read),
     figures=figures,
     disturbances=DISTURBANCES,
 )

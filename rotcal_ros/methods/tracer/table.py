@@ -1,26 +1,34 @@
-"""The tables of lengths, ``position,target,length_m``, and of explicit plans.
+"""The tables of lengths, ``position,target,length_m``, of stations, and of explicit plans.
 
 A fourth column ``segment`` numbers the unbroken beams. Beside a table of lengths stands
 ``targets.csv`` with ``target,x_m,y_m,z_m``; an explicit plan lists ``step,table_position,target``.
+A table of stations, ``position,x_m,y_m,z_m``, holds what somebody else has made of such lengths;
+``d_m`` may tell how far each is from the first target.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from rotcal_ros.foundation.errors import DataError
+import numpy as np
+
+from rotcal_ros.foundation.circumstances import Circumstances
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.observations import Approach
-from rotcal_ros.foundation.tables import Header, Table, hashes, read_table, require_header
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.tables import Header, Row, Table, hashes, read_table, require_header
 from rotcal_ros.methods.calibration import Calibration, prepare
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder
-from rotcal_ros.methods.method import PlanFile
+from rotcal_ros.methods.method import Measurements, PlanFile, Trials
 from rotcal_ros.methods.tracer.lengths import LengthCheck
 from rotcal_ros.methods.tracer.plan import explicit_plan, plan_of
+from rotcal_ros.methods.tracer.solver.stations import StationProblem, solve
+from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
 from rotcal_ros.planning.plan import Plan, Point
 
 SEGMENT: Final = "segment"
@@ -28,12 +36,82 @@ HEADERS: Final[tuple[Header, ...]] = (
     ("position", "target", "length_m"),
     ("position", "target", "length_m", SEGMENT),
 )
+DISTANCE: Final = "d_m"
+STATIONS: Final[tuple[Header, ...]] = (
+    ("position", "x_m", "y_m", "z_m"),
+    ("position", "x_m", "y_m", "z_m", DISTANCE),
+)
 TARGETS: Final = ("target", "x_m", "y_m", "z_m")
 TARGETS_FILE: Final = "targets.csv"
 PAIRS: Final = ("step", "table_position", "target")
 
 
-def read(configuration: Configuration, table: Table, targets: Path | None) -> PlannedMeasurements:
+@dataclass(frozen=True, eq=False)
+class StationTable:
+    """Coordinates of stations, which somebody else has made of lengths."""
+
+    configuration: Configuration
+    problem: StationProblem
+    sha256: Mapping[str, str]
+
+    def solve(self) -> Result:
+        """Return the result, under the circumstances that the set-up states."""
+        given = self.configuration
+        stated = Circumstances(
+            simulated=given.simulated, axis=given.cell.axis, identity=given.identity
+        )
+        return replace(solve(self.problem), circumstances=stated)
+
+    def trials(self) -> Trials:
+        """Raise ConfigurationError: there are no lengths to draw."""
+        raise ConfigurationError(
+            f"{', '.join(self.sha256)}: coordinates of stations have no Monte Carlo trials, which "
+            "draw lengths: give the table of lengths"
+        )
+
+
+def read(configuration: Configuration, table: Table, targets: Path | None) -> Measurements:
+    """Return what a table of lengths, or of stations, holds."""
+    if table.header in STATIONS:
+        return read_stations(configuration, table)
+    return _read_lengths(configuration, table, targets)
+
+
+def read_stations(configuration: Configuration, table: Table) -> StationTable:
+    """Return the stations by table position, in the order of the positions.
+
+    Raises DataError for a position that is not in the plan, or comes twice.
+    """
+    angles = prepare(configuration).plan.table_angles
+    rows: dict[int, Row] = {}
+    for row in table.rows():
+        position = row.index("position")
+        if position >= len(angles):
+            raise DataError(
+                f"{row.place}: position {position} is not in the plan, which has 0 to "
+                f"{len(angles) - 1}; does the set-up belong to this table?"
+            )
+        if position in rows:
+            raise DataError(f"{row.place}: position {position} is listed twice")
+        rows[position] = row
+    positions, with_distance = sorted(rows), DISTANCE in table.header
+    solver: TracerSolverSettings = configuration.solver
+    problem = StationProblem(
+        stations=np.array([rows[position].point() for position in positions]),
+        table_angles=np.array(angles)[positions],
+        positions=np.array(positions),
+        distances=np.array(
+            [rows[position].metres(DISTANCE) for position in positions if with_distance]
+        ),
+        error_motion_std=solver.error_motion_std_m,
+        significance=solver.test_significance,
+    )
+    return StationTable(configuration, problem, hashes(table.path))
+
+
+def _read_lengths(
+    configuration: Configuration, table: Table, targets: Path | None
+) -> PlannedMeasurements:
     """Return lengths by table position and target; a table tells no scatter, so there is none.
 
     Segments that the table names have a zero each, unless the set-up asks

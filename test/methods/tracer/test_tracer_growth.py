@@ -61,7 +61,7 @@ def test_angles_and_circle_are_those_of_whole_matrices(variant):
     motion, fit, thin = solution.motion, solution.fit, solution.covariance
     assert thin.lengths.columns is not None
     dense = whole(thin)
-    one, other = (angle_uncertainty(motion, fit, c, 3e-7, 1.2) for c in (thin, dense))
+    one, other = (angle_uncertainty(motion, fit.stations, c, 3e-7, 1.2) for c in (thin, dense))
     largest = other.std.max()
     for found, expected in (
         (one.std, other.std),

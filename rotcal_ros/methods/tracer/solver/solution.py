@@ -124,7 +124,7 @@ class _Placed:
 
     def mean_variance(self) -> float:
         """Return the mean variance of the deviations without error motion, rad^2."""
-        angles = angle_uncertainty(self.motion, self.fit, self.covariance, 0.0, 1.0)
+        angles = angle_uncertainty(self.motion, self.fit.stations, self.covariance, 0.0, 1.0)
         return float((angles.std**2).mean())
 
 
@@ -176,7 +176,7 @@ def _adjusted(problem: TracerProblem, wider: CircleStatement | None = None) -> T
     screened, jumps, shifts, ambiguous = _started(problem, grid, commanded)
     placed = _placed(problem, grid, screened)
     motion, fit, covariance = placed.motion, placed.fit, placed.covariance
-    _check_sense(motion, fit.stations, commanded, grid)
+    check_sense(motion, fit.stations, commanded, grid.position_ids)
     unexplained = length_test(fit, covariance.dof_effective)
     significance = problem.settings.test_significance
     scale = unexplained.enlargement(significance)
@@ -195,7 +195,9 @@ def _adjusted(problem: TracerProblem, wider: CircleStatement | None = None) -> T
     slips = slips_among(shifts, problem.slip, problem.settings.rejection_significance, scale)
     unseen = None if slips is None else slips.covariance()
     gathered = screened.gathering.covariance()
-    angles = angle_uncertainty(motion, fit, covariance, error_motion.used, scale, unseen, gathered)
+    angles = angle_uncertainty(
+        motion, fit.stations, covariance, error_motion.used, scale, unseen, gathered
+    )
     evidence = Evidence(
         lengths=_stated_test(problem, screened, placed, unexplained),
         noise=screened.noise,
@@ -380,8 +382,8 @@ def _stated_test(
     return length_test(replace(fit, chi2=chi2), placed.covariance.dof_effective)
 
 
-def _check_sense(motion: TableMotion, stations: Floats, commanded: Floats, grid: Grid) -> None:
-    """Raise DataError when the stations do not follow the commanded angles."""
+def check_sense(motion: TableMotion, stations: Floats, commanded: Floats, positions: Ints) -> None:
+    """Raise DataError when the stations (m, 3) at ``positions`` do not follow their angles."""
     worst = int(np.argmax(np.abs(motion.cumulative)))
     if abs(motion.cumulative[worst]) < LOST:
         return
@@ -396,6 +398,6 @@ def _check_sense(motion: TableMotion, stations: Floats, commanded: Floats, grid:
         )
     off, order = motion.cumulative[worst] / DEGREE, commanded[worst] / DEGREE
     raise DataError(
-        f"station {grid.position_ids[worst]} stands at {(order + off) % 360.0:.4f} degrees where "
+        f"station {positions[worst]} stands at {(order + off) % 360.0:.4f} degrees where "
         f"{order:.4f} were commanded, {off:+.4f} degrees off: {cure}"
     )

@@ -91,7 +91,7 @@ def predicted(problem: TracerProblem, stations: Floats) -> Prediction:
     shifts = shift_search(grid, fit, problem.measuring_order).few() if shared else None
     slips = slips_among(shifts, problem.slip, problem.settings.rejection_significance)
     unseen = None if slips is None else slips.covariance()
-    angles = angle_uncertainty(motion, fit, covariance, error_motion, 1.0, unseen)
+    angles = angle_uncertainty(motion, fit.stations, covariance, error_motion, 1.0, unseen)
     redundancy = np.full(len(problem.position), np.nan)
     placed = grid.row >= 0
     redundancy[grid.row[placed]] = fit.redundancy[placed]

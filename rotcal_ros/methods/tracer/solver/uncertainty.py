@@ -339,7 +339,7 @@ UNTESTED: Final = GlobalTest(1.0, 1.0)
 
 def angle_uncertainty(
     motion: TableMotion,
-    fit: Adjustment,
+    stations: Floats,
     covariance: StationCovariance,
     error_motion_std: float,
     scale: float,
@@ -348,10 +348,11 @@ def angle_uncertainty(
 ) -> AngleUncertainty:
     """Propagate the stations' covariance times ``scale``^2 and the error motion to the angles.
 
+    ``stations`` (m, 3), m, have gone through this ``motion``.
     ``slips`` (3 m, 3 m): what unseen slips add to that of the stations, m^2. ``gathered`` (m, m):
     what disturbances that gather in one place add to that of the cumulative angles, rad^2.
     """
-    bearing, own = bearing_slopes(fit.stations, motion), covariance.enlarged(scale)
+    bearing, own = bearing_slopes(stations, motion), covariance.enlarged(scale)
     sources = {
         "lengths": own.lengths,
         "targets": own.targets,
@@ -362,7 +363,7 @@ def angle_uncertainty(
     if slips is not None:
         sources["slips"] = LowRank.whole(slips, 3)
     spread = bearing.spread(sum(list(sources.values())[1:], own.lengths))
-    every = np.arange(len(fit.stations))
+    every = np.arange(len(stations))
     first = np.zeros_like(every)
     budget = {
         name: _root(bearing.spread(part).between(first, every)) for name, part in sources.items()

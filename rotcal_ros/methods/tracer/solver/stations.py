@@ -1,0 +1,169 @@
+"""Deviations from coordinates of stations alone, as a paper or another program states them.
+
+Without the lengths nothing tells how well the stations are known. What is left is their circle:
+by how much they leave it says how large noise of the stations and error motion of the table are
+together, radially, and along the circle they are taken to be as large (see :mod:`.uncertainty`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotcal_ros.adjust.low_rank import LowRank
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.errors import ObservabilityError
+from rotcal_ros.foundation.protection import Protection, ordered
+from rotcal_ros.foundation.results import ErrorMotion, Placement, Result, Zeros
+from rotcal_ros.foundation.units import MICROMETRE
+from rotcal_ros.methods.tracer.solver.adjustment import StationCovariance
+from rotcal_ros.methods.tracer.solver.circle import (
+    ABSORBED,
+    TableMotion,
+    algorithm_error,
+    scatter,
+    table_motion,
+)
+from rotcal_ros.methods.tracer.solver.protections import tangential_protection
+from rotcal_ros.methods.tracer.solver.solution import check_sense
+from rotcal_ros.methods.tracer.solver.solve import METHOD
+from rotcal_ros.methods.tracer.solver.uncertainty import (
+    UNTESTED,
+    angle_uncertainty,
+    circle_test,
+    circle_tested,
+    error_motion_of,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class StationProblem:
+    """Places ``stations`` (m, 3) m of one tracer at ``table_angles`` (m,) rad.
+
+    ``positions`` (m,) are their numbers in the plan. ``distances`` (m,) m from each to the first
+    target are told in the details, and used nowhere; empty: not known. ``error_motion_std`` (m) as
+    of a :class:`~.problem.TracerProblem`; ``significance`` of its test.
+    """
+
+    stations: Floats
+    table_angles: Floats
+    positions: Ints
+    distances: Floats
+    error_motion_std: float | None = None
+    significance: float = 0.001
+
+
+def solve(problem: StationProblem) -> Result:
+    """Return the deviations ECC of the table from its stations; Eq. 18 to 36 of the paper.
+
+    Counted and signed as by :func:`~.solve.solve`. Raises ObservabilityError for fewer than five
+    stations, DataError or GeometryError where they do not follow the commanded angles, or lie on
+    no circle.
+    """
+    m = len(problem.stations)
+    if m <= ABSORBED + 1:
+        raise ObservabilityError(
+            f"{m} stations leave {max(m - ABSORBED, 0)} residuals of their circle, which have to "
+            "tell how well they are known: give at least 5, or the lengths"
+        )
+    motion = table_motion(problem.stations, problem.table_angles)
+    check_sense(motion, problem.stations, problem.table_angles, problem.positions)
+    exact, stated = _exact(m), problem.error_motion_std or None  # 0 m of coordinates is no promise
+    test = UNTESTED
+    if stated is not None:
+        test = circle_test(circle_tested(problem.stations, motion, exact.total, stated, None))
+    contradicted = test.probability < problem.significance
+    error_motion = error_motion_of(motion, exact, 1.0, stated, contradicted)
+    angles = angle_uncertainty(motion, problem.stations, exact, error_motion.used, 1.0)
+    warnings = (_doubt(motion, error_motion),) if contradicted else ()
+    return Result(
+        method=METHOD,
+        angles=problem.table_angles,
+        deviations={"ECC": motion.cumulative},
+        std={"ECC": angles.std},
+        covariance={"ECC": angles.covariance},
+        sigma0=test.sigma0,
+        dof=m - ABSORBED,
+        n_observations=m,
+        verdict="suspect" if warnings else "ok",
+        warnings=warnings,
+        adjacent_deviations=motion.adjacent,
+        adjacent_std=angles.adjacent_std,
+        details=_details(problem, motion),
+        protections=_protections(motion, error_motion),
+        zeros=Zeros("first angle"),
+        budget={"error_motion": angles.budget["error_motion"]},
+        placement=Placement.upwards(
+            motion.centre, motion.plane.normal, problem.positions, problem.stations
+        ),
+        error_motion=error_motion,
+    )
+
+
+def _exact(m: int) -> StationCovariance:
+    """Return the covariance of ``m`` stations of which nothing is known but their places."""
+    nothing = LowRank.of_blocks(np.zeros((m, 3, 3)))
+    return StationCovariance(nothing, nothing, np.zeros((3 * m, 0, 3)), 0.0)
+
+
+def _doubt(motion: TableMotion, found: ErrorMotion) -> str:
+    """Return what speaks against the stated error motion."""
+    radial = np.sqrt((motion.radial**2).sum() / found.dof) / MICROMETRE
+    return (
+        f"the stations leave their circle by {radial:.2g} um radially ({found.dof} residuals), "
+        f"more than the stated {(found.stated or 0.0) / MICROMETRE:.2g} um explain: "
+        f"{found.used / MICROMETRE:.2g} um are used in its place"
+    )
+
+
+def _details(problem: StationProblem, motion: TableMotion) -> dict[str, object]:
+    """Return the parts of a tracer's details that need no lengths."""
+    steps = np.diff(problem.table_angles)
+    distances = {"distances": problem.distances} if problem.distances.size else {}
+    return {
+        "variant": "stations",
+        "station_ids": problem.positions,
+        "stations": problem.stations,
+        **distances,
+        "plane": {"normal": motion.plane.normal, "offset": motion.plane.offset},
+        "circle": {"centre": motion.centre, "radius": motion.radius},
+        "radial": motion.radial,
+        "axial": motion.plane.distances(problem.stations),
+        "tilt": motion.tilt,
+        "algorithm_error": algorithm_error(steps, motion.tilt),
+        "scatter": scatter(motion.adjacent),
+    }
+
+
+def _protections(motion: TableMotion, found: ErrorMotion) -> tuple[Protection, ...]:
+    """Return what protects a curve that rests on coordinates of stations alone."""
+    stated = Protection("error motion", "bounded", "the stated error motion is inside U")
+    shown = "noise of the stations and error motion together, as the circle's residuals show them"
+    rests = Protection("error motion", "estimated", shown) if found.estimated else stated
+    unknown = "coordinates of stations alone do not tell: solve the lengths, in their order"
+    return ordered(
+        (
+            Protection("drift", "not protected", unknown),
+            Protection("knock", "not protected", unknown),
+            Protection("axis noise", "not protected", unknown),
+            Protection("repeatability", "not protected", "no angle was reached twice"),
+            Protection("refraction", "not protected", unknown),
+            Protection("scale", "harmless", "an angle does not depend on the scale"),
+            Protection("tilt", "harmless", "the angle is taken in the plane of the stations"),
+            Protection(
+                "gauge",
+                "harmless",
+                "no gauge is carried: the angle is counted on the circle of the stations",
+            ),
+            rests,
+            tangential_protection(
+                motion.radius,
+                alike=", or noise of the stations along it that is larger than across,",
+                beside="",
+                within=None,
+                shown="",
+                untested="the angle",
+            ),
+        )
+    )
