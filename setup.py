@@ -23,7 +23,12 @@ MODULES = {
     "table_adapter": "extensions.ros2_control.node.table_adapter",
 }
 """Node -> its module."""
-VERBS_OF_EXTENSIONS = {"dme": "ipp_dme", "replay": "replay", "reprocess": "fleet"}
+VERBS_OF_EXTENSIONS = {
+    "dme": "ipp_dme",
+    "replay": "replay",
+    "reprocess": "fleet",
+    "reproduce": "papers",
+}
 PLANS = {
     "check": "check",
     "effort": "plates",

@@ -11,18 +11,21 @@ from functools import cache
 from html import escape
 from typing import Any, Final
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from rotcal_ros import __version__
 from rotcal_ros.foundation.escapes import printable, printable_lines
 from rotcal_ros.methods.figures import style
 
+_OWN: Final = "rotcal_ros.report"
 
-def render(template: str, *, package: str = "rotcal_ros.report", **values: Any) -> str:
+
+def render(template: str, *, package: str = _OWN, **values: Any) -> str:
     """Return the page with every value escaped; a name without a value raises.
 
-    The template lies in the folder ``templates`` of ``package``.
+    The template lies in the folder ``templates`` of ``package``, and may include those of this
+    room: the style and the parts of all pages.
     """
     template_file = _environment(package).get_template(f"{template}.html.j2")
     return template_file.render(values, version=__version__)
@@ -32,7 +35,9 @@ def render(template: str, *, package: str = "rotcal_ros.report", **values: Any) 
 def _environment(package: str) -> Environment:
     """Return the environment that compiles each template of a package once."""
     environment = Environment(
-        loader=PackageLoader(package, "templates"),
+        loader=ChoiceLoader(
+            [PackageLoader(name, "templates") for name in dict.fromkeys((package, _OWN))]
+        ),
         autoescape=True,
         undefined=StrictUndefined,
         finalize=_visible,

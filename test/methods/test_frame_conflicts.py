@@ -91,6 +91,6 @@ def test_a_conflict_is_a_warning_of_the_result_and_changes_nothing_else(solved):
 
 def test_a_method_that_finds_no_axis_is_not_compared(solved):
     calibration, observations, _ = solved
-    result = replace(calibration.solve(observations), details={})
+    result = replace(calibration.solve(observations), placement=None)
     cell = calibration.configuration.cell
     assert frame_conflicts(cell, calibration.plan, result, [base(pi, 0.0, 0.0)]) == ()
