@@ -111,20 +111,20 @@ def cell_arguments():
         argument(
             "respawn",
             "false",
-            "Start a node again that has ended; a calibration waits for it (restart_wait_s).",
+            "Restart a node that has ended; a calibration waits for it (restart_wait_s).",
             choices=YES_NO,
         ),
         argument(
             "simulated",
             "false",
-            "Simulate machine and instruments, as the group simulation says.",
+            "Simulate machine and instruments, as described in the group 'simulation'.",
             choices=YES_NO,
         ),
         argument(
             "parameters",
             "",
-            "A further parameter file, which wins over the configuration; such as what 'ros2 "
-            "param dump' wrote.",
+            "A further parameter file, which overrides the configuration; such as one that 'ros2 "
+            "param dump' has written.",
         ),
         argument(
             "autostart",
@@ -167,7 +167,7 @@ def machine_arguments():
         argument(
             "linuxcnc_joint",
             "0",
-            "linuxcnc_driver: number of the table's joint where the ini file does not say it.",
+            "linuxcnc_driver: number of the table's joint, if the ini file does not state it.",
         ),
     ]
 

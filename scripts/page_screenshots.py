@@ -93,7 +93,7 @@ def lost_page(scene: Scene) -> None:
     """Kill the page."""
     scene.steps(40)
     _kill(scene, "operator_page")
-    scene.text("#lost", "Connection lost since")
+    scene.text("#lost", "Connection lost at")
 
 
 def _kill(scene: Scene, name: str) -> None:

@@ -20,7 +20,7 @@ OUT = Path("out")
 @click.option("--stop", is_flag=True, help="Cancel the calibration; its bag stays valid.")
 @json_option
 def command(folder: Path | None, stop: bool, as_json: bool) -> int:
-    """Show the calibration that runs in FOLDER, like 'rotcal run'; default: the one in out/.
+    """Show the calibration that runs in FOLDER, as 'rotcal run' does; default: the one in out/.
 
     Enter confirms that a person's work is done. The exit code is that of 'rotcal run',
     or 0 once --stop has stopped it. Ctrl-C only leaves: the calibration goes on.

@@ -110,7 +110,7 @@ def check(bag: Path, limits: ReadingLimits, as_json: bool) -> int:
 @click.argument("bag", type=path_type)
 @json_option
 def reindex(bag: Path, as_json: bool) -> int:
-    """Write metadata.yaml of the folder BAG anew from its files; the old one is kept."""
+    """Rebuild metadata.yaml of the folder BAG from its files; the old one is kept."""
     from rotcal_ros.bags.repair import reindex as reindex_bag
 
     with progress("reading") as shown:

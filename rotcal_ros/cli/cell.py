@@ -1,6 +1,6 @@
 """``rotcal cell``: a live cell, checked before it is calibrated.
 
-What a check found is printed with a line for each thing, then what to do next.
+It prints a line for each thing that was checked, then what to do next.
 """
 
 from __future__ import annotations
@@ -88,14 +88,14 @@ def _moved(configuration: Path, report: CellReport) -> CellReport:
 
     against = [line for line in report.lines if line.part == "table" and line.state == "doubt"]
     if not report.complete or against:
-        say("the table is not turned: first correct what is missing or doubtful about it")
+        say("the table is not turned: first correct what is missing, or doubtful about the table")
         return report
     here = (line.found for line in report.lines if (line.part, line.name) == ("table", "joint"))
     say(
-        f"{next(here, 'the table')}; it will turn by 5° and back, much further if its unit or "
+        f"{next(here, 'the table')}; it will turn by 5° and back, or much further if its unit or "
         "sign is wrong"
     )
-    question = "Is its path clear, and a hand on the emergency stop?"
+    question = "Is its path clear, and is a hand on the emergency stop?"
     if not click.confirm(question, err=True):
         return report
     return _answered(move_cell(configuration, report))
@@ -107,7 +107,7 @@ def _answered(report: CellReport) -> CellReport:
 
     if not any(line.name == "handedness" and line.state == "open" for line in report.lines):
         return report
-    question = "Seen from above, where did a positive angle turn it"
+    question = "Seen from above, which way did a positive angle turn it"
     sides = click.Choice(["counter-clockwise", "clockwise", "unknown"])
     seen = click.prompt(question, type=sides, default="unknown", err=True)
     return handedness_seen(report, seen)

@@ -49,9 +49,9 @@ def command(
 
     A reference table has the columns angle_deg, deviation_arcsec and, unless --reference-u states
     it, u_arcsec. A file of several evaluations (rotcal solve --balls ... -o) counts as all of
-    them. That results of the same data vary together is taken into account. The offset that no
-    method can know is removed. The exit code is 1 if some pair disagrees by more than chance
-    explains (|E_n| singly and together).
+    them. Correlations between results of the same data are taken into account. The offset, which
+    no method can determine, is removed. The exit code is 1 if a pair disagrees by more than chance
+    explains, judged by |E_n| at single angles and at all angles together.
     """
     from rotcal_ros.evaluation.compare import compare_all
 

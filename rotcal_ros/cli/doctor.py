@@ -48,13 +48,13 @@ class Check:
     show_default=True,
     help="Folder for calibrations.",
 )
-@click.option("--machine-ini", type=path_type, metavar="FILE", help="Ini file of a LinuxCNC.")
+@click.option("--machine-ini", type=path_type, metavar="FILE", help="Ini file of LinuxCNC.")
 @json_option
 def command(output: Path, machine_ini: Path | None, as_json: bool) -> int:
     """Check this machine and say what to do.
 
-    Without ROS a bag can still be solved: the lines on ROS concern live calibration only. With
-    --machine-ini it shows which tables this LinuxCNC loads, and what is wrong with them.
+    Without ROS a bag can still be solved: the lines about ROS concern live calibration only. With
+    --machine-ini it shows which tables that LinuxCNC loads, and what is wrong with them.
     """
     done: list[Check] = []
     for check in chain(checks(output), tables(machine_ini) if machine_ini else ()):
@@ -134,7 +134,7 @@ def ros() -> Check:
     version = rclpy_version()
     name, sourced = distribution(version), os.environ.get("ROS_DISTRO", "")
     title = name.capitalize() if name else "unknown distribution"
-    found = f"{title}, rclpy {version or 'of no version'}"
+    found = f"{title}, rclpy {version or 'of unknown version'}"
     if name and sourced not in ("", name):
         advice = "open a shell that has sourced one ROS installation, or none"
         return Check("ROS 2", False, f"{found}, but ROS_DISTRO={sourced}", advice)

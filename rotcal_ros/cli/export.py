@@ -47,14 +47,21 @@ DEFAULT_AXIS: Final = "C"
     help="Distance between rows; default: chosen automatically.",
 )
 @click.option("--axis", help=f"Letter of the axis; default: the bag's, else {DEFAULT_AXIS}.")
-@click.option("--serial", metavar="NUMBER", help="Serial number of the item it is for.")
-@click.option("--reference", type=float, metavar="DEG", help="Angle with correction zero.")
-@click.option("--reverse", type=path_type, metavar="BAG|TABLE|RESULT", help="The other direction.")
+@click.option("--serial", metavar="NUMBER", help="Serial number of the item that gets the table.")
+@click.option("--reference", type=float, metavar="DEG", help="Angle where the correction is zero.")
+@click.option(
+    "--reverse",
+    type=path_type,
+    metavar="BAG|TABLE|RESULT",
+    help="Measurement in the other direction.",
+)
 @click.option("--harmonics", type=int, metavar="N", help="Fit N harmonics instead of a spline.")
 @click.option(
     "--revolutions", metavar="FIRST:LAST", help="Travel, for controllers that do not wrap."
 )
-@click.option("--machine-ini", type=path_type, metavar="FILE", help="LinuxCNC's; see below.")
+@click.option(
+    "--machine-ini", type=path_type, metavar="FILE", help="Ini file of LinuxCNC; see below."
+)
 @click.option(
     "--set",
     "settings",
@@ -62,9 +69,9 @@ DEFAULT_AXIS: Final = "C"
     metavar="[GROUP.]NAME=VALUE",
     help="Setting of the controller, or GROUP.NAME of the configuration.",
 )
-@click.option("--name", help="File name without extension; default: axis_controller.")
+@click.option("--name", help="File name without extension; default: such as c_linuxcnc.")
 @click.option(
-    "--replace", is_flag=True, help="Replace: no table was in force during the measurement."
+    "--replace", is_flag=True, help="State that no table was in force during the measurement."
 )
 @click.option("--add-to", type=path_type, metavar="FOLDER", help="Files of the table in force.")
 @click.option(
@@ -83,15 +90,15 @@ DEFAULT_AXIS: Final = "C"
 def command(as_json: bool, **options: Any) -> int:
     """Write the table of BAG (a folder, .mcap, .db3), TABLE or RESULT (.json) for a controller.
 
-    The files are read back and applied by the controller's own rule before they are written, all
-    or none; nothing is ever overwritten. Only a result with the verdict ok may be fed. What was
-    measured with a table in force is what that table leaves over: --add-to adds it to that table.
-    If it is not known which table was in force, --replace or --add-to must say so. Axis and serial
-    number must be those of the machine, and the measurement younger than --max-age (default: 30
-    days): a contradiction is refused unless --accept allows it.
+    Before the files are written, they are read back and applied by the controller's own rule. All
+    are written or none, and nothing is overwritten. Only a result with the verdict ok may be fed.
+    A measurement with a table in force shows what that table leaves: --add-to adds this to that
+    table. If it is not known which table was in force, --replace or --add-to must say so. Axis and
+    serial number must be those of the machine, and the measurement must be younger than --max-age
+    (default: 30 days): a contradiction is refused unless --accept allows it.
 
-    --machine-ini gives the settings of the joint, and a copy of the file that uses the table is
-    written beside the table. It is the same as --set machine_ini=FILE.
+    The settings of the joint come from --machine-ini; a copy of that file, which uses the table,
+    is written beside the table. The option is the same as --set machine_ini=FILE.
     """
     from rotcal_ros.compensation.writing import write_files
 

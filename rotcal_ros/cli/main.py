@@ -41,7 +41,7 @@ OWN_VERBS: Final[Mapping[str, str]] = {
     "iso230": "Evaluate repeated bidirectional runs after ISO 230-2.",
     "uncertainty": "Propagate the noise by Monte Carlo (JCGM 101).",
     "bag": "Check, repair and describe recorded bags.",
-    "settings": "Print what to state first for a method, or all that can be set.",
+    "settings": "Print the settings to state first for a method, or all settings.",
     "doctor": "Check this machine and say what to do.",
 }
 """Verb -> one line of help. The verb lives in ``rotcal_ros/cli/<verb>.py`` as ``command``."""

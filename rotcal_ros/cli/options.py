@@ -1,6 +1,6 @@
 """Options that several verbs share, and what the shell offers at the Tab key.
 
-One line in the shell's configuration switches completion on: docs/command_line.md. This module is
+One line in the shell's configuration turns completion on: docs/command_line.md. This module is
 loaded before every verb, so it imports nothing that takes time.
 """
 
@@ -71,7 +71,7 @@ reference_option: Final = click.option(
 polygon_option: Final = click.option(
     "--polygon",
     type=path_type,
-    help="Calibrated face errors by table angle, taken off every reference table.",
+    help="Table of calibrated face errors, subtracted from every reference table.",
 )
 
 

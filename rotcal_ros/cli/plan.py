@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 
 NOISE_SEED: Final = 1
 """Of the noise with which a plan is measured; what is found does not depend on it."""
-touch_option = shown_option("--touches", type=click.IntRange(min=1), default=15, help="Per ball.")
+touch_option = shown_option(
+    "--touches", type=click.IntRange(min=1), default=15, help="Touch points per ball."
+)
 
 
 class PlanGroup(click.Group):
@@ -65,9 +67,9 @@ def command() -> None:
 @command.command()
 @click.argument("configuration", type=path_type, metavar="CONFIG", shell_complete=configurations)
 @touch_option
-@shown_option("--touch-s", type=float, default=2.0, help="s per touch point.")
-@shown_option("--settle-s", type=float, default=1.0, help="s after a turn.")
-@shown_option("--table-deg-s", type=float, default=11.0, help="deg/s, speed.")
+@shown_option("--touch-s", type=float, default=2.0, help="s, one touch point.")
+@shown_option("--settle-s", type=float, default=1.0, help="s, wait after a turn.")
+@shown_option("--table-deg-s", type=float, default=11.0, help="deg/s, table's speed.")
 @json_option
 def order(
     configuration: Path,
@@ -175,8 +177,8 @@ def _print_reliability(data: dict[str, Any]) -> None:
     print_words(
         f"{data['n_observations']} observations, mean redundancy {data['mean_redundancy']:.2f}, "
         f"{data['n_unchecked']} checked by no other",
-        f"smallest error found with {100.0 * data['power']:g} % (alpha {data['alpha']:g}), and "
-        "what it does to the deviations:",
+        f"smallest error that is found with a probability of {100.0 * data['power']:g} % (alpha "
+        f"{data['alpha']:g}), and what it does to the deviations:",
     )
     worst = data["worst"]
     print_table(

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     "--in-force",
     type=click.Path(exists=True, file_okay=False, path_type=Path),
     metavar="FOLDER",
-    help="Files of the table that was in force: does that table act?",
+    help="Files of the table that was in force, to test whether it acts.",
 )
 @click.option(
     "--dcc",
@@ -72,8 +72,8 @@ def command(
 ) -> int:
     """Solve BAG, or TABLE with its --setup, and write the report.
 
-    It has figures, tables, warnings, verdict and fingerprints. RESULT (.json): report a result as
-    it is, such as a combination or one whose bag is elsewhere.
+    It has figures, tables, warnings, verdict and fingerprints. A RESULT (.json) is reported as it
+    is, such as a combination or a result whose bag is elsewhere.
     """
     ending = "" if output is None else output.suffix.lower()
     if ending and dcc != (ending == ".xml"):

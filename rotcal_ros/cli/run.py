@@ -28,7 +28,7 @@ from rotcal_ros.report.terminal.console import tell
 @click.option("--keep-previous", is_flag=True, help="Move an existing output folder aside.")
 @click.option("--no-report", is_flag=True, help="Write no report.")
 @click.option("--no-export", is_flag=True, help="Write no controller files.")
-@click.option("-y", "--yes", is_flag=True, help="Count all work of a person as done at once.")
+@click.option("-y", "--yes", is_flag=True, help="Take work of a person as done when asked for.")
 @click.option(
     "--page/--no-page", default=True, help="Serve the operator's page (default), or not."
 )
@@ -49,7 +49,7 @@ def command(
     detach: bool,
     as_json: bool,
 ) -> int:
-    """Start the nodes of the cell that CONFIG describes, calibrate, end them.
+    """Start the nodes of the cell that CONFIG describes, calibrate it, and end the nodes.
 
     With a group 'simulation' in CONFIG the cell is simulated, otherwise its instruments must be
     running. When the plan needs a person, the instruction is shown: a simulated person does it at

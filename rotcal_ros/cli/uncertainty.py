@@ -51,10 +51,10 @@ def command(
 ) -> int:
     """Propagate the stated noise through the solver by Monte Carlo, after JCGM 101.
 
-    BAG, TABLE (with --setup): about what was measured. CONFIG (.yaml): about the plan's
-    nominal geometry, before anything is measured. The figures depend on seed and number of trials
-    alone, not on the workers. The exit code is 1 if the trials contradict the solver's
-    uncertainty.
+    With a BAG, or a TABLE and --setup, the trials scatter about what was measured; with a CONFIG
+    (.yaml) about the plan's nominal geometry, before anything is measured. The figures depend only
+    on the seed and the number of trials, not on the workers. The exit code is 1 if the trials
+    contradict the solver's uncertainty.
     """
     from rotcal_ros.evaluation.monte_carlo import propagated
     from rotcal_ros.foundation.machine_load import cores

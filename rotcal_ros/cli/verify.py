@@ -36,9 +36,18 @@ if TYPE_CHECKING:
     shell_complete=configurations,
 )
 @click.option("-o", "--output", "--out", type=path_type, help="New folder; default: out/NAME.")
-@click.option("--set", "changes", multiple=True, metavar="GROUP.NAME=VALUE", help="Change both.")
 @click.option(
-    "--check", multiple=True, metavar="GROUP.NAME=VALUE", help="Change the second measurement."
+    "--set",
+    "changes",
+    multiple=True,
+    metavar="GROUP.NAME=VALUE",
+    help="Change a setting of all measurements.",
+)
+@click.option(
+    "--check",
+    multiple=True,
+    metavar="GROUP.NAME=VALUE",
+    help="Change a setting of the measurements after compensation.",
 )
 @click.option("--spacing", default=0.0, help="deg between rows of the tables; default: chosen.")
 @click.option(
@@ -46,7 +55,7 @@ if TYPE_CHECKING:
     "controllers",
     multiple=True,
     shell_complete=installed(plugins.CONTROLLERS),
-    help="Controller to write files for, too.",
+    help="Controller to write files for; may be given several times.",
 )
 @click.option(
     "--accept-unverified",
@@ -112,12 +121,13 @@ def _loaded(folder: Path, files: Sequence[Path]) -> bool:
     """Ask on the terminal whether the files are in the control."""
     say(
         "load this table into the control, make it active (by a restart, for instance), and "
-        "reference the axis again: {', '.join(map(str, files))}"
+        f"reference the axis again: {', '.join(map(str, files))}"
     )
     later = f"to go on when it is loaded: rotcal verify --resume {folder} --loaded"
     if sys.stdin.isatty():
         with suppress(click.Abort):
-            if click.prompt("'loaded' when it is, 'later' to end here", err=True) == "loaded":
+            question = "enter 'loaded' when this is done, or 'later' to end here"
+            if click.prompt(question, err=True) == "loaded":
                 return True
     say(later)
     return False

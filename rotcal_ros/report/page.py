@@ -1,8 +1,8 @@
 """The HTML report of a result: one self-contained page with all that it rests on.
 
-It is made of a recording, a plain table, or a result that comes without its data. Number and
+It is made from a recording, a plain table, or a result that comes without its data. Number and
 fingerprint identify the pages of one report. Page one is in ``first_page``; here are the sections
-behind it: budget, goal, harmonics, reliability, traceability, protections.
+after it: budget, goal, harmonics, reliability, traceability, protections.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ def require_writable(page: Path) -> None:
     """Raise ConfigurationError if no page can be written under this name."""
     if page.suffix.lower() not in (HTML, PDF, ""):
         raise ConfigurationError(
-            f"{page}: a report is a page ({HTML}) or a {PDF}: expected one of these endings, "
+            f"{page}: a report is written as {HTML} or {PDF}: expected one of these endings, "
             f"found {page.suffix}"
         )
     if page.suffix.lower() == PDF:
@@ -48,8 +48,8 @@ def browser() -> str:
     found = next(filter(None, map(shutil.which, BROWSERS)), None)
     if found is None:
         raise ConfigurationError(
-            "Chromium prints a PDF, and is not on this machine: apt install chromium, or "
-            f"name a {HTML} file and print it to PDF from any browser"
+            "printing a PDF needs Chromium, which is not on this machine: apt install chromium, "
+            f"or name a {HTML} file and print it to PDF from any browser"
         )
     return found
 

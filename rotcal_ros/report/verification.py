@@ -55,7 +55,7 @@ def verification_section(verification: Verification) -> tuple[str, str]:
 def acting_section(result: Result, in_force: Path | None) -> list[tuple[str, str]]:
     """Return title and HTML that say whether the table in force acted on ``result``.
 
-    None if there was no table, or it is unknown; ``in_force`` holds the table's files.
+    Empty if there was no table, or it is unknown; ``in_force`` holds the table's files.
     """
     if in_force is not None:
         effect = effect_in_force(result, in_force)
@@ -66,8 +66,8 @@ def acting_section(result: Result, in_force: Path | None) -> list[tuple[str, str
         )
     elif known_hash(result.measured_on):
         acts = (
-            "not tested: that needs the files of the table as well (rotcal report "
-            "--in-force FOLDER, rotcal export --add-to FOLDER)"
+            "not tested: this also needs the files of the table (rotcal report --in-force "
+            "FOLDER, rotcal export --add-to FOLDER)"
         )
     else:
         return []
@@ -83,7 +83,7 @@ def _in_words(verification: Verification) -> str:
         "of the table itself."
     )
     if verification.effect is not None:
-        acting = verification.fault or f"does the table act: {verification.effect.in_words()}"
+        acting = verification.fault or f"does the table act? {verification.effect.in_words()}"
         text = f"{text} {acting[0].upper()}{acting[1:]}."
     if verification.again is None:
         return text

@@ -339,7 +339,7 @@ def _nothing_runs(folder: SessionFolder) -> ConfigurationError:
             "socket is gone; see its log, or wait for its end"
         )
     return ConfigurationError(
-        f"no calibration runs in {folder.path}, it was interrupted; {_how_to_go_on(folder)}"
+        f"no calibration runs in {folder.path}: it was interrupted; {_how_to_go_on(folder)}"
     )
 
 

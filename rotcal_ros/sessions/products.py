@@ -104,7 +104,7 @@ def write_report(folder: SessionFolder, extra: Sequence[tuple[str, str]] = ()) -
     result = write_recorded(recording, folder.report, truth, extra)
     live = recording.with_warnings(read_source(folder.result).result)
     if result.to_json() != live.to_json():
-        say(f"warning: {folder.bag}, solved again, gives another result than live")
+        say(f"warning: solving {folder.bag} again gives another result than the live run")
 
 
 def export_files(

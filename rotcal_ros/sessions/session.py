@@ -127,8 +127,8 @@ def require_as_found(session: Session) -> None:
     as_found = len(files) <= session.run if session.continuation else not files
     if session.folder.result.exists() or not as_found:
         raise ConfigurationError(
-            f"another run went on in {session.folder.path} meanwhile: this one has measured "
-            "nothing; look at its outcome, and continue it if it was interrupted: "
+            f"another run went on in {session.folder.path} meanwhile, so this one has measured "
+            "nothing; look at the outcome of that run, and continue it if it was interrupted: "
             f"{session.resume_command}"
         )
 
@@ -187,8 +187,8 @@ def require_space(calibration: Calibration, folder: Path, steps: int | None = No
         raise ConfigurationError(
             f"the disk of {folder} has {free / 1e6:,.0f} MB free, {(bag + reserve) / 1e6:,.0f} MB "
             f"are needed: {bag / 1e6:,.0f} MB for the bag by steps and rates, and "
-            f"{reserve / 1e6:,.0f} MB that stay free (recorder.writer.min_free_bytes): make room, "
-            "or choose another --output"
+            f"{reserve / 1e6:,.0f} MB that must stay free (recorder.writer.min_free_bytes): make "
+            "room, or choose another --output"
         )
 
 

@@ -124,7 +124,7 @@ class FinishedSession:
 
     @property
     def cell(self) -> Configuration:
-        """The configuration that was measured with."""
+        """The configuration of the measurement."""
         return self.session.configuration
 
 

@@ -63,7 +63,7 @@ def test_run_ends_with_a_verdict_and_all_files(tmp_path):
     for path in map(Path, outcome["files"].values()):
         assert path.is_absolute()
         assert path.exists()
-    assert "another result than live" not in done.stderr
+    assert "another result than the live run" not in done.stderr
     assert "60 of 60 steps" in done.stderr
 
     again = subprocess.run(

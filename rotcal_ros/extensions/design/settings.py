@@ -51,13 +51,15 @@ class TracerDesignSettings(TableAngleSettings):
     volume_max_m: Triple = setting((0.6, 0.5, 1.02), doc="m, largest x, y, z of a target")
     spacing_m: float = setting(
         0.11,
-        doc="m, least distance of two targets; closer ones share the machine's error",
+        doc="m, least distance between two targets; closer ones share the machine's error",
         minimum=1e-3,
     )
     keep_out_m: tuple[float, ...] = setting(
         (), doc="m, boxes where neither target nor beam may be"
     )
-    margin_m: float = setting(0.0, doc="m, by which all those boxes are widened", minimum=0.0)
+    margin_m: float = setting(
+        0.0, doc="m, margin by which the boxes of keep_out_m are widened", minimum=0.0
+    )
     min_distance_m: float = setting(0.25, doc="m, least distance from the tracer", minimum=0.0)
     max_distance_m: float = setting(15.0, doc="m, reach of the tracer", minimum=0.0)
     min_elevation_deg: float = setting(
@@ -80,10 +82,13 @@ class TracerDesignSettings(TableAngleSettings):
     )
     reflector_direction: Triple = setting(
         (0.0, 0.0, -1.0),
-        doc="direction in which the reflector looks, where reflector_faces is direction",
+        doc="direction in which the reflector looks, if reflector_faces is direction",
     )
     reflector_acceptance_deg: float = setting(
-        50.0, doc="deg, largest angle between beam and that direction", minimum=0.0, maximum=180.0
+        50.0,
+        doc="deg, largest angle between the beam and where the reflector looks",
+        minimum=0.0,
+        maximum=180.0,
     )
     length_std_m: float = setting(
         0.2e-6, doc="m, standard deviation of one length", minimum=1e-9, maximum=1e-2
@@ -117,8 +122,8 @@ class TracerDesignSettings(TableAngleSettings):
     )
     slip_m: float = setting(
         TracerSolverSettings().slip_m,
-        doc="m, with zero one: a fringe that may slip unseen is part of U, as solver.slip_m; 0: "
-        "none slips",
+        doc="m, if zero is one: a fringe that may slip unseen and is part of U, as solver.slip_m; "
+        "0: none slips",
         minimum=0.0,
         maximum=1e-5,
     )
@@ -135,7 +140,10 @@ class TracerDesignSettings(TableAngleSettings):
         maximum=1000,
     )
     min_redundancy: float = setting(
-        LEAST_REDUNDANCY, doc="least redundancy of every length", minimum=0.0, maximum=0.9
+        LEAST_REDUNDANCY,
+        doc="least redundancy that every length must have",
+        minimum=0.0,
+        maximum=0.9,
     )
     max_undetected: float = setting(
         1.0, doc="largest effect of an undetected error of one length, in U of ECC", minimum=0.01
@@ -154,7 +162,7 @@ class TracerDesignSettings(TableAngleSettings):
         True, doc="every length is checked by others; false: the fewest lengths, unchecked"
     )
     exchanges: int = setting(
-        600, doc="exchanges of lengths in each search for fewer of them", minimum=1
+        600, doc="exchanges of lengths in each search for a plan with fewer", minimum=1
     )
     starts: int = setting(
         3, doc="number of searches, of which the best counts", minimum=1, maximum=100

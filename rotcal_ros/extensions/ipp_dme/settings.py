@@ -53,7 +53,7 @@ class DmeSettings:
         maximum=600.0,
     )
     clearance_m: float = setting(
-        0.05, doc="m, height above the balls in which the tip travels", minimum=1e-4, maximum=1.0
+        0.05, doc="m, height above the balls at which the tip travels", minimum=1e-4, maximum=1.0
     )
     approach_m: float = setting(
         0.002, doc="m, distance from a ball at which the probing motion begins", minimum=1e-5,

@@ -21,13 +21,13 @@ def command() -> None:
 
 @command.command()
 @click.argument("configuration", type=path_type)
-@click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen at.")
+@click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
 @click.option(
     "--port",
     default=1294,
     show_default=True,
     type=click.IntRange(0, 65_535),
-    help="Port to listen at; 0: any free one.",
+    help="Port to listen on; 0: any free one.",
 )
 @click.option(
     "--version", default="1.4.3", show_default=True, help="Version that GetDMEVersion() states."
@@ -35,8 +35,8 @@ def command() -> None:
 def serve(configuration: Path, host: str, port: int, version: str) -> None:
     """Serve the simulated cell of CONFIGURATION until interrupted, without ROS.
 
-    One client at a time drives the machine and its table by TCP. There is no password: listen at
-    other addresses than this machine's own only in a network that you trust.
+    One client at a time drives the machine and its table by TCP. There is no password: listen on
+    addresses other than this machine's own only in a network that you trust.
     """
     read = read_configuration(configuration)
     if not read.simulated:

@@ -24,7 +24,9 @@ class OpcUaSettings:
     directory: str = setting(
         "", doc="node that holds the files: a node id, or a browse path below Objects"
     )
-    user: str = setting("", doc="name of the user; empty: by user_certificate, or anonymous")
+    user: str = setting(
+        "", doc="name of the user; empty: identified by user_certificate, or anonymous"
+    )
     password_from: str = setting("", doc="where the password is: file:PATH or env:NAME")
     certificate: str = setting("", doc="file (PEM or DER) with the certificate of the bridge")
     private_key: str = setting("", doc="file (PEM or DER) with the private key of the bridge")

@@ -1,9 +1,9 @@
 """The page as a web application: its files, a stream of events, and a person's requests.
 
-It is served from a thread of its own. Who may ask for what: the host by its name, the person by
-the password, no other site. A page of another site that a browser shows can send requests to this
-one. It cannot read the token, and the browser tells its origin; a name that it lets point here is
-no name of ours.
+It is served from a thread of its own. A request must name this host, carry the password if there
+is one, and come from no other site. A page of another site, open in the same browser, can send
+requests to this one. But it cannot read the token, the browser states its origin, and a foreign
+host name that was made to point to this machine is not accepted.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def make_app(board: Board, actions: Actions, host: str, password: Secret | None 
     async def resume(request: Request) -> Response:
         asked = await _asked(request, "instruction")
         if asked is None:
-            return _response(Answer(False, "expected the instruction that was followed"), 400)
+            return _response(Answer(False, "expected the instruction that was carried out"), 400)
         return await _answered(actions.resume(*asked))
 
     async def stop(_request: Request) -> Response:
@@ -148,11 +148,12 @@ async def _asked(request: Request, *names: str) -> tuple[str, ...] | None:
 
 async def _answered(future: Future[Answer]) -> Response:
     try:
-        # Shielded: the cell could not give its late answer to a future that was canceled.
+        # Shielded: to a canceled future the cell could not give its late answer.
         waiting = asyncio.shield(asyncio.wrap_future(future))
         answer = await asyncio.wait_for(waiting, ANSWER_TIMEOUT_S)
     except asyncio.TimeoutError:
-        return _response(Answer(False, "no answer from the cell"), 504)
+        waited = f"the cell has not answered for {ANSWER_TIMEOUT_S:g} s"
+        return _response(Answer(False, waited), 504)
     return _response(answer, 200 if answer.success else 409)
 
 
@@ -206,10 +207,10 @@ class Guard:
         """Return the answer to a request that is not let through."""
         host = headers.get("host", "")
         if not _is_ours(host, self._names):
-            return PlainTextResponse("this page is not served under that name", 421)
+            return PlainTextResponse("this page is not served under that host name", 421)
         if self._password is not None and not _carries(headers, self._password):
             challenge = {"WWW-Authenticate": 'Basic realm="rotcal", charset="UTF-8"'}
-            return PlainTextResponse("the password, please", 401, challenge)
+            return PlainTextResponse("this page needs the password", 401, challenge)
         if method in SAFE:
             return None
         if headers.get("origin", "") != f"http://{host}":
@@ -234,7 +235,7 @@ def _is_ours(host: str, names: Collection[str]) -> bool:
 
 
 def _carries(headers: Headers, password: Secret) -> bool:
-    """Return whether a request carries the password, under any name of a user."""
+    """Return whether a request carries the password, whatever user name it gives."""
     scheme, _, text = headers.get("authorization", "").partition(" ")
     try:
         _user, _, given = base64.b64decode(text, validate=True).decode().partition(":")

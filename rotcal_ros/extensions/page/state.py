@@ -1,8 +1,8 @@
 """What the page shows, as frozen sections; a viewer is sent those that have changed.
 
-Numbers stand in the units in which people read them, named by their suffix; times are seconds
-since 1970. None is what nobody knows. All viewers look at one board; courses of values never grow
-without bound. The large line says what happens now, or what a person has to do.
+Numbers are in the units that people read, named by their suffix; times are seconds since 1970.
+None means not known. All viewers look at one board; courses of values never grow without bound.
+The large line says what happens now, or what a person has to do.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Kind = Literal[
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """What is calibrated. ``simulated`` is None while nobody has said it."""
+    """What is calibrated. ``simulated`` is None until it is known."""
 
     namespace: str = ""
     method: str = ""
@@ -366,7 +366,7 @@ def now(heard: HeardPlanner, offer: ShownOffer | None = None) -> Now:
         return _calibrating(heard)
     if offer is not None and not (offer.why_not or offer.applied):
         return Now("confirm", "A table waits for your confirmation",
-                   "Look at what it changes, below.")  # fmt: skip
+                   "See below what it changes.")  # fmt: skip
     return _after_the_end(heard) or (_ready(heard.planner) if here else Now())
 
 

@@ -37,7 +37,8 @@ def _rate(_context: click.Context, _option: click.Parameter, value: float) -> fl
     """Refuse an invalid pace."""
     if not math.isfinite(value) or not LEAST_RATE <= value <= LARGEST_RATE:
         raise click.BadParameter(
-            f"{value:g} is no valid pace: {LEAST_RATE:g} (slow motion) to {LARGEST_RATE:g} (fast)"
+            f"{value:g} is not a valid pace: expected {LEAST_RATE:g} (slow motion) to "
+            f"{LARGEST_RATE:g} (fast)"
         )
     return value
 
@@ -80,8 +81,8 @@ def command(
 
     The plan, the orders and the streams of the instruments are published, with their recorded
     quality of service. What nodes had made of them is not: a live capture and a live solver make
-    it again, equal to the last bit; with a live solver there the result is asked for at the end.
-    Nothing is replayed where a machine listens to orders. Ctrl-C ends it.
+    it again, equal to the last bit. A live solver is asked for its result at the end. Nothing is
+    replayed where a machine listens to orders. Ctrl-C ends it.
     """
     require_ros()
     options = [f"--rate={rate!r}", *(["--clock"] if clock else [])]

@@ -226,7 +226,7 @@ class TouchProbeSettings:
     speed_m_s: float = setting(0.1, doc="m/s, largest speed", minimum=1e-6)
     acceleration_m_s2: float = setting(0.5, doc="m/s^2, acceleration", minimum=1e-6)
     clearance_m: float = setting(
-        0.05, doc="m, height above the balls in which the tip travels", minimum=0.0
+        0.05, doc="m, height above the balls at which the tip travels", minimum=0.0
     )
     settling_time_s: float = setting(
         1.0, doc="s, wait after the last motion before the first touch", minimum=0.0

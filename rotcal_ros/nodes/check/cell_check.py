@@ -4,10 +4,10 @@ Prints what was found as JSON, see :class:`~rotcal_ros.methods.check_lines.CellR
 own capture listens under a hidden name, without publishing, and the planner's preflight judges:
 what passes here passes there.
 
-Lines on drivers and other nodes are made in ``snapshot`` beside it; here are those on the frames
-(what headers name, what /tf_static says), on who may stop the cell, on the machine (the joint of
-its table, and who obeys the two orders), and on the streams: who publishes, how often, and what is
-wrong.
+The lines about drivers and other nodes come from ``snapshot``. Those made here are about the
+frames (what headers name, what /tf_static says), the emergency stop, the machine (the joint of its
+table, and the nodes that obey the two orders), and the streams: who publishes them, how often, and
+what is wrong with them.
 """
 
 from __future__ import annotations
@@ -336,13 +336,13 @@ def _joint_line(snapshot: CellSnapshot) -> CheckLine:
 
 
 def _order_lines(snapshot: CellSnapshot, order: str) -> Iterator[CheckLine]:
-    """Yield who obeys an order, and who besides the planner gives it."""
+    """Yield which nodes obey an order, and which nodes besides the planner give it."""
     part, graph = _PARTS[order], snapshot.graph
     name, machines = graph.resolve(order), graph.machines(order)
     if line := brought_line(snapshot, part, order, "obeys it"):
         yield line
     elif snapshot.started_by_us and not machines:
-        yield CheckLine(part, order, "note", "simulated: rotcal run starts who obeys it")
+        yield CheckLine(part, order, "note", "simulated: rotcal run starts the node that obeys it")
     elif why := list(graph.without_machine(order)):
         todo = f"let your machine's node subscribe to {name} ({_TYPES[order]}), volatile"
         yield CheckLine(part, order, "missing", "; ".join(why), todo)
@@ -370,7 +370,7 @@ def _adapter_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
 
 
 _CLOCKS: Final = (
-    "set the clocks of all machines alike (chrony, ptp), and stamp when it is measured"
+    "synchronise the clocks of all machines (chrony, ptp), and stamp the time of measurement"
 )
 _UNITS: Final[Mapping[str, str]] = {
     names.PROBE_POINT: "m", names.TRACER_LENGTH: "m", names.TEMPERATURE: "°C",
@@ -425,7 +425,7 @@ def _absent(snapshot: CellSnapshot, topic: str) -> CheckLine:
     name = snapshot.name(topic)
     if snapshot.started_by_us:
         return CheckLine(part, topic, "note", "simulated: rotcal run starts it")
-    if line := brought_line(snapshot, part, topic, "tells it"):
+    if line := brought_line(snapshot, part, topic, "publishes it"):
         return line
     planned = snapshot.calibration
     required, wished = preflight.expected_air(planned) if planned else ([], [])
@@ -442,7 +442,7 @@ def _absent(snapshot: CellSnapshot, topic: str) -> CheckLine:
 def _problem(
     snapshot: CellSnapshot, topic: str, offers: list[Any], watch: HeaderWatch
 ) -> Finding | None:
-    """Return why nothing can be measured with a stream; None: it can be."""
+    """Return why a stream cannot be used to measure; None: it can."""
     kind, name = OWN[topic], snapshot.name(topic)
     limit_s = snapshot.configuration.planner.stream_timeout_s
     if text := snapshot.values.get(REFUSED + topic):
@@ -454,9 +454,9 @@ def _problem(
         many = f"stop all publishers of {name} but one"
         return Finding(why, many if len(offers) > 1 else _silent(watch, name))
     if wrong := next(_faults(snapshot, topic), None):
-        return Finding(wrong, f"publish {name} as expected, or set what its line names")
+        return Finding(wrong, f"publish {name} as expected, or change what its line names")
     if watch.unstamped and watch.unstamped == watch.count:
-        todo = f"fill header.stamp of {name}: when it was measured"
+        todo = f"fill header.stamp of {name} with the time of measurement"
         return Finding("its messages have no stamp", todo)
     silence_s = time.monotonic() - watch.heard_s
     steady = topic in FAST and topic not in single_shots(snapshot.configuration.topics)
@@ -485,7 +485,7 @@ def _silent(watch: HeaderWatch, name: str) -> str:
 
 
 def _doubt(snapshot: CellSnapshot, topic: str, watch: HeaderWatch) -> Finding | None:
-    """Return what looks wrong about a stream though it can be measured with."""
+    """Return what looks wrong with a stream although it can be used to measure."""
     limit_s, name = snapshot.configuration.capture.stamp_offset_s, snapshot.name(topic)
     planned, is_table, values = snapshot.calibration, topic == names.JOINT_STATES, snapshot.values
     if planned and (small := next(preflight.size_doubts(values, planned, topic), None)):
@@ -499,7 +499,8 @@ def _doubt(snapshot: CellSnapshot, topic: str, watch: HeaderWatch) -> Finding | 
         way = "ahead of" if watch.ahead_s > 0 else "behind"
         return Finding(f"stamps {abs(watch.ahead_s):.2f} s {way} this machine's clock", _CLOCKS)
     if watch.set_back:
-        return Finding(f"{watch.set_back} stamps go back", f"let the stamps of {name} ascend")
+        found = f"{watch.set_back} stamps are earlier than the one before"
+        return Finding(found, f"let the stamps of {name} only increase")
     return None
 
 

@@ -133,7 +133,7 @@ class CellSnapshot:
         return self.graph.publishers(self.name(role))
 
     def unusable(self, role: str) -> str | None:
-        """Return in words why the topic of a role is of no use; None: it is of use."""
+        """Return in words why the topic of a role cannot be used; None: it can."""
         if role == names.JOINT_STATES and self.adapter is not None:
             wrong = self.adapter.wrong()
             return None if wrong is None else wrong.found
@@ -190,14 +190,14 @@ def brought(snapshot: CellSnapshot) -> dict[str, list[str]]:
 
 
 def brought_line(snapshot: CellSnapshot, part: str, role: str, does: str) -> CheckLine | None:
-    """Return the line of a role that a driver will play; None if none will."""
+    """Return the line of a role that a driver will take; None if none will."""
     nodes = snapshot.brought.get(role, [])
     if not nodes:
         return None
     if len(nodes) > 1:
-        found, todo = f"{' and '.join(nodes)} would both play it", "leave one of their groups out"
+        found, todo = f"{' and '.join(nodes)} would both do it", "leave one of their groups out"
         return CheckLine(part, role, "missing", found, todo)
-    return CheckLine(part, role, "note", f"{nodes[0]} {does}, which rotcal run starts")
+    return CheckLine(part, role, "note", f"rotcal run starts {nodes[0]}, which {does}")
 
 
 def driver_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
@@ -230,7 +230,7 @@ def cell_lines(snapshot: CellSnapshot) -> Iterator[CheckLine]:
         yield CheckLine("cell", "nodes", "note", f"{', '.join(here) or 'none'} in {place}{more}")
     if busy := sorted({*here} & {*NODES, *further_nodes(snapshot.configuration.given)}):
         found = f"nodes of a calibration are here already: {', '.join(busy)}"
-        todo = "rotcal run would be refused here: let it end (rotcal attach), or use its nodes"
+        todo = "rotcal run would be refused: let them end (rotcal attach), or calibrate with them"
         yield CheckLine("cell", "calibration", "doubt", found, todo)
 
 
@@ -246,7 +246,7 @@ def _nobody(snapshot: CellSnapshot) -> CheckLine:
     if used:
         shown = ", ".join(map(str, used))
         todo = (
-            f"on this machine there are participants in ROS_DOMAIN_ID {shown}: "
+            f"on this machine there are participants in ROS_DOMAIN_ID {shown}; look there: "
             f"ROS_DOMAIN_ID={used[0]} rotcal cell check ..."
         )
     return CheckLine("cell", "nodes", "missing", f"no node in domain {domain}", todo)

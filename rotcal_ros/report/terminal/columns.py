@@ -1,8 +1,8 @@
 """A table in two forms: for people at a terminal, perhaps a narrow one, and as CSV in a pipe.
 
-At a terminal numbers are rounded, and what is too wide is stacked: tables below each other with
-the first column in each, so that no digit and no unit is ever cut. If standard output is not a
-terminal it gets CSV alone, in full precision; all words for people go to standard error.
+At a terminal numbers are rounded, and a table that is too wide is split into tables below each
+other, each with the first column, so that no digit and no unit is ever cut. If standard output is
+not a terminal it gets CSV alone, in full precision; all words for people go to standard error.
 """
 
 from __future__ import annotations

@@ -133,7 +133,7 @@ def test_what_protection_costs_is_told(tmp_path, monkeypatch):
     words = run(*command).stdout
     assert f"{found['lengths_s']:.0f} s for the lengths and {found['turns_s']:.0f} s for" in words
     more = found["lengths"] - found["bound"]
-    assert f"what protection costs: {more} lengths more than the bound, for that each" in words
+    assert f"what protection costs: {more} lengths more than the bound, so that each" in words
     assert f"{found['time_s'] - found['quickest_s']:.0f} s more than the quickest order" in words
 
 

@@ -141,7 +141,7 @@ def test_a_page_without_contact_looks_dead_and_comes_back(cell, opened):
     page = opened(url)
     expect(page.locator("#headline")).to_have_text("Ready")
     live.kill("operator_page")
-    expect(page.locator("#lost")).to_contain_text("Connection lost since")
+    expect(page.locator("#lost")).to_contain_text("Connection lost at")
     expect(page.locator("body")).to_have_class("dead")
     assert float(page.locator("main").evaluate("e => getComputedStyle(e).opacity")) < 0.5
     live.file.write_text(

@@ -113,7 +113,7 @@ def test_before_all_stations_are_placed_the_goals_figure_is_not_known(shown):
     unknown = ShownUncertainty(largest_arcsec=None, rms_arcsec=None, goal_arcsec=0.79)
     page = shown(MEASURING | {"standing": unknown})
     assert page.locator("#uncertainty").inner_text() == "–"
-    assert page.inner_text("#goal").endswith("goal: rms of U 0.79″, now not known yet")
+    assert page.inner_text("#goal").endswith("goal: rms of U 0.79″, now unknown")
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

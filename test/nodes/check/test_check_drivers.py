@@ -103,13 +103,15 @@ def test_without_drivers_there_is_nothing_to_say():
 
 def test_two_drivers_for_one_table_are_one_too_many():
     cell = heard(changed(DME, ["table_adapter.controller=/drive"]))
-    line = brought_line(cell, "table", "joint_states", "tells it")
+    line = brought_line(cell, "table", "joint_states", "publishes it")
     assert (line.state, line.found) == (
-        "missing", "table_adapter and dme_adapter would both play it"
+        "missing", "table_adapter and dme_adapter would both do it"
     )  # fmt: skip
-    line = brought_line(cell, "probe", "probe_point", "tells it")
-    assert (line.state, line.found) == ("note", "dme_adapter tells it, which rotcal run starts")
-    assert brought_line(cell, "air", "temperature", "tells it") is None
+    line = brought_line(cell, "probe", "probe_point", "publishes it")
+    assert (line.state, line.found) == (
+        "note", "rotcal run starts dme_adapter, which publishes it"
+    )  # fmt: skip
+    assert brought_line(cell, "air", "temperature", "publishes it") is None
 
 
 def test_a_host_that_can_have_no_address_is_missing_too():

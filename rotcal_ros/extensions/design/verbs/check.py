@@ -38,7 +38,8 @@ if TYPE_CHECKING:
 @click.option(
     "--candidates",
     type=path_type,
-    help="Places for the reflector: target,x_m,y_m,z_m. Else --volume, or the block.",
+    help="Places for the reflector (target,x_m,y_m,z_m); default: those of --volume, else of "
+    "the configuration's block.",
 )
 @click.option(
     "--volume",
@@ -47,14 +48,18 @@ if TYPE_CHECKING:
     help="Where the reflector may go and what is in the way, as for 'rotcal plan tracer'.",
 )
 @click.option(
-    "--volume-set", "limits", multiple=True, metavar="NAME=VALUE", help="The same, by name."
+    "--volume-set",
+    "limits",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Set or change a setting of --volume.",
 )
 @click.option(
     "--least-redundancy",
     type=click.FloatRange(0.0, 0.9),
     default=LEAST_REDUNDANCY,
     show_default=True,
-    help="Of each length; 0 checks nothing.",
+    help="Least redundancy of each length; 0: none needs to be checked by others.",
 )
 @set_option
 @click.option("-o", "--output", type=path_type, help="Folder for configuration and its tables.")
@@ -138,7 +143,7 @@ def _print_checks(plan: CheckPlan, every: int, least_redundancy: float) -> None:
         print_words(f"nothing will be known of {unknown} of the earlier result")
     if least_redundancy < LEAST_REDUNDANCY:
         print_words(
-            "warning: some lengths are hardly checked: an error in one of them may turn "
+            "warning: some lengths are hardly checked: an error in one of them may reverse "
             "the verdict"
         )
     print_words(

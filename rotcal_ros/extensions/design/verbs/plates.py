@@ -75,8 +75,8 @@ def plate(
 
     Tries all layouts where they can be enumerated (up to rotation and reflection), otherwise
     exchanges one ball at a time from many starts. The gap is the distance to a bound that no
-    layout can beat. For every order of measurement it predicts what a drift of the CMM and a knock
-    of the plate would do, and from which size on they are found.
+    layout can beat. For every measuring order it predicts what a drift of the CMM and a knock of
+    the plate would do, and from which size they are found.
     """
     from rotcal_ros.extensions.design.ball_plate.ball_layout import plan_plate
     from rotcal_ros.extensions.design.ball_plate.order_forecast import forecast

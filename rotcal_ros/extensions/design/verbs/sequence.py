@@ -35,9 +35,17 @@ LONGEST: Final = 3600.0
 
 @click.command("sequence")
 @click.argument("configuration", type=path_type, metavar="CONFIG", shell_complete=configurations)
-@click.option("--set", "changes", multiple=True, metavar="GROUP.NAME=VALUE", help="Change it.")
 @click.option(
-    "--cell", is_flag=True, help="Times of the simulated cell of CONFIG; otherwise the two below."
+    "--set",
+    "changes",
+    multiple=True,
+    metavar="GROUP.NAME=VALUE",
+    help="Change a setting of CONFIG.",
+)
+@click.option(
+    "--cell",
+    is_flag=True,
+    help="Use the times of the simulated cell instead of --turn-s and --length-s.",
 )
 @click.option("--turn-s", type=float, default=10.0, show_default=True, help="s, one rotation.")
 @click.option("--length-s", type=float, default=5.0, show_default=True, help="s, one length.")
@@ -48,10 +56,10 @@ LONGEST: Final = 3600.0
     show_default=True,
     help="Standard uncertainties that an unseen drift or knock may cause.",
 )
-@click.option("--clock", is_flag=True, help="Also time CONFIG as it is in the simulated cell.")
+@click.option("--clock", is_flag=True, help="Also time CONFIG as listed, in the simulated cell.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the search.")
 @click.option(
-    "-o", "--output", type=NamedFile(".csv"), help="Write the pairs in the best order there."
+    "-o", "--output", type=NamedFile(".csv"), help="Write the pairs in the best order to a file."
 )
 @json_option
 def sequence(
@@ -180,7 +188,7 @@ def _order_to_dict(way: MeasuringOrder) -> dict[str, Any]:
 
 def _print_sequence(data: dict[str, Any]) -> None:
     print_words(
-        f"{data['lengths']} lengths: {data['listed_s']:.0f} s as listed, no order in less than "
+        f"{data['lengths']} lengths: {data['listed_s']:.0f} s as listed, no order takes less than "
         f"{data['bound_s']:.0f} s"
     )
     if "clock_s" in data:

@@ -59,9 +59,9 @@ def tracer(
 ) -> int:
     """Find few lengths of a laser tracer that reach a wanted uncertainty of ECC.
 
-    Prints the uncertainty that results will state, as simulated measurements of the plan do, what
-    that assumes, the bound that no plan can beat, how well its lengths check each other, and what
-    the protection against drift costs.
+    Prints the uncertainty that results will state (taken from simulated measurements of the plan),
+    what it assumes, the bound that no plan can beat, how well the lengths check each other, and
+    what the protection against drift costs.
 
     GOAL.yaml has settings by name: docs/settings.md lists them.
     """
@@ -196,7 +196,7 @@ def _print_tracer(data: dict[str, Any], settings: TracerDesignSettings) -> None:
         f"U(ECC), k = 2, that results state: with a probability of {100 * data['confidence']:g} % "
         f"at most {_number(data['promised_rms_arcsec'], 1.0, '.3f')} arcsec rms, "
         f"{_number(data['promised_largest_arcsec'], 1.0, '.3f')} at the worst angle (wanted "
-        f"{settings.need_arcsec:g} and {settings.largest_arcsec:g}); in the middle "
+        f"{settings.need_arcsec:g} and {settings.largest_arcsec:g}); median "
         f"{_number(data['expanded_rms_arcsec'], 1.0, '.3f')} and "
         f"{_number(data['expanded_largest_arcsec'], 1.0, '.3f')}"
     )
@@ -221,7 +221,7 @@ def _print_tracer(data: dict[str, Any], settings: TracerDesignSettings) -> None:
     )
     if not settings.checked:
         say(
-            "warning: this is the plain minimum, its lengths do not check each other: "
+            "warning: this is the plain minimum, whose lengths do not check each other: "
             f"an error of any size stays unseen in {data['unchecked']} of {data['lengths']}, and "
             "one wrong length spoils the result; it is not planned to keep the promise, and "
             f"{100 * data['met']:.0f} % of simulated results have a verdict ok and meet the goal"
@@ -238,14 +238,14 @@ def _print_order_of_lengths(data: dict[str, Any], settings: TracerDesignSettings
         f"{drift}, unseen knock {knock} standard uncertainties"
     )
     checks = (
-        f"that each has a redundancy of {settings.min_redundancy:g}, that an undetected error "
-        f"does at most {settings.max_undetected:g} U, and the promise"
+        f"so that each has a redundancy of {settings.min_redundancy:g}, an undetected error does "
+        f"at most {settings.max_undetected:g} U, and the promise is kept"
         if settings.checked
-        else "whole lengths and the promise"
+        else "for whole lengths and the promise"
     )
     click.echo(
         f"what protection costs: {data['lengths'] - data['bound']} lengths more than the bound, "
-        f"for {checks}; {data['time_s'] - data['quickest_s']:.0f} s more than the quickest order "
+        f"{checks}; {data['time_s'] - data['quickest_s']:.0f} s more than the quickest order "
         f"({data['quickest_s']:.0f} s), in which a drift may do "
         f"{_number(hidden['drift'], 1.0)}, a knock {_number(hidden['knock'], 1.0)} standard "
         f"uncertainties unseen (max_unseen {limit:g})"

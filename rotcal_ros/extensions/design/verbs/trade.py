@@ -62,7 +62,10 @@ def _usual(command: click.Command) -> TradeTable:
 @json_option
 @click.pass_context
 def trade(context: click.Context, as_json: bool) -> int:
-    """How large, how quiet, how many for U(ECC) <= x; without a method: the usual case of each."""
+    """Show which sizes, noises and numbers reach a wanted U(ECC).
+
+    Without a method: the usual case of each.
+    """
     if context.invoked_subcommand is None:
         tables = {"tracer": _usual(tracer), "plate": _usual(plate), "mirror": _usual(mirror)}
         if as_json:
@@ -153,7 +156,7 @@ def tracer(
     ]
     beyond = any(row.lengths is None for row in rows)
     notes = (
-        "if no number of lengths is given, it is out of reach: U is that of all lengths",
+        "a row without lengths: the goal is out of reach, and U is that of all lengths together",
     ) * beyond
     return TradeTable({"need_rad": need_arcsec * ARCSEC, **_rows(rows)}, columns, title, notes)
 

@@ -266,10 +266,10 @@ class FollowedGoal:
         if asked is None or not asked.instruction:
             return Answer(False, "nothing waits for resume")
         if instruction != asked.instruction:
-            return Answer(False, "something else is asked for now")
+            return Answer(False, "the instruction has changed: read the new one first")
         if not self._resume.service_is_ready():
             return Answer(False, "the planner does not answer")
-        # A second click finds nothing asked for until the planner has spoken again.
+        # Until the planner's next feedback, a second click finds that nothing is asked for.
         going_on = Reason(Why.GOING_ON)
         self.feedback = continuing = replace(
             asked, doing=going_on.code, activity=going_on.in_words(), instruction=""
@@ -329,7 +329,7 @@ class PageTopics:
     """Shows on a board what its topics say.
 
     ``uncertainty`` is the largest expanded one (k = 2) of ECC in the latest solution, rad; None
-    where it is not known. ``withheld`` says why it may not be stated, else it is empty.
+    where it is not known. ``withheld`` says why it may not be stated; it is empty if it may.
     ``loading`` is true while a plan is read.
     """
 
@@ -343,7 +343,7 @@ class PageTopics:
         self.withheld, self.loading = "", False
         node.listen(CalibrationPlan, names.PLAN, self._take_plan, LATCHED)
         node.listen(DeviationArray, "deviations", self._take_deviations, LATCHED)
-        # few, and a person is to see all that was rejected, however busy the machine is
+        # There are few, and a person has to see all of them, however busy the machine is.
         node.listen(ObservationMsg, names.OBSERVATION, self._take_observation, EVENT)
         node.listen(Log, "/rosout", self._take_log, ROSOUT)
         node.take_orders(self._point)

@@ -115,7 +115,8 @@ def nodes(health: Health) -> tuple[ShownNode, ...]:
         level = SILENT if name in health.lost else beat.level
         words = "silent" if level == SILENT else _words(health, name)
         if (seconds := health.slow.get(name)) is not None:
-            words, level = f"slow: no sign for {seconds:.0f} s; {words}", max(level, 1)
+            words = f"slow: no sign of life for {seconds:.0f} s; {words}"
+            level = max(level, 1)
         found.append(ShownNode(name, words, level))
     return tuple(found)
 
@@ -123,8 +124,9 @@ def nodes(health: Health) -> tuple[ShownNode, ...]:
 def _words(health: Health, name: str) -> str:
     """Return the state of a node with what troubles it."""
     values = health.values(name)
-    trouble = [values[key] for key in ("lost_nodes", "unfinished") if key in values]
-    return "; ".join([health.in_words(name), *(f"without {t}" for t in trouble)])
+    forms = {"lost_nodes": "without {}", "unfinished": "{}"}
+    trouble = [form.format(values[key]) for key, form in forms.items() if key in values]
+    return "; ".join([health.in_words(name), *trouble])
 
 
 def recording(values: Mapping[str, str]) -> RecorderState | None:

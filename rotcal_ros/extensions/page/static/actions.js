@@ -28,7 +28,7 @@ async function ask(what, values = {}) {
     text("answer", sentence(answer.message));
     setTimeout(() => text("answer", ""), answer.success ? 6000 : 30000);
   } catch {
-    text("answer", "The page cannot be reached: nothing was asked for.");
+    text("answer", "The server of this page does not answer: it is not known whether the request arrived.");
   }
 }
 

@@ -1,4 +1,4 @@
-// The connection: one stream of events; what it brings is shown, its silence is shown too.
+// The connection: one stream of events. What it brings is shown, and so is its silence.
 import { show } from "./sections.js";
 import { redraw } from "./charts.js";
 import { clock, text } from "./words.js";
@@ -39,7 +39,7 @@ function take(event) {
   show(sections, state, Boolean(token));
   if (ended) {
     source.close();
-    banner(`Switched off at ${clock(time_s)}`, "What stands below is how it ended. Nothing here is live.");
+    banner(`Switched off at ${clock(time_s)}`, "Below is the last state. Nothing here is live any more.");
     text("alive", `Ended ${clock(time_s)}`);
     actions.disable(true);
   } else {
@@ -63,8 +63,8 @@ function watch() {
   document.body.className = "dead";
   text("alive", "No contact");
   document.title = "No contact – rotcal";
-  banner(`Connection lost since ${clock(heard / 1000, true)}`,
-    "What stands below is old. The calibration may go on without this page; it tries to reach it again.");
+  banner(`Connection lost at ${clock(heard / 1000, true)}`,
+    "What you see below is old. The calibration may still be running; this page keeps trying to reconnect.");
   actions.disable(true);
   if (Date.now() - tried < SILENCE_MS) return; // an attempt gets the time to be answered
   if (source.readyState === EventSource.CLOSED || Date.now() - heard > 5 * SILENCE_MS) connect();

@@ -57,12 +57,12 @@ const RENDER = {
       return;
     }
     text("uncertainty", largest === null ? "–" : `${number(largest)}″`);
-    const reached = rms === null ? "not known yet" : `${number(rms)}″${rms <= goal ? ", reached" : ""}`;
+    const reached = rms === null ? "unknown" : `${number(rms)}″${rms <= goal ? ", reached" : ""}`;
     const aim = goal === null ? "" : `goal: rms of U ${number(goal)}″, now ${reached}`;
     text("goal", ["largest of the curve", aim].filter(Boolean).join("; "));
     const columns = [course.map((p) => p[0]), course.map((p) => p[1])];
     by("standing_chart").hidden = !course.length;
-    const words = "U (k = 2), the largest of the curve, over the accepted steps.";
+    const words = "Largest U (k = 2) of the curve, against the number of accepted steps.";
     const about = goal === null ? "" : ` The goal is for the rms of U about the mean: ${number(goal)}″, now ${reached}.`;
     text("standing_words", course.length ? words + about : `Not known yet.${about}`);
     if (course.length) draw("standing_chart", { data: columns, series: [{ label: "U", colour: "blue" }], unit: "″", zero: true, words });
@@ -85,7 +85,7 @@ const RENDER = {
     by("length_chart").hidden = !course.length;
     if (course.length) {
       draw("length_chart", { data: [course.map((p) => p[0]), course.map((p) => p[1])], unit: "",
-        series: [{ label: "length", colour: "blue" }], x: { time: true, values: times }, words: "length of the last minute, mm" });
+        series: [{ label: "length", colour: "blue" }], x: { time: true, values: times }, words: "length over the last minute, mm" });
     }
   },
   temperatures(sensors) {
@@ -95,7 +95,7 @@ const RENDER = {
       line.append(element("small", `${s.sensor}: ${number(s.low_c)} to ${number(s.high_c)} °C${drift}`));
       return line;
     }));
-    if (!sensors.length) by("temperatures").append(element("p", "No thermometer has spoken.", "nothing"));
+    if (!sensors.length) by("temperatures").append(element("p", "No temperature received yet.", "nothing"));
     const [first] = sensors;
     by("temperature_chart").hidden = !first;
     if (first) {
@@ -112,7 +112,7 @@ const RENDER = {
   nodes(nodes, state) {
     if (!state.deviations) {
       const solver = nodes.find((n) => n.name === "solver")?.words ?? "";
-      text("curve_words", `Nothing is known yet. ${solver ? `Solver: ${solver}.` : ""}`);
+      text("curve_words", `No deviations yet. ${solver ? `Solver: ${solver}.` : ""}`);
     }
     by("nodes").replaceChildren(...nodes.map((n) => state_line(n.name, n.words, ["", "warn", "bad", "bad"][n.level])));
   },
@@ -140,7 +140,7 @@ const RENDER = {
     by("offer").hidden = !offer;
     if (!offer) return;
     const facts = [["hash", offer.confirmation || "none"], ["verdict", offer.verdict + (offer.simulated ? " (SIMULATED)" : "")], ["table", offer.in_force],
-      ["leaves", offer.residual], ["bridge", offer.bridge]].filter(([, words]) => words);
+      ["remainder", offer.residual], ["bridge", offer.bridge]].filter(([, words]) => words);
     if (offer.angles_deg.length) facts.push(["change", change(offer)]);
     if (offer.applied) facts.push(["applied", "the controller holds this table"]);
     else if (offer.why_not && offer.why_not !== offer.bridge) facts.push(["apply", offer.why_not]);
@@ -164,7 +164,7 @@ function draw_offer(offer) {
     bands.push([series.length - 1, series.length]);
   }
   const ways = same ? "" : " Blue for increasing angle, orange for decreasing angle.";
-  text("offer_words", `Correction of the controller: with this table (line) and its U (band, k = 2); while it was measured, as far as known (dashed).${ways}`);
+  text("offer_words", `Correction by the controller. Line: with this table; band: its U (k = 2); dashed: during the measurement, as far as known.${ways}`);
   draw("offer_chart", { data, series, bands, unit: "″", x: angles,
     words: `correction of the controller now (dashed) and with this table (line), by angle; ${change(offer)}${ways}` });
 }
@@ -207,7 +207,7 @@ const angles = { values: (_, splits) => splits.map((v) => `${number(v, 0)}°`), 
 const times = (_, splits) => splits.map((v) => clock(v, true));
 
 function view(state) {
-  if (!state.view) { text("view_words", "Known once the plan is announced."); by("view").replaceChildren(); return; }
+  if (!state.view) { text("view_words", "Shown once the plan has been announced."); by("view").replaceChildren(); return; }
   drawView(by("view"), state.view, state.pointing);
   const p = state.pointing;
   text("view_words", p ? `Table at ${number(p.table_angle_deg, 1)}°, ${p.visited_deg.length} of ${state.view.angles_deg.length} angles visited. ${sentence(p.place)}.` : "");
