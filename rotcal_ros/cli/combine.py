@@ -57,7 +57,7 @@ def command(
     from rotcal_ros.foundation.files import write_atomically
     from rotcal_ros.recordings.result_sources import read_measured
 
-    faces = polygon_faces(polygon, sources)
+    faces = polygon_faces(polygon, sources, reference_std)
     combined = combine(
         [read_measured(source, faces, reference_std) for source in sources], enlarge
     )

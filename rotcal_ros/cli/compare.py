@@ -81,7 +81,7 @@ def _read(
 ) -> dict[str, MeasuredCurve]:
     from rotcal_ros.recordings.result_sources import read_curves
 
-    faces = polygon_faces(polygon, sources)
+    faces = polygon_faces(polygon, sources, reference_std)
     return {
         name: curve
         for source in sources

@@ -64,7 +64,8 @@ reference_option: Final = click.option(
     type=click.FloatRange(min=0.0),
     metavar="ARCSEC",
     callback=lambda _context, _option, given: None if given is None else given * ARCSEC,
-    help="Standard uncertainty (k = 1) of reference tables that state none; 0: exact.",
+    help="Standard uncertainty (k = 1) of reference tables, and of a polygon's faces, that state "
+    "none; 0: exact.",
 )
 
 
@@ -75,10 +76,13 @@ polygon_option: Final = click.option(
 )
 
 
-def polygon_faces(polygon: Path | None, sources: Iterable[Path]) -> MeasuredCurve | None:
+def polygon_faces(
+    polygon: Path | None, sources: Iterable[Path], reference_std: float | None
+) -> MeasuredCurve | None:
     """Return the calibrated faces in the file ``polygon``, if one is given.
 
-    Raises UsageError if there is no reference table among ``sources``.
+    ``reference_std`` (rad) holds for faces that state no uncertainty. Raises UsageError if there
+    is no reference table among ``sources``.
     """
     if polygon is None:
         return None
@@ -88,7 +92,7 @@ def polygon_faces(polygon: Path | None, sources: Iterable[Path]) -> MeasuredCurv
 
     if not any(map(is_table, sources)):
         raise click.UsageError("--polygon needs a reference table, and none is given")
-    return read_reference(read_text(polygon), str(polygon))
+    return read_reference(read_text(polygon), str(polygon), reference_std)
 
 
 _risk = click.FloatRange(0.0, 0.5, min_open=True, max_open=True)

@@ -53,6 +53,14 @@ if TYPE_CHECKING:
     help="Ball plate: evaluate every n-th step of the grid only.",
 )
 @click.option(
+    "--groups",
+    type=click.Choice(["together", "separate"]),
+    default="together",
+    show_default=True,
+    help="Ball plate: solve groups of table positions that no ball connects, each with its own "
+    "zero, or refuse them.",
+)
+@click.option(
     "-o", "--output", type=NamedFile(".json"), help="Write the result to this file, as JSON."
 )
 @json_option
@@ -65,6 +73,7 @@ def command(
     namespace: str,
     balls: tuple[str, ...],
     coarser: tuple[int, ...],
+    groups: str,
     output: Path | None,
     as_json: bool,
 ) -> int:
@@ -73,26 +82,29 @@ def command(
     The bag's raw streams go through the same capture and solver as in the live run, so the
     result is the same to the last bit. A cut-off or damaged bag is read as far as possible.
     --balls and --coarser may be given several times: the same data are then evaluated in all
-    combinations and compared with the first. The exit code is 0 for the verdict ok and 1 for
-    suspect or failed.
+    combinations and compared with the first; --groups holds for all of them. The exit code is 0
+    for the verdict ok and 1 for suspect or failed.
     """
     from rotcal_ros.recordings.inputs import Input
 
     with progress("reading") as shown:
         data = Input(source, setup, targets, changes, taken_from, namespace).read(shown)
-    if not (balls or coarser):
+    in_groups = groups == "separate"
+    if not (balls or coarser or in_groups):
         return _show(data.solve(), output, as_json)
-    evaluations = _evaluated(data, source, balls, coarser)
+    from rotcal_ros.evaluation.ways import ways
+
+    evaluations = _evaluated(data, source, ways(balls, coarser, in_groups=in_groups))
     if len(evaluations) == 1:
         return _show(evaluations[0].result, output, as_json)
     return _show_evaluations(evaluations, output, as_json)
 
 
 def _evaluated(
-    data: Recording | Measurements, source: Path, balls: tuple[str, ...], coarser: tuple[int, ...]
+    data: Recording | Measurements, source: Path, wanted: tuple[tuple[str, ...], ...]
 ) -> tuple[Evaluation, ...]:
-    """Evaluate the data of a ball plate in all combinations."""
-    from rotcal_ros.evaluation.ways import evaluate, ways
+    """Evaluate the data of a ball plate in the ``wanted`` ways."""
+    from rotcal_ros.evaluation.ways import evaluate
     from rotcal_ros.methods.measurements import PlannedMeasurements
     from rotcal_ros.recordings.replay import Recording
 
@@ -100,8 +112,10 @@ def _evaluated(
         isinstance(data, Recording | PlannedMeasurements)
         and hasattr(data.configuration.solver, "balls")
     ):
-        raise DataError(f"{source}: --balls and --coarser are for the data of a ball plate")
-    evaluations = evaluate(data.calibration, data.observations, ways(balls, coarser))
+        raise DataError(
+            f"{source}: --balls, --coarser and --groups are for the data of a ball plate"
+        )
+    evaluations = evaluate(data.calibration, data.observations, wanted)
     if isinstance(data, PlannedMeasurements):
         return evaluations
     return tuple(replace(e, result=data.with_warnings(e.result)) for e in evaluations)

@@ -22,7 +22,8 @@ EVALUATIONS = "evaluations"
 
 def way_name(changes: Sequence[str]) -> str:
     """Return the changes of a way, in words."""
-    return ", ".join(str(change).removeprefix("solver.") for change in changes) or "all data"
+    shown = (str(change).removeprefix("solver.").removeprefix("plan.plate.") for change in changes)
+    return ", ".join(shown) or "all data"
 
 
 @dataclass(frozen=True)
@@ -51,15 +52,19 @@ class Evaluation:
         }
 
 
-def ways(balls: Sequence[str], coarser: Sequence[int]) -> tuple[tuple[str, ...], ...]:
+def ways(
+    balls: Sequence[str], coarser: Sequence[int], *, in_groups: bool = False
+) -> tuple[tuple[str, ...], ...]:
     """Return the changes of settings for every combination of ball lists and grids.
 
-    ``balls`` holds lists of grid steps such as "0,12,28", or "all".
+    ``balls`` holds lists of grid steps such as "0,12,28", or "all". ``in_groups``: where steps
+    share a factor with the grid, each group of table positions is solved with a zero of its own.
     """
     found = []
     for steps, factor in product(balls or ["all"], coarser or [1]):
         changes = [] if steps == "all" else [f"solver.balls=[{steps}]"]
         changes += [] if factor == 1 else [f"solver.coarser={factor}"]
+        changes += ["plan.plate.separate_groups=true"] if in_groups else []
         found.append(tuple(changes))
     return tuple(found)
 

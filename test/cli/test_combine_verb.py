@@ -1,6 +1,7 @@
 """``rotcal combine``: its result is one like any other for the verbs that take results."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -128,6 +129,12 @@ def test_polygon_faces_are_taken_off_references(tmp_path):
         + "".join(f"{a},{5.0 * (k % 2)},0.05\n" for k, a in enumerate(angles))
     )
     assert run("combine", TRACER, table, "--polygon", faces).exit_code == 0
+    bare = tmp_path / "bare_faces.csv"
+    bare.write_text(re.sub(r",[^,\n]*$", "", faces.read_text(), flags=re.MULTILINE))
+    refused = run("combine", TRACER, table, "--polygon", bare)
+    assert refused.exit_code == 3
+    assert "state one for all rows with --reference-u" in refused.stderr
+    assert run("compare", TRACER, table, "--polygon", bare, "--reference-u", "0.1").exit_code < 2
     assert run("combine", TRACER, PLATE, "--polygon", faces).exit_code == 2
 
 

@@ -103,7 +103,7 @@ def test_other_methods_have_no_balls_to_choose(table, setup):
     setup = str(data / setup)
     result = run("solve", str(data / table), "--setup", setup, *further, "--coarser", "2")
     assert result.exit_code == 3
-    assert "--balls and --coarser are for the data of a ball plate" in result.stderr
+    assert "--balls, --coarser and --groups are for the data of a ball plate" in result.stderr
 
 
 def test_a_table_may_hold_the_closing_rows_of_its_plan(tmp_path):

@@ -229,6 +229,23 @@ def test_closed_form_equals_least_squares():
         np.testing.assert_allclose(exact.unit_std.component(name), found.unit_std[at], rtol=1e-12)
 
 
+@pytest.mark.parametrize("balls", [range(12), range(0, 12, 2)], ids=["whole", "two groups"])
+def test_the_closed_form_solves_a_whole_calibration(balls):
+    problem, _ = simulated(12, balls, seed=6)
+    posed = replace(problem, separate_groups=True)
+    one, other = solve(posed), solve(replace(posed, closed_form=True))
+    for name in COMPONENTS:
+        largest = np.abs(one.deviations[name]).max()
+        np.testing.assert_allclose(
+            other.deviations[name], one.deviations[name], rtol=0, atol=1e-12 * largest
+        )
+        np.testing.assert_allclose(other.std[name], one.std[name], rtol=1e-12)
+    assert other.verdict == one.verdict
+    gaps = posed.take(np.arange(1, len(posed.centres)))
+    with pytest.raises(PlanError, match="the closed form needs"):
+        solve(replace(gaps, closed_form=True))
+
+
 def test_closed_form_divides_by_the_mean_measured_radius():
     problem, _ = simulated(12, range(12), seed=6)
     measured, nominal = closed_form(problem), closed_form(problem, nominal_radius=True)

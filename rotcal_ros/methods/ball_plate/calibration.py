@@ -16,6 +16,7 @@ from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.methods.arrivals import Arrivals, RepeatedTrials, arrivals_of, mean_of_runs
 from rotcal_ros.methods.ball_plate import solver as ball_plate
 from rotcal_ros.methods.ball_plate.settings import (
+    CLOSED_FORM,
     DRIFTS,
     BallPlatePlanSettings,
     BallPlateSolverSettings,
@@ -132,6 +133,7 @@ def problem(
         drift_allowance=solver.drift_allowance_m,
         bidirectional=settings.bidirectional,
         group_allowance=solver.group_allowance_m,
+        closed_form=solver.variant == CLOSED_FORM,
     )
 
 

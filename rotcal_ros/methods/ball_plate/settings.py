@@ -109,6 +109,7 @@ def _check_room(plate: Plate, where: str) -> None:
         )
 
 
+CLOSED_FORM: Final = "closed_form"
 DRIFTS: Final = ("none", "linear", "quadratic")
 """Drifts that can be estimated along; their places are the degrees in time."""
 
@@ -117,6 +118,12 @@ DRIFTS: Final = ("none", "linear", "quadratic")
 class BallPlateSolverSettings:
     """How the ball plate method is solved, and which part of the data is evaluated."""
 
+    variant: str = setting(
+        "least_squares",
+        doc="least_squares: of what was measured, with gaps too; closed_form: the means of the "
+        "second paper, of as many balls as table positions",
+        choices=("least_squares", CLOSED_FORM),
+    )
     sigma_centre_m: float = setting(
         0.0,
         doc="m, known standard deviation of a ball centre; 0: from the residuals",

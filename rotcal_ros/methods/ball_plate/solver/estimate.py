@@ -32,7 +32,7 @@ from rotcal_ros.methods.ball_plate.solver.model import (
 )
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, on_circle
 from rotcal_ros.methods.ball_plate.solver.separability import require_balls
-from rotcal_ros.methods.ball_plate.solver.spectral import SpectralFit
+from rotcal_ros.methods.ball_plate.solver.spectral import ClosedFormFit, SpectralFit
 
 FEW_GAPS = 20
 """Gaps up to which correcting the spectral solution is quicker than the elimination."""
@@ -67,11 +67,14 @@ def factored_with_drift(problem: BallPlateProblem) -> LinearFit:
 def factored(problem: BallPlateProblem) -> LinearFit:
     """Factor the model of Eq. 12, without a drift, the quickest way.
 
-    Raises ObservabilityError when the centres do not determine all parameters.
+    Raises ObservabilityError when the centres do not determine all parameters, PlanError where
+    the closed form is asked for and the centres are not those of a whole square.
     """
     axes = _same_everywhere(problem)
     if axes is not None:
         return _Scaled(problem, axes)
+    if problem.closed_form:
+        return ClosedFormFit(problem)
     if problem.complete and problem.std is None:
         return SpectralFit(problem)
     gaps = _few_gaps(problem)

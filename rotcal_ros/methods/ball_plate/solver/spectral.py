@@ -19,7 +19,8 @@ solution is a matter of means: :func:`closed_form` (second paper, Eq. 1 to 12).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -510,20 +511,59 @@ def closed_form(problem: BallPlateProblem, *, nominal_radius: bool = False) -> C
     divides by the plate's, as the least squares does. Raises PlanError when the grid is not
     complete.
     """
+    _require_square(problem)
+    radius, offsets, place = problem.radius, problem.deviations, _places(problem.grid)
+    if not nominal_radius:
+        x, y, _ = offsets.T.reshape(3, problem.grid, problem.grid)
+        radius += float(np.mean(x * np.cos(place) + y * np.sin(place)))  # Eq. 12
+    translation, rotation = _means(offsets, radius)
+    return ClosedForm(translation, rotation, radius, _std_of_means(problem.grid, radius))
+
+
+class ClosedFormFit(SpectralFit):
+    """All N x N centres by the means of the closed form, in the place of the harmonics.
+
+    The answer is the same but for rounding; plate and CMM errors, residuals and covariances are
+    those of :class:`SpectralFit`. Raises PlanError when the grid is not complete.
+    """
+
+    way = "closed form"
+
+    def __init__(self, problem: BallPlateProblem) -> None:
+        _require_square(problem)
+        super().__init__(problem)
+
+    def fit(self, observed: Floats) -> tuple[PlateParameters, Floats]:
+        """Return parameters and residuals (n, 3) of deviations (n, 3) of the rows, metres."""
+        found, residuals = super().fit(observed)
+        translation, rotation = _means(observed, self.problem.radius)
+        return replace(found, translation=translation, rotation=rotation), residuals
+
+
+def _require_square(problem: BallPlateProblem) -> None:
     grid = problem.grid
     if not problem.complete or len(problem.balls) != grid:
         raise PlanError(
             f"the closed form needs {grid} balls at {grid} table positions, all {grid * grid} "
             f"centres once; found {len(problem.centres)} centres of {len(problem.balls)} balls"
         )
-    # The nominal circle has no part in the means: without it nothing is lost to rounding.
-    offsets = problem.deviations.reshape(grid, grid, 3)  # ball, table position, coordinate
+
+
+def _places(grid: int) -> Floats:
+    """Return the angle (N, N) at which ball j stands at table position i, rad."""
     angles = grid_angles(grid)
-    place = angles[:, None] + angles  # where ball j stands at table position i
+    return np.asarray(angles[:, None] + angles)
+
+
+def _means(deviations: Floats, radius: float) -> tuple[Floats, Floats]:
+    """Return translation (N, 3) m and rotation (N, 3) rad from deviations (N N, 3), m.
+
+    The nominal circle has no part in the means: without it nothing is lost to rounding.
+    """
+    grid = math.isqrt(len(deviations))
+    offsets = deviations.reshape(grid, grid, 3)  # ball, table position, coordinate
+    angles, place = grid_angles(grid), _places(grid)
     x, y, z = np.moveaxis(offsets, 2, 0)
-    radius = problem.radius
-    if not nominal_radius:
-        radius += float(np.mean(x * np.cos(place) + y * np.sin(place)))  # Eq. 12
     shift = offsets.mean(axis=0) - offsets.mean(axis=(0, 1))  # Eq. 4, 5 and z of Eq. 3
     turn = np.stack(
         [
@@ -533,11 +573,9 @@ def closed_form(problem: BallPlateProblem, *, nominal_radius: bool = False) -> C
         ],
         axis=1,
     )
-    return ClosedForm(
-        translation=_without_first_harmonic(shift, angles),
-        rotation=_without_first_harmonic(turn - turn.mean(axis=0), angles),
-        radius=radius,
-        unit_std=_std_of_means(grid, radius),
+    return (
+        _without_first_harmonic(shift, angles),
+        _without_first_harmonic(turn - turn.mean(axis=0), angles),
     )
 
 
