@@ -28,33 +28,32 @@ INTRODUCTION = f"""# What could be wrong, and would you see it?
 
 Every effect that could spoil a calibration was added to simulated measurements of a small plan,
 larger and larger, until the verdict was no longer `ok` in {100 * POWER:g} % of them. The error is
-what the effect does to the deviations up to there, unnoticed: root mean square over the
-measurements whose verdict stayed `ok`, at the worst component and angle (of effects that scatter:
-over all angles, which they hit alike), in standard uncertainties (k = 1) as that result states
-them. The noise itself is not in it.
+what the effect does to the deviations unnoticed up to that size: root mean square over the
+measurements whose verdict stayed `ok`, at the worst component and angle (over all angles for
+effects that scatter, since these hit all alike), in standard uncertainties (k = 1) as that result
+states them. The noise itself is not included.
 
-*Size* is where the verdict turns. Where it never does, the largest size that was tried stands
-there after "not up to"; "allowed" is the allowance that the configuration states and the
-uncertainty contains. *Named* says whether the verdict line names the effect ("ok, not protected
-against ..."). No effect may do more than {TOLERABLE:g} standard uncertainties unnoticed and
-unnamed.
+*Size* is where the verdict turns. If it never does, the largest size that was tried is given
+after "not up to"; "allowed" is the allowance that the configuration states and the uncertainty
+contains. *Named* says whether the verdict line names the effect ("ok, not protected against
+..."). No effect may do more than {TOLERABLE:g} standard uncertainties unnoticed and unnamed.
 
-One kind of error has no size here, for no size turns a verdict: an offset between parts of the
-table that nothing joins. 4 arcsec between the odd and even positions of a plate of 6 balls leave
-no trace. Such a result is `suspect` whatever was measured, its verdict line names the parts, and
-export and bridge refuse it, until `rotcal combine` joins them
-([groups](ball_plate.md#closed-form-and-groups)).
+Three errors have no size here, because no size turns the verdict:
 
-Two more have no size, and nothing measured tells them: positions of a table of lengths that are
-all numbered off by one, and a z axis that points down in a table of ball centres. The verdict line
-names them, `numbering` until `plan.tracer_m` states where the tracer stands, and `sign of z`. What
-was captured live has neither: the table's feedback numbers it, touch points show which way is up.
-Of a tracer at several places, targets and places that are both mirrored in z are named likewise,
-unless some beam rises by more than 45 degrees: mirrored it would go through the table, and is
-`suspect`.
+* An offset between parts of the table that nothing joins: 4 arcsec between the odd and even
+  positions of a plate of 6 balls leave no trace. Such a result is always `suspect`, its verdict
+  line names the parts, and export and bridge refuse it until `rotcal combine` joins them
+  ([groups](ball_plate.md#closed-form-and-groups)).
+* Positions of a table of lengths that are all numbered off by one. The verdict line names
+  `numbering` until `plan.tracer_m` states where the tracer stands. Live, the table's feedback
+  numbers the positions.
+* A z axis that points down in a table of ball centres. The verdict line names `sign of z`. Live,
+  touch points show which way is up. The same is named for targets and places of a tracer at
+  several places, unless some beam rises by more than 45 degrees: mirrored, it would go through
+  the table, and the result is `suspect`.
 
 Sizes depend on the plan: lengths, redundancy, order. `make power` writes this page again;
-`python scripts/power_table.py --plan CONFIG --output PAGE` measures a plan of yours. The words:
+`python scripts/power_table.py --plan CONFIG --output PAGE` measures your own plan. The words:
 [conventions](conventions.md#uncertainty).
 """
 

@@ -55,7 +55,7 @@ def true_deviations(angles: Floats) -> dict[str, Floats]:
 
 @dataclass(frozen=True)
 class PlateMeasurement:
-    """One set-up of a plate with ``balls`` on a ``grid``, measured once; ``seed`` of its chance."""
+    """One set-up of a plate with ``balls`` on a ``grid``; all chance comes from ``seed``."""
 
     grid: int
     balls: tuple[int, ...]
