@@ -17,7 +17,7 @@ SECONDS ?= 60
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: demo resume test test-all test-aids test-jazzy docs bench power mutants fuzz soak lint release setup clean help
+.PHONY: demo resume test test-all test-aids test-jazzy docs reproduce bench power mutants fuzz soak lint release setup clean help
 
 demo: setup  ## calibrate the simulated cell over ROS 2, compensate, measure again; in out/demo
 	@$(BIN)/rotcal verify config/tracer_demo.yaml --output $(DEMO) --keep-previous
@@ -43,6 +43,10 @@ docs: setup  ## build the site of the pages strictly; open out/site/index.html
 		--disable-pip-version-check --no-build-isolation -c constraints.txt -e '.[docs]'
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 	@echo "open out/site/index.html; with its search: $(BIN)/mkdocs serve"
+
+reproduce: setup  ## compute the papers' tables, figures and claims again: docs/papers
+	@for paper in tracer three_rosette two_groups mirror; do \
+		$(BIN)/rotcal reproduce $$paper -o docs/papers >/dev/null || exit; done
 
 bench: setup  ## compare speed with well-known alternatives, side by side
 	@$(BIN)/python benchmarks/run.py --json out/benchmarks.json

@@ -11,7 +11,7 @@ import click
 from rotcal_ros.cli.console import json_option, path_type
 from rotcal_ros.report.terminal.console import say, tell
 
-PAPERS: Final = ("tracer", "three_rosette", "two_groups")
+PAPERS: Final = ("tracer", "three_rosette", "two_groups", "mirror")
 """The papers, each a module of this name."""
 
 
