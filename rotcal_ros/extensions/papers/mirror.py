@@ -78,7 +78,7 @@ def reproduce() -> Reproduction:
 
 def angles() -> Floats:
     """Return the commanded angles (17,), rad."""
-    return STEP * np.arange(POSITIONS)
+    return np.asarray(STEP * np.arange(POSITIONS), dtype=np.float64)
 
 
 def true_errors() -> Floats:
@@ -330,6 +330,7 @@ def draw_spread(scattered: Recipes) -> str:
 
 def cone(turned: Floats, lean: float) -> Floats:
     """Return normals (k, 3) that are ``turned`` by (k,) and ``lean`` out of the plane, rad."""
+    across = np.cos(lean)
     return np.column_stack(
-        [np.cos(turned), np.sin(turned), np.full_like(turned, np.tan(lean))]
-    ) * np.cos(lean)
+        [across * np.cos(turned), across * np.sin(turned), np.full_like(turned, np.sin(lean))]
+    )

@@ -45,9 +45,9 @@ def true_deviations(angles: Floats) -> dict[str, Floats]:
     """Return the table's errors (n,) at ``angles`` (n,) rad by component, m and rad."""
     return {
         name: unit_of(name)[0]
-        * sum(
-            amplitude * np.cos(order * angles + phase * DEGREE)
-            for order, (amplitude, phase) in parts.items()
+        * np.sum(
+            [a * np.cos(order * angles + phase * DEGREE) for order, (a, phase) in parts.items()],
+            axis=0,
         )
         for name, parts in HARMONICS.items()
     }

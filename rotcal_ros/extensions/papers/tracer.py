@@ -89,9 +89,14 @@ def reproduce() -> Reproduction:
     return Reproduction.of("tracer", values, _tables(found, values), _figures(found))
 
 
+def _angles(count: int) -> Floats:
+    """Return the commanded angles (m,) of so many stations, rad."""
+    return np.asarray(DEGREE * (START_DEG + STEP_DEG * np.arange(count)), dtype=np.float64)
+
+
 def _solved() -> _Found:
     table = MILLIMETRE * np.array(TABLE_1_MM)
-    angles = DEGREE * (START_DEG + STEP_DEG * np.arange(len(table)))
+    angles = _angles(len(table))
     stations, distances = table[:, :3], table[:, 3]
     result = solve(StationProblem(stations, angles, np.arange(len(table)), distances))
     return _Found(stations, distances, table_motion(stations, angles), result)
@@ -129,7 +134,7 @@ def block_uncertainties(stations: Floats, first_target: Floats) -> dict[str, flo
 
 def _predicted(stations: Floats, centre: Floats, *, shared: bool = False) -> float:
     targets, m = _block(centre), len(stations)
-    angles = DEGREE * (START_DEG + STEP_DEG * np.arange(m))
+    angles = _angles(m)
     position, target = np.divmod(np.arange(m * len(targets)), len(targets))
     zero = np.zeros_like(position) if shared else position
     scene = Scene(stations, angles, targets, np.array(TARGET_STD), LENGTH_STD)

@@ -8,7 +8,7 @@ from typing import Final
 
 import click
 
-from rotcal_ros.cli.console import json_option, path_type
+from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.report.terminal.console import say, tell
 
 PAPERS: Final = ("tracer", "three_rosette", "two_groups", "mirror")
@@ -35,7 +35,7 @@ def command(paper: str, output: Path, as_json: bool) -> int:
     found = import_module(f"rotcal_ros.extensions.papers.{paper}").reproduce()
     page, data = found.write(output)
     if as_json:
-        tell(data.read_text(encoding="utf-8").rstrip())
+        print_json(found.to_json().rstrip())
         return 0
     for claim in found.claims:
         tell(f"{claim.finding:16} {claim.where}: {claim.said}")

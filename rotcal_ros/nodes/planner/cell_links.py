@@ -28,7 +28,7 @@ from rotcal_ros.foundation.observations import Command, Observation
 from rotcal_ros.nodes.runtime import conversions
 from rotcal_ros.nodes.runtime.accepted_publishers import APART, HEARS, digest
 from rotcal_ros.nodes.runtime.announced_plan import RUN
-from rotcal_ros.nodes.runtime.beat_values import show
+from rotcal_ros.nodes.runtime.beat_values import LISTENS, show
 from rotcal_ros.nodes.runtime.cell_graph import ORDERS, CellGraph
 from rotcal_ros.nodes.runtime.cell_node import CellNode
 from rotcal_ros.nodes.runtime.managed_node import not_active
@@ -177,8 +177,16 @@ class CellLinks:
         lacking += [text for topic in ORDERS for text in graph.without_machine(topic)]
         stops = [stop] if stop and graph.publishers(stop) else []
         recorded = (*measured, *ORDERS, names.PLAN, names.OBSERVATION, names.STEP_CHOICE, *stops)
-        unheard = (topic for topic in recorded if "recorder" not in graph.listeners(topic))
-        return lacking + here + [self._unrecorded(self.graph.resolve(topic)) for topic in unheard]
+        unheard = (graph.resolve(topic) for topic in recorded if not self._is_recorded(topic))
+        return lacking + here + [self._unrecorded(name) for name in unheard]
+
+    def _is_recorded(self, topic: str) -> bool:
+        """Return whether the recorder listens to a topic, by its own word or by the graph.
+
+        On a busy machine the graph sometimes never names the node of an end that it knows.
+        """
+        told = self.health.values("recorder").get(LISTENS, "").split()
+        return self.graph.resolve(topic) in told or "recorder" in self.graph.listeners(topic)
 
     def _unrecorded(self, name: str) -> str:
         """Say that the recorder does not listen to a topic yet, or why it cannot."""

@@ -41,6 +41,7 @@ from rotcal_ros.nodes.recorder.recording import (
 )
 from rotcal_ros.nodes.recorder.session_bags import OpenBag, RecordedSession, SessionBags
 from rotcal_ros.nodes.recorder.topic_listener import HeardTopic, TopicListener
+from rotcal_ros.nodes.runtime.beat_values import LISTENS
 from rotcal_ros.nodes.runtime.cell_node import IDLE_S, CellNode, until
 from rotcal_ros.nodes.runtime.qos import EVENT
 from rotcal_ros.nodes.runtime.running import in_thread, run
@@ -216,7 +217,8 @@ class RecorderNode(CellNode):
             self._close()
 
     def _report(self) -> tuple[NodeState, dict[str, Any]]:
-        values = {"topics": len(self._listener.topics), **self._listener.refused}
+        values: dict[str, Any] = {"topics": len(self._listener.topics), **self._listener.refused}
+        values[LISTENS] = " ".join(sorted(self._listener.topics))
         values |= self._all_losses() + self._silences.counts
         recording = self._recording
         if recording is not None and recording.error:

@@ -116,6 +116,8 @@ def reading(record: Record | Position) -> str:
 TOPICS: Final = "topics"
 """Value of the planner while it has a goal: its group ``topics`` as JSON; of the
 capture: what it follows."""
+LISTENS: Final = "listens_to"
+"""Value of the recorder: the absolute names of the topics that it listens to."""
 _HEARD_OF_THE_PLANNER: Final = {
     "capture": (names.PLAN, names.OBSERVATION, names.TABLE_ANGLE, names.PROBE_TARGET),
     "solver": (names.PLAN, names.OBSERVATION),

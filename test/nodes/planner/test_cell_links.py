@@ -12,6 +12,7 @@ from rotcal_ros.methods import changed, prepare, read_configuration
 from rotcal_ros.nodes.planner import goal_run
 from rotcal_ros.nodes.planner.cell_links import CellLinks
 from rotcal_ros.nodes.planner.goal_watch import GoalError, GoalWatch
+from rotcal_ros.nodes.runtime.beat_values import LISTENS
 
 STOP = "/safety/estop"
 
@@ -51,6 +52,12 @@ def test_why_a_recorder_never_listens_is_told():
     cell = links(publishers=["plc"], recorded=False, refused="its type is not installed")
     told = f"the recorder does not listen to {STOP}: its type is not installed"
     assert cell.missing_topics((), (), STOP) == [told]
+
+
+def test_the_recorders_own_word_counts_where_the_graph_does_not_name_it():
+    cell = links(publishers=["plc"], recorded=False)
+    cell.health = SimpleNamespace(values=lambda name: {LISTENS: f"/other {STOP}"})
+    assert cell.missing_topics((), (), STOP) == []
 
 
 def test_the_preflight_asks_for_the_stop_of_its_goal(monkeypatch):
