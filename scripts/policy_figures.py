@@ -111,10 +111,10 @@ def result_of(
         return Stated(np.inf, doubt=str(error))
     covariance = result.covariance["ECC"]
     about_mean = np.trace(covariance) - covariance.sum() / len(covariance)
-    motion = result.details["error_motion"]
+    motion = result.error_motion
     return Stated(
         2.0 * float(np.sqrt(about_mean / len(covariance))),
-        motion["likely"] if motion["used"] != motion["stated"] else 0.0,
+        motion.likely if motion is not None and motion.used != motion.stated else 0.0,
         "" if result.verdict == "ok" else result.warnings[0],
     )
 

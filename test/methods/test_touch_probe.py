@@ -103,7 +103,7 @@ def test_touch_points_tell_a_z_of_the_wrong_sign():
     samples = touches(EXACT)
     step = Step(0, 0, np.pi / 2, Approach.POSITIVE, PointKind.SURFACE, 0, (0.0, 0.185, 0.0),
                 n_points=15, ball_diameter=EXACT.plate.ball_diameter_m)  # fmt: skip
-    assert fitted_centre(samples, step, CaptureSettings()).reason == ""
+    assert fitted_centre(samples, step, CaptureSettings()).reason is None
     mirrored = [replace(s, position=(*s.position[:2], -s.position[2])) for s in samples]
     reason = fitted_centre(mirrored, step, CaptureSettings()).reason
     assert "below the centre" in reason

@@ -176,10 +176,10 @@ def cone_axis(normals: Floats, height: Floats) -> Floats:
     The cure for a station of two normals: the mirror makes the same angle with the axis at every
     station, so that the others tell it.
     """
-    one, other = normals[:, 0], normals[:, 1]
-    alike = 1.0 + np.einsum("ti,ti->t", one, other)
-    across = np.cross(one, other)
-    along = (height / alike)[:, None] * (one + other)
+    first, second = normals[:, 0], normals[:, 1]
+    alike = 1.0 + np.einsum("ti,ti->t", first, second)
+    across = np.cross(first, second)
+    along = (height / alike)[:, None] * (first + second)
     left = np.sqrt(np.maximum(1.0 - (along**2).sum(axis=1), 0.0)) / np.linalg.norm(across, axis=1)
     return np.asarray(along + (left * np.sign(across[:, 2]))[:, None] * across)
 

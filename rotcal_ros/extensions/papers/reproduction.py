@@ -47,7 +47,7 @@ class Claim:
     """
 
     where: str
-    said: str
+    statement: str
     how: str
     worth: str
     finding: Finding
@@ -68,7 +68,7 @@ class _StatedClaim:
     """
 
     where: str
-    said: str
+    statement: str
     how: str
     worth: str
     finding: Finding | None = None
@@ -84,8 +84,13 @@ class _StatedClaim:
         if self.within is not None and found is not None and self.printed is not None:
             near = abs(self.printed - found) <= self.within
             finding = "follows" if near else "does not follow"
-        assert finding is not None, self.said
-        texts = (self.where, self.said, self.how.format(**values), self.worth.format(**values))
+        assert finding is not None, self.statement
+        texts = (
+            self.where,
+            self.statement,
+            self.how.format(**values),
+            self.worth.format(**values),
+        )
         return Claim(*texts, finding, self.printed, found, self.unit)
 
 

@@ -38,7 +38,7 @@ def command(paper: str, output: Path, as_json: bool) -> int:
         print_json(found.to_json().rstrip())
         return 0
     for claim in found.claims:
-        tell(f"{claim.finding:16} {claim.where}: {claim.said}")
+        tell(f"{claim.finding:16} {claim.where}: {claim.statement}")
     tell("")
     tell(found.summary)
     say(f"page: {page.absolute()}")

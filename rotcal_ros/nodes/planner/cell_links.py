@@ -185,8 +185,8 @@ class CellLinks:
 
         On a busy machine the graph sometimes never names the node of an end that it knows.
         """
-        told = self.health.values("recorder").get(LISTENS, "").split()
-        return self.graph.resolve(topic) in told or "recorder" in self.graph.listeners(topic)
+        stated = self.health.values("recorder").get(LISTENS, "").split()
+        return self.graph.resolve(topic) in stated or "recorder" in self.graph.listeners(topic)
 
     def _unrecorded(self, name: str) -> str:
         """Say that the recorder does not listen to a topic yet, or why it cannot."""

@@ -32,7 +32,7 @@ def values(made, paper):
 
 def findings(made, paper):
     claims = json.loads((made / f"{paper}.json").read_text())["claims"]
-    return {claim["said"]: claim["finding"] for claim in claims}
+    return {claim["statement"]: claim["finding"] for claim in claims}
 
 
 @pytest.mark.parametrize("paper", PAPERS)

@@ -128,7 +128,7 @@ def test_intervals_hold_the_truth(case):
 
 def test_what_is_left_out_along_the_circle_is_as_stated_across_it():
     result = solve(simulated.measured(ALONG, 8, 1)[0])
-    assert result.details["error_motion"]["used"] == simulated.CIRCLE_STD
+    assert result.error_motion.used == simulated.CIRCLE_STD
     assert result.budget["error_motion"].max() > 1.5e-6
 
 

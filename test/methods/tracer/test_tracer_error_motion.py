@@ -56,26 +56,26 @@ def test_an_unstated_tilt_is_in_the_uncertainty(stated):
     error = np.abs(result.deviations["ECC"] - deviation)[1:]
     assert np.sqrt(np.mean(error**2)) > 3 * ARCSEC  # it is as bad as that
     assert np.mean(error <= 1.96 * result.std["ECC"][1:]) >= 0.8
-    motion = result.details["error_motion"]
-    assert motion["stated"] == stated
-    assert motion["used"] == motion["allowed"] > motion["likely"] > 2e-6
+    motion = result.error_motion
+    assert motion.stated == stated
+    assert motion.used == motion.allowed > motion.likely > 2e-6
     if stated is not None:
         assert any("larger than the stated" in text for text in result.warnings)
 
 
 def test_a_statement_that_fits_stays_to_the_last_bit():
     problem, _ = tilted(2, 0.4e-6 / HEIGHT, error_motion_std=4e-7)
-    motion = solve(problem).details["error_motion"]
-    assert motion["used"] == motion["stated"] == 4e-7
-    assert motion["dof"] == 9
+    motion = solve(problem).error_motion
+    assert motion.used == motion.stated == 4e-7
+    assert motion.dof == 9
 
 
 def test_a_zero_that_was_stated_is_believed_until_the_circle_speaks():
     problem, _ = tilted(3, 0.0, error_motion_std=0.0)
     result = solve(problem)
-    assert result.details["error_motion"]["used"] == 0.0
+    assert result.error_motion.used == 0.0
     left_open = solve(tilted(3, 0.0)[0])
-    assert left_open.details["error_motion"]["used"] > 0.0
+    assert left_open.error_motion.used > 0.0
     assert (left_open.std["ECC"][1:] > result.std["ECC"][1:]).all()
     assert left_open.verdict == "ok"
 

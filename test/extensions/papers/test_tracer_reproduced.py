@@ -54,7 +54,7 @@ def test_what_the_audit_has_computed_is_reached(found):
     ],
 )
 def test_a_claim_is_judged_by_the_papers_own_numbers(found, said, finding):
-    assert [claim.finding for claim in found.claims if claim.said == said] == [finding]
+    assert [claim.finding for claim in found.claims if claim.statement == said] == [finding]
 
 
 def test_page_and_file_hold_tables_and_figures(found, tmp_path):
