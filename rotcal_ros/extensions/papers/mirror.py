@@ -242,7 +242,7 @@ def _values(
         values |= {
             f"closure_{way}_ours_arcsec": result.details["closure_rad"],
             f"u_{way}_arcsec": COVERAGE_FACTOR * result.std["ECC"].max(),
-            f"apart_{way}_arcsec": np.abs(result.deviations["ECC"] - truth + truth[0]).max(),
+            f"apart_{way}_arcsec": rms(result.deviations["ECC"][1:] - truth[1:] + truth[0]),
         }
     return {name: float(value) / ARCSEC for name, value in values.items()} | {
         "lean_deg": lean / DEGREE
