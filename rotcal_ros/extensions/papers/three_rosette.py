@@ -42,6 +42,7 @@ SIX: Final = (0, 12, 28, 37, 50, 58)
 """The best six of them; the paper does not say which it took."""
 FIRST_SIX: Final = (0, 8, 12, 18, 21, 28)
 MICRORADIAN: Final = 1e-6
+RANDOM_LAYOUTS: Final = 300
 SMALL_GRIDS: Final = (10, 12, 14, 16)
 """Grids of which all layouts of four and five balls are tried."""
 
@@ -108,6 +109,7 @@ def _values(results: Mapping[str, Result]) -> dict[str, float]:
         "four_all": four_all,
         "five_lost": five_lost,
         "five_all": five_all,
+        "plate_over_best": whole["ECC"] / best_random_layout(),
         "centre_u_um": COVERAGE_FACTOR * np.sqrt(_variance(new)) / MICROMETRE,
     }
     return {name: float(value) for name, value in values.items()}
@@ -136,6 +138,15 @@ def largest_apart(first: Result, second: Result) -> tuple[float, float]:
         for unit in ("µm", "arcsec")
     )
     return shifts, turns
+
+
+def best_random_layout() -> float:
+    """Return the smallest U of crz, rad, of RANDOM_LAYOUTS with as many balls as the plate."""
+    rng = np.random.default_rng(RANDOM_LAYOUTS)
+    drawn = (rng.choice(GRID, len(PLATE), replace=False) for _ in range(RANDOM_LAYOUTS))
+    layouts = [tuple(sorted(balls.tolist())) for balls in drawn]
+    able = [balls for balls in layouts if separability(GRID, np.array(balls)).separable]
+    return min(unit_uncertainty(balls)["ECC"] for balls in able)
 
 
 def counterexamples(count: int) -> tuple[int, int]:

@@ -83,7 +83,7 @@ def _values(twelve: list[Result], six: list[Result], reference: Floats) -> dict[
             float(np.abs(mean_of(twelve, name) - mean_of(six, name)).max()) for name in names
         )
 
-    curve, u = mean_of(six, "ECC"), largest_expanded(six[0])["ECC"] / np.sqrt(REPEATS)
+    curve = mean_of(six, "ECC")
     off = reference - mean_of(twelve, "ECC")
     u_off = COVERAGE_FACTOR * np.hypot(
         AUTOCOLLIMATOR_STD, twelve[0].std["ECC"].max() / np.sqrt(REPEATS)
@@ -102,7 +102,6 @@ def _values(twelve: list[Result], six: list[Result], reference: Floats) -> dict[
         "reference_arcsec": float(np.abs(off - off.mean()).max()) / ARCSEC,
         "u_reference_arcsec": u_off / ARCSEC,
         "en_printed": 3.9 * ARCSEC / u_off,
-        "u_six_arcsec": u / ARCSEC,
         "offset_arcsec": float(curve[::2].mean() - curve[1::2].mean()) / ARCSEC,
         "lost_z_um": lost_offset("EZC") / MICROMETRE,
     }
