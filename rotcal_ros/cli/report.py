@@ -58,6 +58,13 @@ if TYPE_CHECKING:
     metavar="X509",
     help="X.509 certificate (PEM) of the signer.",
 )
+@click.option(
+    "--tables",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="FOLDER",
+    help="Also write the tables of the result, such as stations and residuals, as CSV into "
+    "FOLDER.",
+)
 def command(
     source: Path,
     setup: Path | None,
@@ -69,6 +76,7 @@ def command(
     dcc: bool,
     sign: Path | None,
     certificate: Path | None,
+    tables: Path | None,
 ) -> int:
     """Solve BAG, or TABLE with its --setup, and write the report.
 
@@ -79,8 +87,10 @@ def command(
     if ending and dcc != (ending == ".xml"):
         raise click.UsageError("a certificate (--dcc) is .xml, a report .html or .pdf")
     if dcc:
-        if truth or in_force:
-            raise click.UsageError("a certificate has no room for --truth and --in-force")
+        if truth or in_force or tables:
+            raise click.UsageError(
+                "a certificate has no room for --truth, --in-force and --tables"
+            )
         from rotcal_ros.foundation.plugins import CERTIFICATES, extension
         from rotcal_ros.recordings.inputs import Input
 
@@ -109,6 +119,11 @@ def command(
     else:
         result = write_measured(given.read(), output, injected, in_force)
     say(f"report: {output.absolute()}")
+    if tables is not None:
+        from rotcal_ros.report.page import write_tables
+
+        for path in write_tables(result, tables):
+            say(f"table: {path.absolute()}")
     return max(VERDICT_EXIT_CODES[result.verdict], _acting(result, in_force))
 
 

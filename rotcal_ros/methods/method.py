@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from rotcal_ros.methods.continuation import Continuation
     from rotcal_ros.methods.disturbance import Disturbances
     from rotcal_ros.methods.figures import Figure
+    from rotcal_ros.methods.result_tables import ResultTable
     from rotcal_ros.methods.simulation.cell import SimulatedCell
     from rotcal_ros.methods.simulation.instrument import MakeInstrument
     from rotcal_ros.methods.simulation.settings import SimulationSettings
@@ -104,6 +105,11 @@ def zero_at_the_first(_result: Result) -> tuple[str, ...]:
     return ("ECC counts from the first angle and is 0 there by definition.",)
 
 
+def no_tables(_result: Result) -> Sequence[ResultTable]:
+    """Return nothing: the tables are those that all methods share."""
+    return ()
+
+
 def no_figures(_result: Result, _truth: Mapping[str, Any] | None) -> Sequence[Figure]:
     """Return nothing: the report shows what all methods share."""
     return ()
@@ -142,9 +148,9 @@ class Method:
     says in words what the observations so far tell about a person's work (see
     :class:`~rotcal_ros.planning.plan.Pause`), or raises DataError. ``table`` reads plain tables,
     ``short_setup`` turns a set-up file that is no configuration, given with its name, into groups
-    of settings. ``figures`` draws what the method alone can show, ``zero`` says in words what the
-    curves count from and how a whole turn closes. ``disturbances`` measure a
-    plan with its noise and with what may spoil it.
+    of settings. ``figures`` draws what the method alone can show, ``tables`` lists it, ``zero``
+    says in words what the curves count from and how a whole turn closes. ``disturbances`` measure
+    a plan with its noise and with what may spoil it.
     """
 
     name: str
@@ -173,6 +179,7 @@ class Method:
     table: TableReader | None = None
     short_setup: Callable[[Mapping[str, Any], str], Mapping[str, Any]] | None = None
     figures: Callable[[Result, Mapping[str, Any] | None], Sequence[Figure]] = no_figures
+    tables: Callable[[Result], Sequence[ResultTable]] = no_tables
     zero: Callable[[Result], Sequence[str]] = zero_at_the_first
     disturbances: Disturbances | None = None
 

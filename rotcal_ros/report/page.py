@@ -29,7 +29,8 @@ from rotcal_ros.evaluation.marks import marks, withheld
 from rotcal_ros.evaluation.reliability import Reliability, reliability
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.curves.measured import measured_curve
-from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.errors import BagError, DataError
+from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.gum_numbers import (
     place_of,
     uncertainty,
@@ -48,6 +49,7 @@ from rotcal_ros.methods.figures.residuals import residual_figures
 from rotcal_ros.methods.goal import GoalStanding
 from rotcal_ros.methods.measurements import PlannedMeasurements
 from rotcal_ros.methods.method import Measurements
+from rotcal_ros.methods.result_tables import ResultTable, deviations_table, steps_table
 from rotcal_ros.planning.plan import PlanFigures
 from rotcal_ros.recordings.replay import Recording
 from rotcal_ros.recordings.result_sources import ResultSource
@@ -136,8 +138,37 @@ def _sections(report: ReportInput, doubt: str | None) -> list[tuple[str, str]]:
         ("Further figures", drawn["results"]),
         ("Residuals", drawn["residuals"]),
         (RELIABILITY, reliability_of_observations(result)),
+        (TABLES, tables_of(result, stated=not doubt)),
     ]
     return [(title, html) for title, html in found if html]
+
+
+def tables_of(result: Result, *, stated: bool) -> str | None:
+    """Return the method's tables as HTML, folded, if there are any."""
+    found = [*steps_table(result, stated=stated), *_tables_of_the_method(result)]
+    if not found:
+        return None
+    return render("tables", tables=found, most=MOST_ROWS)
+
+
+def _tables_of_the_method(result: Result) -> Sequence[ResultTable]:
+    return find_method(result.method).tables(result) if result.method in method_names() else ()
+
+
+def write_tables(result: Result, folder: Path) -> list[Path]:
+    """Write all tables of a result as CSV into ``folder``, and return where they are.
+
+    Nothing is overwritten: BagError names a file that is there already, and none is written then.
+    """
+    stated = not withheld(result)
+    found = [deviations_table(result, stated=stated), *steps_table(result, stated=stated)]
+    files = {folder / f"{t.name}.csv": t for t in (*found, *_tables_of_the_method(result))}
+    if there := next((path for path in files if path.exists()), None):
+        raise BagError(f"{there} exists and is not overwritten; name another folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    for path, table in files.items():
+        write_atomically(path, table.to_csv())
+    return list(files)
 
 
 def _drawings(figures: Sequence[Figure], place: str) -> str | None:
@@ -488,6 +519,9 @@ def _harmonics_table(name: str, content: HarmonicContent) -> dict[str, Any]:
 
 
 RELIABILITY: Final = "What a single observation could hide"
+TABLES: Final = "Tables"
+MOST_ROWS: Final = 200
+"""Of a table on a page; the files hold all."""
 _WORST: Final = 8
 
 

@@ -249,6 +249,11 @@ def _values(
     }
 
 
+def rms(values: Floats) -> float:
+    """Return the root mean square of ``values`` (n,)."""
+    return float(np.sqrt((values**2).mean()))
+
+
 def _tables(truth: Floats, ours: Mapping[Way, Result], printed: Recipes) -> Iterator[PrintedTable]:
     columns = {
         "injected": truth - truth[0],

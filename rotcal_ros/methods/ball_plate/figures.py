@@ -16,6 +16,7 @@ from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import DEGREE, MICROMETRE, MILLIMETRE
 from rotcal_ros.methods.figures import Figure, style
+from rotcal_ros.methods.result_tables import ResultTable
 
 _DIRECTIONS: Final = ("radial", "tangential", "axial")
 _COLOURS: Final = (style.BLUE, style.ORANGE, style.GREEN)
@@ -215,3 +216,50 @@ def _local_std(std: Floats, angles: Floats) -> Floats:
     x, y, z = std.T
     cos, sin = np.cos(angles), np.sin(angles)
     return np.column_stack([np.hypot(cos * x, sin * y), np.hypot(sin * x, cos * y), z])
+
+
+def tables(result: Result) -> list[ResultTable]:
+    """Return the errors of balls and machine, and the residuals by ball and position."""
+    if not {"groups", "residual_rows"} <= result.details.keys():
+        return []
+    found = []
+    for number, group in enumerate(result.details["groups"]):
+        suffix = f"_{number + 1}" if len(result.details["groups"]) > 1 else ""
+        for name, title, key, steps in (
+            (
+                "balls",
+                "Places of the balls, less their nominal ones",
+                "plate_errors",
+                "ball_steps",
+            ),
+            ("machine", "Errors of the machine", "cmm_errors", "cmm_positions"),
+        ):
+            errors, std = (np.asarray(group[k]) / MICROMETRE for k in (key, f"{key}_std"))
+            columns = {f"{axis}_um": errors[:, k] for k, axis in enumerate("xyz")}
+            columns |= {
+                f"U_{axis}_um": COVERAGE_FACTOR * std[:, k] for k, axis in enumerate("xyz")
+            }
+            found.append(ResultTable.of(f"{name}{suffix}", title, step=group[steps], **columns))
+    return [*found, *_residual_table(result)]
+
+
+def _residual_table(result: Result) -> list[ResultTable]:
+    rows, residuals = result.details["residual_rows"], result.residuals
+    if residuals is None:
+        return []
+    vector = np.asarray(rows["vector"], dtype=np.float64) / MICROMETRE
+    order = np.argsort(np.asarray(rows["row"]))
+    return [
+        ResultTable.of(
+            "residuals",
+            "Residuals of the ball centres",
+            row=np.asarray(rows["row"])[order],
+            position=residuals.table_position[order],
+            ball_step=residuals.target[order],
+            x_um=vector[order, 0],
+            y_um=vector[order, 1],
+            z_um=vector[order, 2],
+            test_value=residuals.test_value[order],
+            used=["yes" if used else "no" for used in residuals.used[order]],
+        )
+    ]

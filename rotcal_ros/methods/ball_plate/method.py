@@ -10,7 +10,7 @@ from rotcal_ros.foundation.curves import gauge
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.methods.ball_plate import calibration, table
 from rotcal_ros.methods.ball_plate.disturbances import DISTURBANCES
-from rotcal_ros.methods.ball_plate.figures import figures
+from rotcal_ros.methods.ball_plate.figures import figures, tables
 from rotcal_ros.methods.ball_plate.plan import check_plan, plan
 from rotcal_ros.methods.ball_plate.settings import (
     BallPlatePlanSettings,
@@ -68,6 +68,7 @@ METHOD: Final = Method(
     table=TableReader(table.HEADERS, table.read),
     short_setup=table.short_setup,
     figures=figures,
+    tables=tables,
     zero=gauge.in_words,
     disturbances=DISTURBANCES,
 )

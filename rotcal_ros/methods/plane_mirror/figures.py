@@ -14,10 +14,11 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE
 from rotcal_ros.methods.figures import Figure, style
 from rotcal_ros.methods.figures.curves import injected
 from rotcal_ros.methods.figures.residuals import residual_figures
+from rotcal_ros.methods.result_tables import ResultTable
 
 _TURNS = ((2, style.BLUE, "azimuth"), (0, style.ORANGE, "tilt x"), (1, style.GREEN, "tilt y"))
 
@@ -232,3 +233,43 @@ def _mappings(values: Sequence[Any]) -> bool:
 
 def _array(values: Any) -> Floats:
     return np.asarray(values, dtype=np.float64)
+
+
+def tables(result: Result) -> list[ResultTable]:
+    """Return the stations of the tracker, the mirror's normals, and what was measured twice."""
+    details, found = result.details, list[ResultTable]()
+    if stands := details.get("stations"):
+        places = np.asarray([stand["position_m"] for stand in stands]) / MILLIMETRE
+        columns = {f"{axis}_mm": places[:, k] for k, axis in enumerate("xyz")}
+        names = [str(stand["station"]) for stand in stands]
+        found.append(
+            ResultTable.of("stations", "Stations of the tracker", station=names, **columns)
+        )
+    if normals := details.get("normals"):
+        found.append(
+            ResultTable.of(
+                "normals",
+                "Normals of the mirror, each as its station saw it; a position of two overlaps",
+                station=[str(normal["station"]) for normal in normals],
+                angle_deg=[float(normal["angle_rad"]) / DEGREE for normal in normals],
+                incidence_deg=[float(normal["incidence_rad"]) / DEGREE for normal in normals],
+                **{
+                    axis: [float(normal["normal"][k]) for normal in normals]
+                    for k, axis in enumerate("xyz")
+                },
+            )
+        )
+    if again := details.get("repeats"):
+        found.append(
+            ResultTable.of(
+                "closure",
+                "Positions at the same angle: second less first",
+                first=[int(pair["first"]) for pair in again],
+                second=[int(pair["second"]) for pair in again],
+                difference_arcsec=[float(pair["difference_rad"]) / ARCSEC for pair in again],
+                U_difference_arcsec=[
+                    COVERAGE_FACTOR * float(pair["std_rad"]) / ARCSEC for pair in again
+                ],
+            )
+        )
+    return found

@@ -18,7 +18,7 @@ from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Method, See, Stations, TableReader, zero_at_the_first
 from rotcal_ros.methods.plane_mirror import calibration, table
 from rotcal_ros.methods.plane_mirror.disturbances import DISTURBANCES
-from rotcal_ros.methods.plane_mirror.figures import figures
+from rotcal_ros.methods.plane_mirror.figures import figures, tables
 from rotcal_ros.methods.plane_mirror.mirror_physics import TrackerStation
 from rotcal_ros.methods.plane_mirror.plan import (
     check_plan,
@@ -105,6 +105,7 @@ METHOD: Final = Method(
     stations=stations,
     table=TableReader((table.HEADER, table.TIMED), table.read),
     figures=figures,
+    tables=tables,
     zero=zero,
     disturbances=DISTURBANCES,
 )

@@ -1,4 +1,4 @@
-"""Figures of the laser-tracer method: residuals, and the stations on their circle."""
+"""Figures and tables of the laser-tracer method: residuals, and the stations on their circle."""
 
 from __future__ import annotations
 
@@ -7,11 +7,14 @@ from typing import Any, Final
 
 import numpy as np
 
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.units import MILLIMETRE
+from rotcal_ros.foundation.units import ARCSEC, MICROMETRE, MILLIMETRE
 from rotcal_ros.methods.figures import Figure, style
 from rotcal_ros.methods.figures.residuals import residual_figures
 from rotcal_ros.methods.figures.style import name_places
+from rotcal_ros.methods.result_tables import ResultTable
 
 MOST_NAMES: Final = 40
 """Targets whose numbers still fit into the plan view."""
@@ -89,3 +92,63 @@ def stations(result: Result) -> str:
     ax.set_xlabel("x / mm")
     ax.set_ylabel("y / mm")
     return style.svg(ax)
+
+
+def tables(result: Result) -> list[ResultTable]:
+    """Return stations with what they leave plane and circle by, targets, and the circle."""
+    details = result.details
+    if not {"stations", "circle", "plane"} <= details.keys():
+        return []
+    places = _array(details["stations"])
+    normal, axial = _array(details["plane"]["normal"]), _array(details["axial"])
+    columns: dict[str, Any] = {"position": details["station_ids"]}
+    for name, at in (("", places), ("projected_", places - axial[:, None] * normal)):
+        columns |= {f"{name}{axis}_mm": at[:, k] / MILLIMETRE for k, axis in enumerate("xyz")}
+    if "station_std" in details:
+        expanded = COVERAGE_FACTOR * _array(details["station_std"]) / MICROMETRE
+        columns |= {f"U_{axis}_um": expanded[:, k] for k, axis in enumerate("xyz")}
+    if "distances" in details:
+        columns["d_mm"] = _array(details["distances"]) / MILLIMETRE
+    columns |= {
+        "axial_um": axial / MICROMETRE,
+        "radial_um": _array(details["radial"]) / MICROMETRE,
+    }
+    return [
+        ResultTable.of(
+            "stations", "Stations of the tracer, and as projected on their plane", **columns
+        ),
+        *_targets(details),
+        _circle(details),
+    ]
+
+
+def _targets(details: Mapping[str, Any]) -> list[ResultTable]:
+    if "targets" not in details:
+        return []
+    places = _array(details["targets"]) / MILLIMETRE
+    columns = {f"{axis}_mm": places[:, k] for k, axis in enumerate("xyz")}
+    return [ResultTable.of("targets", "Targets", target=details["target_ids"], **columns)]
+
+
+def _circle(details: Mapping[str, Any]) -> ResultTable:
+    """Return plane and circle of the stations, and the figures of Eq. 34 and 36."""
+    centre, normal = details["circle"]["centre"], details["plane"]["normal"]
+    errors = np.abs(_array(details["algorithm_error"]))
+    rows = [
+        *((f"normal {axis}", float(n), "1") for axis, n in zip("xyz", normal, strict=True)),
+        *(
+            (f"centre {axis}", float(c) / MILLIMETRE, "mm")
+            for axis, c in zip("xyz", centre, strict=True)
+        ),
+        ("radius", float(details["circle"]["radius"]) / MILLIMETRE, "mm"),
+        ("lean of the axis (Eq. 35)", float(details["tilt"]) / ARCSEC, "arcsec"),
+        ("sigma of the steps (Eq. 34)", float(details["scatter"]) / ARCSEC, "arcsec"),
+        ("largest algorithm error (Eq. 36)", float(errors.max(initial=0.0)) / ARCSEC, "arcsec"),
+    ]
+    return ResultTable(
+        "circle", "Plane and circle of the stations", ("quantity", "value", "unit"), tuple(rows)
+    )
+
+
+def _array(values: Any) -> Floats:
+    return np.asarray(values, dtype=np.float64)

@@ -12,7 +12,7 @@ from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Adaptive, Method, See, Stations, TableReader
 from rotcal_ros.methods.tracer import calibration, table
 from rotcal_ros.methods.tracer.disturbances import DISTURBANCES
-from rotcal_ros.methods.tracer.figures import figures
+from rotcal_ros.methods.tracer.figures import figures, tables
 from rotcal_ros.methods.tracer.lengths import LengthCheck, read_from
 from rotcal_ros.methods.tracer.plan import check_plan, tracer_plan
 from rotcal_ros.methods.tracer.settings import TracerPlanSettings, TracerSimulationSettings
@@ -90,5 +90,6 @@ METHOD: Final = Method(
     stations=stations,
     table=TableReader((*table.HEADERS, *table.STATIONS), table.read),
     figures=figures,
+    tables=tables,
     disturbances=DISTURBANCES,
 )

@@ -13,7 +13,7 @@ from rotcal_ros.methods.method import Method, See, Stations, TableReader
 from rotcal_ros.methods.tracer.lengths import LengthCheck, read_from
 from rotcal_ros.methods.tracer_six import calibration, table
 from rotcal_ros.methods.tracer_six.disturbances import DISTURBANCES
-from rotcal_ros.methods.tracer_six.figures import figures
+from rotcal_ros.methods.tracer_six.figures import figures, tables
 from rotcal_ros.methods.tracer_six.plan import check_plan, places_of, plan
 from rotcal_ros.methods.tracer_six.settings import SixPlanSettings, SixSimulationSettings
 from rotcal_ros.methods.tracer_six.solver import METHOD as NAME
@@ -62,6 +62,7 @@ METHOD: Final = Method(
     table=TableReader(table.HEADERS, table.read),
     short_setup=table.short_setup,
     figures=figures,
+    tables=tables,
     zero=gauge.in_words,
     disturbances=DISTURBANCES,
 )

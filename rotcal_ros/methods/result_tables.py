@@ -1,0 +1,89 @@
+"""Tables of a result as a reader of the papers knows them: in a report, and as CSV.
+
+Angles are in degrees, rotations in arcseconds, places in millimetres, small lengths in
+micrometres, as the heads of the columns say; uncertainties are expanded (k = 2).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
+
+DIGITS: Final = {"deg": 4, "mm": 4, "um": 3, "arcsec": 3}
+"""Digits behind the point of a column, by the unit at the end of its head."""
+
+
+@dataclass(frozen=True)
+class ResultTable:
+    """A table: ``name`` for its file, ``title`` for people, ``head`` of the columns, and rows.
+
+    Cells are numbers in the unit that ends their head (``x_mm``), whole numbers, or texts.
+    """
+
+    name: str
+    title: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[Any, ...], ...]
+
+    @classmethod
+    def of(cls, name: str, title: str, **columns: Iterable[Any]) -> ResultTable:
+        """Return the table with these columns, all of one length."""
+        rows = zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True)
+        return cls(name, title, tuple(columns), tuple(rows))
+
+    def shown(self) -> list[list[str]]:
+        """Return the cells as a page has them."""
+        return [
+            [_shown(head, cell) for head, cell in zip(self.head, row, strict=True)]
+            for row in self.rows
+        ]
+
+    def to_csv(self) -> str:
+        """Return the table with a header line; every number keeps its last bit."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(self.head)
+        writer.writerows(self.rows)
+        return text.getvalue()
+
+
+def _shown(head: str, cell: Any) -> str:
+    if not isinstance(cell, float):
+        return str(cell)
+    return f"{cell:.{DIGITS.get(head.rpartition('_')[2], 3)}f}"
+
+
+def deviations_table(result: Result, *, stated: bool) -> ResultTable:
+    """Return the deviations by angle, with U where it may be ``stated``."""
+    columns: dict[str, Any] = {"angle_deg": result.angles / DEGREE}
+    for name in result.components:
+        factor, unit = unit_of(name)
+        suffix = unit.replace("µ", "u")
+        columns[f"{name}_{suffix}"] = result.deviations[name] / factor
+        if stated:
+            columns[f"U_{name}_{suffix}"] = COVERAGE_FACTOR * result.std[name] / factor
+    return ResultTable.of("deviations", "Deviations", **columns)
+
+
+def steps_table(result: Result, *, stated: bool) -> list[ResultTable]:
+    """Return the deviations of the steps between neighbouring angles, if they are known."""
+    if result.adjacent_deviations is None:
+        return []
+    columns = {
+        "from_deg": result.angles[:-1] / DEGREE,
+        "to_deg": result.angles[1:] / DEGREE,
+        "step_arcsec": result.adjacent_deviations / ARCSEC,
+    }
+    if stated and result.adjacent_std is not None:
+        columns["U_step_arcsec"] = COVERAGE_FACTOR * result.adjacent_std / ARCSEC
+    title = "Deviations of the steps between neighbouring angles"
+    return [ResultTable.of("steps", title, **columns)]
