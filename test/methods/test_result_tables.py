@@ -27,8 +27,8 @@ def column(table: ResultTable, name: str) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def stations():
-    setup = rc.read_configuration(DATA / "paper_stations.yaml")
-    return rc.read_table(DATA / "paper_stations.csv", setup).solve()
+    setup = rc.read_configuration(DATA / "paper/stations.yaml")
+    return rc.read_table(DATA / "paper/stations.csv", setup).solve()
 
 
 def test_the_papers_tables_are_those_of_a_tracer(stations):

@@ -69,8 +69,8 @@ def test_page_and_file_hold_tables_and_figures(found, tmp_path):
 
 
 def test_the_example_is_table_1_and_solves_to_its_curve(found):
-    setup = rc.read_configuration(DATA / "paper_stations.yaml")
-    result = rc.read_table(DATA / "paper_stations.csv", setup).solve()
+    setup = rc.read_configuration(DATA / "paper/stations.yaml")
+    result = rc.read_table(DATA / "paper/stations.csv", setup).solve()
     assert result.verdict == "ok"
     assert "error motion" not in result.unprotected
     stations = np.array(tracer.TABLE_1_MM)

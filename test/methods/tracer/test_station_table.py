@@ -84,10 +84,10 @@ def test_a_row_that_cannot_be_is_refused_with_its_place(tmp_path, row, words):
     table = tmp_path / "stations.csv"
     table.write_text(f"position,x_m,y_m,z_m\n0,0.065,0.0,0.12\n{row}\n")
     with pytest.raises(DataError, match=f"row 3: .*{words}"):
-        rc.read_table(table, rc.read_configuration(DATA / "paper_stations.yaml"))
+        rc.read_table(table, rc.read_configuration(DATA / "paper/stations.yaml"))
 
 
 def test_coordinates_have_no_trials_and_say_why():
-    setup = rc.read_configuration(DATA / "paper_stations.yaml")
+    setup = rc.read_configuration(DATA / "paper/stations.yaml")
     with pytest.raises(ConfigurationError, match="give the table of lengths"):
-        rc.read_table(DATA / "paper_stations.csv", setup).trials()
+        rc.read_table(DATA / "paper/stations.csv", setup).trials()
