@@ -86,7 +86,8 @@ def read_table(
     """Read a plain table (.csv) of another program: lengths, ball centres, or tracker points.
 
     ``setup`` is a configuration or its file. The columns are ``position,target,length_m``,
-    ``position,ball_step,x_m,y_m,z_m`` or ``position,tracker_station,kind,nest,x_m,y_m,z_m``;
+    ``position,x_m,y_m,z_m``, ``position,ball_step,x_m,y_m,z_m`` or
+    ``position,tracker_station,kind,nest,x_m,y_m,z_m``;
     metres, positions count from 0. ``targets`` (``target,x_m,y_m,z_m``) defaults to targets.csv
     beside a table of lengths. ``solve()`` of the returned object gives the result. Raises BagError
     when a file cannot be read, DataError with file and row, ConfigurationError.

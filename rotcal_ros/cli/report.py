@@ -101,7 +101,7 @@ def command(
     # Figures take a second to load; a wrong option should not wait for them.
     from rotcal_ros.recordings.inputs import Input
     from rotcal_ros.recordings.result_sources import read_source
-    from rotcal_ros.report.page import write_measured, write_result
+    from rotcal_ros.report.page import write_measured, write_result, write_tables
     from rotcal_ros.report.printing import require_writable
 
     session = SessionFolder(source)
@@ -112,6 +112,7 @@ def command(
         raise BagError(f"{output} would lie inside the bag {bag}; name a file beside it with -o")
     if output.exists():
         raise BagError(f"{output} exists and is not overwritten; name another file with -o")
+    _require_empty(tables, source)
     injected = None if truth is None else _truth(truth)
     given = Input(source, setup, targets, changes)
     if source.suffix == ".json":
@@ -119,12 +120,19 @@ def command(
     else:
         result = write_measured(given.read(), output, injected, in_force)
     say(f"report: {output.absolute()}")
-    if tables is not None:
-        from rotcal_ros.report.page import write_tables
-
-        for path in write_tables(result, tables):
-            say(f"table: {path.absolute()}")
+    for path in () if tables is None else write_tables(result, tables):
+        say(f"table: {path.absolute()}")
     return max(VERDICT_EXIT_CODES[result.verdict], _acting(result, in_force))
+
+
+def _require_empty(folder: Path | None, source: Path) -> None:
+    """Raise BagError unless tables may be written into ``folder``: nothing is overwritten."""
+    if folder is None:
+        return
+    if bag := bag_around(folder / "any", source):
+        raise BagError(f"{folder} lies inside the bag {bag}; name a folder beside it")
+    if folder.exists() and any(folder.iterdir()):
+        raise BagError(f"{folder} is not empty, and nothing is overwritten: name a new folder")
 
 
 def _acting(result: Result, in_force: Path | None) -> int:

@@ -55,10 +55,8 @@ if TYPE_CHECKING:
 @click.option(
     "--groups",
     type=click.Choice(["together", "separate"]),
-    default="together",
-    show_default=True,
-    help="Ball plate: solve groups of table positions that no ball connects, each with its own "
-    "zero, or refuse them.",
+    help="Ball plate: groups of table positions that no ball connects are solved separately, each "
+    "with its own zero, or refused (together); default: as the set-up says.",
 )
 @click.option(
     "-o", "--output", type=NamedFile(".json"), help="Write the result to this file, as JSON."
@@ -73,7 +71,7 @@ def command(
     namespace: str,
     balls: tuple[str, ...],
     coarser: tuple[int, ...],
-    groups: str,
+    groups: str | None,
     output: Path | None,
     as_json: bool,
 ) -> int:
@@ -89,12 +87,12 @@ def command(
 
     with progress("reading") as shown:
         data = Input(source, setup, targets, changes, taken_from, namespace).read(shown)
-    in_groups = groups == "separate"
-    if not (balls or coarser or in_groups):
+    if not (balls or coarser or groups):
         return _show(data.solve(), output, as_json)
     from rotcal_ros.evaluation.ways import ways
 
-    evaluations = _evaluated(data, source, ways(balls, coarser, in_groups=in_groups))
+    separate = None if groups is None else groups == "separate"
+    evaluations = _evaluated(data, source, ways(balls, coarser, separate=separate))
     if len(evaluations) == 1:
         return _show(evaluations[0].result, output, as_json)
     return _show_evaluations(evaluations, output, as_json)

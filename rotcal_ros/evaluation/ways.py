@@ -31,7 +31,8 @@ class Evaluation:
     """One way to evaluate the data, its result, and how far it is from the first way.
 
     ``differences`` holds for each component the largest distance (m or rad) at the common
-    angles, both curves in the gauge of those angles; empty for the first way.
+    angles, both curves in the gauge of those angles; empty for the first way, and where groups
+    have zeros of their own.
     """
 
     changes: tuple[str, ...]
@@ -53,18 +54,20 @@ class Evaluation:
 
 
 def ways(
-    balls: Sequence[str], coarser: Sequence[int], *, in_groups: bool = False
+    balls: Sequence[str], coarser: Sequence[int], *, separate: bool | None = None
 ) -> tuple[tuple[str, ...], ...]:
     """Return the changes of settings for every combination of ball lists and grids.
 
-    ``balls`` holds lists of grid steps such as "0,12,28", or "all". ``in_groups``: where steps
-    share a factor with the grid, each group of table positions is solved with a zero of its own.
+    ``balls`` holds lists of grid steps such as "0,12,28", or "all". ``separate``: where steps
+    share a factor with the grid, each group of table positions is solved with a zero of its own,
+    or refused; None: as the set-up says.
     """
     found = []
     for steps, factor in product(balls or ["all"], coarser or [1]):
         changes = [] if steps == "all" else [f"solver.balls=[{steps}]"]
         changes += [] if factor == 1 else [f"solver.coarser={factor}"]
-        changes += ["plan.plate.separate_groups=true"] if in_groups else []
+        if separate is not None:
+            changes.append(f"plan.plate.separate_groups={str(separate).lower()}")
         found.append(tuple(changes))
     return tuple(found)
 
@@ -79,9 +82,9 @@ def evaluate(
     for changes in wanted:
         configuration = changed(calibration.configuration, changes)
         result = replace(calibration, configuration=configuration).solve(observations)
-        differences = (
-            largest_differences(calibration.method, done[0].result, result) if done else {}
-        )
+        # the offset between groups with zeros of their own is no difference of the curves
+        known = [e.result for e in done[:1] if not (e.result.zeros.free or result.zeros.free)]
+        differences = largest_differences(calibration.method, known[0], result) if known else {}
         done.append(Evaluation(changes, result, differences))
     return tuple(done)
 

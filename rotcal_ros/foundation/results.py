@@ -141,8 +141,8 @@ class Placement:
             found = np.shape(getattr(self, name))
             if found != wanted:
                 raise DataError(f"placement.{name} has shape {found}, expected {wanted}")
-        if not np.isclose(np.linalg.norm(self.direction), 1.0):
-            raise DataError("placement.direction: expected a unit vector")
+        if not np.isclose(np.linalg.norm(self.direction), 1.0) or self.direction[2] < 0.0:
+            raise DataError("placement.direction: expected a unit vector that points upwards")
 
     def distance(self, place: Floats) -> float:
         """Return how far (m) a ``place`` (3,) is from the axis."""
@@ -608,11 +608,15 @@ def _error_motion(data: Any) -> ErrorMotion | None:
 
 
 def _placement(data: Mapping[str, Any]) -> Placement:
+    positions = _column(data["positions"], "placement.positions")
+    stations = _floats(data["stations"], "placement.stations")
+    if not np.all(np.isfinite(stations)) or np.any(positions % 1.0):
+        raise ValueError("placement: expected finite stations, and whole numbers as positions")
     return Placement(
         _column(data["point"], "placement.point"),
         _column(data["direction"], "placement.direction"),
-        np.asarray(data["positions"], dtype=np.int64),
-        _floats(data["stations"], "placement.stations").reshape(-1, 3),
+        positions.astype(np.int64),
+        stations if stations.size else np.zeros((0, 3)),
     )
 
 

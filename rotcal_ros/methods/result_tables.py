@@ -19,7 +19,7 @@ from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 DIGITS: Final = {"deg": 4, "mm": 4, "um": 3, "arcsec": 3}
-"""Digits behind the point of a column, by the unit at the end of its head."""
+"""Digits behind the point of a column, by the unit at the end of its head; else six in all."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,8 @@ class ResultTable:
 def _shown(head: str, cell: Any) -> str:
     if not isinstance(cell, float):
         return str(cell)
-    return f"{cell:.{DIGITS.get(head.rpartition('_')[2], 3)}f}"
+    digits = DIGITS.get(head.rpartition("_")[2])
+    return f"{cell:.7g}" if digits is None else f"{cell:.{digits}f}"
 
 
 def deviations_table(result: Result, *, stated: bool) -> ResultTable:

@@ -29,7 +29,7 @@ from rotcal_ros.evaluation.marks import marks, withheld
 from rotcal_ros.evaluation.reliability import Reliability, reliability
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.curves.measured import measured_curve
-from rotcal_ros.foundation.errors import BagError, DataError
+from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.gum_numbers import (
     place_of,
@@ -152,19 +152,20 @@ def tables_of(result: Result, *, stated: bool) -> str | None:
 
 
 def _tables_of_the_method(result: Result) -> Sequence[ResultTable]:
-    return find_method(result.method).tables(result) if result.method in method_names() else ()
+    """Return the method's tables; none of a result whose details were cut or edited."""
+    if result.method not in method_names():
+        return ()
+    try:
+        return find_method(result.method).tables(result)
+    except (LookupError, TypeError, ValueError):
+        return ()
 
 
 def write_tables(result: Result, folder: Path) -> list[Path]:
-    """Write all tables of a result as CSV into ``folder``, and return where they are.
-
-    Nothing is overwritten: BagError names a file that is there already, and none is written then.
-    """
+    """Write all tables of a result as CSV into ``folder``, and return where they are."""
     stated = not withheld(result)
     found = [deviations_table(result, stated=stated), *steps_table(result, stated=stated)]
     files = {folder / f"{t.name}.csv": t for t in (*found, *_tables_of_the_method(result))}
-    if there := next((path for path in files if path.exists()), None):
-        raise BagError(f"{there} exists and is not overwritten; name another folder")
     folder.mkdir(parents=True, exist_ok=True)
     for path, table in files.items():
         write_atomically(path, table.to_csv())

@@ -24,8 +24,8 @@ _OWN: Final = "rotcal_ros.report"
 def render(template: str, *, package: str = _OWN, **values: Any) -> str:
     """Return the page with every value escaped; a name without a value raises.
 
-    The template lies in the folder ``templates`` of ``package``, and may include those of this
-    room: the style and the parts of all pages.
+    The template lies in the folder ``templates`` of ``package``, and may include the style
+    and the parts of all pages, which are here.
     """
     template_file = _environment(package).get_template(f"{template}.html.j2")
     return template_file.render(values, version=__version__)

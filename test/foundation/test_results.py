@@ -82,6 +82,9 @@ def test_what_a_method_finds_of_axis_and_error_motion_is_kept() -> None:
         ("direction", [0.0, 0.0, 2.0], "unit vector"),
         ("stations", [[0.0, 1.0, 2.0]], "placement.stations has shape"),
         ("positions", ["first"], "damaged rotcal result"),
+        ("positions", [0.5], "whole numbers"),
+        ("stations", [[0.0, None, 2.0]], "finite stations"),
+        ("direction", [0.0, 0.0, -1.0], "points upwards"),
     ],
 )
 def test_a_damaged_placement_is_refused(entry: str, value: object, words: str) -> None:

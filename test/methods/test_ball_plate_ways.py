@@ -241,9 +241,38 @@ def test_the_closed_form_solves_a_whole_calibration(balls):
         )
         np.testing.assert_allclose(other.std[name], one.std[name], rtol=1e-12)
     assert other.verdict == one.verdict
-    gaps = posed.take(np.arange(1, len(posed.centres)))
-    with pytest.raises(PlanError, match="the closed form needs"):
-        solve(replace(gaps, closed_form=True))
+    assert [group["way"] for group in other.details["groups"]] == ["closed form"] * (
+        len(balls) // 6 % 2 + 1
+    )
+
+
+@pytest.mark.parametrize("spoiled", ["a wrong centre", "a gap", "weights", "a noisier axis"])
+def test_where_the_closed_form_does_not_exist_the_least_squares_take_its_place(spoiled):
+    problem, _ = simulated(12, range(12), seed=6, noise=5e-8)
+    centres, more = problem.centres.copy(), {}
+    if spoiled == "a wrong centre":
+        centres[17, 2] += 3e-6
+    if spoiled == "a noisier axis":
+        centres[:, 0] += 1e-6 * np.random.default_rng(1).standard_normal(len(centres))
+    if spoiled == "weights":
+        std = np.full_like(centres, 4e-8)
+        std[::2] = 6e-8
+        more = {"std": std}
+    posed = replace(problem, centres=centres, **more)
+    if spoiled == "a gap":
+        posed = posed.take(np.arange(1, len(centres)))
+    one, other = solve(posed), solve(replace(posed, closed_form=True))
+    for name in COMPONENTS:
+        np.testing.assert_allclose(other.std[name], one.std[name], rtol=1e-9)
+        assert other.deviations[name] == pytest.approx(one.deviations[name], abs=1e-15)
+    assert other.verdict == one.verdict
+    assert any("the closed form needs" in text for text in other.warnings)
+
+
+def test_the_closed_form_of_fewer_balls_than_positions_is_refused():
+    problem, _ = simulated(12, [0, 1, 3, 6, 7, 9], seed=6)
+    with pytest.raises(PlanError, match="the closed form needs 12 balls"):
+        solve(replace(problem, closed_form=True))
 
 
 def test_closed_form_divides_by_the_mean_measured_radius():

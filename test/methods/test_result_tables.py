@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +44,9 @@ def test_the_papers_tables_are_those_of_a_tracer(stations):
     assert column(table, "d_mm")[5] == pytest.approx(1128.5378, abs=1e-9)
     values = {row[0]: row[1] for row in found["circle"].rows}
     assert values["centre x"] == pytest.approx(-0.1434, abs=5e-5)
-    assert values["sigma of the steps (Eq. 34)"] == pytest.approx(0.88, abs=0.005)
+    assert values["sigma of the steps (Eq. 34, with their number)"] == pytest.approx(
+        0.88, abs=0.005
+    )
     (steps,) = steps_table(stations, stated=True)
     assert column(steps, "step_arcsec")[3] == pytest.approx(-9.9, abs=0.2)
 
@@ -62,6 +65,24 @@ def test_a_result_that_was_read_has_its_tables(file, names):
     for table in found.values():
         assert {len(row) for row in table.rows} == {len(table.head)}
         assert len(table.shown()) == len(table.rows)
+
+
+def test_small_numbers_are_shown_with_their_digits(stations):
+    shown = {row[0]: row[1] for row in tables_of(stations)["circle"].shown()}
+    assert shown["normal x"] == "1.952667e-05"
+    assert shown["centre x"] == "-0.1433856"
+    assert float(shown["largest algorithm error (Eq. 36)"]) == pytest.approx(3e-5, rel=0.1)
+
+
+@pytest.mark.parametrize("entry", ["axial", "radial", "tilt", "station_ids"])
+def test_details_that_were_cut_cost_the_tables_and_not_the_report(tmp_path, entry):
+    data = json.loads((DATA / "result_tracer.json").read_text())
+    data["details"][entry] = None
+    (tmp_path / "cut.json").write_text(json.dumps(data))
+    asked = ["report", str(tmp_path / "cut.json"), "-o", str(tmp_path / "cut.html")]
+    ran = CliRunner().invoke(rotcal, [*asked, "--tables", str(tmp_path / "tables")])
+    assert ran.exit_code == 0, ran.output
+    assert "deviations.csv" in {path.name for path in (tmp_path / "tables").iterdir()}
 
 
 def test_a_mirror_lists_what_its_stations_share():
@@ -98,4 +119,5 @@ def test_the_verb_writes_files_and_overwrites_none(tmp_path):
     assert "<summary>Stations of the tracer, and as projected on their plane</summary>" in page
     refused = report("b.html")
     assert refused.exit_code == 2
-    assert "exists and is not overwritten" in refused.output
+    assert "is not empty, and nothing is overwritten" in refused.output
+    assert not (tmp_path / "b.html").exists()

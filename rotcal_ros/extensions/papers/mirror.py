@@ -1,7 +1,7 @@
 """The plane mirror paper: its experiment, measured in a simulation, and its two ways as printed.
 
-What is at hand of the paper are its equations; it prints no measurement. So its plan of 17
-positions from six stations is measured on a simulated table, and its two recipes, stitching and
+Only Sec. 2.2 of the paper is at hand, with its equations. So its plan of 17 positions from six
+stations is measured on a simulated table, and its two recipes, stitching and
 registration, are carried out beside this software's ways on the same points.
 The words stand in ``templates/mirror.yaml``.
 """
@@ -234,6 +234,7 @@ def _values(
         "stitching_first_arcsec": scattered.stitching[1],
         "stitching_last_arcsec": scattered.stitching[closing - 1],
         "bare_closure_arcsec": two_flat - STEP,
+        "bare_size_arcsec": abs(two_flat - STEP),
         "closure_registration_arcsec": printed.registration[0, closing],
         "closure_stitching_arcsec": printed.stitching[0, closing],
         "closure_bare_arcsec": printed.bare[0, closing],
@@ -263,9 +264,8 @@ def _tables(truth: Floats, ours: Mapping[Way, Result], printed: Recipes) -> Iter
         **{f"{way}, ours": result.deviations["ECC"] for way, result in ours.items()},
     }
     yield PrintedTable.of(
-        "Errors at the 17 positions, actual - commanded, arcsec (SIMULATED; the paper's sign is "
-        "the "
-        "opposite)",
+        "Errors at the 17 positions, actual - commanded, arcsec (SIMULATED; the paper has the "
+        "opposite sign)",
         ("angle / °", *columns),
         (".1f", *[".2f"] * len(columns)),
         np.column_stack([angles() / DEGREE, *(c / ARCSEC for c in columns.values())]),

@@ -64,7 +64,8 @@ class Claim:
 class _StatedClaim:
     """A claim as it stands in the file of a paper; ``recomputed`` names a value.
 
-    It follows where printed and recomputed value differ by at most ``within``.
+    It follows where that differs from what is printed by at most ``within``; or from the
+    ``target`` where the paper prints no such number.
     """
 
     where: str
@@ -74,6 +75,7 @@ class _StatedClaim:
     finding: Finding | None = None
     printed: float | None = None
     recomputed: str | None = None
+    target: float | None = None
     within: float | None = None
     unit: str = ""
 
@@ -81,8 +83,9 @@ class _StatedClaim:
         """Return the claim with its numbers from ``values``, and their finding."""
         found = None if self.recomputed is None else float(values[self.recomputed])
         finding = self.finding
-        if self.within is not None and found is not None and self.printed is not None:
-            near = abs(self.printed - found) <= self.within
+        wanted = self.printed if self.target is None else self.target
+        if self.within is not None and found is not None and wanted is not None:
+            near = abs(wanted - found) <= self.within
             finding = "follows" if near else "does not follow"
         assert finding is not None, self.statement
         texts = (

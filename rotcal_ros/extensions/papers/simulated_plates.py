@@ -60,6 +60,7 @@ class PlateMeasurement:
     grid: int
     balls: tuple[int, ...]
     seed: int
+    noisy: bool = True
 
     def problem(self, **options: bool) -> BallPlateProblem:
         """Return the centres of all balls at all table positions, the probe resting (paper)."""
@@ -80,7 +81,7 @@ class PlateMeasurement:
         )
         own = np.searchsorted(nominal.balls, nominal.ball_step)
         centres = computed(nominal, found, plate[own], machine[nominal.cmm_index])
-        noise = CENTRE_STD * rng.standard_normal(centres.shape)
+        noise = self.noisy * CENTRE_STD * rng.standard_normal(centres.shape)
         return replace(nominal, centres=centres + noise)
 
 

@@ -39,7 +39,7 @@ GRID: Final = 72
 PLATE: Final = (0, 8, 12, 18, 21, 28, 32, 37, 42, 50, 58, 62)
 """Steps of 5 degrees at which the new plate has its balls."""
 SIX: Final = (0, 12, 28, 37, 50, 58)
-"""The best six of them; the paper does not say which it took."""
+"""The six of them that are best for the tilts; the paper does not say which it took."""
 FIRST_SIX: Final = (0, 8, 12, 18, 21, 28)
 MICRORADIAN: Final = 1e-6
 RANDOM_LAYOUTS: Final = 300
@@ -183,7 +183,7 @@ def _tables(results: Mapping[str, Result]) -> Iterator[PrintedTable]:
             (words, *(unit_uncertainty(balls, grid)[name] / factor for name, factor, _ in units))
             for words, balls, grid in (
                 ("all 12 balls, 72 positions", PLATE, GRID),
-                (f"the best six: {', '.join(map(str, SIX))}", SIX, GRID),
+                (f"the best six for the tilts: {', '.join(map(str, SIX))}", SIX, GRID),
                 (f"the first six: {', '.join(map(str, FIRST_SIX))}", FIRST_SIX, GRID),
                 ("12 equidistant balls, 12 positions", tuple(range(12)), 12),
             )

@@ -264,7 +264,9 @@ def _figures(found: _Found) -> tuple[Figure, ...]:
     return (
         Figure(
             "Fig. 6: path of the reflector",
-            "64 targets in four layers, 150 mm apart, the same serpentine in each; placed as in "
+            "64 targets in four layers, 150 mm apart, with the same path in each: a serpentine is "
+            "assumed. "
+            "Placed as in "
             "config/tracer_paper.yaml.",
             draw_path(_block(np.array(SHIPPED_CENTRE_M))),
         ),

@@ -13,7 +13,6 @@ import numpy as np
 
 from rotcal_ros.extensions.papers.reproduction import PrintedTable, Reproduction
 from rotcal_ros.extensions.papers.simulated_plates import (
-    CENTRE_STD,
     PlateMeasurement,
     draw_components,
     largest_expanded,
@@ -96,7 +95,9 @@ def _values(twelve: list[Result], six: list[Result], reference: Floats) -> dict[
         "tilt_x_arcsec": apart("EAC") / ARCSEC,
         "tilt_y_arcsec": apart("EBC") / ARCSEC,
         "ecc_arcsec": apart("ECC") / ARCSEC,
-        "noise_for_xy_um": CENTRE_STD / MICROMETRE * 0.13 / (apart("EXC", "EYC") / MICROMETRE),
+        "exact_xy_um": lost_in_groups() / MICROMETRE,
+        "plane_variance": variance_ratio("EXC"),
+        "axial_variance": variance_ratio("ECC"),
         "closed_form_apart": closed_form_apart(problems(TWELVE)[0]),
         "radius_share": radius_share(problems(TWELVE)[0]),
         "reference_arcsec": float(np.abs(off - off.mean()).max()) / ARCSEC,
@@ -122,6 +123,27 @@ def closed_form_apart(problem: BallPlateProblem) -> float:
 def radius_share(problem: BallPlateProblem) -> float:
     """Return by which share the mean measured radius of Eq. 12 differs from the nominal one."""
     return abs(closed_form(problem).radius / problem.radius - 1.0)
+
+
+def variance_ratio(name: str) -> float:
+    """Return how many times the variance within a group is that with all balls, by the layouts."""
+    of_group, of_whole = (
+        closed_form(PlateMeasurement(count, tuple(range(count)), seed=1).problem()).unit_std
+        for count in (GRID // 2, GRID)
+    )
+    return float((of_group / of_whole)[COMPONENTS.index(name)] ** 2)
+
+
+def lost_in_groups() -> float:
+    """Return by how much groups differ from the whole in EXC and EYC without any noise, m."""
+    whole, groups = (
+        solve(PlateMeasurement(GRID, balls, seed=1, noisy=False).problem(separate_groups=True))
+        for balls in (TWELVE, SIX)
+    )
+    return max(
+        float(np.abs(whole.deviations[name] - groups.deviations[name]).max())
+        for name in ("EXC", "EYC")
+    )
 
 
 def lost_offset(name: str) -> float:
@@ -169,9 +191,8 @@ def _figures(
         ),
         Figure(
             "Fig. 10: positioning beside the autocollimator",
-            "SIMULATED, with 0.1″ per reading. What the two methods differ by here is noise; in "
-            "the "
-            "paper it is thirty times that.",
+            "SIMULATED, with an assumed 0.1″ per reading. What the two methods differ by here is "
+            "noise; in the paper it is 3.9″.",
             draw_components({**curves, "autocollimator": (angles, {"ECC": reference})}, ("ECC",)),
         ),
     )

@@ -23,7 +23,7 @@ PAPERS: Final = ("tracer", "three_rosette", "two_groups", "mirror")
     type=path_type,
     default=Path("out/papers"),
     show_default=True,
-    help="Folder for the page and its JSON file.",
+    help="Folder for the page and its JSON file; earlier ones there are written anew.",
 )
 @json_option
 def command(paper: str, output: Path, as_json: bool) -> int:

@@ -222,9 +222,9 @@ def tables(result: Result) -> list[ResultTable]:
     """Return the errors of balls and machine, and the residuals by ball and position."""
     if not {"groups", "residual_rows"} <= result.details.keys():
         return []
-    found = []
-    for number, group in enumerate(result.details["groups"]):
-        suffix = f"_{number + 1}" if len(result.details["groups"]) > 1 else ""
+    found, groups = [], result.details["groups"]
+    # groups count their balls anew, and live in turned frames: their tables would mislead
+    for group in groups if len(groups) == 1 else ():
         for name, title, key, steps in (
             (
                 "balls",
@@ -239,7 +239,7 @@ def tables(result: Result) -> list[ResultTable]:
             columns |= {
                 f"U_{axis}_um": COVERAGE_FACTOR * std[:, k] for k, axis in enumerate("xyz")
             }
-            found.append(ResultTable.of(f"{name}{suffix}", title, step=group[steps], **columns))
+            found.append(ResultTable.of(name, title, step=group[steps], **columns))
     return [*found, *_residual_table(result)]
 
 

@@ -15,11 +15,16 @@ from rotcal_ros.methods.ball_plate.measuring_order import (
     Order,
     plan_measurement,
 )
-from rotcal_ros.methods.ball_plate.settings import SURFACE, BallPlatePlanSettings, checked
+from rotcal_ros.methods.ball_plate.settings import (
+    CLOSED_FORM,
+    SURFACE,
+    BallPlatePlanSettings,
+    checked,
+)
 from rotcal_ros.methods.ball_plate.solver.problem import position_of
 from rotcal_ros.methods.ball_plate.solver.rejection import MOST_OPEN
 from rotcal_ros.methods.ball_plate.solver.result import METHOD
-from rotcal_ros.methods.ball_plate.solver.separability import MIN_BALLS
+from rotcal_ros.methods.ball_plate.solver.separability import MIN_BALLS, common_divisor
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.planning.plan import Plan, Point, Step
 from rotcal_ros.planning.table_angles import visits
@@ -50,8 +55,19 @@ def plan(configuration: Configuration) -> Plan:
     return planned
 
 
-def check_plan(_configuration: Configuration, planned: Plan) -> None:
-    """Raise PlanError where too many table positions would have too few balls to be solved."""
+def check_plan(configuration: Configuration, planned: Plan) -> None:
+    """Raise PlanError where too many table positions would have too few balls to be solved.
+
+    Or where the closed form is asked for of fewer balls than it needs.
+    """
+    settings, solver = configuration.plan, configuration.solver
+    balls = np.array(solver.balls or settings.plate.ball_steps)
+    needed = settings.plate.grid // common_divisor(settings.plate.grid, balls)
+    if solver.variant == CLOSED_FORM and (len(balls) < needed or settings.cmm_positions):
+        raise PlanError(
+            f"solver.variant = {CLOSED_FORM} needs as many balls as positions, {needed}, and all "
+            f"CMM positions; {len(balls)} balls are to be evaluated: measure more, or leave it out"
+        )
     seen = {(step.table_position, step.target) for step in planned.steps}
     grid = len(planned.table_angles)
     count = np.bincount([position for position, _ in seen], minlength=grid)

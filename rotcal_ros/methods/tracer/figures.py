@@ -142,7 +142,11 @@ def _circle(details: Mapping[str, Any]) -> ResultTable:
         ),
         ("radius", float(details["circle"]["radius"]) / MILLIMETRE, "mm"),
         ("lean of the axis (Eq. 35)", float(details["tilt"]) / ARCSEC, "arcsec"),
-        ("sigma of the steps (Eq. 34)", float(details["scatter"]) / ARCSEC, "arcsec"),
+        (
+            "sigma of the steps (Eq. 34, with their number)",
+            float(details["scatter"]) / ARCSEC,
+            "arcsec",
+        ),
         ("largest algorithm error (Eq. 36)", float(errors.max(initial=0.0)) / ARCSEC, "arcsec"),
     ]
     return ResultTable(

@@ -73,6 +73,10 @@ class StationTable:
 def read(configuration: Configuration, table: Table, targets: Path | None) -> Measurements:
     """Return what a table of lengths, or of stations, holds."""
     if table.header in STATIONS:
+        if targets is not None:
+            raise DataError(
+                f"{table.path} is a table of stations, which has no targets: {targets}"
+            )
         return read_stations(configuration, table)
     return _read_lengths(configuration, table, targets)
 

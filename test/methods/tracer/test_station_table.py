@@ -62,6 +62,23 @@ def test_turning_the_world_does_not_change_the_curve():
     np.testing.assert_allclose(other.std["ECC"], one.std["ECC"], rtol=1e-6)
 
 
+def test_an_angle_that_comes_again_has_to_agree():
+    angles = np.append(ANGLES, ANGLES[0] + 2 * np.pi)
+    sound, moved = (
+        solve(posed(stations_of(np.append(np.zeros(11), off), angles=angles), angles))
+        for off in (0.0, 3e-5)
+    )
+    assert sound.verdict == "ok"
+    assert moved.verdict == "suspect"
+    assert "stand at the same table angle but differ" in moved.warnings[0]
+
+
+def test_a_table_of_stations_has_no_targets(tmp_path):
+    setup = rc.read_configuration(DATA / "paper/stations.yaml")
+    with pytest.raises(DataError, match="a table of stations, which has no targets"):
+        rc.read_table(DATA / "paper/stations.csv", setup, targets=DATA / "targets.csv")
+
+
 def test_too_few_stations_are_refused():
     with pytest.raises(ObservabilityError, match="give at least 5, or the lengths"):
         solve(posed(stations_of(np.zeros(4), angles=ANGLES[:4]), ANGLES[:4]))

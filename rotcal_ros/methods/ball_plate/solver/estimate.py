@@ -68,15 +68,14 @@ def factored(problem: BallPlateProblem) -> LinearFit:
     """Factor the model of Eq. 12, without a drift, the quickest way.
 
     Raises ObservabilityError when the centres do not determine all parameters, PlanError where
-    the closed form is asked for and the centres are not those of a whole square.
+    the closed form is asked for and there are fewer balls than positions. Of centres with gaps,
+    or with weights, it does not exist: the least squares take its place.
     """
     axes = _same_everywhere(problem)
     if axes is not None:
         return _Scaled(problem, axes)
-    if problem.closed_form:
-        return ClosedFormFit(problem)
     if problem.complete and problem.std is None:
-        return SpectralFit(problem)
+        return ClosedFormFit(problem) if problem.closed_form else SpectralFit(problem)
     gaps = _few_gaps(problem)
     return GeneralFit(problem) if gaps is None else WithGaps(problem, gaps)
 

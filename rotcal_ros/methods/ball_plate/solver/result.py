@@ -67,6 +67,11 @@ from rotcal_ros.methods.ball_plate.solver.solution import (
 METHOD: Final = "ball_plate"
 COVARIANCE_LIMIT = 720
 """Largest grid whose (N, N) covariance matrices are put into the result (25 MB)."""
+CLOSED: Final = ("closed form", "closed form with drift")
+NOT_CLOSED: Final = (
+    "not all centres are left with equal weights, which the closed form needs: the least squares "
+    "took its place (they are the same where both exist)"
+)
 MANY_REJECTED: Final = 0.02
 """Share of rejected centres from which on a result is suspect."""
 LEAST_DOF: Final = 8
@@ -207,6 +212,10 @@ def _warnings(solution: PlateSolution, found: Sequence[Findings]) -> list[str]:
             warnings.append(mine.knock.sentence())
         weak = separability(fit.problem.grid, fit.problem.balls).sentences()
         warnings += [sentence for sentence in weak if sentence not in warnings]
+    if solution.problem.closed_form and any(
+        f.solution.way not in CLOSED for _, f in solution.parts
+    ):
+        warnings.append(NOT_CLOSED)
     warnings += noise.sentences(own_std=solution.problem.std is not None)
     if n_rejected > MANY_REJECTED * n_centres:
         warnings.append(f"{n_rejected} of {n_centres} centres were rejected")

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import normal_isf
 from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.errors import ObservabilityError
@@ -35,6 +36,7 @@ from rotcal_ros.methods.tracer.solver.uncertainty import (
     circle_tested,
     error_motion_of,
 )
+from rotcal_ros.methods.tracer.solver.verdict import closures
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +78,17 @@ def solve(problem: StationProblem) -> Result:
     contradicted = test.probability < problem.significance
     error_motion = error_motion_of(motion, exact, 1.0, stated, contradicted)
     angles = angle_uncertainty(motion, problem.stations, exact, error_motion.used, 1.0)
-    warnings = (_doubt(motion, error_motion),) if contradicted else ()
+    closing = closures(
+        problem.table_angles,
+        motion.cumulative,
+        LowRank.whole(angles.covariance),
+        problem.positions,
+    )
+    limit = normal_isf(0.5 * problem.significance)
+    warnings = (
+        *((_doubt(motion, error_motion),) if contradicted else ()),
+        *(c.sentence() for c in closing if abs(c.error) > limit * c.std),
+    )
     return Result(
         method=METHOD,
         angles=problem.table_angles,
@@ -91,7 +103,7 @@ def solve(problem: StationProblem) -> Result:
         adjacent_deviations=motion.adjacent,
         adjacent_std=angles.adjacent_std,
         details=_details(problem, motion),
-        protections=_protections(motion, error_motion),
+        protections=_protections(motion, error_motion, closed=bool(closing)),
         zeros=Zeros("first angle"),
         budget={"error_motion": angles.budget["error_motion"]},
         placement=Placement.upwards(
@@ -136,7 +148,9 @@ def _details(problem: StationProblem, motion: TableMotion) -> dict[str, object]:
     }
 
 
-def _protections(motion: TableMotion, found: ErrorMotion) -> tuple[Protection, ...]:
+def _protections(
+    motion: TableMotion, found: ErrorMotion, *, closed: bool
+) -> tuple[Protection, ...]:
     """Return what protects a curve that rests on coordinates of stations alone."""
     stated = Protection("error motion", "bounded", "the stated error motion is inside U")
     shown = "noise of the stations and error motion together, as the circle's residuals show them"
@@ -147,7 +161,13 @@ def _protections(motion: TableMotion, found: ErrorMotion) -> tuple[Protection, .
             Protection("drift", "not protected", unknown),
             Protection("knock", "not protected", unknown),
             Protection("axis noise", "not protected", unknown),
-            Protection("repeatability", "not protected", "no angle was reached twice"),
+            Protection(
+                "repeatability",
+                "not protected",
+                "an angle that comes again has to agree, the others are reached once"
+                if closed
+                else "no angle was reached twice",
+            ),
             Protection("refraction", "not protected", unknown),
             Protection("scale", "harmless", "an angle does not depend on the scale"),
             Protection("tilt", "harmless", "the angle is taken in the plane of the stations"),

@@ -70,6 +70,14 @@ class CircleClosure:
     error: float
     std: float
 
+    def sentence(self) -> str:
+        """Say that they do not agree."""
+        return (
+            f"stations {self.first} and {self.last} stand at the same table angle but differ by "
+            f"{self.error / ARCSEC:.3g} arcsec, expected 0 with a standard deviation of "
+            f"{self.std / ARCSEC:.3g} arcsec: something moved or drifted during the run"
+        )
+
 
 def closures(
     angles: Floats,
@@ -234,13 +242,7 @@ def _doubt_stations(evidence: Evidence, settings: TracerLimits) -> list[str]:
     doubts += [
         doubt_jump(f"segment {jump.segment}", jump, evidence.fringe) for jump in evidence.jumps
     ]
-    doubts += [
-        f"stations {c.first} and {c.last} stand at the same table angle but differ by "
-        f"{c.error / ARCSEC:.3g} arcsec, expected 0 with a standard deviation of "
-        f"{c.std / ARCSEC:.3g} arcsec: something moved or drifted during the run"
-        for c in evidence.closures
-        if abs(c.error) > limit * c.std
-    ]
+    doubts += [c.sentence() for c in evidence.closures if abs(c.error) > limit * c.std]
     doubts += _doubt_circle(evidence, settings)
     motion = evidence.error_motion
     stated = motion.stated is not None and evidence.circle_statement is None
