@@ -88,16 +88,20 @@ def trial() -> float:
     with ExitStack() as stack:
         peer = Peer("doctor", _NAMESPACE)
         stack.callback(peer.close)
-        peer.node.create_subscription(NodeStateMsg, names.HEARTBEAT, hear, QoSProfile(depth=100))
-        start = time.monotonic()
+        qos, start = QoSProfile(depth=100), time.monotonic()
         nodes = []
         for name in NODES:
             nodes.append(node := TrialNode(name))
             stack.callback(node.close)
-        peer.work_until(
-            lambda: beating >= set(NODES) or not all(node.running() for node in nodes),
-            patient(START_S),
-        )
+
+        def settled() -> bool:
+            return beating >= set(NODES) or not all(node.running() for node in nodes)
+
+        # Two ends that the middleware never connects: a new one it does connect.
+        for _ in range(2):
+            listening = peer.node.create_subscription(NodeStateMsg, names.HEARTBEAT, hear, qos)
+            peer.work_until(settled, patient(0.5 * START_S))
+            peer.node.destroy_subscription(listening)
         took = time.monotonic() - start
         if dead := [node.last_words() for node in nodes if not node.running()]:
             raise NodeError("; ".join(dead))
