@@ -12,7 +12,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import Empty
@@ -147,15 +147,14 @@ def take(browser: Browser, name: str, shot: Shot, folder: Path) -> None:
 
 
 def _address(nodes: RunningSession) -> str:
+    """Return the address of the page, which the client tells once it is there."""
     deadline = time.monotonic() + TIMEOUT_MS / 1e3
-    while not (found := nodes.page()):
-        if time.monotonic() > deadline:
-            raise TimeoutError("no page")
-        try:
-            nodes.events.get(timeout=0.1)
-        except Empty:
-            continue
-    return found.removeprefix("page: ")
+    while time.monotonic() < deadline:
+        with suppress(Empty):
+            event = nodes.events.get(timeout=0.1)
+            if event["event"] == "page":
+                return str(event["address"])
+    raise TimeoutError("no page")
 
 
 def _keep(picture: bytes, path: Path, width: int) -> None:
