@@ -279,16 +279,15 @@ def _figures(
         Figure(
             "Stitching and registration: errors of the table",
             "SIMULATED: 17 positions from six stations, one reflector, a mirror that leans by "
-            "1.4°. "
-            "The last position is the first one again; what the curve does not return to is the "
-            "closure. Stitching as printed ends in a station of two normals, which have no plane.",
+            f"{MIRROR.lean / DEGREE:.1f}°. The last position is the first one again; what the "
+            "curve does not return to is the closure. Stitching as printed ends in a station of "
+            "two normals, which have no plane.",
             draw_ways(truth - truth[0], ours, printed),
         ),
         Figure(
             "How their noise grows",
             f"Rms error over {RUNS} simulations with 1″ per normal and 5 µm per nest. Stitching "
-            "adds "
-            "the last error of each station to all that follow; registration does not.",
+            "adds the last error of each station to all that follow; registration does not.",
             draw_spread(scattered),
         ),
     )

@@ -23,6 +23,7 @@ from rotcal_ros.methods.tracer.policy.information import Information
 from rotcal_ros.methods.tracer.policy.scene import Lengths, Scene
 from rotcal_ros.methods.tracer.solver.circle import ABSORBED, TableMotion, table_motion
 from rotcal_ros.methods.tracer.solver.stations import StationProblem, solve
+from rotcal_ros.planning.points import block
 
 TABLE_1_MM: Final = (
     (-64.9938, -6.6256, 122.5146, 1128.5363),
@@ -83,9 +84,7 @@ class _Found:
 def reproduce() -> Reproduction:
     """Return the paper's tables, figures and claims, computed again from what it prints."""
     found = _solved()
-    first_target, _ = first_target_of(found.stations, found.distances)
-    blocks = block_uncertainties(found.stations, first_target)
-    values = _values(found) | {f"u_{name}_arcsec": u / ARCSEC for name, u in blocks.items()}
+    values = _values(found)
     return Reproduction.of("tracer", values, _tables(found, values), _figures(found))
 
 
@@ -143,18 +142,9 @@ def _predicted(stations: Floats, centre: Floats, *, shared: bool = False) -> flo
 
 
 def _block(centre: Floats) -> Floats:
-    """Return the 64 targets of the block, layer by layer, each in a serpentine (Fig. 6)."""
-    x, y, z = (
-        c + np.linspace(-0.5, 0.5, PER_SIDE) * s for c, s in zip(centre, BLOCK_M, strict=True)
-    )
-    return np.array(
-        [
-            (across, along, height)
-            for height in z
-            for row, along in enumerate(y)
-            for across in (x if row % 2 == 0 else x[::-1])
-        ]
-    )
+    """Return the 64 targets of the block as our plans have them: a serpentine in each layer."""
+    x, y, z = centre.tolist()
+    return np.array(block((x, y, z), BLOCK_M, (PER_SIDE, PER_SIDE, PER_SIDE)))
 
 
 def _values(found: _Found) -> dict[str, float]:
@@ -168,6 +158,7 @@ def _values(found: _Found) -> dict[str, float]:
     squares, q = float((adjacent**2).sum()), len(adjacent)
     place, misfit = first_target_of(found.stations, found.distances)
     x, y, z = (place / MILLIMETRE).tolist()
+    blocks = block_uncertainties(found.stations, place)
     values = {
         "lengths": len(off) * PER_SIDE**3,
         "normal_x": plane.normal[0],
@@ -198,6 +189,7 @@ def _values(found: _Found) -> dict[str, float]:
         "first_target_z_mm": z,
         "first_target_misfit_um": misfit / MICROMETRE,
         "distance_spread_um": np.ptp(found.distances) / MICROMETRE,
+        **{f"u_{name}_arcsec": u / ARCSEC for name, u in blocks.items()},
     }
     return {name: float(value) for name, value in values.items()}
 
@@ -265,9 +257,7 @@ def _figures(found: _Found) -> tuple[Figure, ...]:
         Figure(
             "Fig. 6: path of the reflector",
             "64 targets in four layers, 150 mm apart, with the same path in each: a serpentine is "
-            "assumed. "
-            "Placed as in "
-            "config/tracer_paper.yaml.",
+            "assumed. Placed as in config/tracer_paper.yaml.",
             draw_path(_block(np.array(SHIPPED_CENTRE_M))),
         ),
         Figure(
