@@ -79,6 +79,14 @@ def detected(limit: float, power: float, dof: float = np.inf) -> float:
     return float(np.sqrt(f_noncentrality(rare**2, 1.0, dof, power)))
 
 
+def noise_growth(significance: float, power: float, dof: float) -> float:
+    """Return how many times its stated variance noise is when chi-squared finds it.
+
+    With the probability ``power``, by a test of ``significance`` with ``dof`` degrees of freedom.
+    """
+    return float(chi2_isf(significance, dof) / chi2_isf(power, dof))
+
+
 def f_noncentrality(limit: float, dof: float, dof_below: float, power: float) -> float:
     """Return the noncentrality at which F exceeds ``limit`` with the probability ``power``."""
     return float(ncfdtrinc(dof, dof_below, 1.0 - power, limit))

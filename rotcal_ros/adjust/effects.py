@@ -22,11 +22,14 @@ from scipy.special import erfc
 from rotcal_ros.adjust.distributions import chi2_sf, detected, f_sf, noncentrality, normal_isf
 from rotcal_ros.adjust.roots import root_between
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.protection import Treatment
 
 UNSEEN: Final = 1e-9
 """Information of a size, per that of its errors without the unknowns, that is none."""
 NOTHING: Final = 1e-150
 """Probability below which a normal quantile is not asked for: it would be infinite."""
+HARMLESS: Final = 0.1
+"""Error, in standard uncertainties, of what cannot be told from nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,6 +156,25 @@ class Unseen(NamedTuple):
     found: bool
     hidden: bool = False
 
+    @classmethod
+    def worst(cls, found_from: Floats, share: Floats, largest: float) -> Unseen:
+        """Return the worst of k effects of one column, none of which is larger than ``largest``.
+
+        ``found_from`` (k,): size from which on a test finds each, infinite: none does;
+        ``share`` (k,): error per unit of size, in standard uncertainties.
+        """
+        error = np.minimum(found_from, largest) * share
+        k = int(np.argmax(error))
+        silent = bool(np.isinf(found_from[k]))
+        return cls(float(error[k]), bool(found_from[k] <= largest), silent)
+
+    @property
+    def treatment(self) -> Treatment:
+        """What a method does about an effect of which no more than this stays unseen."""
+        if self.error <= HARMLESS:
+            return "harmless"
+        return "tested" if self.found else "not protected"
+
 
 def unseen(
     seen: Seen,
@@ -209,9 +231,7 @@ def unseen_family(
     limit = limit_of_family(significance, correlations(seen.information))
     needed = detected(limit, power, dof - 1.0)
     size = np.where(checked, needed / np.sqrt(np.where(checked, information, 1.0)), np.inf)
-    error = np.minimum(size, largest) * share
-    worst = int(np.argmax(error))
-    return Unseen(float(error[worst]), bool(size[worst] <= largest), not checked[worst])
+    return Unseen.worst(size, share, largest)
 
 
 def _everything(share: Floats, largest: float) -> Unseen:

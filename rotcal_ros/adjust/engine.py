@@ -25,7 +25,7 @@ import numpy as np
 
 from rotcal_ros.adjust import gathering
 from rotcal_ros.adjust.causes import Diagnosis, Limits, found_causes, seen_by
-from rotcal_ros.adjust.distributions import chi2_isf, chi2_sf, normal_sf, t_isf
+from rotcal_ros.adjust.distributions import chi2_sf, noise_growth, normal_sf, t_isf
 from rotcal_ros.adjust.effects import Seen, Unseen, unseen, unseen_family
 from rotcal_ros.adjust.gathering import SUSPECTED, GatheringLimits
 from rotcal_ros.adjust.groups import CHECKED
@@ -36,8 +36,6 @@ from rotcal_ros.foundation.protection import POWER, Effect, Protection, ordered
 from rotcal_ros.foundation.raw_data import Influence, RawData
 from rotcal_ros.foundation.results import Rejection, Residuals, Result, Verdict
 
-HARMLESS: Final = 0.1
-"""Error, in standard uncertainties, of an effect that nobody has to be told of."""
 LARGEST: Final = 1000.0
 """Errors of several observations, in their stated noise, that nobody would overlook."""
 FAILED_SHARE: Final = 0.2
@@ -418,19 +416,17 @@ def _protections(found: Adjusted) -> Iterator[Protection]:
     for name, (hides, effect) in worst.items():
         if name in taken:
             yield Protection(name, "estimated", f"it was found that {effect.what}, and taken off")
-        elif hides.error <= HARMLESS:
-            why = f"that {effect.what} moves the result by less than a tenth of its uncertainty"
-            yield Protection(name, "harmless", why)
-        elif not hides.found:
-            why = f"that {effect.what} leaves no residual"
-            if not hides.hidden:
-                why = (
-                    f"that {effect.what} is found only beyond {effect.unit.shown(effect.largest)}"
-                )
-            yield Protection(name, "not protected", why, hides.error)
-        else:
-            why = f"that {effect.what} contradicts other {found.model.words.elements}"
-            yield Protection(name, "tested", why, hides.error)
+            continue
+        silent = "leaves no residual"
+        if not hides.hidden:
+            silent = f"is found only beyond {effect.unit.shown(effect.largest)}"
+        why = {
+            "harmless": "moves the result by less than a tenth of its uncertainty",
+            "not protected": silent,
+            "tested": f"contradicts other {found.model.words.elements}",
+        }[hides.treatment]
+        error = None if hides.treatment == "harmless" else hides.error
+        yield Protection(name, hides.treatment, f"that {effect.what} {why}", error)
     yield _against_noise(found)
     yield from _against_gathering(found)
 
@@ -446,9 +442,9 @@ def _against_noise(found: Adjusted) -> Protection:
     dof = found.fit.dof
     if not dof:
         return Protection("axis noise", "not protected", "nothing is measured twice")
-    ratio = float(chi2_isf(found.diagnosis.limits.significance, dof) / chi2_isf(POWER, dof))
+    growth = noise_growth(found.diagnosis.limits.significance, POWER, dof)
     why = f"{dof} residuals test the stated noise, which is estimated where it does not hold"
-    return Protection("axis noise", "tested", why, float(np.sqrt(max(ratio - 1.0, 0.0))))
+    return Protection("axis noise", "tested", why, float(np.sqrt(max(growth - 1.0, 0.0))))
 
 
 def _against_gathering(found: Adjusted) -> Iterator[Protection]:
@@ -471,11 +467,4 @@ def _against_gathering(found: Adjusted) -> Iterator[Protection]:
     if worst is None:
         return
     what = f"several {words.elements} that are off together ({words.cause})"
-    if not worst.seen:
-        yield Protection("one place", "not protected", f"{what} leave no residual")
-        return
-    why = (
-        f"{what} are looked for; {worst.count} of {worst.name} by {unit.shown(worst.size)} are "
-        "found, the worst case"
-    )
-    yield Protection("one place", "tested", why, worst.error)
+    yield gathering.protection(worst, what, unit.shown(worst.size))

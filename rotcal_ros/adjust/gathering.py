@@ -16,7 +16,9 @@ import numpy as np
 from rotcal_ros.adjust.distributions import binomial_quantile
 from rotcal_ros.adjust.groups import Group, GroupTest, Undivided, group_test
 from rotcal_ros.adjust.judgement import BELIEF, Belief, Blame, Judgement, judge
+from rotcal_ros.adjust.reliability import Hidden
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.protection import Protection
 from rotcal_ros.foundation.units import MICROMETRE
 
 RARE: Final = 0.05
@@ -142,6 +144,23 @@ def doubts(gathering: Gathering, limits: GatheringLimits, words: Words) -> list[
             f"{words.cause} {words.its}, and measure it again"
         )
     return found + _counted(gathering.counts, named, limits, words)
+
+
+def protection(
+    worst: Hidden, what: str, size: str, *, searched: str = "", beside: str = ""
+) -> Protection:
+    """Return the statement about ``what`` is off together, of which ``worst`` may stay unseen.
+
+    ``size``: that of the worst, for people. ``searched``: where it is looked for, ``beside``: what
+    else is said.
+    """
+    if not worst.seen:
+        return Protection("one place", "not protected", f"{what} leave no residual")
+    why = (
+        f"{what} are looked for{searched}; {worst.count} of {worst.name} by {size} are found, the "
+        f"worst case{beside}"
+    )
+    return Protection("one place", "tested", why, worst.error)
 
 
 def _many(case: Blame, limits: GatheringLimits) -> bool:

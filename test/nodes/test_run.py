@@ -79,11 +79,13 @@ def test_ctrl_c_leaves_a_valid_bag_and_no_process(tmp_path):
         stderr=subprocess.PIPE,
         text=True,
     ) as run:
+        said = []
         for line in run.stderr:
+            said.append(line)
             if "of 60 steps" in line:
                 break
         children = children_of(run.pid)
-        assert len(children) == 7
+        assert len(children) == 7, "".join(said)
         run.send_signal(signal.SIGINT)
         rest = run.stderr.read()
         assert run.wait(patient(DEADLINE_S)) == 130

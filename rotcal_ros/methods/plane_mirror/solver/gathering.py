@@ -289,14 +289,12 @@ def protection(gathering: Gathering, prepared: PreparedWay, std: Floats) -> tupl
     if worst is None:
         why = "one reflector at a position: nothing tells that it is seen in a wrong place"
         return (Protection("one place", "not protected", why),)
-    if not worst.seen:
-        return (Protection("one place", "not protected", f"{what} leave no residual"),)
-    why = (
-        f"{what} are looked for; {worst.count} of {worst.name} by "
-        f"{worst.size / MICROMETRE:.2g} um are found, the worst case; what spoils all readings of "
-        "a position is as if the table had arrived elsewhere: see repeatability"
+    arrived = (
+        "; what spoils all readings of a position is as if the table had arrived elsewhere: see "
+        "repeatability"
     )
-    return (Protection("one place", "tested", why, worst.error),)
+    size = f"{worst.size / MICROMETRE:.2g} um"
+    return (engine.protection(worst, what, size, beside=arrived),)
 
 
 def _minorities(group: Group, prepared: PreparedWay) -> Bools:

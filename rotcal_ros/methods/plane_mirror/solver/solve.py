@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from rotcal_ros.adjust import gathering as engine
-from rotcal_ros.adjust.distributions import chi2_isf, normal_isf
+from rotcal_ros.adjust.distributions import chi2_isf, noise_growth, normal_isf
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.protection import POWER, Protection, ordered
@@ -448,8 +448,8 @@ def _hidden(significance: float, dof: int) -> float:
     Found with POWER. The noise along the beam, a third of all coordinates, is taken as none at
     all, which hides most; the error is what comes on top of the stated noise.
     """
-    found = float(chi2_isf(significance, dof)) / float(chi2_isf(POWER, dof))
-    return float(np.sqrt(max(1.5 * found - 1.0, 0.0)))
+    growth = noise_growth(significance, POWER, dof)
+    return float(np.sqrt(max(1.5 * growth - 1.0, 0.0)))
 
 
 @dataclass(frozen=True)

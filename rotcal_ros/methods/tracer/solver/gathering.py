@@ -92,13 +92,8 @@ def protection(gathering: Gathering, std: Floats) -> tuple[Protection, ...]:
     if worst is None:
         return ()
     what = "several lengths of one station that are too long together (warm air, a person)"
-    if not worst.seen:
-        return (Protection("one place", "not protected", f"{what} leave no residual"),)
-    why = (
-        f"{what} are looked for in every sector; {worst.count} of {worst.name} by "
-        f"{worst.size / MICROMETRE:.2g} um are found, the worst case"
-    )
-    return (Protection("one place", "tested", why, worst.error),)
+    size = f"{worst.size / MICROMETRE:.2g} um"
+    return (engine.protection(worst, what, size, searched=" in every sector"),)
 
 
 def groups_of(

@@ -19,7 +19,8 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.adjust.distributions import chi2_isf, normal_isf
+from rotcal_ros.adjust.distributions import chi2_isf, noise_growth, normal_isf
+from rotcal_ros.adjust.effects import Unseen
 from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.adjust.noise import LEAST_REDUNDANCY
 from rotcal_ros.foundation.arrays import Floats
@@ -49,8 +50,6 @@ LARGEST_MOVE: Final = 1e-4
 """Drift or knock (m, or rad times the largest reach) that nobody would overlook."""
 LARGEST_RATIO: Final = 1e-3
 """Error of the scale, or of the air's index per metre of height, that nobody would overlook."""
-HARMLESS: Final = 0.1
-"""Error, in standard uncertainties, of what cannot be told from nothing."""
 KNOCKED_AT: Final = (0.25, 0.5, 0.75)
 """Shares of a run after which a knock is tried."""
 NOTHING: Final = 1e-150
@@ -59,31 +58,13 @@ MOST_PATTERNS: Final = 4_000_000
 """Lengths of all patterns together, 32 MB, up to which each length's influence is told."""
 
 
-@dataclass(frozen=True, slots=True)
-class Worst:
-    """The largest error that may stay unseen, in standard uncertainties; ``seen``: no larger."""
-
-    error: float
-    seen: bool
-
-    @classmethod
-    def of(cls, detectable: Floats, share: Floats, largest: float) -> Worst:
-        """Return the worst of k patterns, none of which is larger than ``largest``.
-
-        ``detectable`` (k,): size that a test finds; ``share`` (k,): error per unit of size, in
-        standard uncertainties.
-        """
-        error = np.minimum(detectable, largest) * share
-        k = int(np.argmax(error))
-        return cls(float(error[k]), bool(detectable[k] <= largest))
-
-    def stated(self, effect: Effect, harmless: str, unseen: str, seen: str) -> Protection:
-        """Return the statement about ``effect``, in one of three wordings."""
-        if self.error <= HARMLESS:
-            return Protection(effect, "harmless", harmless)
-        if not self.seen:
-            return Protection(effect, "not protected", unseen)
-        return Protection(effect, "tested", seen, self.error)
+def stated(
+    effect: Effect, worst: Unseen, *, harmless: str, not_protected: str, tested: str
+) -> Protection:
+    """Return the statement about ``effect`` in the wording of its treatment."""
+    treatment = worst.treatment
+    why = {"harmless": harmless, "not protected": not_protected, "tested": tested}[treatment]
+    return Protection(effect, treatment, why, worst.error if treatment == "tested" else None)
 
 
 def refracted(distance: Floats, stations: Floats, targets: Floats) -> Floats:
@@ -94,11 +75,6 @@ def refracted(distance: Floats, stations: Floats, targets: Floats) -> Floats:
     """
     height = 0.5 * (stations[:, None, 2] + targets[:, 2])
     return np.asarray(distance * (height - height.mean()))[None]
-
-
-def found_growth(significance: float, dof: int) -> float:
-    """Return how many times its variance noise has to be for chi-squared to show it with POWER."""
-    return float(chi2_isf(significance, dof) / chi2_isf(POWER, dof))
 
 
 def noise_protection(error: float) -> Protection:
@@ -180,21 +156,21 @@ def _moving(solution: TracerSolution) -> dict[str, Floats]:
     }
 
 
-def _worst(solution: TracerSolution, patterns: dict[str, Floats]) -> dict[str, Worst]:
+def _worst(solution: TracerSolution, patterns: dict[str, Floats]) -> dict[str, Unseen]:
     """Return the largest error of each kind of pattern that may stay unseen."""
     answer = respond(solution, np.concatenate(list(patterns.values())))
     share, first = largest_share(answer.deviations, solution.angles.std), 0
-    found: dict[str, Worst] = {}
+    found: dict[str, Unseen] = {}
     for name, pattern in patterns.items():
         part = slice(first, first + len(pattern))
         largest = LARGEST_RATIO if name in ("scale", "refraction") else LARGEST_MOVE
-        found[name] = Worst.of(answer.detectable[part], share[part], largest)
+        found[name] = Unseen.worst(answer.detectable[part], share[part], largest)
         first = part.stop
     return found
 
 
 def _of_the_order(
-    solution: TracerSolution, worst: dict[str, Worst]
+    solution: TracerSolution, worst: dict[str, Unseen]
 ) -> tuple[Protection, Protection]:
     drift = max(worst["drift"], worst["turn"], key=lambda unseen: unseen.error)
     return (
@@ -213,28 +189,30 @@ def _slip(solution: TracerSolution) -> tuple[Protection, ...]:
     return (slips.protection(moved, solution.angles.std),)
 
 
-def _moved(effect: Effect, worst: Worst, solution: TracerSolution, what: str) -> Protection:
+def _moved(effect: Effect, worst: Unseen, solution: TracerSolution, what: str) -> Protection:
     """Return the statement about ``what`` moves during the run and is a closure's to find."""
     closes = bool(solution.evidence.closures)
     cure = "the closure does not show it"
     if not closes:
         cure = "no position was measured again after a whole turn to show it"
     tests = "residuals, circle and closure" if closes else "residuals and circle"
-    return worst.stated(
+    return stated(
         effect,
-        f"{what} moves what cancels in the angle",
-        f"{what} turns the curve: {cure}",
-        f"{what} shows in {tests} of the stations",
+        worst,
+        harmless=f"{what} moves what cancels in the angle",
+        not_protected=f"{what} turns the curve: {cure}",
+        tested=f"{what} shows in {tests} of the stations",
     )
 
 
-def _of_the_air(effect: Effect, what: str, worst: Worst) -> Protection:
+def _of_the_air(effect: Effect, what: str, worst: Unseen) -> Protection:
     """Return the statement about ``what`` spoils all lengths alike."""
-    return worst.stated(
+    return stated(
         effect,
-        f"{what} moves all stations alike",
-        f"{what} bends the curve and leaves no residual",
-        f"{what} shows in the residuals before it matters",
+        worst,
+        harmless=f"{what} moves all stations alike",
+        not_protected=f"{what} bends the curve and leaves no residual",
+        tested=f"{what} shows in the residuals before it matters",
     )
 
 
@@ -353,12 +331,12 @@ def _hidden_motion(solution: TracerSolution) -> float:
     if dof == 0:
         return float("inf")
     significance = solution.problem.settings.test_significance
-    ratio = found_growth(significance, dof)
+    growth = noise_growth(significance, POWER, dof)
     bearing = bearing_slopes(solution.fit.stations, motion)
     others = np.arange(1, len(angles.std))
     unit = bearing.spread(error_motion_spread(motion, 1.0)).between(np.zeros_like(others), others)
     felt = np.sqrt(unit) / angles.std[1:]
-    return float(np.sqrt((ratio - 1.0) * circle.residuals.variance) * felt.max())
+    return float(np.sqrt((growth - 1.0) * circle.residuals.variance) * felt.max())
 
 
 def _repeatability(solution: TracerSolution, arrivals: int) -> Protection:

@@ -26,7 +26,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.adjust.distributions import noncentrality, normal_isf
+from rotcal_ros.adjust.distributions import noise_growth, noncentrality, normal_isf
+from rotcal_ros.adjust.effects import Unseen
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS, HALF_OF_95_PERCENT, ROTATIONS
 from rotcal_ros.foundation.protection import POWER, Effect, Protection, ordered
@@ -42,10 +43,9 @@ from rotcal_ros.methods.tracer.solver.protections import (
     LARGEST_RATIO,
     MOST_PATTERNS,
     NOTHING,
-    Worst,
-    found_growth,
     noise_protection,
     refracted,
+    stated,
     tangential_protection,
 )
 from rotcal_ros.methods.tracer.solver.reported import (
@@ -429,7 +429,7 @@ def _tangential(solution: SixSolution) -> Protection:
     )
 
 
-def _moved(solution: SixSolution, effect: Effect, worst: Worst, what: str) -> Protection:
+def _moved(solution: SixSolution, effect: Effect, worst: Unseen, what: str) -> Protection:
     """Return the statement about ``what`` moves, which an angle measured again can show."""
     again = solution.moves.test("within runs")
     if again is None:
@@ -440,19 +440,20 @@ def _moved(solution: SixSolution, effect: Effect, worst: Worst, what: str) -> Pr
     return _felt(effect, worst, shown)
 
 
-def _felt(effect: Effect, worst: Worst, what: str) -> Protection:
-    return worst.stated(
+def _felt(effect: Effect, worst: Unseen, what: str) -> Protection:
+    return stated(
         effect,
-        f"{what}, by less than a tenth of their uncertainty",
-        f"{what}, and no test shows it",
-        f"{what}; the verdict turns from that size on",
+        worst,
+        harmless=f"{what}, by less than a tenth of their uncertainty",
+        not_protected=f"{what}, and no test shows it",
+        tested=f"{what}; the verdict turns from that size on",
     )
 
 
 def _hidden(solution: SixSolution, dof: int) -> float:
     """Return the error, in standard uncertainties, of noise that chi-squared just shows."""
     significance = solution.problem.settings.test_significance
-    return float(np.sqrt(max(found_growth(significance, dof) - 1.0, 0.0)))
+    return float(np.sqrt(max(noise_growth(significance, POWER, dof) - 1.0, 0.0)))
 
 
 def _repeatability(solution: SixSolution) -> Protection:
@@ -489,7 +490,7 @@ def _tilt(solution: SixSolution) -> Protection:
     )
 
 
-def _worst(solution: SixSolution, patterns: Floats, largest: float) -> Worst:
+def _worst(solution: SixSolution, patterns: Floats, largest: float) -> Unseen:
     """Return the worst of ``patterns`` (k, V, n), m per unit, none of them beyond ``largest``."""
     moved, left = _respond(solution, patterns)
     std = np.sqrt(np.einsum("ajaj->aj", solution.covariance))
@@ -504,7 +505,7 @@ def _worst(solution: SixSolution, patterns: Floats, largest: float) -> Worst:
             size = np.sqrt(noncentrality(significance, POWER)) * c.std
             seen_at = np.minimum(seen_at, size / (np.abs(jump) + NOTHING))
     seen_at = np.minimum(seen_at, solution.moves.found_at(patterns, significance))
-    return Worst.of(seen_at, share, largest)
+    return Unseen.worst(seen_at, share, largest)
 
 
 def _respond(solution: SixSolution, patterns: Floats) -> tuple[Floats, Floats]:
