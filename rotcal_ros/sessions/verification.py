@@ -227,7 +227,7 @@ def _round(
     _write_once(exports, tables)
     changes = [*_read_request(folder).check, f"cell.table_in_force={in_force_of(applied.files)}"]
     if before.cell.simulated:
-        changes += _rows(applied)
+        changes += [*_rows(applied), f"simulation.run={1 + list(TABLES).index(name)}"]
     elif not _is_loaded(folder, name, applied, loaded):
         return None
     measured = _measure(SessionFolder(folder).configuration, folder / name, changes, folder)

@@ -58,12 +58,12 @@ class SimulatedAutocollimator(AngleReader):
         _temperature: SimulatedTemperature,
         start_ns: int,
     ) -> None:
-        super().__init__(settings.autocollimator, settings.seed, READING, start_ns)
+        super().__init__(settings.autocollimator, settings.noise_seed, READING, start_ns)
         self._polygon, self._table = settings.polygon, table
         faces, mountings = self._polygon.faces, len(self._polygon.first_faces)
         of, align = self._polygon.face_arcsec * ARCSEC, self._polygon.mounting_arcsec * ARCSEC
         self.face_errors = of * IndexedNoise(settings.seed, FACES).normal(0, faces)
-        self._mountings = align * IndexedNoise(settings.seed, MOUNTING).normal(0, mountings)
+        self._mountings = align * IndexedNoise(settings.noise_seed, MOUNTING).normal(0, mountings)
 
     def seen(self, stamp_ns: int, order: Command) -> Floats:
         """Return the true reading (2,), rad, of the face nearest to the line of sight."""

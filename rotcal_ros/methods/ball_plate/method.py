@@ -42,9 +42,7 @@ def simulated_instrument(
     """Return the machine that touches the plate on ``table``."""
     from rotcal_ros.methods.ball_plate.simulated_probe import SimulatedTouchProbe
 
-    return SimulatedTouchProbe(
-        settings.touch_probe, settings.plate, table, settings.seed, start_ns
-    )
+    return SimulatedTouchProbe(settings, table, start_ns)
 
 
 METHOD: Final = Method(

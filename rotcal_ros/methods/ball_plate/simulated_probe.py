@@ -10,6 +10,7 @@ from rotcal_ros.foundation.arrays import Floats, Stamps
 from rotcal_ros.foundation.observations import Command, PointKind, ProbeSample
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE, NANOSECOND
 from rotcal_ros.methods.ball_plate.settings import (
+    PlateSimulationSettings,
     SimulatedPlateSettings,
     TouchProbeSettings,
 )
@@ -72,22 +73,15 @@ class SimulatedTouchProbe(SeriesInstrument):
     of the whole run depends on k and on the table, never on how time was cut.
     """
 
-    def __init__(
-        self,
-        settings: TouchProbeSettings,
-        plate: SimulatedPlateSettings,
-        table: Table,
-        seed: int,
-        start_ns: int,
-    ) -> None:
+    def __init__(self, cell: PlateSimulationSettings, table: Table, start_ns: int) -> None:
         super().__init__(start_ns)
-        self.settings = settings
-        self._table, self._balls = table, plate_balls(plate, seed)
-        self._reach = 0.5 * plate.ball_diameter_m + settings.tip_radius_m
+        self.settings = settings = cell.touch_probe
+        self._table, self._balls = table, plate_balls(cell.plate, cell.seed)
+        self._reach = 0.5 * cell.plate.ball_diameter_m + settings.tip_radius_m
         self._limits = MotionLimits(settings.speed_m_s, settings.acceleration_m_s2, 0.0, 1.0)
-        self._error = MachineError(settings, seed)
-        self._noise = IndexedNoise(seed, NoiseSource.TOUCH)
-        self._dirt = IndexedNoise(seed, NoiseSource.DIRT)
+        self._error = MachineError(settings, cell.seed)
+        self._noise = IndexedNoise(cell.noise_seed, NoiseSource.TOUCH)
+        self._dirt = IndexedNoise(cell.noise_seed, NoiseSource.DIRT)
         self._from = self._place = settings.initial_position_m
         self._lift = 0.0
         self._motion = Motion(start_ns, [0.0], self._limits)

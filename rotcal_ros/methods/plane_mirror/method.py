@@ -80,7 +80,7 @@ def simulated_instrument(
     """Return the tracker that looks at the mirror on ``table``."""
     from rotcal_ros.methods.plane_mirror.simulated_tracker import SimulatedTracker
 
-    return SimulatedTracker(settings.tracker, settings.mirror, table, settings.seed, start_ns)
+    return SimulatedTracker(settings, table, start_ns)
 
 
 METHOD: Final = Method(

@@ -18,8 +18,8 @@ from rotcal_ros.methods.plane_mirror.mirror_physics import (
     on_circle,
 )
 from rotcal_ros.methods.plane_mirror.settings import (
+    MirrorSimulationSettings,
     SimulatedMirrorSettings,
-    TrackerSettings,
 )
 from rotcal_ros.methods.plane_mirror.solver.problem import TrackerNoise
 from rotcal_ros.methods.simulation.instrument import Series, SeriesInstrument, Table
@@ -38,17 +38,11 @@ class SimulatedTracker(SeriesInstrument):
 
     frame = "tracker"
 
-    def __init__(
-        self,
-        settings: TrackerSettings,
-        mirror: SimulatedMirrorSettings,
-        table: Table,
-        seed: int,
-        start_ns: int,
-    ) -> None:
+    def __init__(self, cell: MirrorSimulationSettings, table: Table, start_ns: int) -> None:
         super().__init__(start_ns)
-        self.settings, self._table = settings, table
-        self._mirror = _flat_mirror(mirror)
+        self.settings, self._table = cell.tracker, table
+        settings, seed = cell.tracker, cell.noise_seed
+        self._mirror = _flat_mirror(cell.mirror)
         self._noise = TrackerNoise(
             range_std=settings.range_std_um * MICROMETRE,
             range_std_per_metre=settings.range_std_um_per_m * MICROMETRE,
@@ -57,7 +51,7 @@ class SimulatedTracker(SeriesInstrument):
         )
         self._point_noise = IndexedNoise(seed, NoiseSource.TRACKER)
         self._stand_noise = IndexedNoise(seed, NoiseSource.STAND)
-        self._nest_noise = IndexedNoise(seed, NoiseSource.NEST)
+        self._nest_noise = IndexedNoise(cell.seed, NoiseSource.NEST)
         self._reflector_noise = IndexedNoise(seed, NoiseSource.REFLECTOR)
         self._put_up: Command | None = None
         self._start_ns = start_ns

@@ -55,7 +55,7 @@ class SimulatedCell:
         self, settings: SimulationSettings, make_instrument: MakeInstrument, start_ns: int = 0
     ) -> None:
         self.settings, self.now_ns = settings, start_ns
-        seed, table = settings.seed, settings.table
+        seed, table = settings.noise_seed, settings.table
         self._external = ExternalTable(table, start_ns) if table.external else None
         self.table: Table = self._external or SimulatedTable(table, seed, start_ns)
         self._temperature = SimulatedTemperature(settings.temperature, seed, start_ns)

@@ -150,7 +150,8 @@ class SeriesInstrument(SimulatedInstrument):
 class AngleReader(SeriesInstrument):
     """Stays where it is and reads one or two small angles, with noise, as far as it can.
 
-    ``source``: its own stream of random numbers, see :class:`~.noise.NoiseSource`.
+    ``seed``: the ``noise_seed`` of the cell's settings; ``source``: its own stream of random
+    numbers, see :class:`~.noise.NoiseSource`.
     """
 
     def __init__(self, own: AngleReaderSettings, seed: int, source: int, start_ns: int) -> None:

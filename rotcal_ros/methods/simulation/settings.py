@@ -166,6 +166,12 @@ class SimulationSettings:
     """The simulated cell: a table, a temperature, and the instrument of a method."""
 
     seed: int = setting(1, doc="seed of all random numbers", minimum=0, maximum=2**31 - 1)
+    run: int = setting(
+        0,
+        doc="another number: the same machine measured again, with other noise",
+        minimum=0,
+        maximum=2**31 - 1,
+    )
     time_scale: float = setting(
         1.0,
         doc="machine seconds in a second of the clock while something moves or settles; 1: real "
@@ -179,6 +185,11 @@ class SimulationSettings:
     table: TableSettings = group(TableSettings)
     temperature: TemperatureSettings = group(TemperatureSettings)
     air: SimulatedAirSettings = group(SimulatedAirSettings)
+
+    @property
+    def noise_seed(self) -> int:
+        """Seed of what each run draws anew; ``seed`` alone is that of what the machine is."""
+        return self.seed + (self.run << 32)
 
     def __post_init__(self) -> None:
         if self.table.external and self.time_scale != 1.0:

@@ -156,7 +156,7 @@ class TracerAndReflector(SimulatedInstrument):
         start_ns: int,
     ) -> None:
         super().__init__(start_ns)
-        tracer, probe, seed = settings.tracer, settings.probe, settings.seed
+        tracer, probe, seed = settings.tracer, settings.probe, settings.noise_seed
         self._table, self._temperature = table, temperature
         self._air = SimulatedAir(settings.air, temperature, seed, start_ns)
         self._mount = np.array(mount_m)
@@ -170,7 +170,7 @@ class TracerAndReflector(SimulatedInstrument):
             lag=probe.settling_um * MICROMETRE,
             settling_time=probe.settling_time_s,
         )
-        self._target_noise = IndexedNoise(seed, NoiseSource.TARGET)
+        self._target_noise = IndexedNoise(settings.seed, NoiseSource.TARGET)
         self._repeat_noise = IndexedNoise(seed, NoiseSource.PROBE_REPEAT)
         self._following_noise = IndexedNoise(seed, NoiseSource.FOLLOWING)
         self._arrivals = 0

@@ -38,8 +38,8 @@ class CarriedTracer(TracerAndReflector):
         self.tracer_settings = settings.tracer
         self._places = triples(settings.tracer.places_m, "simulation.tracer.places_m")
         super().__init__(settings, self._places[0], table, temperature, start_ns)
-        self._placing = IndexedNoise(settings.seed, NoiseSource.MOUNTING)
-        self._mounted_zero = IndexedNoise(settings.seed, NoiseSource.MOUNTED_ZERO)
+        self._placing = IndexedNoise(settings.noise_seed, NoiseSource.MOUNTING)
+        self._mounted_zero = IndexedNoise(settings.noise_seed, NoiseSource.MOUNTED_ZERO)
         self._mountings: dict[int, int] = {}
         self._place, self._step = -1, -1
         self._done: set[int] = set()
