@@ -90,8 +90,9 @@ def plans_of(methods: Sequence[str]) -> list[Path]:
 
 
 def title_of(plan: Path) -> str:
-    """Return the heading of a plan's section: the comment in its first line."""
-    return plan.read_text(encoding="utf-8").splitlines()[0].removeprefix("# ")
+    """Return the heading of a plan's section: the comment in its first line, else its name."""
+    first = plan.read_text(encoding="utf-8").split("\n", 1)[0]
+    return first.removeprefix("# ") if first.startswith("# ") else plan.stem
 
 
 def _section(bench: Bench, rows: list[PowerRow]) -> str:

@@ -474,8 +474,10 @@ class Look:
         support, price = self._support(test.squares, test.rank, RARER * members)
         where = ""
         if effect.family:
-            first = int(np.flatnonzero(columns[:, 0])[0])
-            where = f" from {self.before.model.names[first]} on"
+            touched = np.flatnonzero(columns[:, 0])
+            first, last = (self.before.model.names[k] for k in touched[[0, -1]].tolist())
+            stays = np.ptp(columns[touched, 0]) == 0.0
+            where = f" from {first} on" if stays else f" from {first} to {last}"
         return Explanation(
             f"{effect.what}{where}", "", columns @ test.axes, np.zeros(0, dtype=np.int64),
             support, price, -(test.size @ seen.moved), effect, test.axes, test.probability,

@@ -270,6 +270,7 @@ class Adjusted:
             residuals=Residuals(
                 position, target, fit.residual[measured], fit.redundancy[measured],
                 fit.test_value[measured], fit.used[measured], fit.std[measured],
+                unit="rad" if self.model.unit.angular else "m",
             ),
             raw_data=RawData(influence=self._influence(components, len(position))),
             details={**self.details(), **(details or {})},
@@ -388,6 +389,8 @@ def _doubts(found: Adjusted) -> Iterator[str]:
         GatheringLimits(limits.rejected_share, limits.significance),
         model.words._replace(unit=model.unit.name, unit_si=model.unit.si),
     )
+    if not found.fit.dof:
+        yield f"no {model.words.elements} are left to check the others: nothing could contradict"
     share = len(found.why) / max(int(model.may_go.sum()), 1)
     if share > limits.rejected_share:
         yield (
@@ -407,16 +410,19 @@ def _larger(found: Adjusted) -> Bools:
 
 def _protections(found: Adjusted) -> Iterator[Protection]:
     each = found.diagnosis.limits.of_each_effect(found.model)
-    taken = {e.effect.effect for e in found.diagnosis.taken if e.effect is not None}
+    taken = {e.effect.effect: e.effect for e in found.diagnosis.taken if e.effect is not None}
     worst: dict[Effect, tuple[Unseen, Disturbing]] = {}
     for effect, seen in found.seen:
+        if effect in taken.values():
+            continue
         hides = _unseen(effect, seen, found.counting_std, each, found.freedom)
         if effect.effect not in worst or hides.error > worst[effect.effect][0].error:
             worst[effect.effect] = hides, effect
-    for name, (hides, effect) in worst.items():
-        if name in taken:
+    for name, effect in taken.items():
+        if name not in worst or worst[name][0].treatment == "harmless":
+            worst.pop(name, None)
             yield Protection(name, "estimated", f"it was found that {effect.what}, and taken off")
-            continue
+    for name, (hides, effect) in worst.items():
         silent = "leaves no residual"
         if not hides.hidden:
             silent = f"is found only beyond {effect.unit.shown(effect.largest)}"

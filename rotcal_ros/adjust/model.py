@@ -42,11 +42,20 @@ Equations = Callable[[Floats], tuple[Floats, Floats]]
 """Takes the unknowns (p,) to the computed observations (n,) and their derivatives (n, p)."""
 
 
+ANGULAR: Final = ("arcsec", "arcmin", "deg", "rad", "mrad", "urad", "µrad", "nrad", "gon", "mgon")
+"""Names of units of angles."""
+
+
 class Unit(NamedTuple):
     """The unit in which people read the observations, and its SI value."""
 
     name: str = "arcsec"
     si: float = ARCSEC
+
+    @property
+    def angular(self) -> bool:
+        """Whether it is one of angles; else it counts as one of lengths."""
+        return self.name in ANGULAR
 
     def shown(self, value: float) -> str:
         """Return an SI ``value`` for people."""
@@ -141,18 +150,25 @@ def instrument_effects(
     *,
     moved: str = "",
     unit: Unit = SECONDS,
+    scale: float = 0.1,
 ) -> tuple[Disturbing, ...]:
     """Return what may happen to any instrument: it drifts, something moves, its scale is wrong.
 
-    ``run`` (n,): readings from one zero, -1 for none; ``when`` (n,): the order or the time.
-    ``largest``: a drift or a shift that nobody would overlook; ``moved``: what may be moved.
+    It drifts in all runs or in one of them. ``run`` (n,): readings from one zero, -1 for none;
+    ``when`` (n,): the order or the time. ``largest``: a drift or a shift that nobody would
+    overlook, ``scale`` the same of its scale, 0.1 for one that may be off by 10 %; ``moved``: what
+    may be moved.
     """
+    drifting, shifted = drifts(run, when), knocks(run, when)
+    found = [Disturbing("drift", f"{instrument} drifts", drifting, largest, unit)]
+    if drifting.shape[1] > 1:
+        alone = f"{instrument} drifts in one run,"
+        found.append(Disturbing("drift", alone, drifting, largest, unit, family=True))
+    moves, wrong = f"{moved or instrument} moved", f"the scale of {instrument} is wrong"
     return (
-        Disturbing("drift", f"{instrument} drifts", drifts(run, when), largest, unit),
-        Disturbing(
-            "knock", f"{moved or instrument} moved", knocks(run, when), largest, unit, family=True
-        ),
-        Disturbing("scale", f"the scale of {instrument} is wrong", _scaled, 0.1, Unit("%", 0.01)),
+        *found,
+        Disturbing("knock", moves, shifted, largest, unit, family=True),
+        Disturbing("scale", wrong, _scaled, scale, Unit("%", 0.01)),
     )
 
 
@@ -174,6 +190,8 @@ def from_mean(blocks: Mapping[str, int], name: str) -> Floats:
 
 
 def _of_block(blocks: Mapping[str, int], name: str) -> Floats:
+    if name not in blocks:
+        raise DataError(f"the model has no block {name!r}: its blocks are {', '.join(blocks)}")
     before = sum(list(blocks.values())[: list(blocks).index(name)])
     return np.eye(blocks[name], sum(blocks.values()), before)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -39,7 +39,7 @@ class Reliability:
     error in standard deviations of the observation, for one of several coordinates in the mean
     over the directions; inf if nothing checks it. ``effect`` (n,) bounds what such an error does
     to any deviation, in standard uncertainties of that. ``std`` (n,) is the standard deviation of
-    the observations in metres, None if it is not known.
+    the observations in their ``unit``, None if it is not known.
     """
 
     alpha: float
@@ -52,6 +52,7 @@ class Reliability:
     detectable: Floats
     effect: Floats
     std: Floats | None
+    unit: Literal["m", "rad"]
 
     @property
     def unchecked(self) -> Bools:
@@ -63,8 +64,8 @@ class Reliability:
         order = np.lexsort((self.row, -self.effect))
         return np.asarray(order[:count], dtype=np.int64)
 
-    def detectable_m(self) -> Floats | None:
-        """Return the minimal detectable errors (n,) in metres; None if no std is stated."""
+    def detectable_error(self) -> Floats | None:
+        """Return the minimal detectable errors (n,) in ``unit``; None if no std is stated."""
         return None if self.std is None else np.asarray(self.std * self.detectable)
 
     def to_dict(self, count: int, effects: Floats | None = None) -> dict[str, Any]:
@@ -72,7 +73,7 @@ class Reliability:
 
         ``effects`` are those on the deviations, see :func:`effects_on_deviations`.
         """
-        worst, metres = self.worst(count), self.detectable_m()
+        worst, errors = self.worst(count), self.detectable_error()
         columns: dict[str, Any] = {
             "row": self.row[worst],
             "table_index": self.table_position[worst],
@@ -81,8 +82,8 @@ class Reliability:
             "detectable_std": self.detectable[worst],
             "effect_bound_std": self.effect[worst],
         }
-        if metres is not None:
-            columns["detectable_m"] = metres[worst]
+        if errors is not None:
+            columns[f"detectable_{self.unit}"] = errors[worst]
         if effects is not None:
             columns["effect_std"] = effects
         return {
@@ -123,6 +124,7 @@ def reliability(residuals: Residuals, alpha: float = ALPHA, power: float = POWER
         detectable=detectable,
         effect=effect,
         std=None if residuals.std is None else residuals.std[row],
+        unit=residuals.unit,
     )
 
 
@@ -140,18 +142,18 @@ def effects_on_deviations(
     ``result``; an observation that only closes a plan has no residual. Raises DataError if a
     residual belongs to none of them, or if they have no standard deviation.
     """
-    metres = found.detectable_m()
+    errors = found.detectable_error()
     if result.residuals is None:
         raise DataError("the result has no residuals: no effect can be calculated")
     places = _observation_of(result.residuals, observations)
-    if found.std is None or metres is None or not np.all(found.std[which] > 0.0):
+    if found.std is None or errors is None or not np.all(found.std[which] > 0.0):
         raise DataError("the observations have no standard deviation: state the noise in solver")
     effects = np.full(len(which), np.inf)
     for k, index in enumerate(which.tolist()):
-        if np.isfinite(metres[index]):
+        if np.isfinite(errors[index]):
             row, step = int(found.row[index]), NUDGE * float(found.std[index])
             gain = _gain(calibration, observations, result, places[row], step)
-            effects[k] = metres[index] * float(gain.max(initial=0.0))
+            effects[k] = errors[index] * float(gain.max(initial=0.0))
     return effects
 
 

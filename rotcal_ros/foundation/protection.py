@@ -27,6 +27,7 @@ Effect = Literal[
     "one place",
     "numbering",
     "sign of z",
+    "sign of readings",
 ]
 PARTICULAR: Final[tuple[Effect, ...]] = (
     "slip",
@@ -35,11 +36,13 @@ PARTICULAR: Final[tuple[Effect, ...]] = (
     "one place",
     "numbering",
     "sign of z",
+    "sign of readings",
 )
 """Effects that only those methods list whose instruments have them: counted fringes; an instrument
 on the table, which its mount or cable may shift along its circle; one that drifts between two
 measurements of its nests; an error that gathers in one place among many; table positions that are
-all numbered wrong; and a z axis that points down, where no measurement would show it."""
+all numbered wrong; a z axis that points down, and readings of the other sign, where no measurement
+would show it."""
 ALL_EFFECTS: Final[tuple[Effect, ...]] = get_args(Effect)
 """All effects, in the order of display."""
 EFFECTS: Final[tuple[Effect, ...]] = tuple(e for e in ALL_EFFECTS if e not in PARTICULAR)

@@ -60,12 +60,12 @@ class Rejection:
 class Residuals:
     """One row per observation, used or not; all arrays have shape (n,).
 
-    ``residual`` is observed - computed in the unit of the observations, metres for all built-in
-    methods; ``redundancy`` lies in [0, 1] and
-    ``test_value`` is the normalised residual (dimensionless). Rows that were not used keep
-    their residual against the final solution and have ``used`` False. An observation has
-    ``coordinates`` values (a length one, a point three); ``std`` is the standard deviation (m)
-    of each as the solution weighs it, rms over its coordinates. None: unknown.
+    ``residual`` is observed - computed in the ``unit`` of the observations, metres for all
+    built-in methods; ``redundancy`` lies in [0, 1] and ``test_value`` is the normalised residual
+    (dimensionless). Rows that were not used keep their residual against the final solution and
+    have ``used`` False. An observation has ``coordinates`` values (a length one, a point three);
+    ``std`` is the standard deviation of each as the solution weighs it, in the same unit, rms
+    over its coordinates. None: unknown.
     """
 
     table_position: Ints
@@ -76,6 +76,7 @@ class Residuals:
     used: Bools
     std: Floats | None = None
     coordinates: int = 1
+    unit: Literal["m", "rad"] = "m"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -415,6 +416,8 @@ class Result:
             data["raw_data"] = self.raw_data.to_dict()
         if self.residuals is not None:
             columns = plain_fields(self.residuals)
+            if self.residuals.unit == "m":  # as it is where nothing is said
+                del columns["unit"]
             data["residuals"] = {FILE_NAMES.get(name, name): c for name, c in columns.items()}
         return {name: _plain(value) for name, value in data.items()}
 
@@ -640,7 +643,8 @@ def _directions(data: Any) -> dict[str, Directions]:
 
 
 def _residuals(data: Mapping[str, Any]) -> Residuals:
-    names = [field.name for field in fields(Residuals) if field.name not in ("std", "coordinates")]
+    optional = ("std", "coordinates", "unit")
+    names = [field.name for field in fields(Residuals) if field.name not in optional]
     columns: dict[str, Any] = {}
     for name in names:
         key = FILE_NAMES.get(name, name)
@@ -656,7 +660,10 @@ def _residuals(data: Mapping[str, Any]) -> Residuals:
         raise ValueError("residuals: expected columns of one length")
     if coordinates not in (1, 3):
         raise ValueError(f"residuals.coordinates: expected 1 or 3, found {coordinates!r:.60}")
-    return Residuals(**columns, std=std, coordinates=coordinates)
+    unit = data.get("unit", "m")
+    if unit not in ("m", "rad"):
+        raise ValueError(f"residuals.unit: expected m or rad, found {unit!r:.60}")
+    return Residuals(**columns, std=std, coordinates=coordinates, unit=unit)
 
 
 def _columns(data: Any, where: str, shape: tuple[int, ...]) -> dict[str, Floats]:

@@ -142,7 +142,7 @@ class RowStepFinder:
         what = ", ".join(f"{name} {number}" for name, number in zip(names, key, strict=True))
         if steps is None:
             known = zip(names, zip(*self._steps, strict=True), strict=True)
-            *most, last = [f"{name}s {_in_words(numbers)}" for name, numbers in known]
+            *most, last = [f"{name} {_in_words(numbers)}" for name, numbers in known]
             raise DataError(
                 f"{row.place}: {what} is not in the plan, which has {', '.join(most)} and {last}; "
                 "does the set-up belong to this table?"

@@ -524,6 +524,7 @@ TABLES: Final = "Tables"
 MOST_ROWS: Final = 200
 """Of a table on a page; the files hold all."""
 _WORST: Final = 8
+_ERRORS_SHOWN: Final = {"m": ("µm", MICROMETRE), "rad": ("arcsec", ARCSEC)}
 
 
 def reliability_of_observations(result: Result) -> str | None:
@@ -544,18 +545,18 @@ def reliability_of_observations(result: Result) -> str | None:
 
 
 def _head(found: Reliability) -> list[str]:
-    metres = ["Error / µm"] if found.std is not None else []
+    error = [f"Error / {_ERRORS_SHOWN[found.unit][0]}"] if found.std is not None else []
     columns = ["Error / its std", "Effect, at most / std"]
-    return ["Table position", "Target", "Redundancy", *metres, *columns]
+    return ["Table position", "Target", "Redundancy", *error, *columns]
 
 
 def _observation_rows(found: Reliability) -> list[list[str]]:
     """Return position, target, redundancy, minimal detectable error and bound of its effect."""
-    metres, rows = found.detectable_m(), []
+    errors, rows = found.detectable_error(), []
     for k in found.worst(_WORST).tolist():
         numbers = [found.detectable[k], found.effect[k]]
-        if metres is not None:
-            numbers.insert(0, metres[k] / MICROMETRE)
+        if errors is not None:
+            numbers.insert(0, errors[k] / _ERRORS_SHOWN[found.unit][1])
         row = [str(found.table_position[k]), str(found.target[k]), f"{found.redundancy[k]:.3f}"]
         rows.append([*row, *(f"{v:.2f}" if np.isfinite(v) else "any" for v in numbers)])
     return rows

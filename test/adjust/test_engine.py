@@ -17,6 +17,7 @@ from rotcal_ros.adjust.model import (
     drifts,
     from_mean,
     indicators,
+    instrument_effects,
     knocks,
     linear,
 )
@@ -506,3 +507,62 @@ def test_few_residuals_widen_the_uncertainty_as_students_t_does():
         if found.diagnosis.noise.estimated is not None:
             inside.append(np.abs(found.value - truth) <= 1.96 * found.std)
     assert 0.92 < np.mean(inside) < 0.98
+
+
+def with_usual_effects(model):
+    run = model.groupings[0].number
+    usual = instrument_effects(
+        "the instrument", run, model.groupings[0].along, 1e-3, unit=MICRON, scale=1e-6
+    )
+    return replace(model, effects=usual)
+
+
+@pytest.mark.parametrize("seed", [9, 10])
+def test_a_drift_in_one_run_is_no_knock_and_what_all_runs_may_do_is_still_named(seed):
+    model = with_usual_effects(comparison(np.random.default_rng(seed))[1])
+    run, when = model.groupings[0].number, model.groupings[0].along
+    ramp = 20 * SIGMA * drifts(run, when)[:, 2]
+    found = adjust(replace(model, observed=model.observed + ramp))
+    assert [e.effect.effect for e in found.found_effects] == ["drift"]
+    # runs that go there and back in turn cannot tell a drift of all of them from the places
+    assert {p.effect: p.treatment for p in found.protections()}["drift"] == "not protected"
+
+
+def test_a_drift_that_only_one_of_many_runs_has_is_told_with_its_run():
+    run, place = np.divmod(np.arange(12 * PLACES), PLACES)
+    place = (place * (1 + run % 3) + 4 * run) % PLACES  # another order in every run
+    when = np.arange(len(run), dtype=float)
+    blocks = {"place": PLACES, "run": 12}
+    noise = SIGMA * np.random.default_rng(3).standard_normal(len(run))
+    model = Model(
+        blocks=blocks,
+        observed=noise + 15 * SIGMA * drifts(run, when)[:, 7],
+        std=np.full(len(run), SIGMA),
+        equations=linear(indicators((place, PLACES), (run, 12))),
+        outputs=from_mean(blocks, "place"),
+        words=WORDS,
+        unit=MICRON,
+        groupings=(Grouping("run", run, along=when), Grouping("place", place)),
+    )
+    (effect,) = adjust(with_usual_effects(model)).found_effects
+    assert effect.what.startswith("the instrument drifts in one run, from run 7")
+    np.testing.assert_allclose(effect.sizes, 15 * SIGMA, atol=4 * effect.std[0])
+
+
+def test_a_scale_that_nobody_believes_to_be_off_is_harmless():
+    model = with_usual_effects(comparison(np.random.default_rng(6))[1])
+    assert {p.effect: p.treatment for p in adjust(model).protections()}["scale"] == "harmless"
+
+
+def test_where_nothing_checks_anything_the_verdict_is_not_ok():
+    _, model = comparison(np.random.default_rng(7))
+    model = _rows(model, np.arange(PLACES))  # one run: as many readings as it can tell
+    found = adjust(model)
+    assert found.fit.dof == 0
+    assert found.verdict == "suspect"
+    assert "nothing could contradict" in found.doubts[0]
+
+
+def test_a_block_that_is_not_there_is_named_with_those_that_are():
+    with pytest.raises(DataError, match="no block 'plaec': its blocks are place, zero"):
+        from_mean({"place": 3, "zero": 2}, "plaec")

@@ -51,14 +51,14 @@ def test_a_length_that_the_others_check_by_half():
     np.testing.assert_allclose(found.effect[:2], [4.1321, 0.0], rtol=1e-4)
     assert found.unchecked.tolist() == [False, False, True]
     assert found.worst(2).tolist() == [2, 0]
-    np.testing.assert_allclose(found.detectable_m()[1], 4.1321e-6, rtol=1e-4)
+    np.testing.assert_allclose(found.detectable_error()[1], 4.1321e-6, rtol=1e-4)
     data = json.loads(json.dumps(found.to_dict(2), allow_nan=False))
     assert (data["n_observations"], data["n_unchecked"]) == (3, 1)
     assert [row["detectable_m"] for row in data["worst"]] == [
         None,
         pytest.approx(5.8437e-6, rel=1e-4),
     ]
-    assert reliability(residuals([0.5], std=None)).detectable_m() is None
+    assert reliability(residuals([0.5], std=None)).detectable_error() is None
 
 
 @pytest.mark.parametrize("coordinates", [1, 3])
@@ -70,12 +70,12 @@ def test_an_error_of_the_detectable_size_is_found_as_often_as_stated(coordinates
     way = rng.standard_normal((runs, coordinates))
     way /= np.linalg.norm(way, axis=1)[:, None]
     data = rng.standard_normal((runs, n, coordinates))
-    data[:, 0] += found.detectable_m()[0] * way
+    data[:, 0] += found.detectable_error()[0] * way
     off = data[:, 0] - data.mean(axis=1)
     square = np.sum(off**2, axis=1) / share
     assert np.mean(square > stats.chi2.isf(alpha, coordinates)) == pytest.approx(power, abs=0.01)
     # The mean has the standard uncertainty 1/sqrt(n); the error moves it by its n-th part.
-    moved = found.detectable_m()[0] / n * np.sqrt(n)
+    moved = found.detectable_error()[0] / n * np.sqrt(n)
     assert moved == pytest.approx(found.effect[0], rel=1e-9)
 
 
@@ -106,7 +106,7 @@ def test_the_effect_on_the_deviations_stays_below_its_bound_and_is_that_of_a_rea
     assert np.all(effects < 1.01 * found.effect[which])
     assert np.all(effects > 0.01)
     # A length wrong by a fifth of that: no test reacts, the deviations move in proportion.
-    row, error = int(found.row[which[0]]), 0.2 * found.detectable_m()[which[0]]
+    row, error = int(found.row[which[0]]), 0.2 * found.detectable_error()[which[0]]
     wrong = list(observations)
     wrong[row] = replace(wrong[row], mean=(wrong[row].mean[0] + error,))
     moved = calibration.solve(wrong).deviations["ECC"] - result.deviations["ECC"]

@@ -104,14 +104,19 @@ def states(configuration: Configuration, found: Adjusted) -> Statement:
         gauge = Protection("gauge", "not protected", "the polygon's errors are in the result")
     if configuration.solver.face_errors_arcsec:
         gauge = Protection("gauge", "bounded", "the polygon's errors are those of its certificate")
-    return Statement(doubts, (*_harmless(), _arrivals(found), gauge), details)
+    return Statement(doubts, (*_unread(), _arrivals(found), gauge), details)
 
 
-def _harmless() -> tuple[Protection, ...]:
+def _unread() -> tuple[Protection, ...]:
     return (
         Protection("error motion", "harmless", "an autocollimator sees no shift of the face"),
         Protection("refraction", "harmless", "a steady bend is the same at all faces"),
         Protection("tilt", "harmless", "a tilt moves the image across the direction that is read"),
+        Protection(
+            "sign of readings",
+            "not protected",
+            "readings that count the other way round fit as well, and turn the sign of the result",
+        ),
     )
 
 

@@ -45,7 +45,12 @@ SLOW_HZ: Final = 8.0
 _SIZED: Final = (names.TRACER_LENGTH, names.PROBE_POINT)
 _OUTSIDE: Final = 3.0
 """A probe may be this many times nearer or further away than the targets of the plan."""
-_OF_AN_INSTRUMENT: Final = {PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST}
+_OF_AN_INSTRUMENT: Final = {
+    PointKind.DIRECT,
+    PointKind.MIRRORED,
+    PointKind.NEST,
+    PointKind.READING,
+}
 
 Values = Mapping[str, str]
 
