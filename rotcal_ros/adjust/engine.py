@@ -300,6 +300,7 @@ class Adjusted:
                 for e in self.found_effects
             ],
             "gathering": gathering.details(self.diagnosis.gathering, "observations"),
+            "also": {n: {"value": value, "std": std} for n, (value, std) in self.also.items()},
         }
 
 

@@ -18,10 +18,12 @@ from rotcal_ros.adjust.model import Model
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import mean_point, points
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.protection import EFFECTS, Protection
 from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.disturbance import (
     Disturbance,
@@ -31,11 +33,33 @@ from rotcal_ros.methods.disturbance import (
     spoiled,
 )
 from rotcal_ros.methods.method import Method, Trials
+from rotcal_ros.methods.result_tables import ResultTable
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.readings import Readings
 
 TRUE_SIZE: Final = 2.0
 """Standard deviation of the deviations that a measurement on purpose has, in units of people."""
+
+
+def tables_of_also(result: Result) -> list[ResultTable]:
+    """Return what the model tells beside the deviations, a table for each name."""
+    unit, factor = ("arcsec", ARCSEC) if _of_angles(result) else ("um", MICROMETRE)
+    return [
+        ResultTable.of(
+            name.replace(" ", "_"),
+            name.capitalize(),
+            number=range(len(found["value"])),
+            **{
+                f"value_{unit}": np.asarray(found["value"]) / factor,
+                f"U_value_{unit}": COVERAGE_FACTOR * np.asarray(found["std"]) / factor,
+            },
+        )
+        for name, found in result.details["also"].items()
+    ]
+
+
+def _of_angles(result: Result) -> bool:
+    return result.residuals is not None and result.residuals.unit == "rad"
 
 
 @dataclass(frozen=True)
@@ -119,6 +143,7 @@ class ByModel:
             "topics": ("probe_point", "joint_states"),
             "capture": CaptureRules({PointKind.READING: points(mean_point)}),
             "nominal": lambda _configuration, _plan: lambda _step: (0.0, 0.0, 0.0),
+            "tables": tables_of_also,
         }
         return Method(
             name=self.name,

@@ -142,7 +142,8 @@ class RowStepFinder:
         what = ", ".join(f"{name} {number}" for name, number in zip(names, key, strict=True))
         if steps is None:
             known = zip(names, zip(*self._steps, strict=True), strict=True)
-            *most, last = [f"{name} {_in_words(numbers)}" for name, numbers in known]
+            plurals = ((f"{name}es" if name[-1] == "x" else f"{name}s", n) for name, n in known)
+            *most, last = [f"{names} {_in_words(numbers)}" for names, numbers in plurals]
             raise DataError(
                 f"{row.place}: {what} is not in the plan, which has {', '.join(most)} and {last}; "
                 "does the set-up belong to this table?"

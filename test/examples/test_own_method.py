@@ -113,8 +113,9 @@ def test_the_live_run_finds_the_faces_of_the_simulated_polygon(session):
     settings = load(PolygonSimulationSettings, text, "simulation")
     table = SimulatedTable(settings.table, 1, 0)
     true = SimulatedAutocollimator(settings, table, None, 0).face_errors
-    error = np.array(details["face_error_rad"]) - (true - true.mean())
-    assert np.abs(error / details["face_error_std_rad"]).max() < 4.5
+    faces = details["also"]["face error"]
+    error = np.array(faces["value"]) - (true - true.mean())
+    assert np.abs(error / faces["std"]).max() < 4.5
 
 
 @pytest.mark.ros
@@ -301,7 +302,7 @@ def test_a_plain_table_of_exact_readings_gives_the_truth(rotcal, tmp_path):
     result = json.loads(done.stdout)
     assert result["verdict"] == "ok"
     assert result["deviations"]["ECC"] == pytest.approx([ecc(i) for i in range(N)], abs=1e-16)
-    found = result["details"]["face_error_rad"]
+    found = result["details"]["also"]["face error"]["value"]
     assert found == pytest.approx(FACES - FACES.mean(), abs=1e-16)
 
 

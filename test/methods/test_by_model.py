@@ -57,6 +57,7 @@ def model(_configuration, read):
         std=np.full(len(read.value), SIGMA),
         equations=linear(indicators((read.position, PLACES), (read.station, RUNS))),
         outputs=from_first(blocks, "place"),
+        also={"zero of run": from_first(blocks, "zero of run")},
         words=Words("readings", "a draught", "at it", "at it"),
         groupings=(
             Grouping("run", read.station, along=read.when),
@@ -192,3 +193,19 @@ def test_a_person_works_before_each_station():
         ("level", 0), ("level", 1), ("level", 2),
     ]  # fmt: skip
     assert {s.n_points for s in STEPS} == {2}
+
+
+def test_what_the_model_tells_beside_becomes_a_table_in_the_unit_of_its_readings():
+    result = METHOD.solve(None, PLAN, observed(exact()))
+    assert result.residuals.unit == "rad"
+    (table,) = METHOD.tables(result)
+    assert (table.name, table.head) == (
+        "zero_of_run", ("number", "value_arcsec", "U_value_arcsec"),
+    )  # fmt: skip
+    number, value, expanded = zip(*table.rows, strict=True)
+    assert number == (0, 1, 2)
+    assert value == pytest.approx((0.0, 5.0, 10.0), abs=1e-9)
+    # a difference of two zeros, each from six readings
+    assert list(expanded) == pytest.approx([0.0, *2 * [2 * 0.1 * np.sqrt(2 / 6)]])
+    again = type(result).from_dict(result.to_dict())
+    assert again.residuals.unit == "rad"

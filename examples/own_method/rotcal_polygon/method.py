@@ -92,11 +92,8 @@ def model(configuration: Configuration, read: Readings) -> Model:
 def states(configuration: Configuration, found: Adjusted) -> Statement:
     """Return the faces' errors, and what is done about effects that no reading can tell of."""
     gauge = Protection("gauge", "estimated", "the mountings separate the polygon's errors")
-    doubts, details = [], {}
-    if FACE_ERROR in found.also:
-        error, std = found.also[FACE_ERROR]
-        details = {"face_error_rad": error, "face_error_std_rad": std}
-    else:
+    doubts = []
+    if FACE_ERROR not in found.also:
         doubts.append(
             "the errors of the polygon are in the result: there is one mounting and no "
             "certificate; add mountings, or solver.face_errors_arcsec"
@@ -104,7 +101,7 @@ def states(configuration: Configuration, found: Adjusted) -> Statement:
         gauge = Protection("gauge", "not protected", "the polygon's errors are in the result")
     if configuration.solver.face_errors_arcsec:
         gauge = Protection("gauge", "bounded", "the polygon's errors are those of its certificate")
-    return Statement(doubts, (*_unread(), _arrivals(found), gauge), details)
+    return Statement(doubts, (*_unread(), _arrivals(found), gauge))
 
 
 def _unread() -> tuple[Protection, ...]:
@@ -153,10 +150,11 @@ def figures(result: Result, _truth: Mapping[str, Any] | None) -> Sequence[Figure
 
 @style.styled
 def _face_errors(details: Mapping[str, Any]) -> str:
-    if "face_error_rad" not in details:
+    if FACE_ERROR not in details["also"]:
         return ""
-    error = np.asarray(details["face_error_rad"]) / ARCSEC
-    band = COVERAGE_FACTOR * np.asarray(details["face_error_std_rad"]) / ARCSEC
+    faces = details["also"][FACE_ERROR]
+    error = np.asarray(faces["value"]) / ARCSEC
+    band = COVERAGE_FACTOR * np.asarray(faces["std"]) / ARCSEC
     (ax,) = style.grid()
     ax.bar(range(len(error)), error, yerr=band, color=style.BLUE, alpha=0.75, capsize=2)
     style.whole_numbers(ax.xaxis)
