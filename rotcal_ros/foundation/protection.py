@@ -38,9 +38,9 @@ PARTICULAR: Final[tuple[Effect, ...]] = (
     "numbering",
     "sign of z",
 )
-"""Effects that only those methods list whose instruments have them: an artefact that warms while it
-is measured, and grows; counted fringes; an instrument on the table, which its mount or cable may
-shift along its circle; one that drifts between two measurements of its nests; an error that
+"""Effects that only those methods list whose instruments have them: an artefact that warms and
+grows while it is measured; counted fringes; an instrument on the table, which its mount or cable
+may shift along its circle; one that drifts between two measurements of its nests; an error that
 gathers in one place among many; table positions that are all numbered wrong; and a z axis that
 points down, where no measurement would show it."""
 ALL_EFFECTS: Final[tuple[Effect, ...]] = get_args(Effect)

@@ -17,18 +17,20 @@ import numpy as np
 
 from rotcal_ros.adjust.effects import Seen, effect_test, member_squares, unseen
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.protection import POWER
 from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.ball_plate.materials import kelvin
 from rotcal_ros.methods.ball_plate.solver.estimate import drift_columns
-from rotcal_ros.methods.ball_plate.solver.model import LinearFit, Solution
+from rotcal_ros.methods.ball_plate.solver.model import LinearFit, Solution, rigid_motion
 from rotcal_ros.methods.ball_plate.solver.order_effects import (
     FALSE_KNOCK,
     SIGNIFICANCE,
     SPARE,
+    DisplacementPatterns,
     least_noise,
 )
-from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, on_circle
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, on_circle, places_of
 
 LARGEST: Final = 5e-4
 """Growth over a run that nobody would overlook: 20 K of aluminium."""
@@ -67,7 +69,9 @@ class GrowthTest:
         if self.kelvin is None:
             cause = "plan.plate.material would tell it in kelvin"
         elif abs(self.kelvin) > PLAUSIBLE_K:
-            cause = f"{self.material} does not with {PLAUSIBLE_K:g} K: the machine's scales changed"
+            cause = (
+                f"{self.material} does not with {PLAUSIBLE_K:g} K: the machine's scales changed"
+            )
         else:
             cause = f"as {self.material} does that {warms} by {abs(self.kelvin):.2g} K"
         return (
@@ -116,10 +120,26 @@ def growth_columns(problem: BallPlateProblem, run_time: Floats) -> Floats:
     return np.asarray((run_time[:, None] * places)[:, :, None])
 
 
-def unit_growth(problem: BallPlateProblem, linear: LinearFit) -> Seen:
-    """Return what a fit makes of a growth of 1 over the run, without measured values."""
+def unit_growth(
+    problem: BallPlateProblem, linear: LinearFit, closing: BallPlateProblem | None
+) -> DisplacementPatterns:
+    """Return what a growth of 1 over the run does in the order of a problem and its closing rows.
+
+    Of these counts what no rigid motion explains.
+    """
     columns = growth_columns(problem, problem.run_time)
-    return _seen(problem, linear, columns, np.zeros_like(problem.centres))
+    seen = _seen(problem, linear, columns, np.zeros_like(problem.centres))
+    closed = np.zeros((1, 1))
+    if closing is not None:
+        again = closing.take(np.isin(closing.cell, problem.cell))
+        first = places_of(again.cell, problem.cell)
+        late = growth_columns(again, again.run_time_on(problem))
+        change = (late - columns[first]).reshape(-1, 1)
+        motion = rigid_motion(problem.angles[problem.cmm_index[first]]).reshape(-1, 6)
+        change = change - motion @ np.linalg.lstsq(motion, change, rcond=None)[0]
+        closed = 0.5 * change.T @ change  # of two centres, which have twice the variance of one
+    response = seen.moved.T.reshape(len(COMPONENTS), -1, 1)
+    return DisplacementPatterns(response, seen.information, closed, float(seen.whole[0]))
 
 
 def find_growth(problem: BallPlateProblem, linear: LinearFit, solution: Solution) -> Growth:

@@ -71,7 +71,7 @@ class Fitted:
 
     Table positions that are not among those of ``problem`` were left out. ``grown``: the growth
     of the plate explains more than any knock or single centre. ``gathering``: what was found to be
-    wrong together, and how each group fits; not judged after a knock, or of a plate that has grown.
+    wrong together, and how each group fits; not judged after a knock or a growth.
     """
 
     problem: BallPlateProblem
@@ -89,9 +89,9 @@ def fit_and_reject(problem: BallPlateProblem, named: BallPlateProblem | None = N
     """Solve, and reject what is wrong together in one place, then single centres, worst first.
 
     A jump of the plate that explains more than the worst centre ends the rejection, and so does
-    its growth: rows that moved are not wrong one by one. ``named``: the same rows as people number them; None: as in
-    ``problem``. Raises ObservabilityError when too little is left, DataError when more than a
-    tenth of the centres would have to go.
+    its growth: rows that moved are not wrong one by one. ``named``: the same rows as people
+    number them; None: as in ``problem``. Raises ObservabilityError when too little is left,
+    DataError when more than a tenth of the centres would have to go.
     """
     whole, rejected, poor = named or problem, list[Rejection](), list[Rejection]()
     gathering = Gathering()
@@ -122,9 +122,7 @@ def fit_and_reject(problem: BallPlateProblem, named: BallPlateProblem | None = N
             gathering, why = _next(gathering, problem, solution, test)
         if not why:
             found = (*rejected, *poor)
-            return Fitted(
-                problem, linear, solution, test, found, knock, growth, grown, gathering
-            )
+            return Fitted(problem, linear, solution, test, found, knock, growth, grown, gathering)
         rejected += [
             Rejection(int(problem.rows[r]), f"{_name(problem, whole, r)}: {text}")
             for r, text in why.items()

@@ -132,8 +132,8 @@ class Findings:
     """What the tests in the order of measurement found in one group of table positions.
 
     ``effects`` are what drift and knocks do in this order, in the frame of the group; all else is
-    told in the frame and the numbers of the whole. Knock, drift, motion and growth of the plate and
-    repeatability (``scatter``) are None where there is none, or they cannot be told.
+    told in the frame and the numbers of the whole. Knock, drift, motion and growth of the plate
+    and repeatability (``scatter``) are None where there is none, or they cannot be told.
     """
 
     effects: OrderEffects
@@ -529,7 +529,7 @@ def _against_growth(error: float) -> Protection:
     return Protection(
         "growth",
         "not protected",
-        "a plate that warms by little may grow unseen: measure in the order interleaved, with more "
+        "a plate that warms a little may grow unseen: measure in the order interleaved, with more "
         "balls",
         error,
     )
