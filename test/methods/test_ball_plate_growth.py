@@ -63,7 +63,8 @@ def test_the_predicted_error_is_that_of_a_simulated_run(order, grid):
 def test_a_warm_plate_is_suspect_and_named_by_kelvin_of_its_material(order):
     n = len(plan_measurement(12, SMALL, **ORDERS[order], closing=False).position)
     rows = len(plan_measurement(12, SMALL, **ORDERS[order]).position)
-    for seed in range(20 if LONG else 4):
+    others, runs = 0, 20 if LONG else 4
+    for seed in range(runs):
         problem, _ = measured(
             12, SMALL, seed, ORDERS[order], displaced=grown(12, HALF_A_KELVIN), material="steel"
         )
@@ -76,8 +77,8 @@ def test_a_warm_plate_is_suspect_and_named_by_kelvin_of_its_material(order):
         assert result.verdict == "suspect"
         assert len(told(result)) == 1
         assert "as steel does that warms by 0." in told(result)[0]
-        assert len(result.warnings) == 1, "nothing else is to blame"
-        assert not result.rejected
+        others += len(result.warnings) > 1 or bool(result.rejected)
+    assert others <= most(0.02, runs), "nothing else is to blame"
 
 
 @pytest.mark.parametrize("order", ORDERS)
