@@ -143,6 +143,7 @@ setup(
             "httpx2",
             "hypothesis",
             "import-linter",
+            "jsonschema",
             "mcap-ros2-support",
             "moto[s3]",
             "mypy",

@@ -21,6 +21,7 @@ Effect = Literal[
     "scale",
     "tilt",
     "gauge",
+    "growth",
     "slip",
     "tangential motion",
     "uneven drift",
@@ -30,6 +31,7 @@ Effect = Literal[
     "sign of readings",
 ]
 PARTICULAR: Final[tuple[Effect, ...]] = (
+    "growth",
     "slip",
     "tangential motion",
     "uneven drift",
@@ -38,11 +40,11 @@ PARTICULAR: Final[tuple[Effect, ...]] = (
     "sign of z",
     "sign of readings",
 )
-"""Effects that only those methods list whose instruments have them: counted fringes; an instrument
-on the table, which its mount or cable may shift along its circle; one that drifts between two
-measurements of its nests; an error that gathers in one place among many; table positions that are
-all numbered wrong; a z axis that points down, and readings of the other sign, where no measurement
-would show it."""
+"""Effects that only those methods list whose instruments have them: an artefact that warms and
+grows while it is measured; counted fringes; an instrument on the table, which its mount or cable
+may shift along its circle; one that drifts between two measurements of its nests; an error that
+gathers in one place among many; table positions that are all numbered wrong; a z axis that points
+down, and readings of the other sign, where no measurement would show it."""
 ALL_EFFECTS: Final[tuple[Effect, ...]] = get_args(Effect)
 """All effects, in the order of display."""
 EFFECTS: Final[tuple[Effect, ...]] = tuple(e for e in ALL_EFFECTS if e not in PARTICULAR)

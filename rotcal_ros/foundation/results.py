@@ -371,7 +371,7 @@ class Result:
             )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the machine-readable form described in docs/conventions.md (SI, plain types)."""
+        """Return the machine-readable form described in docs/result_json.md (SI, plain types)."""
         data: dict[str, Any] = {
             "schema": SCHEMA,
             "method": self.method,

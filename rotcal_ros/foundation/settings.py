@@ -213,9 +213,8 @@ def _scalar(value: Any, declared: Declaration, place: str) -> Any:
         )
     if info.choices and value not in info.choices:
         hint = nearest(str(value), info.choices)
-        raise ConfigurationError(
-            f"{place}: {value!r:.80} is none of {', '.join(info.choices)}{hint}"
-        )
+        known = ", ".join(filter(None, info.choices))
+        raise ConfigurationError(f"{place}: {value!r:.80} is none of {known}{hint}")
     return value
 
 

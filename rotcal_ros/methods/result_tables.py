@@ -1,14 +1,15 @@
 """Tables of a result as a reader of the papers knows them: in a report, and as CSV.
 
 Angles are in degrees, rotations in arcseconds, places in millimetres, small lengths in
-micrometres, as the heads of the columns say; uncertainties are expanded (k = 2).
+micrometres, as the heads of the columns say; uncertainties are expanded (k = 2). A file has heads
+for programs (``U_x_um``), a page for people (U(x) / µm).
 """
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -16,10 +17,19 @@ import numpy as np
 
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 
 DIGITS: Final = {"deg": 4, "mm": 4, "um": 3, "arcsec": 3}
 """Digits behind the point of a column, by the unit at the end of its head; else six in all."""
+UNITS: Final = {"deg": "°", "mm": "mm", "um": "µm", "arcsec": "arcsec"}
+"""Units as people know them, by the end of a head."""
+EXPANDED: Final = "U_"
+"""Beginning of the heads of expanded uncertainties."""
+GAUGE: Final = {
+    "prior": "in the frame of all stated coordinates, which weigh (datum prior)",
+    "free": "less a shift and a turn of all targets, which nothing tells (datum free)",
+}
+"""What corrections of targets count from, by the datum of the network."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +50,10 @@ class ResultTable:
         rows = zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True)
         return cls(name, title, tuple(columns), tuple(rows))
 
+    def heads(self) -> list[str]:
+        """Return the heads as a page has them: what it is, and its unit."""
+        return [_readable(head) for head in self.head]
+
     def shown(self) -> list[list[str]]:
         """Return the cells as a page has them."""
         return [
@@ -54,6 +68,21 @@ class ResultTable:
         writer.writerow(self.head)
         writer.writerows(self.rows)
         return text.getvalue()
+
+
+def _readable(head: str) -> str:
+    """Return a head of a file for people.
+
+    >>> _readable("U_projected_x_mm"), _readable("test_value")
+    ('U(projected x) / mm', 'test value')
+    """
+    name, _, unit = head.rpartition("_")
+    if unit not in UNITS:
+        name = head
+    words = name.removeprefix(EXPANDED).replace("_", " ")
+    if name.startswith(EXPANDED):
+        words = f"U({words})"
+    return f"{words} / {UNITS[unit]}" if unit in UNITS else words
 
 
 def _shown(head: str, cell: Any) -> str:
@@ -88,3 +117,21 @@ def steps_table(result: Result, *, stated: bool) -> list[ResultTable]:
         columns["U_step_arcsec"] = COVERAGE_FACTOR * result.adjacent_std / ARCSEC
     title = "Deviations of the steps between neighbouring angles"
     return [ResultTable.of("steps", title, **columns)]
+
+
+def corrections_table(details: Mapping[str, Any]) -> list[ResultTable]:
+    """Return by what the self-calibration of a tracer corrected its targets, if it did.
+
+    Estimated less stated coordinates. The title says what they count from.
+    """
+    if "target_corrections" not in details:
+        return []
+    columns: dict[str, Any] = {"target": details["target_ids"]}
+    for head, key, factor in (
+        ("", "target_corrections", 1.0),
+        (EXPANDED, "target_corrections_std", COVERAGE_FACTOR),
+    ):
+        values = factor * np.asarray(details[key], dtype=np.float64) / MICROMETRE
+        columns |= {f"{head}{axis}_um": values[:, k] for k, axis in enumerate("xyz")}
+    title = f"Corrections of the targets, {GAUGE[details['datum']]}"
+    return [ResultTable.of("target_corrections", title, **columns)]

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
-# The other solutions live beside the benchmarks.
+# The other solutions live beside the benchmarks; scenes of a method in its folder.
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+sys.path.extend(str(Path(__file__).parent / method) for method in ("plane_mirror", "tracer"))
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,7 @@
 """The details of a result are those of the documentation: every key, and its shape."""
 
 import re
+import runpy
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,22 +15,15 @@ from rotcal_ros.methods.ball_plate import solver as ball_plate
 from rotcal_ros.methods.plane_mirror import solver as plane_mirror
 from rotcal_ros.methods.tracer_six import solver as tracer_six
 
-PAGE = Path(__file__).parents[2] / "docs" / "conventions.md"
+SCRIPT = Path(__file__).parents[2] / "scripts" / "result_schema.py"
 WAYS = ("direct", "stitching", "registration", "joint")
 
 
-def documented(method, way=""):
-    """Return the shape of each key of a method, in words."""
-    found = {}
-    for line in PAGE.read_text().splitlines():
-        cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if len(cells) != 4 or cells[0] != f"`{method}`":
-            continue
-        limits = re.search(r"\((not )?(\w+)\)$", cells[3])
-        if limits and limits[2] in WAYS and (limits[2] == way) == bool(limits[1]):
-            continue
-        found |= {key.strip(" `"): cells[2] for key in cells[1].split(",")}
-    return found
+def documented(method):
+    """Return the shape of each field of the details of a method, and those always there."""
+    fields = runpy.run_path(str(SCRIPT))["documented"]()
+    own = {f.path.replace("?", ""): f for f in fields if method in f.methods}
+    return {path: f.shape for path, f in own.items()}, {p for p, f in own.items() if not f.when}
 
 
 def flat(details, prefix=""):
@@ -47,34 +41,43 @@ def flat(details, prefix=""):
     return found
 
 
-def assert_documented(details, shapes, sizes):
-    found = flat(details)
-    assert set(found) == set(shapes)
+KINDS = {"number": (int, float), "whole": int, "text": str, "flag": bool}
+
+
+def assert_documented(details, method, sizes):
+    """Every value is documented, with its shape, and what is always there is there."""
+    (shapes, always), found = documented(method), flat(details)
+    assert always <= set(found)
     for key, values in found.items():
+        if key not in shapes:  # a list or group without entries
+            assert not any(values), key
+            assert any(path.startswith((f"{key}[]", f"{key}.")) for path in shapes), key
+            continue
+        *dimensions, last = re.sub(r" (or|with) null", "", shapes[key]).split()
+        if last not in KINDS:
+            dimensions, last = [*dimensions, last], "number"
         for value in values:
-            if shapes[key] in ("text", "list"):
-                assert isinstance(value, str if shapes[key] == "text" else list), key
-            elif shapes[key] == "number":
-                assert np.ndim(value) == 0, key
-                assert not isinstance(value, str), key
-            else:
-                wanted = tuple(sizes.get(part, None) or int(part) for part in shapes[key].split())
-                assert np.shape(value) == wanted, key
+            if value is None or not dimensions:
+                assert value is None or isinstance(np.asarray(value).item(), KINDS[last]), key
+                continue
+            assert np.ndim(value) == len(dimensions) or not len(value), key
+            for length, size in zip(np.shape(value), dimensions, strict=False):
+                assert length == (int(size) if size.isdigit() else sizes.get(size, length)), key
 
 
 def test_details_of_the_ball_plate():
     problem, _ = simulated(24, [0, 3, 4, 9, 14, 20], sigma=5e-8)
     sizes = {"N": 24, "R": 6, "S": 24, "k": 144}
     details = ball_plate.solve(problem).details
-    assert_documented(details, documented("ball_plate"), sizes)
+    assert_documented(details, "ball_plate", sizes)
     assert details["groups"][0]["way"] == "spectral"
     gap = problem.take(np.arange(144) != 7)
     details = ball_plate.solve(gap).details
-    assert_documented(details, documented("ball_plate"), {**sizes, "k": 143})
+    assert_documented(details, "ball_plate", {**sizes, "k": 143})
     assert details["groups"][0]["way"] == "spectral with gaps"
     weighted = replace(problem, sigma=None, std=np.linspace(4e-8, 6e-8, 432).reshape(144, 3))
     details = ball_plate.solve(weighted).details
-    assert_documented(details, documented("ball_plate"), sizes)
+    assert_documented(details, "ball_plate", sizes)
     assert details["groups"][0]["way"] == "general"
 
 
@@ -101,7 +104,7 @@ def test_details_of_the_plane_mirror(way):
     else:
         problem = measure(paper_cell(), deviations, way=way)
     details = plane_mirror.solve(problem).details
-    assert_documented(details, documented("plane_mirror", way), {"N": 17})
+    assert_documented(details, "plane_mirror", {"N": 17})
     assert details["way"] == way
     if way != "stitching":
         assert [entry["station"] for entry in details["stations"]] == list("012345")
@@ -110,5 +113,5 @@ def test_details_of_the_plane_mirror(way):
 def test_details_of_the_tracer_at_several_places():
     rows = scene(np.random.default_rng(1), m=5, arrivals=2, zero="per_segment", breaks=1).rows
     details = tracer_six.solve(tracer_six.SixProblem(**rows)).details
-    assert_documented(details, documented("tracer_six"), {"m": 5, "p": 3, "s": 6, "n": 24})
+    assert_documented(details, "tracer_six", {"N": 5, "p": 3, "s": 6, "t": 24})
     assert [move["kind"] for move in details["moves"]] == ["between runs", "within runs", "slip"]

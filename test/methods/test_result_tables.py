@@ -103,6 +103,18 @@ def test_numbers_in_a_file_keep_every_bit(stations):
     assert "U_ECC_arcsec" not in deviations_table(stations, stated=False).head
 
 
+@pytest.mark.parametrize(
+    ("head", "words"),
+    [
+        ("x_mm", "x / mm"), ("projected_z_mm", "projected z / mm"), ("U_x_um", "U(x) / µm"),
+        ("ECC_arcsec", "ECC / arcsec"), ("angle_deg", "angle / °"), ("test_value", "test value"),
+        ("position", "position"), ("U_step_arcsec", "U(step) / arcsec"),
+    ],
+)  # fmt: skip
+def test_heads_of_a_page_are_words_with_a_unit(head, words):
+    assert ResultTable("t", "t", (head,), ()).heads() == [words]
+
+
 def test_the_verb_writes_files_and_overwrites_none(tmp_path):
     result, folder = DATA / "result_tracer.json", tmp_path / "tables"
 

@@ -134,6 +134,7 @@ def problem(
         bidirectional=settings.bidirectional,
         group_allowance=solver.group_allowance_m,
         closed_form=solver.variant == CLOSED_FORM,
+        material=plate.material,
     )
 
 

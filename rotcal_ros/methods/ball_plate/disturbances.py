@@ -69,6 +69,11 @@ LISTED: Final = (
         "arcsec", ARCSEC, 10.0, 2000.0,
     ),
     Disturbance(
+        "growth",
+        "the plate warms and grows from its centre by so much, linearly over the whole run",
+        "um/m", PPM, 0.1, 100.0,
+    ),
+    Disturbance(
         "one place",
         "at one table position a quarter of the balls, neighbours, are displaced by so much "
         "together, along x, y and z alike",
@@ -128,6 +133,7 @@ def _true_centres(
     plate = settings.plate.places + PLATE_STD * noise.standard_normal((settings.plate.grid, 3))
     plate = plate + OFF_CENTRE * off * np.array([1.0, 0.0, 0.0])
     balls = plate[[step.target for step in plan.steps]]
+    balls = balls * (1.0 + sizes.get("growth", 0.0) * times(plan))[:, None]
     knock = sizes.get("knock", 0.0) * ALL_AXES
     after = times(plan) >= 0.5
     turned = balls @ rotation_from_vector(knock / settings.plate.circle_radius_m).T + knock

@@ -14,6 +14,7 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.settings import group, load, setting
+from rotcal_ros.methods.ball_plate.materials import MATERIALS, NOT_STATED
 from rotcal_ros.methods.ball_plate.measuring_order import DEFAULT_ORDER, Order
 from rotcal_ros.methods.simulation.settings import SimulationSettings
 
@@ -48,7 +49,11 @@ class Plate:
     )
     ball_diameter_m: float = setting(doc="m, diameter of the balls", minimum=1e-4, first=True)
     name: str = setting("ball plate", doc="name of the plate")
-    material: str = setting("", doc="material of the plate")
+    material: str = setting(
+        NOT_STATED,
+        doc="material of the plate, which turns its growth into kelvin; empty: another one",
+        choices=MATERIALS,
+    )
     separate_groups: bool = setting(
         False, doc="accept a plate whose table positions fall into groups that no ball connects"
     )

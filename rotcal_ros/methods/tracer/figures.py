@@ -14,7 +14,7 @@ from rotcal_ros.foundation.units import ARCSEC, MICROMETRE, MILLIMETRE
 from rotcal_ros.methods.figures import Figure, style
 from rotcal_ros.methods.figures.residuals import residual_figures
 from rotcal_ros.methods.figures.style import name_places
-from rotcal_ros.methods.result_tables import ResultTable
+from rotcal_ros.methods.result_tables import ResultTable, corrections_table
 
 MOST_NAMES: Final = 40
 """Targets whose numbers still fit into the plan view."""
@@ -118,6 +118,7 @@ def tables(result: Result) -> list[ResultTable]:
             "stations", "Stations of the tracer, and as projected on their plane", **columns
         ),
         *_targets(details),
+        *corrections_table(details),
         _circle(details),
     ]
 

@@ -12,7 +12,7 @@ from rotcal_ros.foundation.units import MILLIMETRE
 from rotcal_ros.methods.figures import Figure, style
 from rotcal_ros.methods.figures.residuals import residual_figures
 from rotcal_ros.methods.figures.style import name_places
-from rotcal_ros.methods.result_tables import ResultTable
+from rotcal_ros.methods.result_tables import ResultTable, corrections_table
 
 
 def figures(result: Result, _truth: Mapping[str, Any] | None = None) -> list[Figure]:
@@ -51,7 +51,7 @@ def places_and_targets(result: Result) -> str:
 
 
 def tables(result: Result) -> list[ResultTable]:
-    """Return the places of the tracer on the table, and the targets."""
+    """Return the places of the tracer on the table, and the targets with their corrections."""
     details, found = result.details, list[ResultTable]()
     for name, title, number, numbers in (
         (
@@ -66,4 +66,4 @@ def tables(result: Result) -> list[ResultTable]:
             at = np.asarray(details[name], dtype=np.float64) / MILLIMETRE
             columns = {f"{axis}_mm": at[:, k] for k, axis in enumerate("xyz")}
             found.append(ResultTable.of(name, title, **{number: details[numbers], **columns}))
-    return found
+    return [*found, *corrections_table(details)]

@@ -1,13 +1,15 @@
 """``rotcal plan plate`` and ``rotcal plan effort``."""
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from rotcal_ros.cli import main
-from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 
 PAPER = "0,8,12,18,21,28,32,37,42,50,58,62"
 
@@ -109,3 +111,35 @@ def test_each_order_is_told_what_drift_and_knocks_would_do():
     assert words.count("CMM drifts in x, 1 um") == 3
     assert "unseen at worst: drift" in words
     assert "(not protected)" in words
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("steps", [PAPER, "0,8,12,18,21,28"])
+def test_the_page_has_what_half_a_kelvin_does_in_each_order(steps):
+    balls = str(len(steps.split(",")))
+    found = plan("plate", "--grid", "72", "--balls", balls, "--subset-of", steps)
+    page = (Path(__file__).parents[3] / "docs" / "ball_plate.md").read_text()
+    for order, told in found["orders"].items():
+        (row,) = re.findall(rf"^\| {balls} \| `{order}` \| (.*) \|$", page, re.MULTILINE)
+        growth = told["growth"]
+        assert (growth["material"], growth["warming_k"]) == ("steel", 0.5)
+        error = growth["error"]
+        assert row.split(" | ") == [
+            *(f"{error[name] / MICROMETRE:.3f}" for name in ("EXC", "EYC")),
+            f"{error['ECC'] / ARCSEC:.3f}",
+            f"{growth['found_from_k']:.3f}",
+            f"{growth['unseen_std']:.2f}",
+        ]
+        assert max(error[name] for name in ("EZC", "EAC", "EBC")) < 1e-12
+
+
+def test_the_growth_follows_material_and_kelvin():
+    layout = ("plate", "--grid", "12", "--balls", "6")
+    steel = plan(*layout)["orders"]["interleaved"]["growth"]
+    other = plan(*layout, "--material", "aluminium", "--warming-k", "1")
+    other = other["orders"]["interleaved"]["growth"]
+    assert other["error"]["EXC"] == pytest.approx(2.0 * 23.6 / 11.5 * steel["error"]["EXC"])
+    assert other["found_from_k"] == pytest.approx(11.5 / 23.6 * steel["found_from_k"])
+    assert other["unseen_std"] == pytest.approx(steel["unseen_std"])
+    words = run("plan", *layout, "--material", "invar").stdout
+    assert words.count("invar plate warms by 0.5 K") == 3

@@ -1,4 +1,4 @@
-"""What a drift of the CMM or a knock of the plate would do in a planned order."""
+"""What a drift of the CMM, a knock or a growth of the plate would do in a planned order."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.methods.ball_plate.measuring_order import BallPlan
 from rotcal_ros.methods.ball_plate.solver.estimate import solved
+from rotcal_ros.methods.ball_plate.solver.growth import unit_growth
 from rotcal_ros.methods.ball_plate.solver.order_effects import (
     DisplacementPatterns,
     bad_moment,
@@ -28,12 +29,13 @@ AXES = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class UnitEffect:
-    """One disturbance: ``kind`` is drift, shift or turn, ``axis`` x, y or z.
+    """One disturbance: ``kind`` is drift, shift, turn or growth, ``axis`` x, y or z, if any.
 
-    ``error`` has the largest error of each component, m or rad per metre of drift or shift or per
-    radian of turn; ``found_from``, m or rad, is the size that the tests find with a probability
-    of POWER, infinite where they are blind, and ``unseen`` the error there in standard
-    deviations. A shift or turn of the plate is taken at a bad moment: 95 % are no worse.
+    ``error`` has the largest error of each component, m or rad per metre of drift or shift, per
+    radian of turn or per unit of growth; ``found_from``, m, rad or 1, is the size that the tests
+    find with a probability of POWER, infinite where they are blind, and ``unseen`` the error there
+    in standard deviations. A shift or turn of the plate is taken at a bad moment: 95 % are no
+    worse.
     """
 
     kind: str
@@ -47,24 +49,27 @@ class UnitEffect:
 class OrderForecast:
     """The unit effects of an order, and the largest errors that drift and knocks leave unseen.
 
-    The latter, in standard deviations, are over all directions together.
+    The latter, in standard deviations, are over all directions together. ``growth`` is that of
+    the plate over the run.
     """
 
     effects: tuple[UnitEffect, ...]
+    growth: UnitEffect
     drift_unseen: float
     knock_unseen: float
 
 
 def forecast(plan: BallPlan, sigma: float, radius: float) -> OrderForecast:
-    """Predict drift and knocks for a plan; ``sigma`` of a centre coordinate and ``radius`` in m.
+    """Predict drift, knocks and growth for a plan.
 
+    ``sigma`` of a centre coordinate and ``radius`` in m.
     Raises ObservabilityError when the plan does not separate the errors.
     """
     row = np.arange(len(plan.position))
     once, closing = closing_apart(
         BallPlateProblem.nominal(plan.grid, radius, plan.position, plan.ball_step, row=row)
     )
-    solution = solved(once)[1]
+    linear, solution = solved(once)
     std, dof = solution.unit_std.curves(), solution.dof
     effects = order_effects(once, closing)
     closure = needed(6, dof)
@@ -78,9 +83,16 @@ def forecast(plan: BallPlan, sigma: float, radius: float) -> OrderForecast:
         for kind, start, length in (("shift", 0, 1.0), ("turn", 3, radius))
         for a in range(3)
     ]
+    one = needed(1, dof, 1 if closing is None else 2)  # the closing rows have a test of their own
+    grown = unit_growth(once, linear, closing)
+    growth = _effect("growth", None, [grown], np.ones(1), 1.0, std, one, one)
+    # sizes were found for unit noise
+    *units, growth = (
+        replace(e, found_from=sigma * e.found_from) for e in (*drifts, *knocks, growth)
+    )
     return OrderForecast(
-        # sizes were found for unit noise
-        effects=tuple(replace(e, found_from=sigma * e.found_from) for e in (*drifts, *knocks)),
+        effects=tuple(units),
+        growth=growth,
         drift_unseen=drift_error(effects, std, dof),
         knock_unseen=knock_error(effects, std, dof),
     )
@@ -88,7 +100,7 @@ def forecast(plan: BallPlan, sigma: float, radius: float) -> OrderForecast:
 
 def _effect(
     kind: str,
-    axis: int,
+    axis: int | None,
     patterns: Sequence[DisplacementPatterns],
     amount: Floats,
     length: float,
@@ -106,7 +118,7 @@ def _effect(
     largest = length * errors[moment].max(axis=1)
     return UnitEffect(
         kind=kind,
-        axis=AXES[axis],
+        axis="" if axis is None else AXES[axis],
         error=dict(zip(COMPONENTS, largest.tolist(), strict=True)),
         found_from=float(sizes[moment]) / length,
         unseen=float(unseen[moment]),

@@ -15,6 +15,7 @@ from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_o
 from rotcal_ros.foundation.errors import PlanError
 from rotcal_ros.foundation.protection import TOLERABLE
 from rotcal_ros.foundation.units import ARCSEC, HOUR, MICROMETRE
+from rotcal_ros.methods.ball_plate.materials import EXPANSION
 from rotcal_ros.report.terminal.columns import Column, column_of, print_table, print_words
 from rotcal_ros.report.terminal.console import progress
 
@@ -56,6 +57,12 @@ seed_option = click.option("--seed", type=int, default=0, help="Seed of the exch
 @click.option("--starts", type=click.IntRange(min=1), default=40, help="Exchange searches.")
 @sigma_option
 @radius_option
+@shown_option(
+    "--material", type=click.Choice(list(EXPANSION)), default="steel", help="Of the plate."
+)
+@shown_option(
+    "--warming-k", type=positive, default=0.5, help="K, by which the plate warms over the run."
+)
 @touch_option
 @json_option
 def plate(
@@ -68,6 +75,8 @@ def plate(
     starts: int,
     sigma_um: float,
     radius_m: float,
+    material: str,
+    warming_k: float,
     touches: int,
     as_json: bool,
 ) -> int:
@@ -75,8 +84,8 @@ def plate(
 
     Tries all layouts where they can be enumerated (up to rotation and reflection), otherwise
     exchanges one ball at a time from many starts. The gap is the distance to a bound that no
-    layout can beat. For every measuring order it predicts what a drift of the CMM and a knock of
-    the plate would do, and from which size they are found.
+    layout can beat. For every measuring order it predicts what a drift of the CMM, a knock of the
+    plate and its growth with the temperature would do, and from which size they are found.
     """
     from rotcal_ros.extensions.design.ball_plate.ball_layout import plan_plate
     from rotcal_ros.extensions.design.ball_plate.order_forecast import forecast
@@ -98,13 +107,16 @@ def plate(
     orders = _orders(layout, radius_m, Kinematics(touches_per_ball=touches))
     forecasts = {name: forecast(rows, sigma, radius_m) for name, rows in orders.items()}
     if as_json:
-        in_words = {n: order_dict(o) | forecast_dict(forecasts[n]) for n, o in orders.items()}
+        in_words = {
+            n: order_dict(o) | forecast_dict(forecasts[n], material, warming_k)
+            for n, o in orders.items()
+        }
         print_json(_layout_dict(layout) | {"predicted_std": std, "orders": in_words})
         return 0
     _print_layout(layout, std)
     for name, rows in orders.items():
         click.echo(f"\n{order_in_words(name, rows)}")
-        click.echo("\n".join(forecast_lines(forecasts[name])))
+        click.echo("\n".join(forecast_lines(forecasts[name], material, warming_k)))
     return 0
 
 
@@ -232,15 +244,22 @@ def _need(text: str) -> tuple[str, float]:
 _WORDS = {"drift": "CMM drifts in", "shift": "plate shifted along", "turn": "plate turned about"}
 
 
-def forecast_lines(forecast: OrderForecast) -> list[str]:
-    """Return the table of an order: errors by one unit, and the size from which it is found."""
+def forecast_lines(forecast: OrderForecast, material: str, warming_k: float) -> list[str]:
+    """Return the table of an order: errors by one unit, and the size from which it is found.
+
+    And those of a plate of ``material`` that warms by ``warming_k``.
+    """
     names = "".join(f"{name:>9s}" for name in COMPONENTS)
     labels = "".join(f"{unit_of(name)[1]:>9s}" for name in COMPONENTS)
     lines = [
         f"  {'largest error by':29s}{names}   found from     error then",
         f"  {'':29s}{labels}   (95 %)         (std)",
     ]
-    lines += [_line(effect) for effect in forecast.effects]
+    for effect in forecast.effects:
+        unit, label = (ARCSEC, "arcsec") if effect.kind == "turn" else (MICROMETRE, "um")
+        lines.append(_line(effect, f"{_WORDS[effect.kind]} {effect.axis}, 1 {label}", unit, label))
+    warmed = f"{material} plate warms by {warming_k:g} K"
+    lines.append(_line(forecast.growth, warmed, EXPANSION[material], "K", warming_k))
     lines.append(
         f"  unseen at worst: drift {_std(forecast.drift_unseen)}, knock "
         f"{_std(forecast.knock_unseen)}"
@@ -248,10 +267,9 @@ def forecast_lines(forecast: OrderForecast) -> list[str]:
     return lines
 
 
-def _line(effect: UnitEffect) -> str:
-    unit, label = (ARCSEC, "arcsec") if effect.kind == "turn" else (MICROMETRE, "um")
-    errors = "".join(f"{unit * effect.error[n] / unit_of(n)[0]:9.3f}" for n in COMPONENTS)
-    name = f"{_WORDS[effect.kind]} {effect.axis}, 1 {label}"
+def _line(effect: UnitEffect, name: str, unit: float, label: str, size: float = 1.0) -> str:
+    """Return the line of an effect of ``size`` in its ``unit``."""
+    errors = "".join(f"{size * unit * effect.error[n] / unit_of(n)[0]:9.3f}" for n in COMPONENTS)
     found = f"{effect.found_from / unit:.3f} {label}" if isfinite(effect.found_from) else "never"
     unseen = f"{effect.unseen:.2f}" if isfinite(effect.unseen) else "unbounded"
     return f"  {name:29s}{errors}   {found:13s}  {unseen}"
@@ -263,9 +281,17 @@ def _std(error: float) -> str:
     return f"{error:.2f} standard deviations" + (" (not protected)" if error > TOLERABLE else "")
 
 
-def forecast_dict(forecast: OrderForecast) -> dict[str, Any]:
+def forecast_dict(forecast: OrderForecast, material: str, warming_k: float) -> dict[str, Any]:
     """Return the forecast in SI; None where nothing is found, or nothing bounds an error."""
+    growth, grown = forecast.growth, EXPANSION[material] * warming_k
     return {
+        "growth": {
+            "material": material,
+            "warming_k": warming_k,
+            "error": {name: grown * error for name, error in growth.error.items()},
+            "found_from_k": _finite(growth.found_from / EXPANSION[material]),
+            "unseen_std": _finite(growth.unseen),
+        },
         "unseen_std": {
             "drift": _finite(forecast.drift_unseen),
             "knock": _finite(forecast.knock_unseen),

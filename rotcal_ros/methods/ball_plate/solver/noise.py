@@ -98,12 +98,13 @@ class CentreNoise:
         factors = self.used / self.weights
         return np.array([factors[:2].max(), factors[:2].max(), factors[2]])
 
-    def sentences(self, own_std: bool) -> list[str]:
+    def sentences(self, own_std: bool, explained: bool) -> list[str]:
         """Say which axis is noisier, and what of the statement does not hold.
 
         ``own_std``: the rows have standard deviations of their own, so there are only factors.
+        ``explained``: why the axes differ is known, and told.
         """
-        found = self._differences(own_std)
+        found = [] if explained else self._differences(own_std)
         if not self.contradicts or self.p_axes is None:
             return found
         follow = "larger: uncertainties follow the residuals" if self.larger else "smaller"

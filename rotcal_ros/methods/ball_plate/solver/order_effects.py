@@ -287,7 +287,7 @@ def find_drift(
     if seen < VISIBLE or solution.dof < SPARE:
         return None
     right = np.einsum("nia,ni->a", columns, problem.weights * solution.residuals)
-    least = _least(problem, solution)
+    least = least_noise(problem, solution)
     amount, inverse, p_value, variance = _tested(effects.drift, right, solution, least)
     return DriftTest(amount, np.sqrt(variance * np.diag(inverse)), p_value, estimated=False)
 
@@ -300,7 +300,7 @@ def find_motion(
         return None
     order, _, later = _pulled(problem, solution)
     best: MotionTest | None = None
-    least = _least(problem, solution)
+    least = least_noise(problem, solution)
     for moment, knock in zip(effects.moments, effects.knocks, strict=True):
         if moment >= len(order):
             continue  # after the last row nothing shows it
@@ -325,7 +325,7 @@ def _pulled(problem: BallPlateProblem, solution: Solution) -> tuple[Ints, Floats
     return order, motion, later
 
 
-def _least(problem: BallPlateProblem, solution: Solution) -> float:
+def least_noise(problem: BallPlateProblem, solution: Solution) -> float:
     """Return the variance below which the rest is no noise; in units of ``std``, if given."""
     stated = 1.0 if problem.std is not None else problem.sigma or 0.0
     return max(least_variance(problem, solution.estimate), (SETTLED * stated) ** 2)

@@ -51,6 +51,7 @@ class BallPlateProblem:
     own zero. ``group_allowance``, m on the circle of the balls, bounds how far apart these are,
     and the uncertainty covers it; 0 states nothing, and the offset between the groups stays open.
     ``closed_form`` takes the table's deviations from means (second paper, Eq. 1 to 12).
+    ``material`` of the plate turns its growth into kelvin; empty: not stated.
 
     Rows are kept in a canonical order (ball step, table position, row number), so that the
     order of the table cannot change a bit of the result. Raises DataError for wrong shapes and
@@ -72,6 +73,7 @@ class BallPlateProblem:
     bidirectional: bool = False
     group_allowance: float = 0.0
     closed_form: bool = False
+    material: str = ""
 
     def __post_init__(self) -> None:
         if self.row is None:

@@ -24,6 +24,7 @@ from rotcal_ros.methods.ball_plate.solver.gathering import (
     left_out,
     suspected,
 )
+from rotcal_ros.methods.ball_plate.solver.growth import Growth, find_growth
 from rotcal_ros.methods.ball_plate.solver.model import LinearFit, Solution
 from rotcal_ros.methods.ball_plate.solver.order_effects import Knock, find_knock
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
@@ -68,8 +69,9 @@ class CentreTest:
 class Fitted:
     """The rows that were kept, their solution and tests, the rejected ones and why.
 
-    Table positions that are not among those of ``problem`` were left out. ``gathering``: what
-    was found to be wrong together, and how each group fits; not judged after a knock.
+    Table positions that are not among those of ``problem`` were left out. ``grown``: the growth
+    of the plate explains more than any knock or single centre. ``gathering``: what was found to be
+    wrong together, and how each group fits; not judged after a knock or a growth.
     """
 
     problem: BallPlateProblem
@@ -78,16 +80,18 @@ class Fitted:
     test: CentreTest
     rejected: tuple[Rejection, ...]
     knock: Knock | None
+    growth: Growth
+    grown: bool = False
     gathering: Gathering = field(default_factory=Gathering)
 
 
 def fit_and_reject(problem: BallPlateProblem, named: BallPlateProblem | None = None) -> Fitted:
     """Solve, and reject what is wrong together in one place, then single centres, worst first.
 
-    A jump of the plate that explains more than the worst centre ends the rejection: the moved
-    rows are not wrong one by one. ``named``: the same rows as people number them; None: as in
-    ``problem``. Raises ObservabilityError when too little is left, DataError when more than a
-    tenth of the centres would have to go.
+    A jump of the plate that explains more than the worst centre ends the rejection, and so does
+    its growth: rows that moved are not wrong one by one. ``named``: the same rows as people
+    number them; None: as in ``problem``. Raises ObservabilityError when too little is left,
+    DataError when more than a tenth of the centres would have to go.
     """
     whole, rejected, poor = named or problem, list[Rejection](), list[Rejection]()
     gathering = Gathering()
@@ -103,15 +107,22 @@ def fit_and_reject(problem: BallPlateProblem, named: BallPlateProblem | None = N
         sigma = 1.0 if problem.std is not None else problem.sigma
         test = judge_centres(problem, solution, sigma)
         knock = find_knock(problem, linear, solution, sigma)
-        if knock is not None and _more_than_one_centre(knock, test, solution.dof):
+        if knock is not None and not _more_than_one_centre(knock, test, solution.dof):
+            knock = None
+        growth = find_growth(problem, linear, solution)
+        others = max(float(test.gain.max()), 0.0 if knock is None else knock.gain)
+        grown = growth.evident and growth.gain > others
+        if grown:
+            knock = None
+        if grown or knock is not None:
             gathering, why = Gathering(blamed=gathering.blamed), dict[int, str]()
         else:
-            knock = None
             taken = Taken(whole, np.array([r.index for r in rejected], dtype=np.int64))
             gathering = gathered(gathering, problem, solution, sigma, test.redundancy, taken)
             gathering, why = _next(gathering, problem, solution, test)
         if not why:
-            return Fitted(problem, linear, solution, test, (*rejected, *poor), knock, gathering)
+            found = (*rejected, *poor)
+            return Fitted(problem, linear, solution, test, found, knock, growth, grown, gathering)
         rejected += [
             Rejection(int(problem.rows[r]), f"{_name(problem, whole, r)}: {text}")
             for r, text in why.items()

@@ -3,7 +3,7 @@
 The closure: centres measured again at the end. The fit does without them, which leaves one centre
 for every cell, and so the speed of the spectral solution. The difference to the first measurement
 needs no model: beside noise it holds what has moved since, plate, table and CMM alike, as one
-rigid motion for each table position.
+rigid motion for each table position, and what the plate has grown by.
 
 Repeatability: how well the table comes back to a position, from the stops that it makes there
 during the run. Every stop has a motion of its own, six variances in all. Quadratic forms of the
@@ -15,6 +15,7 @@ have one.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
@@ -26,6 +27,7 @@ from rotcal_ros.adjust.distributions import f_isf, f_sf
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.methods.ball_plate.solver.estimate import drift_columns, factored
+from rotcal_ros.methods.ball_plate.solver.growth import GrowthTest, growth_columns, likelier
 from rotcal_ros.methods.ball_plate.solver.model import LinearFit, OriginDrift, rigid_motion
 from rotcal_ros.methods.ball_plate.solver.order_effects import SIGNIFICANCE, triple
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, RowLayout, places_of
@@ -128,8 +130,10 @@ def closures(
     dof: float,
     drift: OriginDrift | None,
     repeatability: Floats,
-) -> tuple[PlateClosure, ...]:
+) -> tuple[tuple[PlateClosure, ...], GrowthTest | None]:
     """Compare the rows ``closing`` with the fitted rows of ``problem`` that they repeat.
+
+    And test how much the plate has grown in between; where it has, this is taken off first.
 
     ``sigma`` are the standard deviations (3,) of the coordinates of fitted and of closing rows (of
     unit weight where rows have their own), from ``dof`` degrees of freedom; what an estimated
@@ -141,20 +145,21 @@ def closures(
     first[fair] = places_of(closing.cell[fair], problem.cell)
     away = np.linalg.norm(closing.centres - problem.centres[first], axis=1)
     fair &= away < GROSS
-    found = []
+    found, grown = list[PlateClosure](), list[GrowthTest]()
     for position in np.unique(closing.position):
         rows = np.flatnonzero(fair & (closing.position == position))
         if len(rows) > 2:  # two balls leave the rotation about their line open
             pairs = _BallPairs(problem, closing, first[rows], rows, sigma, drift, repeatability)
+            grown += pairs.without_growth(dof, problem.material)
             found.append(pairs.compare(dof))
-    return tuple(found)
+    return tuple(found), likelier(grown)
 
 
 class _BallPairs:
     """First and last measurements of the balls at one table position.
 
     ``change`` (k, 3) is later - first, ``motion`` (k, 3, 6) what a rigid motion of the plate does
-    to it, ``variance`` (3 k, 3 k) its covariance.
+    to it, ``growth`` (k, 3, 1) its growth, ``variance`` (3 k, 3 k) its covariance.
     """
 
     def __init__(
@@ -170,6 +175,8 @@ class _BallPairs:
         self.position, self.radius = int(closing.position[last[0]]), problem.radius
         self.change = closing.centres[last] - problem.centres[first]
         self.motion = rigid_motion(problem.angles[problem.cmm_index[first]])
+        late = growth_columns(closing, closing.run_time_on(problem))[last]
+        self.growth = late - growth_columns(problem, problem.run_time)[first]
         early_std = sigma[0] * problem.noise_unit[first]
         late_std = sigma[1] * closing.noise_unit[last]
         scattered = self.motion.reshape(-1, 6)
@@ -184,16 +191,24 @@ class _BallPairs:
             columns = columns * np.tile(sigma[0], len(drift.amount))  # its covariance is unit
             self.variance += columns @ drift.unit_covariance @ columns.T
 
+    def without_growth(self, dof: float, material: str) -> Sequence[GrowthTest]:
+        """Test a growth beside a rigid motion; take it off the changes where there is one."""
+        both = np.concatenate([self.motion, self.growth], axis=2)
+        _, found, covariance, _ = self._agreeing(both, dof)
+        amount, variance = float(found[-1]), float(covariance[-1, -1])
+        if variance <= 0.0:
+            return ()
+        p_value = f_sf(amount**2 / variance, 1, dof)
+        test = GrowthTest.of(amount, float(np.sqrt(variance)), p_value, material)
+        if test.significant:
+            self.change = self.change - amount * self.growth[:, :, 0]
+            column = self.growth.ravel()
+            self.variance = self.variance + variance * np.outer(column, column)
+        return (test,)
+
     def compare(self, dof: float) -> PlateClosure:
-        """Fit one motion to the changes; the worst ball goes while it contradicts the others."""
-        kept = np.arange(len(self.change))
-        while True:
-            motion, covariance, gain, left = self._fit(kept)
-            worst = int(np.argmax(left))
-            limit = 3.0 * float(f_isf(SIGNIFICANCE / len(self.change), 3, dof))
-            if left[worst] <= limit or len(kept) <= 4:
-                break
-            kept = np.delete(kept, worst)
+        """Fit one motion to the changes."""
+        kept, motion, covariance, gain = self._agreeing(self.motion, dof)
         std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         value = gain / 6.0
         return PlateClosure(
@@ -208,25 +223,39 @@ class _BallPairs:
             n_gross=len(self.change) - len(kept),
         )
 
-    def _fit(self, kept: Ints) -> tuple[Floats, Floats, float, Floats]:
-        """Return motion (6,), covariance, what it explains, and what is left of each ball.
+    def _agreeing(self, columns: Floats, dof: float) -> tuple[Ints, Floats, Floats, float]:
+        """Fit amounts (m,) of ``columns`` (k, 3, m); the worst ball goes while it contradicts.
+
+        Return the balls that are left, the amounts, their covariance, and what they explain.
+        """
+        kept = np.arange(len(self.change))
+        while True:
+            amounts, covariance, gain, left = self._fit(kept, columns)
+            worst = int(np.argmax(left))
+            limit = 3.0 * float(f_isf(SIGNIFICANCE / len(self.change), 3, dof))
+            if left[worst] <= limit or len(kept) <= 4:
+                return kept, amounts, covariance, gain
+            kept = np.delete(kept, worst)
+
+    def _fit(self, kept: Ints, columns: Floats) -> tuple[Floats, Floats, float, Floats]:
+        """Return amounts (m,), covariance, what they explain, and what is left of each ball.
 
         What it explains is a chi-squared; the rest of a ball (k,) is counted in its own variance.
         """
         rows = (3 * kept[:, None] + np.arange(3)).ravel()
         factor = cho_factor(self.variance[np.ix_(rows, rows)])
-        design = self.motion[kept].reshape(-1, 6)
+        design = columns[kept].reshape(len(rows), -1)
         change = self.change[kept].ravel()
         normal = design.T @ cho_solve(factor, design)
         covariance = np.linalg.pinv(0.5 * (normal + normal.T), hermitian=True, rcond=1e-10)
         right = design.T @ cho_solve(factor, change)
-        motion = covariance @ right
-        left = change - design @ motion
+        amounts = covariance @ right
+        left = change - design @ amounts
         own = np.diag(self.variance)[rows]
         return (
-            motion,
+            amounts,
             covariance,
-            float(right @ motion),
+            float(right @ amounts),
             np.sum((left**2 / own).reshape(-1, 3), axis=1),
         )
 

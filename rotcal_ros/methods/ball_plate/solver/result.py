@@ -29,6 +29,7 @@ from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.ball_plate.solver import gathering, general_least_squares, model
 from rotcal_ros.methods.ball_plate.solver.estimate import computed, drifted, solved
+from rotcal_ros.methods.ball_plate.solver.growth import GrowthTest, likelier
 from rotcal_ros.methods.ball_plate.solver.model import least_variance, of_component
 from rotcal_ros.methods.ball_plate.solver.noise import CentreNoise
 from rotcal_ros.methods.ball_plate.solver.order_effects import (
@@ -131,8 +132,8 @@ class Findings:
     """What the tests in the order of measurement found in one group of table positions.
 
     ``effects`` are what drift and knocks do in this order, in the frame of the group; all else is
-    told in the frame and the numbers of the whole. Knock, drift, motion of the plate and
-    repeatability (``scatter``) are None where there is none, or they cannot be told.
+    told in the frame and the numbers of the whole. Knock, drift, motion and growth of the plate
+    and repeatability (``scatter``) are None where there is none, or they cannot be told.
     """
 
     effects: OrderEffects
@@ -140,6 +141,7 @@ class Findings:
     drift: DriftTest | None
     motion: MotionTest | None
     scatter: Repeatability | None
+    growth: GrowthTest | None
     closures: tuple[PlateClosure, ...]
 
 
@@ -150,6 +152,7 @@ def _findings(
     problem, solution = fit.problem, fit.solution
     effects, scatter = order_effects(problem, group.closing), _scatter(fit)
     closed: tuple[PlateClosure, ...] = ()
+    grown: GrowthTest | None = None
     if group.closing is not None:
         lengths = np.zeros(6)
         if scatter is not None:
@@ -157,7 +160,7 @@ def _findings(
         # of fitted and of closing rows, no less than rounding
         least = np.sqrt(least_variance(problem, solution.estimate))
         std = np.maximum(noise.used / noise.weights, least)
-        closed = closures(
+        closed, grown = closures(
             problem,
             group.closing,
             (std, std * noise.weights),
@@ -174,6 +177,7 @@ def _findings(
         None if drift is None else drift.turned(fixed),
         None if motion is None else motion.turned(on_table),
         None if scatter is None else scatter.turned(fixed),
+        likelier([test for test in (fit.growth.test, grown) if test is not None]),
         tuple(replace(c.turned(fixed), position=int(group.positions[c.position])) for c in closed),
     )
 
@@ -216,7 +220,8 @@ def _warnings(solution: PlateSolution, found: Sequence[Findings]) -> list[str]:
         f.solution.way not in CLOSED for _, f in solution.parts
     ):
         warnings.append(NOT_CLOSED)
-    warnings += noise.sentences(own_std=solution.problem.std is not None)
+    grown = any(fit.grown for _, fit in solution.parts)
+    warnings += noise.sentences(own_std=solution.problem.std is not None, explained=grown)
     if n_rejected > MANY_REJECTED * n_centres:
         warnings.append(f"{n_rejected} of {n_centres} centres were rejected")
     drifts = (f.drift for f in found if f.drift is not None and f.drift.significant)
@@ -226,9 +231,11 @@ def _warnings(solution: PlateSolution, found: Sequence[Findings]) -> list[str]:
 def _doubts(solution: PlateSolution, found: Sequence[Findings]) -> list[str]:
     """Return in words what the result takes no account of.
 
-    A drift looks like a small motion and the other way round: only the likelier one is told.
+    A drift looks like a small motion, and either a little like a growth: only the likeliest of
+    them is told.
     """
-    tests: list[DriftTest | MotionTest] = [
+    tests: list[DriftTest | MotionTest | GrowthTest] = [
+        *(f.growth for f in found if f.growth is not None),
         *(f.drift for f in found if f.drift is not None and not f.drift.estimated),
         *(f.motion for f in found if f.motion is not None),
     ]
@@ -304,6 +311,7 @@ def _details(
     findings: dict[str, list[Any]] = {
         "closure": [closure for f in found for closure in f.closures],
         "drift": [f.drift for f in found if f.drift is not None],
+        "growth": [f.growth for f in found if f.growth is not None],
         "plate_motion": [f.motion for f in found if f.motion is not None],
         "repeatability": [f.scatter for f in found if f.scatter is not None],
     }
@@ -415,7 +423,7 @@ def _protections(
     result: Result, solution: PlateSolution, found: Sequence[Findings]
 ) -> tuple[Protection, ...]:
     """Return all protections, of centres that do not tell which way is up."""
-    drift, knock = _unseen_in_order(result, solution, found)
+    drift, knock, growth = _unseen_in_order(result, solution, found)
     return ordered(
         [
             _against_drift(solution.problem, drift),
@@ -436,6 +444,7 @@ def _protections(
                 "tilt", "estimated", "the pose of the axis and the place of each ball are unknowns"
             ),
             _gauge(solution),
+            _against_growth(growth),
             _one_place(_hidden(result, solution)),
             Protection(
                 "numbering",
@@ -457,21 +466,28 @@ def _protections(
 
 def _unseen_in_order(
     result: Result, solution: PlateSolution, found: Sequence[Findings]
-) -> tuple[float, float]:
-    """Return the largest errors of a drift and of a knock that the tests leave unseen.
+) -> tuple[float, float, float]:
+    """Return the largest errors of a drift, a knock and a growth that the tests leave unseen.
 
     In stated standard uncertainties, with the probability of POWER.
     """
-    errors, tiny = [(0.0, 0.0)], np.finfo(float).tiny
+    errors, tiny = [(0.0, 0.0, 0.0)], np.finfo(float).tiny
+    sigma = max(float(solution.noise.scale[0]), tiny)  # along x and y, where a growth is seen
     scale = np.array([[of_component(solution.noise.scale, name)] for name in COMPONENTS])
     for (_, fit), place, mine in zip(solution.parts, solution.places(), found, strict=True):
         stated = np.array([result.std[name][place] for name in COMPONENTS])
         # per unit noise of a centre
         std = np.maximum(stated / np.maximum(scale, tiny), fit.solution.unit_std.curves())
         dof = max(fit.solution.dof, LEAST_DOF)
-        errors.append((drift_error(mine.effects, std, dof), knock_error(mine.effects, std, dof)))
-    drifts, knocks = zip(*errors, strict=True)
-    return max(drifts), max(knocks)
+        errors.append(
+            (
+                drift_error(mine.effects, std, dof),
+                knock_error(mine.effects, std, dof),
+                fit.growth.error(std, dof, sigma),
+            )
+        )
+    drifts, knocks, growths = zip(*errors, strict=True)
+    return max(drifts), max(knocks), max(growths)
 
 
 def _against_drift(problem: BallPlateProblem, error: float) -> Protection:
@@ -503,6 +519,19 @@ def _against_knock(error: float) -> Protection:
         "a small motion of the plate between two stops may pass for deviations of the table: "
         "measure in the order interleaved, with more balls",
         _finite(error),
+    )
+
+
+def _against_growth(error: float) -> Protection:
+    if error <= TOLERABLE:
+        why = "a plate that warms and grows leaves residuals, or does little harm in this order"
+        return Protection("growth", "tested", why, error)
+    return Protection(
+        "growth",
+        "not protected",
+        "a plate that warms a little may grow unseen: measure in the order interleaved, with more "
+        "balls",
+        error,
     )
 
 

@@ -121,14 +121,14 @@ def adjust(problem: BallPlateProblem) -> PlateSolution:
     """Return the solution of ``problem``; raises what :func:`~.result.solve` raises.
 
     Where one axis proves noisier than another, all is done again with the weights found; not after
-    a knock, whose residuals are no noise.
+    a knock, or with a plate that has grown, whose residuals are no noise.
     """
     once, closing = closing_apart(problem)
     whole, unusable = screen(once)
     stated = problem.sigma if problem.std is None else 1.0
     parts = _fitted(whole, closing)
     noise = assess(_turned(parts), stated)
-    if noise.unequal and all(part.fit.knock is None for part in parts):
+    if noise.unequal and all(p.fit.knock is None and not p.fit.grown for p in parts):
         weights = _weights(whole, len(parts), noise)
         std = whole.noise_unit * weights
         parts = _fitted(replace(whole, sigma=None, std=std), closing)

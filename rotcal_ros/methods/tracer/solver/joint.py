@@ -38,7 +38,14 @@ from rotcal_ros.methods.tracer.solver.adjustment import (
     adjust_stations,
 )
 from rotcal_ros.methods.tracer.solver.grid import Grid
-from rotcal_ros.methods.tracer.solver.network import Network, linearise, network_of, relax, rigid
+from rotcal_ros.methods.tracer.solver.network import (
+    Network,
+    less_rigid,
+    linearise,
+    network_of,
+    relax,
+    rigid,
+)
 from rotcal_ros.methods.tracer.solver.observability import CURE, name_direction, or_prior
 
 RANK_TOLERANCE: Final = 1e-13
@@ -130,6 +137,23 @@ def network_covariance(grid: Grid, fit: Adjustment) -> StationCovariance:
         LowRank.whole(lengths[places], 3), LowRank.whole(prior[places], 3), sensitivity,
         float(fit.dof), circle,
     )  # fmt: skip
+
+
+def target_corrections(grid: Grid, fit: Adjustment) -> tuple[Floats, Floats]:
+    """Return the adjusted less the stated targets and their standard deviations, (n, 3), m.
+
+    In a free network without what moves all of them alike, a shift and a turn.
+    """
+    network, moved = network_of(grid, fit), fit.targets - grid.targets
+    reduced, kept = network.reduced, network.reduced.covariance()
+    if grid.free:
+        covariance = reduced.other_times(kept, np.eye(moved.size))
+        return less_rigid(grid.targets, moved, covariance)
+    if network.stations_kept:
+        variance = np.diagonal(reduced.other_blocks(kept), axis1=1, axis2=2)
+    else:
+        variance = kept.diagonal().reshape(moved.shape)
+    return moved, np.sqrt(variance)
 
 
 def _apart_covariance(network: Network, grid: Grid, dof: float) -> StationCovariance:

@@ -471,6 +471,19 @@ def rigid(points: Floats) -> Floats:
     return motions.reshape(-1, RIGID_MOTIONS)
 
 
+def less_rigid(points: Floats, moved: Floats, covariance: Floats) -> tuple[Floats, Floats]:
+    """Take shift and turn of all ``points`` off what they ``moved`` by, (n, 3).
+
+    Return the rest and its standard deviations (n, 3): an S-transformation of its ``covariance``
+    (3 n, 3 n).
+    """
+    motions = rigid(points - points.mean(axis=0))
+    rest = np.eye(moved.size) - motions @ np.linalg.pinv(motions)
+    variance = np.sum((rest @ covariance) * rest, axis=1)
+    std = np.sqrt(np.maximum(variance, 0.0)).reshape(moved.shape)
+    return (rest @ moved.ravel()).reshape(moved.shape), np.asarray(std)
+
+
 def _constraints(stations: Floats, layout: UnknownsLayout) -> Floats:
     """Return what the ``stations`` (m, 3) must not do in a free network: seven columns.
 

@@ -16,6 +16,7 @@ from rotcal_ros.methods.tracer.solver.adjustment import Adjustment
 from rotcal_ros.methods.tracer.solver.circle import algorithm_error, scatter
 from rotcal_ros.methods.tracer.solver.gathering import details as gathering_details
 from rotcal_ros.methods.tracer.solver.grid import Grid
+from rotcal_ros.methods.tracer.solver.joint import target_corrections
 from rotcal_ros.methods.tracer.solver.observability import Numbering, turned_by, weakest_direction
 from rotcal_ros.methods.tracer.solver.problem import LengthProblem, TracerProblem
 from rotcal_ros.methods.tracer.solver.protections import influence_of, protections, returned
@@ -170,6 +171,7 @@ def _network(solution: TracerSolution) -> dict[str, Any]:
         "distances": fit.distances[grid.first_strip],
         "target_ids": grid.target_ids,
         "targets": fit.targets,
+        **_corrections(solution),
         "unknowns": fit.unknowns,
         "rank": fit.rank,
         "weakest": {
@@ -178,6 +180,14 @@ def _network(solution: TracerSolution) -> dict[str, Any]:
             "std": std,
         },
     }
+
+
+def _corrections(solution: TracerSolution) -> dict[str, Any]:
+    """Return by what the targets were corrected; nothing where they are taken as known."""
+    if solution.problem.variant == "station":
+        return {}
+    moved, std = target_corrections(solution.grid, solution.fit)
+    return {"target_corrections": moved, "target_corrections_std": solution.scale * std}
 
 
 def _tests(solution: TracerSolution) -> dict[str, Any]:

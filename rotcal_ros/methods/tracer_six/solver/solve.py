@@ -36,6 +36,7 @@ from rotcal_ros.foundation.results import Placement, Rejection, Result, Verdict,
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 from rotcal_ros.geometry.rotations import cross_matrix
 from rotcal_ros.methods.tracer.solver import gathering
+from rotcal_ros.methods.tracer.solver.network import less_rigid
 from rotcal_ros.methods.tracer.solver.observability import Numbering
 from rotcal_ros.methods.tracer.solver.protections import (
     KNOCKED_AT,
@@ -156,6 +157,7 @@ def _details(solution: SixSolution) -> dict[str, Any]:
         "segments": segment_report(solution),
         "target_ids": solution.grid.target_ids,
         "targets": network.state.targets,
+        **_corrections(solution),
         "axis": {"origin": curves.origin, "direction": curves.axes[:, 2]},
         "unknowns": solution.fit.unknowns,
         "rank": solution.fit.rank,
@@ -182,6 +184,18 @@ def _details(solution: SixSolution) -> dict[str, Any]:
             for test in solution.moves.tests
         ],
     }
+
+
+def _corrections(solution: SixSolution) -> dict[str, Any]:
+    """Return by what the targets were corrected; free ones less a shift and a turn of all."""
+    posterior, grid = solution.fit.posterior, solution.grid
+    moved = posterior.network.state.targets - grid.targets
+    covariance = posterior.targets.reshape(moved.size, moved.size)
+    if grid.free:
+        moved, std = less_rigid(grid.targets, moved, covariance)
+    else:
+        std = np.sqrt(covariance.diagonal()).reshape(moved.shape)
+    return {"target_corrections": moved, "target_corrections_std": solution.scale * std}
 
 
 def _scatter(solution: SixSolution) -> dict[str, Any]:
