@@ -1,0 +1,132 @@
+"""A whole run of the simulated cell without ROS, also with something wrong in it.
+
+What may spoil a calibration acts on whole observations (:mod:`.disturbance`): the difference that
+it makes at a step is added to all that the instrument reads there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from rotcal_ros.capture.capture import Observations, Record
+from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.observations import Command, PointKind, ProbeSample, TracerSample
+from rotcal_ros.methods.calibration import Calibration
+from rotcal_ros.methods.disturbance import DisturbedMeasurement
+from rotcal_ros.methods.simulation.cell import SimulatedCell
+from rotcal_ros.methods.simulation.table import true_deviations
+from rotcal_ros.planning.plan import Step
+
+_SLICE_S = 0.2
+_MOST_SLICES = 18_000
+"""After one hour at a step something is missing."""
+_BY_A_TRACKER = (PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST)
+
+Change = Callable[[Step, Record], Record]
+"""What becomes of a record that an instrument sends at a step."""
+
+
+class Event(NamedTuple):
+    """An order, or what an instrument sent, at ``time_ns``; ``observed``: what that completes."""
+
+    time_ns: int
+    what: Command | Record
+    observed: Observations = ()
+
+
+def as_sent(_step: Step, record: Record) -> Record:
+    """Return the record as it is."""
+    return record
+
+
+def simulated_run(
+    calibration: Calibration, change: Change = as_sent, start_ns: int = 0
+) -> Iterator[Event]:
+    """Yield all orders and records of one attempt at every step, from ``start_ns`` on.
+
+    Raises ConfigurationError for a cell that cannot be simulated alone.
+    """
+    configuration = calibration.configuration
+    cell = calibration.method.simulated_cell(configuration.simulation, start_ns)
+    capture = calibration.capture()
+    for step in calibration.plan.steps:
+        command = step.command(0)
+        cell.order_table(command)
+        cell.order_probe(command)
+        yield Event(cell.now_ns, command)
+        for _ in range(_MOST_SLICES):
+            observed: Observations = ()
+            for sent in _delivered(cell):
+                record = change(step, sent)
+                found = capture.feed(record)
+                observed += found
+                yield Event(record.stamp_ns, record, found)
+            if observed:
+                break
+        else:
+            raise ConfigurationError(
+                f"{configuration.source}: the simulated cell does not finish step {step.index} "
+                "within an hour; an external table or silent instruments cannot be simulated alone"
+            )
+
+
+def _delivered(cell: SimulatedCell) -> tuple[Record, ...]:
+    """Let a little time pass and return the records that the instruments deliver meanwhile."""
+    out = cell.advance(_SLICE_S)
+    return (*out.temperature, *out.air, *out.table, *out.tracer, *out.probe)
+
+
+def disturbed_run(
+    calibration: Calibration, measured: DisturbedMeasurement, start_ns: int = 0
+) -> Iterator[Event]:
+    """Yield the run of :func:`simulated_run` in which every step reads what was ``measured``.
+
+    To the readings is added by how much ``measured`` differs from what an instrument without error
+    sees at a perfect table; the simulated cell adds the deviations of its own table.
+    """
+    nominal = [np.array(o.mean) for o in calibration.nominal_observations()]
+    shifts = [np.array(o.mean) - n for o, n in zip(measured.observations, nominal, strict=True)]
+
+    def change(step: Step, record: Record) -> Record:
+        shift = shifts[step.index]
+        if isinstance(record, TracerSample):
+            return replace(record, length=record.length + float(shift[0]))
+        if isinstance(record, ProbeSample) and record.kind is not PointKind.REFLECTOR:
+            place = np.array(record.position)
+            if record.kind in _BY_A_TRACKER:
+                shift = _along_beam(place) @ _along_beam(nominal[step.index]).T @ shift
+            x, y, z = (place + shift).tolist()
+            return replace(record, position=(x, y, z))
+        return record
+
+    return simulated_run(calibration, change, start_ns)
+
+
+def _along_beam(seen: Floats) -> Floats:
+    """Return the axes (3, 3), as columns: along the beam to a point, level across it, and up.
+
+    A tracker stands upright, but is turned about its vertical in any way.
+    """
+    along = seen / np.linalg.norm(seen)
+    level = np.cross([0.0, 0.0, 1.0], along)
+    level /= np.linalg.norm(level)
+    return np.column_stack([along, level, np.cross(along, level)])
+
+
+def seen_truth(
+    calibration: Calibration, measured: DisturbedMeasurement | None = None
+) -> dict[str, Floats]:
+    """Return the true deviations (n,) of the simulated table, as far as the method can see them.
+
+    m or rad, at the distinct angles of the plan; those of ``measured`` come on top.
+    """
+    angles = np.array(calibration.plan.distinct_angles)
+    true = dict(true_deviations(calibration.configuration.simulation.table, angles))
+    for name, added in ({} if measured is None else measured.truth).items():
+        true[name] = true[name] + added
+    return calibration.method.gauge(angles, true)
