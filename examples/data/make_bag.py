@@ -1,6 +1,6 @@
 """Write a bag of the simulated cell without ROS, as a recorder of your own could."""
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -62,7 +62,7 @@ def messages(record):
 
 def plain(record):
     """Return the fields of a record but its stamp, tuples as arrays."""
-    fields = {name: value for name, value in asdict(record).items() if name != "stamp_ns"}
+    fields = {name: getattr(record, name) for name in record.__slots__ if name != "stamp_ns"}
     return {name: np.array(v) if isinstance(v, tuple) else v for name, v in fields.items()}
 
 

@@ -6,7 +6,7 @@ it makes at a step is added to all that the instrument reads there.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -20,33 +20,26 @@ from rotcal_ros.methods.calibration import Calibration
 from rotcal_ros.methods.disturbance import DisturbedMeasurement
 from rotcal_ros.methods.simulation.cell import SimulatedCell
 from rotcal_ros.methods.simulation.table import true_deviations
-from rotcal_ros.planning.plan import Step
 
 _SLICE_S = 0.2
 _MOST_SLICES = 18_000
 """After one hour at a step something is missing."""
 _BY_A_TRACKER = (PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST)
 
-Change = Callable[[Step, Record], Record]
-"""What becomes of a record that an instrument sends at a step."""
-
 
 class Event(NamedTuple):
-    """An order, or what an instrument sent, at ``time_ns``; ``observed``: what that completes."""
+    """An order, or what an instrument sent, at ``time_ns`` while a step was measured.
+
+    ``observed`` is what the record completes.
+    """
 
     time_ns: int
+    step: int
     what: Command | Record
     observed: Observations = ()
 
 
-def as_sent(_step: Step, record: Record) -> Record:
-    """Return the record as it is."""
-    return record
-
-
-def simulated_run(
-    calibration: Calibration, change: Change = as_sent, start_ns: int = 0
-) -> Iterator[Event]:
+def simulated_run(calibration: Calibration, start_ns: int = 0) -> Iterator[Event]:
     """Yield all orders and records of one attempt at every step, from ``start_ns`` on.
 
     Raises ConfigurationError for a cell that cannot be simulated alone.
@@ -58,14 +51,13 @@ def simulated_run(
         command = step.command(0)
         cell.order_table(command)
         cell.order_probe(command)
-        yield Event(cell.now_ns, command)
+        yield Event(cell.now_ns, step.index, command)
+        observed: Observations = ()
         for _ in range(_MOST_SLICES):
-            observed: Observations = ()
-            for sent in _delivered(cell):
-                record = change(step, sent)
+            for record in _delivered(cell):
                 found = capture.feed(record)
                 observed += found
-                yield Event(record.stamp_ns, record, found)
+                yield Event(record.stamp_ns, step.index, record, found)
             if observed:
                 break
         else:
@@ -81,30 +73,27 @@ def _delivered(cell: SimulatedCell) -> tuple[Record, ...]:
     return (*out.temperature, *out.air, *out.table, *out.tracer, *out.probe)
 
 
-def disturbed_run(
-    calibration: Calibration, measured: DisturbedMeasurement, start_ns: int = 0
+def disturbed(
+    events: Iterable[Event], calibration: Calibration, measured: DisturbedMeasurement
 ) -> Iterator[Event]:
-    """Yield the run of :func:`simulated_run` in which every step reads what was ``measured``.
+    """Yield the events of a run whose steps read what was ``measured``, without observations.
 
     To the readings is added by how much ``measured`` differs from what an instrument without error
-    sees at a perfect table; the simulated cell adds the deviations of its own table.
+    sees at a perfect table; the simulated cell has added the deviations of its own table.
     """
     nominal = [np.array(o.mean) for o in calibration.nominal_observations()]
     shifts = [np.array(o.mean) - n for o, n in zip(measured.observations, nominal, strict=True)]
-
-    def change(step: Step, record: Record) -> Record:
-        shift = shifts[step.index]
+    for event in events:
+        record, shift = event.what, shifts[event.step]
         if isinstance(record, TracerSample):
-            return replace(record, length=record.length + float(shift[0]))
-        if isinstance(record, ProbeSample) and record.kind is not PointKind.REFLECTOR:
+            record = replace(record, length=record.length + float(shift[0]))
+        elif isinstance(record, ProbeSample) and record.kind is not PointKind.REFLECTOR:
             place = np.array(record.position)
             if record.kind in _BY_A_TRACKER:
-                shift = _along_beam(place) @ _along_beam(nominal[step.index]).T @ shift
+                shift = _along_beam(place) @ _along_beam(nominal[event.step]).T @ shift
             x, y, z = (place + shift).tolist()
-            return replace(record, position=(x, y, z))
-        return record
-
-    return simulated_run(calibration, change, start_ns)
+            record = replace(record, position=(x, y, z))
+        yield Event(event.time_ns, event.step, record)
 
 
 def _along_beam(seen: Floats) -> Floats:
