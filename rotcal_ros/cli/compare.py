@@ -65,7 +65,8 @@ def command(
     wrong by more than its U.
     """
     if truth:
-        if len(sources) > 1 or polygon or output or align_order or reference_std is not None:
+        others = polygon, output, align_order, reference_std is not None, component != "ECC"
+        if len(sources) > 1 or any(others):
             raise click.UsageError("--truth takes one FOLDER, and of the options --json alone")
         return _scored(sources[0], as_json=as_json)
     from rotcal_ros.evaluation.compare import compare_all

@@ -12,7 +12,7 @@ An offset that no method can know is removed, and what the method cannot see bes
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, get_args
 
@@ -37,11 +37,16 @@ SAME_ANGLE: Final = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class _Curves:
-    """``deviations`` (n,) and their ``covariance`` (n, n) by component, at ``angles`` (n,)."""
+    """``deviations`` (n,) by component at ``angles`` (n,), and what a result says of them.
+
+    That are their ``covariance`` (n, n), its ``verdict``, and the effects that it does not see.
+    """
 
     angles: Floats
     deviations: Mapping[str, Floats]
-    covariance: Mapping[str, Floats]
+    covariance: Mapping[str, Floats] = field(default_factory=dict)
+    verdict: Verdict = "ok"
+    not_protected: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -125,7 +130,7 @@ class Standing:
 
 
 HEADINGS: Final = (
-    "method", "entry", "errors of", "curves", "rms, nothing wrong", "rms", "largest", "say ok",
+    "method", "entry", "errors of", "curves", "plain rms", "rms", "largest", "say ok",
     "of these hold/%", "mislead", "named", "alarms",
 )  # fmt: skip
 FORMATS: Final = ("", "", "", "d", ".3g", ".3g", ".3g", "d", ".1f", "d", "d", "d")
@@ -161,12 +166,6 @@ def _score_case(case: Path, folder: Path) -> Iterator[Score]:
         given = _document(path)
         method = str(document.get("method") or given.get("method", ""))
         curves = _read(path, given, _stated_curves)
-        verdict = given.get("verdict", "ok")
-        if verdict not in get_args(Verdict):
-            raise DataError(
-                f"{path}: verdict is {verdict!r}, expected one of {', '.join(get_args(Verdict))}"
-            )
-        named = effect in given.get("not_protected", ())
         for component, comparison in _compared(path, curves, truth, method):
             inside = np.abs(comparison.normalised_error) <= 1.0
             yield Score(
@@ -181,8 +180,8 @@ def _score_case(case: Path, folder: Path) -> Iterator[Score]:
                 held=int(inside.sum()),
                 n=len(truth.angles),
                 agree=comparison.agree,
-                verdict=verdict,
-                named=named,
+                verdict=curves.verdict,
+                named=effect in curves.not_protected,
             )
 
 
@@ -252,7 +251,7 @@ def _read(
 
 def _true_curves(document: Mapping[str, Any]) -> _Curves:
     angles = _numbers("angles_rad", document["angles_rad"])
-    return _Curves(angles, _by_component(document, "deviations", angles.shape), {})
+    return _Curves(angles, _by_component(document, "deviations", angles.shape))
 
 
 def _stated_curves(document: Mapping[str, Any]) -> _Curves:
@@ -263,13 +262,21 @@ def _stated_curves(document: Mapping[str, Any]) -> _Curves:
         raise ValueError(f"std: {', '.join(sorted(missing))} is missing")
     whole = _by_component(document, "covariance", (n, n)) if "covariance" in document else {}
     covariance = {name: whole.get(name, np.diag(std**2)) for name, std in stated.items()}
-    return _Curves(curves.angles, curves.deviations, covariance)
+    verdict, unseen = document.get("verdict", "ok"), document.get("not_protected", [])
+    if verdict not in get_args(Verdict):
+        raise ValueError(f"verdict: {verdict!r:.60} is none of {', '.join(get_args(Verdict))}")
+    if not isinstance(unseen, list):
+        raise ValueError(f"not_protected: expected a list of effects, found {unseen!r:.60}")
+    effects = tuple(map(str, unseen))
+    return replace(curves, covariance=covariance, verdict=verdict, not_protected=effects)
 
 
 def _by_component(
     document: Mapping[str, Any], entry: str, shape: tuple[int, ...]
 ) -> dict[str, Floats]:
     """Return an array of ``shape`` for each component in an entry."""
+    if not isinstance(document[entry], Mapping):
+        raise ValueError(f"{entry}: expected values by component")
     columns = {
         name: _numbers(f"{entry}.{name}", values)
         for name, values in document[entry].items()
