@@ -99,8 +99,9 @@ class Standing:
     """What one entry makes of one method: a row of the leaderboard.
 
     ``quantity`` is rotations or translations; ``rms``, ``largest`` and ``rms_plain`` (of what no
-    effect has spoiled, None without such) are in ``unit``. ``held_ok`` is the share of the
-    intervals that hold the truth, of all results that say ok; None if none says so.
+    effect has spoiled, None without such) are in ``unit``. ``ok`` curves say ok;
+    ``held`` is the share of their intervals that hold the truth, without those that name the
+    effect, None if there are none.
     ``misleading`` and ``named`` count curves that say ok and are wrong by more than U, without and
     with the effect named; ``alarms`` those that do not say ok and are right.
     """
@@ -114,7 +115,7 @@ class Standing:
     rms: float
     largest: float
     ok: int
-    held_ok: float | None
+    held: float | None
     misleading: int
     named: int
     alarms: int
@@ -122,7 +123,7 @@ class Standing:
     @property
     def row(self) -> tuple[str | float | None, ...]:
         """The cells below :data:`HEADINGS`."""
-        share = None if self.held_ok is None else 100.0 * self.held_ok
+        share = None if self.held is None else 100.0 * self.held
         return (
             self.method, self.entry, f"{self.quantity}/{self.unit}", self.curves, self.rms_plain,
             self.rms, self.largest, self.ok, share, self.misleading, self.named, self.alarms,
@@ -131,7 +132,7 @@ class Standing:
 
 HEADINGS: Final = (
     "method", "entry", "errors of", "curves", "plain rms", "rms", "largest", "say ok",
-    "of these hold/%", "mislead", "named", "alarms",
+    "hold/%", "mislead", "named", "alarms",
 )  # fmt: skip
 FORMATS: Final = ("", "", "", "d", ".3g", ".3g", ".3g", "d", ".1f", "d", "d", "d")
 
@@ -307,7 +308,7 @@ def standings(scores: Iterable[Score]) -> tuple[Standing, ...]:
 
 def _standing(method: str, quantity: str, entry: str, scores: list[Score]) -> Standing:
     factor, unit = unit_of(scores[0].component)
-    ok = [score for score in scores if score.says_ok]
+    claims = [score for score in scores if score.says_ok and not score.named]
     plain = [score for score in scores if score.effect == NO_EFFECT]
     return Standing(
         method=method,
@@ -318,8 +319,8 @@ def _standing(method: str, quantity: str, entry: str, scores: list[Score]) -> St
         rms_plain=_rms(plain) / factor if plain else None,
         rms=_rms(scores) / factor,
         largest=max(score.largest for score in scores) / factor,
-        ok=len(ok),
-        held_ok=sum(s.held for s in ok) / sum(s.n for s in ok) if ok else None,
+        ok=sum(score.says_ok for score in scores),
+        held=sum(s.held for s in claims) / sum(s.n for s in claims) if claims else None,
         misleading=sum(score.misleads for score in scores),
         named=sum(score.says_ok and not score.agree and score.named for score in scores),
         alarms=sum(not score.says_ok and score.agree for score in scores),

@@ -87,8 +87,8 @@ def test_the_leaderboard_has_the_best_first_and_knows_what_is_plain(tmp_path):
     assert (first.entry, second.entry) == ("good", "poor")
     assert first.rms_plain == pytest.approx(np.sqrt(0.5))
     assert first.rms == pytest.approx(np.sqrt((0.5 + 2.0) / 2.0))
-    assert (first.curves, first.ok, first.held_ok, first.unit) == (2, 1, 1.0, "arcsec")
-    assert second.held_ok == 0.5
+    assert (first.curves, first.ok, first.held, first.unit) == (2, 1, 1.0, "arcsec")
+    assert second.held == 0.5
 
 
 def test_an_angle_that_is_left_out_holds_nothing(tmp_path):
