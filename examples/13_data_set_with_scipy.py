@@ -21,8 +21,8 @@ with AnyReader([CASE / "bag"]) as reader:
             steps.append({"angle": message.angle, "rest": np.inf, "lengths": []})
         elif topic == "/cell/probe_target":
             steps[-1] |= {"target": message.target, "place": message.position}
-        elif topic == "/cell/probe_point":
-            steps[-1]["rest"] = stamp + 0.1
+        elif topic == "/cell/probe_point" or abs(getattr(message, "velocity", [0.0])[0]) > 1e-3:
+            steps[-1] |= {"rest": stamp + 0.2, "lengths": []}
         elif topic == "/cell/tracer_length" and message.status == 1 and stamp > steps[-1]["rest"]:
             steps[-1]["lengths"].append(message.length)
 angles, station = np.unique([step["angle"] for step in steps], return_inverse=True)

@@ -89,11 +89,12 @@ linear equations only. *paper*: the recipe that the paper prints (tracer: statio
 plate: the closed form, which is the mean of a whole plate; mirror: registration), without a
 verdict. A *curve* is one component of one measurement. Errors are arcsec for rotations and um for
 translations; *rms* is over all cases, *plain rms* over those with nothing wrong. *say ok*: curves
-whose result says ok, or says nothing; *hold*: their intervals (U, k = 2) that hold the truth, where
-95.4 % should, without curves that name the effect. *mislead*: they say ok, name no reason, and more
-intervals fail than chance explains (one sound curve of a hundred does); *named*: the same, but the
-verdict line names the effect; *alarms*: not ok, and right. The plain equations know no axis that
-leans against the machine's z: *scipy* and *closed_form* pay for it in the cases gauge."""
+whose result says ok, or says nothing; *hold*: their intervals (U, k = 2) that hold the truth,
+where 95.4 % should, without curves that name the effect. *mislead*: they say ok, name no reason,
+and more intervals fail than chance explains (one sound curve of a hundred does); *named*: the
+same, but the verdict line names the effect; *alarms*: not ok, and right. The plain equations know
+no axis that leans against the machine's z: *scipy* and *closed_form* pay for it in the cases
+gauge."""
 
 
 def main() -> int:

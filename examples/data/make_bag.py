@@ -85,7 +85,8 @@ def write_bag(folder, configuration, timed=None):
         timed = ((record.stamp_ns, record) for record in moved)
     rows = [(time, *message) for time, record in timed for message in messages(record)]
     settings = WriterSettings(min_free_bytes=0)
-    with BagWriter(folder, settings, ros_distro="kilted") as writer:
+    # With a clock that stands still the bag is the same whenever it is made.
+    with BagWriter(folder, settings, ros_distro="kilted", clock=lambda: START_NS) as writer:
         writer.attach(names.CONFIGURATION, "application/yaml", configuration.text.encode())
         channels = {
             topic: writer.channel(

@@ -119,4 +119,4 @@ def test_without_noise_the_streams_are_those_of_the_simulated_table(plan):
     result, truth = calibration.solve(observations), seen_truth(calibration)
     for name, found in result.deviations.items():
         error = found - truth[name]
-        assert np.abs(error - error.mean()).max() < 2.0 * result.std[name].max()
+        assert np.abs(error - error.mean()).max() < 4.0 * result.std[name].max()
