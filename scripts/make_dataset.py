@@ -76,7 +76,6 @@ MEASURED = {"tracer": ("ECC",), "plane_mirror": ("ECC",)}
 """Plan -> the components that its method measures, where these are not all six."""
 CASES = 100
 """Seeds from one measurement of a case to the next; every case has noise of its own."""
-XYZ = ("x_m", "y_m", "z_m")
 PAPERS = {
     "tracer": "solver.variant=station",
     "ball_plate": "solver.variant=closed_form",
@@ -216,44 +215,41 @@ def slim(result: Result, *also: str) -> dict[str, Any]:
 
 
 def write_tables(case: Path, method: str, observations: Sequence[Observation]) -> None:
-    """Write the plain tables of docs/recording.md, to 0.1 nm."""
+    """Write the plain tables of docs/recording.md."""
     used = [o for o in observations if o.accepted]
-    if method == "tracer_multistation":
+    rows: list[tuple[Any, ...]]
+    if method == "plane_mirror":
+        rows = [(_position(o), o.station, o.kind.name.lower(), o.target, *o.mean) for o in used]
+        write_lengths(case / "tracker.csv", "position,tracker_station,kind,nest,x_m,y_m,z_m", rows)
+        return
+    if method == "ball_plate":
         rows = [(o.table_position, o.target, *o.mean) for o in used]
-        write_rows(case / "lengths.csv", ("position", "target", "length_m"), rows)
-    elif method == "tracer_six":
-        header = ("place", "position", "target", "length_m", "segment")
-        six = [(o.station, o.table_position, o.target, *o.mean, o.segment) for o in used]
-        write_rows(case / "lengths.csv", header, six)
-    elif method == "ball_plate":
-        balls = [(o.table_position, o.target, *o.mean) for o in used]
-        write_rows(case / "balls.csv", ("position", "ball_step", *XYZ), balls)
+        write_lengths(case / "balls.csv", "position,ball_step,x_m,y_m,z_m", rows)
+        return
+    if method == "tracer_six":
+        rows = [(o.station, o.table_position, o.target, *o.mean, o.segment) for o in used]
+        write_lengths(case / "lengths.csv", "place,position,target,length_m,segment", rows)
     else:
-        seen = [
-            (
-                "" if o.kind is PointKind.NEST else o.table_position,
-                o.station, o.kind.name.lower(), o.target, *o.mean,
-            )
-            for o in used
-        ]  # fmt: skip
-        write_rows(
-            case / "tracker.csv", ("position", "tracker_station", "kind", "nest", *XYZ), seen
-        )
-    if method.startswith("tracer"):
-        targets = sorted({(o.target, *o.probe_position) for o in used})
-        nominal = {number: place for number, *place in targets}
-        rows = [(number, *(round(x, 4) for x in place)) for number, place in nominal.items()]
-        write_rows(case / "targets.csv", ("target", *XYZ), rows)
+        rows = [(o.table_position, o.target, *o.mean) for o in used]
+        write_lengths(case / "lengths.csv", "position,target,length_m", rows)
+    targets = sorted({(o.target, *o.probe_position) for o in used})
+    write_lengths(case / "targets.csv", "target,x_m,y_m,z_m", targets)
+
+
+def _position(observation: Observation) -> int | str:
+    return "" if observation.kind is PointKind.NEST else observation.table_position
+
+
+def write_lengths(path: Path, header: str, rows: Iterable[Iterable[Any]]) -> None:
+    """Write a table with lengths to 0.1 nm."""
+    shown = ([f"{x:.10f}" if isinstance(x, float) else x for x in row] for row in rows)
+    write_rows(path, header.split(","), shown)
 
 
 def write_rows(path: Path, header: Sequence[str], rows: Iterable[Iterable[Any]]) -> None:
-    """Write a table, lengths to 0.1 nm."""
-    exact = path.name in ("results.csv", "leaderboard.csv")
+    """Write a table, numbers with all digits."""
     with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        for row in rows:
-            writer.writerow(f"{x:.10f}" if isinstance(x, float) and not exact else x for x in row)
+        csv.writer(file, lineterminator="\n").writerows([header, *rows])
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:

@@ -11,13 +11,10 @@ import pytest
 
 import rotcal_ros as rc
 from rotcal_ros.evaluation.truth_scores import NO_EFFECT, score_folder
-from rotcal_ros.methods import prepare
-from rotcal_ros.methods.simulated_run import disturbed, seen_truth, simulated_run
 
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[2]
-PLANS = {path.stem: path for path in (ROOT / "scripts" / "data_set").glob("*.yaml")}
 FEW = (
     "--method",
     "tracer",
@@ -105,18 +102,3 @@ def test_the_readme_is_enough_for_scipy_alone(made, warm):
     difference = mine - ours
     assert np.abs(difference - difference.mean()).max() < 0.3 * rc.ARCSEC
     (case / "result_mine.json").unlink()
-
-
-@pytest.mark.parametrize("plan", PLANS)
-def test_without_noise_the_streams_are_those_of_the_simulated_table(plan):
-    calibration = prepare(rc.read_configuration(PLANS[plan]))
-    nominal = calibration.nominal_observations()
-    still = type(calibration.measured({}, 1))(nominal, {})
-    events = list(simulated_run(calibration))
-    same = disturbed(events, calibration, still)
-    assert all(a.what == b.what for a, b in zip(events, same, strict=True))
-    observations = [o for event in events for o in event.observed]
-    result, truth = calibration.solve(observations), seen_truth(calibration)
-    for name, found in result.deviations.items():
-        error = found - truth[name]
-        assert np.abs(error - error.mean()).max() < 4.0 * result.std[name].max()
