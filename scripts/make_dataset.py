@@ -35,8 +35,8 @@ from rotcal_ros.evaluation.truth_scores import (
     HEADINGS,
     NO_EFFECT,
     Score,
+    leaderboard,
     score_folder,
-    standings,
 )
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import RotcalError
@@ -131,7 +131,7 @@ def make(
                 bench.write(case, effect, size, CASES * seed + number)
     scores = score_folder(folder)
     write_rows(folder / "results.csv", [*asdict(scores[0])], (asdict(s).values() for s in scores))
-    rows = [row.row for row in standings(scores)]
+    rows = [row.row for row in leaderboard(scores)]
     write_rows(folder / "leaderboard.csv", HEADINGS, rows)
     write_readme(folder, scores)
     sums = [
@@ -296,13 +296,16 @@ def found(scores: Sequence[Score]) -> str:
     """Return the leaderboard, its legend, and what misleads, for a page."""
     rows = [
         [format(x, f) if x is not None else "" for x, f in zip(row.row, FORMATS, strict=True)]
-        for row in standings(scores)
+        for row in leaderboard(scores)
     ]
     table = [HEADINGS, ["---"] * len(HEADINGS), *rows]
     board = "\n".join(f"| {' | '.join(cells)} |" for cells in table)
-    own = [score.in_words() for score in scores if score.misleads and score.entry == "rotcal"]
-    words = "\n".join(f"* {text}" for text in own) or "* none"
-    return f"{board}\n\n{LEGEND}\n\nCurves of *rotcal* that mislead:\n\n{words}\n"
+    own = [s for s in scores if s.entry == "rotcal" and s.says_ok and not s.agree]
+    words = "\n".join(f"* {score.in_words()}" for score in own) or "* none"
+    return (
+        f"{board}\n\n{LEGEND}\n\nCurves of *rotcal* that say ok and are wrong by more than U, with "
+        f"the effect named or not:\n\n{words}\n"
+    )
 
 
 if __name__ == "__main__":

@@ -95,16 +95,16 @@ def command(
 def _scored(folder: Path, *, as_json: bool) -> int:
     from dataclasses import asdict
 
-    from rotcal_ros.evaluation.truth_scores import score_folder, standings
+    from rotcal_ros.evaluation.truth_scores import leaderboard, score_folder
 
     scores = score_folder(folder)
     if as_json:
-        rows = {"scores": scores, "standings": standings(scores)}
-        print_json({name: [asdict(row) for row in found] for name, found in rows.items()})
+        rows = [asdict(row) for row in leaderboard(scores)]
+        print_json({"scores": [asdict(score) for score in scores], "leaderboard": rows})
     else:
-        from rotcal_ros.report.terminal.tables import print_standings
+        from rotcal_ros.report.terminal.tables import print_leaderboard
 
-        print_standings(standings(scores), [s.in_words() for s in scores if s.misleads])
+        print_leaderboard(leaderboard(scores), [s.in_words() for s in scores if s.misleads])
     return int(any(score.misleads for score in scores))
 
 

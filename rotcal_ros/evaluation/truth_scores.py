@@ -95,7 +95,7 @@ class Score:
 
 
 @dataclass(frozen=True)
-class Standing:
+class LeaderboardRow:
     """What one entry makes of one method: a row of the leaderboard.
 
     ``quantity`` is rotations or translations; ``rms``, ``largest`` and ``rms_plain`` (of what no
@@ -296,21 +296,21 @@ def _numbers(where: str, values: Any) -> Floats:
     return numbers.astype(np.float64)
 
 
-def standings(scores: Iterable[Score]) -> tuple[Standing, ...]:
+def leaderboard(scores: Iterable[Score]) -> tuple[LeaderboardRow, ...]:
     """Return the leaderboard: the rows of one method together, the smallest rms first."""
     groups: dict[tuple[str, str, str], list[Score]] = {}
     for score in scores:
         quantity = "rotations" if score.component in ROTATIONS else "translations"
         groups.setdefault((score.method, quantity, score.entry), []).append(score)
-    rows = [_standing(*key, group) for key, group in groups.items()]
+    rows = [_row(*key, group) for key, group in groups.items()]
     return tuple(sorted(rows, key=lambda row: (row.method, row.quantity, row.rms)))
 
 
-def _standing(method: str, quantity: str, entry: str, scores: list[Score]) -> Standing:
+def _row(method: str, quantity: str, entry: str, scores: list[Score]) -> LeaderboardRow:
     factor, unit = unit_of(scores[0].component)
     claims = [score for score in scores if score.says_ok and not score.named]
     plain = [score for score in scores if score.effect == NO_EFFECT]
-    return Standing(
+    return LeaderboardRow(
         method=method,
         entry=entry,
         quantity=quantity,

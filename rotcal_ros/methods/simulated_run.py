@@ -8,14 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from rotcal_ros.capture.air import AirSample
 from rotcal_ros.capture.capture import Observations, Record
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.observations import Command, PointKind, ProbeSample, TracerSample
+from rotcal_ros.foundation.observations import (
+    PointKind,
+    ProbeSample,
+    TableSample,
+    TracerSample,
+)
 from rotcal_ros.methods.calibration import Calibration
 from rotcal_ros.methods.disturbance import DisturbedMeasurement
 from rotcal_ros.methods.simulation.cell import SimulatedCell
@@ -26,6 +32,8 @@ _MOST_SLICES = 18_000
 """After one hour at a step something is missing."""
 _BY_A_TRACKER = (PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST)
 
+Sample: TypeAlias = TracerSample | TableSample | ProbeSample | AirSample
+
 
 class Event(NamedTuple):
     """An order, or what an instrument sent, at ``time_ns`` while a step was measured.
@@ -35,7 +43,7 @@ class Event(NamedTuple):
 
     time_ns: int
     step: int
-    what: Command | Record
+    what: Record
     observed: Observations = ()
 
 
@@ -67,7 +75,7 @@ def simulated_run(calibration: Calibration, start_ns: int = 0) -> Iterator[Event
             )
 
 
-def _delivered(cell: SimulatedCell) -> tuple[Record, ...]:
+def _delivered(cell: SimulatedCell) -> tuple[Sample, ...]:
     """Let a little time pass and return the records that the instruments deliver meanwhile."""
     out = cell.advance(_SLICE_S)
     return (*out.temperature, *out.air, *out.table, *out.tracer, *out.probe)

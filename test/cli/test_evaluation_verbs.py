@@ -318,7 +318,7 @@ def test_results_are_scored_against_the_truth(case):
         ("result", "ECC"): True, ("result", "EXC"): True, ("bad", "ECC"): False,
         ("bad", "EXC"): True,
     }  # fmt: skip
-    assert {(row["entry"], row["quantity"], row["misleading"]) for row in told["standings"]} == {
+    assert {(row["entry"], row["quantity"], row["misleading"]) for row in told["leaderboard"]} == {
         ("result", "rotations", 0), ("result", "translations", 0), ("bad", "rotations", 1),
         ("bad", "translations", 0),
     }  # fmt: skip

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from rotcal_ros.evaluation.truth_scores import score_folder, standings
+from rotcal_ros.evaluation.truth_scores import leaderboard, score_folder
 from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.units import ARCSEC
 
@@ -69,7 +69,7 @@ def test_who_says_ok_and_is_wrong_misleads_unless_the_effect_is_named(tmp_path):
     scores = {score.entry: score for score in score_folder(tmp_path)}
     misleading = {entry for entry, score in scores.items() if score.misleads}
     assert misleading == {"silent", "other"}
-    rows = {row.entry: row for row in standings(scores.values())}
+    rows = {row.entry: row for row in leaderboard(scores.values())}
     counts = {name: (row.misleading, row.named, row.alarms) for name, row in rows.items()}
     assert counts == {
         "silent": (1, 0, 0), "named": (0, 1, 0), "other": (1, 0, 0), "suspect": (0, 0, 0),
@@ -83,7 +83,7 @@ def test_who_says_ok_and_is_wrong_misleads_unless_the_effect_is_named(tmp_path):
 def test_the_leaderboard_has_the_best_first_and_knows_what_is_plain(tmp_path):
     write_case(tmp_path / "a", good=result((0.0, 1.0, 0.0, -1.0)), poor=result((0, 3, 0, -3)))
     write_case(tmp_path / "b", "drift", good=result((0.0, 2.0, 0.0, -2.0), verdict="suspect"))
-    first, second = standings(score_folder(tmp_path))
+    first, second = leaderboard(score_folder(tmp_path))
     assert (first.entry, second.entry) == ("good", "poor")
     assert first.rms_plain == pytest.approx(np.sqrt(0.5))
     assert first.rms == pytest.approx(np.sqrt((0.5 + 2.0) / 2.0))
