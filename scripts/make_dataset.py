@@ -19,6 +19,7 @@ from dataclasses import asdict
 from functools import partial
 from itertools import product
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -301,10 +302,11 @@ def found(scores: Sequence[Score]) -> str:
     table = [HEADINGS, ["---"] * len(HEADINGS), *rows]
     board = "\n".join(f"| {' | '.join(cells)} |" for cells in table)
     own = [s for s in scores if s.entry == "rotcal" and s.says_ok and not s.agree]
-    words = "\n".join(f"* {score.in_words()}" for score in own) or "* none"
+    lines = [fill(f"* {score.in_words()}", 98, subsequent_indent="  ") for score in own]
+    words = "\n".join(lines) or "* none"
     return (
-        f"{board}\n\n{LEGEND}\n\nCurves of *rotcal* that say ok and are wrong by more than U, with "
-        f"the effect named or not:\n\n{words}\n"
+        f"{board}\n\n{LEGEND}\n\nCurves of *rotcal* that say ok and are wrong by more than U, "
+        f"with the effect named or not:\n\n{words}\n"
     )
 
 
