@@ -81,7 +81,7 @@ def start_values(problem):
     placed = turns.apply(problem.xyz) + poses[problem.station, 3:]
     normals = placed[direct] - placed[mirrored]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    frame = axis_frame(problem, normals, problem.position[direct[-1]])
+    frame = axis_frame(normals, problem.angles[problem.position[direct]])
     height = np.einsum("ij,ij->i", normals, 0.5 * (placed[direct] + placed[mirrored]))
     distance = np.array([height[problem.position[direct] == i].mean() for i in range(n)])
     places = np.array([placed[nest][nest_index == k].mean(0) for k in range(len(names))])
@@ -107,12 +107,12 @@ def station_poses(problem, nest):
     return np.array(poses)
 
 
-def axis_frame(problem, normals, last):
+def axis_frame(normals, angles):
     """Frame (3, 3) with the table's axis as z, x towards the first of the mirror's normals."""
     _, _, vt = np.linalg.svd(normals - normals.mean(0))
     axis = vt[2]
-    turned = np.cross(normals[0], normals[-1]) @ axis
-    if turned * np.sin(problem.angles[last] - problem.angles[0]) < 0:
+    turned = np.cross(normals[0], normals) @ axis
+    if turned @ np.sin(angles - angles[0]) < 0:
         axis = -axis
     e2 = np.cross(axis, normals[0])
     e2 /= np.linalg.norm(e2)

@@ -4,21 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-import numpy as np
-
-from rotcal_ros.capture.capture import Observations, Record
+from rotcal_ros.capture.capture import Record
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.foundation.observations import Command, Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods.calibration import prepare
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.simulation.cell import SimulatedCell
-from rotcal_ros.methods.simulation.table import true_deviations
-
-_SLICE_S = 0.2
-_MOST_SLICES = 18_000
-"""After one hour at a step something is missing."""
+from rotcal_ros.methods.simulated_run import seen_truth, simulated_run
 
 
 def capture_records(
@@ -54,7 +47,8 @@ def simulate_records(configuration: Configuration) -> Iterator[Record]:
     'TemperatureSample'
     """
     _require_simulation(configuration)
-    return (record for record, _ in _simulated(configuration))
+    run = simulated_run(prepare(configuration))
+    return (event.what for event in run if not isinstance(event.what, Command))
 
 
 def simulate_observations(configuration: Configuration) -> tuple[Observation, ...]:
@@ -70,7 +64,7 @@ def simulate_observations(configuration: Configuration) -> tuple[Observation, ..
     (78, True)
     """
     _require_simulation(configuration)
-    return tuple(found for _, observed in _simulated(configuration) for found in observed)
+    return tuple(o for event in simulated_run(prepare(configuration)) for o in event.observed)
 
 
 def simulated_truth(configuration: Configuration) -> dict[str, Floats]:
@@ -85,11 +79,7 @@ def simulated_truth(configuration: Configuration) -> dict[str, Floats]:
     0.0
     """
     _require_simulation(configuration)
-    calibration = prepare(configuration)
-    angles = np.array(calibration.plan.distinct_angles)
-    return calibration.method.gauge(
-        angles, true_deviations(configuration.simulation.table, angles)
-    )
+    return seen_truth(prepare(configuration))
 
 
 def solve(observations: Iterable[Observation], configuration: Configuration) -> Result:
@@ -115,33 +105,3 @@ def _require_simulation(configuration: Configuration) -> None:
             f"{configuration.source} has no group 'simulation': it describes a real cell; add "
             "the group (it may be empty: simulation: {}) to simulate one"
         )
-
-
-def _simulated(configuration: Configuration) -> Iterator[tuple[Record, Observations]]:
-    """Yield every record of the simulated cell with the observations that it completes."""
-    calibration = prepare(configuration)
-    cell = calibration.method.simulated_cell(configuration.simulation)
-    capture = calibration.capture()
-    for step in calibration.plan.steps:
-        command = step.command(0)
-        cell.order_table(command)
-        cell.order_probe(command)
-        observed: Observations = ()
-        for _ in range(_MOST_SLICES):
-            for record in _delivered(cell):
-                found = capture.feed(record)
-                observed += found
-                yield record, found
-            if observed:
-                break
-        else:
-            raise ConfigurationError(
-                f"{configuration.source}: the simulated cell does not finish step {step.index} "
-                "within an hour; an external table or silent instruments cannot be simulated alone"
-            )
-
-
-def _delivered(cell: SimulatedCell) -> tuple[Record, ...]:
-    """Let a little time pass and return the records that the instruments deliver meanwhile."""
-    out = cell.advance(_SLICE_S)
-    return (*out.temperature, *out.air, *out.table, *out.tracer, *out.probe)

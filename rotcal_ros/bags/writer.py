@@ -52,7 +52,8 @@ class BagWriter:
     the lock on its folder. Data are on disk after :meth:`sync`; :meth:`tick` calls it when the
     interval has passed. When the disk fails, or somebody else deletes, replaces or cuts a file of
     the bag, the file is closed at its last whole record and BagError is raised. The caller
-    serialises the calls.
+    serialises the calls. ``clock`` tells in ns when something is attached: with a clock that
+    stands, the same calls write the same bytes.
     """
 
     def __init__(
@@ -62,12 +63,13 @@ class BagWriter:
         *,
         earlier: Sequence[FileInfo] | None = None,
         ros_distro: str = "",
+        clock: Callable[[], int] = time.time_ns,
     ) -> None:
         self.folder = folder.absolute()
         self.settings = settings or WriterSettings()
         self.files: list[FileInfo] = list(earlier or ())
         self.closed = False
-        self._ros_distro = ros_distro
+        self._ros_distro, self._clock = ros_distro, clock
         self._channels: dict[int, ChannelDefinition] = {}
         self._attachments: list[Attached] = []
         self._notes: dict[str, dict[str, str]] = {}
@@ -98,7 +100,7 @@ class BagWriter:
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Put ``data`` beside the messages, in this file and in every later one."""
-        attached = Attached(name, media_type, data, time.time_ns())
+        attached = Attached(name, media_type, data, self._clock())
         self._attachments.append(attached)
         self.attach_once(attached)
 
@@ -234,7 +236,7 @@ class BagWriter:
 
     def _begin_file(self) -> None:
         name = f"{self.folder.name}_{len(self.files)}.mcap"
-        file = McapFile(self.folder / name, self.settings.chunk_bytes)
+        file = McapFile(self.folder / name, self.settings.chunk_bytes, self._clock)
         self._open_files.append(file)
         self.files.append(FileInfo(name))
         self._watched.watch(file.path)
@@ -436,8 +438,8 @@ class McapFile:
     All methods raise OSError if the disk fails: then only :meth:`abandon` is left to do.
     """
 
-    def __init__(self, path: Path, chunk_bytes: int) -> None:
-        self.path = path
+    def __init__(self, path: Path, chunk_bytes: int, clock: Callable[[], int]) -> None:
+        self.path, self._clock = path, clock
         self._file = DurableFile(path)
         self._writer = Writer(
             self._file,  # type: ignore[arg-type]
@@ -525,5 +527,5 @@ class McapFile:
     def _describe(self) -> None:
         """Put new definitions beside the chunks, before the first message that needs them."""
         data = dump_definitions(self._undescribed)
-        self.attach(Attached(names.DEFINITIONS, "application/json", data, time.time_ns()))
+        self.attach(Attached(names.DEFINITIONS, "application/json", data, self._clock()))
         self._undescribed.clear()

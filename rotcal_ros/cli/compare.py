@@ -24,11 +24,16 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("sources", nargs=-1, required=True, type=path_type, metavar="A B [C ...]")
+@click.argument("sources", nargs=-1, required=True, type=path_type, metavar="A B [C ...] | FOLDER")
 @polygon_option
 @reference_option
 @component_option
 @align_option
+@click.option(
+    "--truth",
+    is_flag=True,
+    help="Score the results in one FOLDER against the truth.json beside each.",
+)
 @click.option(
     "-o",
     "--output",
@@ -42,6 +47,7 @@ def command(
     reference_std: float | None,
     component: str,
     align_order: int,
+    truth: bool,
     output: Path | None,
     as_json: bool,
 ) -> int:
@@ -52,7 +58,17 @@ def command(
     them. Correlations between results of the same data are taken into account. The offset, which
     no method can determine, is removed. The exit code is 1 if a pair disagrees by more than chance
     explains, judged by |E_n| at single angles and at all angles together.
+
+    With --truth every result.json and result_NAME.json beside a truth.json in FOLDER or below is
+    scored, for the open data set and for simulated sessions: errors, intervals that hold the
+    truth, and verdicts. The exit code is 1 if one says ok, does not name what spoiled it, and is
+    wrong by more than its U.
     """
+    if truth:
+        others = polygon, output, align_order, reference_std is not None, component != "ECC"
+        if len(sources) > 1 or any(others):
+            raise click.UsageError("--truth takes one FOLDER, and of the options --json alone")
+        return _scored(sources[0], as_json=as_json)
     from rotcal_ros.evaluation.compare import compare_all
 
     if len(set(sources)) < len(sources):
@@ -74,6 +90,22 @@ def command(
 
         print_comparisons(comparisons, component)
     return int(not all(c.agree for c in comparisons.values()))
+
+
+def _scored(folder: Path, *, as_json: bool) -> int:
+    from dataclasses import asdict
+
+    from rotcal_ros.evaluation.truth_scores import leaderboard, score_folder
+
+    scores = score_folder(folder)
+    if as_json:
+        rows = [asdict(row) for row in leaderboard(scores)]
+        print_json({"scores": [asdict(score) for score in scores], "leaderboard": rows})
+    else:
+        from rotcal_ros.report.terminal.tables import print_leaderboard
+
+        print_leaderboard(leaderboard(scores), [s.in_words() for s in scores if s.misleads])
+    return int(any(score.misleads for score in scores))
 
 
 def _read(

@@ -295,3 +295,51 @@ def test_the_uncertainty_of_a_simulation_says_that_nothing_was_measured():
                  "--trials", "50", "--workers", "1"],
     )  # fmt: skip
     assert "SIMULATED: no instrument measured this" in found.stderr
+
+
+@pytest.fixture
+def case(tmp_path):
+    """Return the folder of a measurement with its truth, and results that are right and wrong."""
+    degrees = np.arange(0, 360, 45)
+    deviations = {"ECC": (ARCSEC * truth(degrees)).tolist(), "EXC": [0.0] * 8}
+    true = {"schema": 1, "angles_rad": np.deg2rad(degrees).tolist(), "deviations": deviations}
+    (tmp_path / "truth.json").write_text(json.dumps({**true, "effect": "drift"}))
+    result_file(tmp_path / "result.json", degrees, truth(degrees))
+    result_file(tmp_path / "result_bad.json", degrees, truth(degrees) + 3.0 * np.cos(degrees))
+    return tmp_path
+
+
+def test_results_are_scored_against_the_truth(case):
+    done = run("compare", case, "--truth", "--json")
+    assert done.exit_code == 1
+    told = json.loads(done.stdout)
+    right = {(s["entry"], s["component"]): s["agree"] for s in told["scores"]}
+    assert right == {
+        ("result", "ECC"): True, ("result", "EXC"): True, ("bad", "ECC"): False,
+        ("bad", "EXC"): True,
+    }  # fmt: skip
+    assert {(row["entry"], row["quantity"], row["misleading"]) for row in told["leaderboard"]} == {
+        ("result", "rotations", 0), ("result", "translations", 0), ("bad", "rotations", 1),
+        ("bad", "translations", 0),
+    }  # fmt: skip
+
+
+def test_the_leaderboard_is_one_table_and_what_misleads_a_sentence(case):
+    done = run("compare", case, "--truth")
+    head, *rows = done.stdout.splitlines()
+    assert head.startswith("method,entry,errors of,curves,plain rms,rms,largest,say ok,")
+    assert len(rows) == 4
+    assert "bad: ECC is off by up to" in done.stderr
+    (case / "result_bad.json").unlink()
+    assert run("compare", case, "--truth").exit_code == 0
+
+
+def test_truth_takes_one_folder_and_no_other_option(case, tmp_path):
+    for also in ([case / "result.json"], ["--align-order", "1"], ["--reference-u", "1"]):
+        done = run("compare", case, *also, "--truth")
+        assert done.exit_code == 2
+        assert "--truth takes one FOLDER" in done.stderr
+    (case / "truth.json").unlink()
+    done = run("compare", case, "--truth")
+    assert done.exit_code == 2
+    assert "there is no truth.json in it or below" in done.stderr

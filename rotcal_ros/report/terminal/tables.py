@@ -27,6 +27,7 @@ if TYPE_CHECKING:  # a result is printed without what compares and combines
     from rotcal_ros.evaluation.component_groups import ComponentGroup
     from rotcal_ros.evaluation.monte_carlo import Propagated
     from rotcal_ros.evaluation.quick_check import QuickCheck
+    from rotcal_ros.evaluation.truth_scores import LeaderboardRow
 
 
 def print_result(result: Result) -> None:
@@ -93,6 +94,21 @@ def print_comparisons(comparisons: Mapping[tuple[str, str], Comparison], compone
             *(f"note: {note}" for note in c.notes),
             f"{first} - {second}: {c.in_words(unit, label)}",
         )
+
+
+def print_leaderboard(leaderboard: Sequence[LeaderboardRow], misleading: Sequence[str]) -> None:
+    """Print the leaderboard of results against the truth, and what misleads, in words."""
+    from rotcal_ros.evaluation.truth_scores import FORMATS, HEADINGS
+
+    columns = zip(
+        HEADINGS, zip(*(row.row for row in leaderboard), strict=True), FORMATS, strict=True
+    )
+    print_table([Column(*column) for column in columns])
+    print_words(
+        *(f"misleads: {text}" for text in misleading),
+        f"{len(misleading)} curves mislead: they say ok, name no reason, and are wrong by more "
+        "than U",
+    )
 
 
 def print_check(check: QuickCheck, component: str) -> None:
