@@ -80,5 +80,5 @@ def _of_extension(name):
 
 
 def __dir__():
-    """Return the names of the interface and those that are loaded."""
-    return sorted({*globals(), *__all__})
+    """Return the names of the interface, and nothing else."""
+    return __all__

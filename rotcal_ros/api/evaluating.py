@@ -26,7 +26,12 @@ from rotcal_ros.methods.measurements import PlannedMeasurements
 from rotcal_ros.methods.method import Measurements
 from rotcal_ros.planning.check_rule import RISK, CheckRule
 from rotcal_ros.recordings.replay import Recording
-from rotcal_ros.recordings.result_sources import read_curve, read_measured, read_repeated_runs
+from rotcal_ros.recordings.result_sources import (
+    ResultSource,
+    read_curve,
+    read_measured,
+    read_repeated_runs,
+)
 
 Curve = Result | MeasuredCurve | Name
 
@@ -151,11 +156,14 @@ def uncertainty(
     return propagated(_measured(source), trials=trials, digits=digits, seed=seed, workers=workers)
 
 
-def write_report(recording: Recording, path: Name, truth: Mapping[str, Any] | None = None) -> Path:
-    """Write the self-contained HTML report of a recording and return its path.
+def write_report(
+    source: Recording | Measurements | Result, path: Name, truth: Mapping[str, Any] | None = None
+) -> Path:
+    """Write the self-contained HTML report of a recording, a table or a result; return its path.
 
-    ``truth`` is the content of the truth.json of a simulation, SI. Raises BagError when the page
-    cannot be written, DataError when the recording cannot be solved.
+    A recording or a table, of :func:`read_table`, is solved. ``truth`` is the content of the
+    truth.json of a simulation, SI. Raises BagError when the page cannot be written, DataError when
+    the source cannot be solved.
 
     >>> import tempfile
     >>> import rotcal_ros as rc
@@ -165,9 +173,12 @@ def write_report(recording: Recording, path: Name, truth: Mapping[str, Any] | No
     'report.html'
     """
     # Figures take a second to load.
-    from rotcal_ros.report.page import write_recorded
+    from rotcal_ros.report.page import write_measured, write_result
 
-    write_recorded(recording, Path(path), truth)
+    if isinstance(source, Result):
+        write_result(ResultSource(source, {}), Path(path), truth)
+    else:
+        write_measured(source, Path(path), truth)
     return Path(path)
 
 

@@ -36,7 +36,8 @@ PLANS: Final = "rotcal_ros.plans"
 GOALS: Final = "rotcal_ros.goals"
 """The settings of what a plan is designed for, which stand in a file of their own."""
 FUNCTIONS: Final = "rotcal_ros.functions"
-"""Names that extensions of this package add to ``import rotcal_ros``."""
+"""Functions by name: what extensions of this package add to ``import rotcal_ros``, and what
+results ask of the rooms above them."""
 CERTIFICATES: Final = "rotcal_ros.certificates"
 """The writer of certificates for ``rotcal report``."""
 KINDS: Final = {

@@ -14,14 +14,16 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
+from html import escape
 from importlib import import_module
 from typing import Any, Final, Literal, get_args
 
 import numpy as np
 
+from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.circumstances import SIMULATED, Circumstances
-from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.in_force import UNKNOWN, check_in_force
 from rotcal_ros.foundation.protection import Effect, Protection, ordered, unprotected
@@ -424,6 +426,72 @@ class Result:
     def to_json(self) -> str:
         """Return :meth:`to_dict` as JSON; every float round-trips to the last bit."""
         return json.dumps(self.to_dict(), indent=1, allow_nan=False)
+
+    def __repr__(self) -> str:
+        """Return the verdict and the size of each deviation, in a line each."""
+        first, *rest = self.summary
+        return "\n".join([f"<Result: {first}", *(f"  {line}" for line in rest)]) + ">"
+
+    def _repr_html_(self) -> str:
+        """Return the same for a notebook."""
+        first, *rest = (escape(line) for line in self.summary)
+        return f"<b>{first}</b><br>" + "<br>".join(rest)
+
+    @property
+    def summary(self) -> list[str]:
+        """The verdict, what was measured, and the size of each deviation, for people."""
+        low, high = self.angles.min() / DEGREE, self.angles.max() / DEGREE
+        said = [
+            f"{self.method}, {self.verdict_line}",
+            f"{len(self.angles)} angles from {low:g} to {high:g} deg, {self.n_observations} "
+            f"observations, {len(self.rejected)} rejected, sigma0 {self.sigma0:.3g}",
+        ]
+        for name in self.components:
+            factor, unit = unit_of(name)
+            values = self.deviations[name] / factor
+            line = f"{name} from {values.min():.4g} to {values.max():.4g} {unit}"
+            if self.verdict == "ok":
+                band = COVERAGE_FACTOR * float(self.std[name].max()) / factor
+                line += f", U (k = 2) at most {band:.2g} {unit}"
+            said.append(line)
+        more = f"{len(self.warnings)} warnings, the first: " if len(self.warnings) > 1 else ""
+        return [*said, *(f"{more}{text}" for text in self.warnings[:1])]
+
+    def plot(self, truth: Mapping[str, Any] | None = None) -> Any:
+        """Return the deviations over the angle with U (k = 2) as a figure of Matplotlib.
+
+        It has the look of the report. ``truth`` is the content of the truth.json of a simulation.
+
+        >>> import rotcal_ros as rc
+        >>> figure = rc.read_result("examples/data/result_tracer.json").plot()
+        >>> figure.axes[0].get_ylabel()
+        'ECC / arcsec'
+        """
+        return plugins.load(plugins.FUNCTIONS, "plot", "function")(self, truth)
+
+    def to_xarray(self) -> Any:
+        """Return an xarray Dataset over ``angle`` (rad), and ``again``, the same once more.
+
+        ``deviation`` and ``std`` by ``component`` and ``angle``, ``covariance`` by both angles; m
+        and rad, NaN where a covariance is not known. Only this needs xarray; without it
+        ImportError says so.
+        """
+        try:
+            xarray = import_module("xarray")
+        except ImportError as error:
+            raise ImportError("Result.to_xarray() needs xarray: pip install xarray") from error
+        names = list(self.components)
+        two, three = ("component", "angle"), ("component", "angle", "again")
+        unknown = np.full(2 * (len(self.angles),), np.nan)
+        covariance = [self.covariance.get(name, unknown) for name in names]
+        variables = {
+            "deviation": (two, np.array([self.deviations[name] for name in names])),
+            "std": (two, np.array([self.std[name] for name in names])),
+            "covariance": (three, np.array(covariance)),
+        }
+        places = {"component": names, "angle": self.angles, "again": self.angles}
+        attributes = {"method": self.method, "verdict": self.verdict, "units": "m, rad"}
+        return xarray.Dataset(variables, places, attributes)
 
     def to_dataframe(self) -> Any:
         """Return a pandas DataFrame: a row for each angle, SI, ``EXC`` with ``EXC_std`` and so on.

@@ -79,6 +79,53 @@ def test_without_pandas_a_data_frame_says_what_to_install(monkeypatch, plate):
         plate.to_dataframe()
 
 
+def test_a_dataset_has_every_component_over_the_angles(monkeypatch, plate):
+    made = SimpleNamespace(Dataset=lambda *parts: SimpleNamespace(parts=parts))
+    monkeypatch.setitem(sys.modules, "xarray", made)
+    variables, places, attributes = plate.to_xarray().parts
+    assert variables["deviation"][0] == ("component", "angle")
+    at = places["component"].index("EAC")
+    np.testing.assert_array_equal(variables["std"][1][at], plate.std["EAC"])
+    np.testing.assert_array_equal(variables["covariance"][1][at], plate.covariance["EAC"])
+    assert (len(places["angle"]), attributes["verdict"]) == (12, "ok")
+
+
+def test_a_result_says_in_a_few_lines_what_it_is(plate):
+    lines = repr(plate).splitlines()
+    assert lines[0].startswith("<Result: ball_plate, ok")
+    assert len(lines) <= 15
+    largest = np.abs(plate.deviations["ECC"]).max() / rc.ARCSEC
+    (row,) = [line for line in lines if line.strip().startswith("ECC")]
+    assert f"{largest:.4g}" in row
+    assert "U (k = 2) at most" in row
+    doubted = replace(plate, verdict="suspect", warnings=("<b>odd</b>", "more"))
+    assert "U (k" not in repr(doubted)
+    assert "2 warnings, the first: &lt;b&gt;odd" in doubted._repr_html_()
+
+
+def test_a_plot_shows_every_component_with_its_band(plate):
+    figure = plate.plot()
+    labels = {ax.get_ylabel() for ax in figure.axes}
+    assert {"EXC / µm", "ECC / arcsec"} <= labels
+    assert figure.legends[0].get_texts()[0].get_text() == "measured, with U (k = 2)"
+
+
+@pytest.mark.parametrize("source", ["bag", "table", "result"])
+def test_a_report_is_written_of_a_bag_a_table_and_a_result(source, tmp_path):
+    made = {
+        "bag": lambda: rc.read_bag(DATA / "ball_plate_bag"),
+        "table": lambda: rc.read_table(DATA / "lengths.csv", DATA / "tracer.yaml"),
+        "result": lambda: rc.read_result(DATA / "result_tracer.json"),
+    }[source]()
+    page = rc.write_report(made, tmp_path / "report.html").read_text()
+    assert "Calibration report of a rotary table" in page
+    assert "<svg" in page
+
+
+def test_the_module_lists_its_interface_and_nothing_else():
+    assert dir(rc) == sorted(rc.__all__)
+
+
 def test_compare_takes_results_and_files_alike(plate):
     files = rc.compare(DATA / "result_tracer.json", DATA / "result_ball_plate.json")
     results = rc.compare(rc.read_result(DATA / "result_tracer.json"), plate)

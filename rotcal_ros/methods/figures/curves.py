@@ -8,7 +8,7 @@ expanded uncertainties with k = 2.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
 from rotcal_ros.methods.figures import style
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MEASURED: Final = "measured, with U (k = 2)"
 LARGE: Final = 12.0
@@ -33,6 +36,18 @@ def deviations(
     Where the curve is large beside its band, a panel below has the band on its own scale, about
     zero, and in it what the injected truth is off. ``valid``: whether the band may be believed.
     """
+    return style.svg(_deviation_panels(result, truth, valid=valid))
+
+
+@style.styled
+def plot(result: Result, truth: Mapping[str, Any] | None = None) -> Figure:
+    """Return the same as a figure of Matplotlib; see :meth:`~.results.Result.plot`."""
+    return style.finished(_deviation_panels(result, truth, valid=result.verdict == "ok"))
+
+
+def _deviation_panels(
+    result: Result, truth: Mapping[str, Any] | None, *, valid: bool
+) -> style.Axes:
     names = result.components
     large = any(_is_large(result, name) for name in names)
     columns = 1 if len(names) <= 2 else 3
@@ -55,7 +70,7 @@ def deviations(
     for ax in panels:
         if not ax.has_data():
             ax.set_axis_off()
-    return style.svg(panels[0])
+    return panels[0]
 
 
 def _is_large(result: Result, name: str) -> bool:

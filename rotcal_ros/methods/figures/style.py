@@ -9,7 +9,7 @@ import functools
 import io
 import warnings
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Final, ParamSpec
+from typing import TYPE_CHECKING, Any, Final, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 
 P = ParamSpec("P")
+R = TypeVar("R")
 
 INK: Final = "#1d2733"
 BLUE: Final = "#1f6fb2"
@@ -70,11 +71,11 @@ _RC: Final[dict[Any, Any]] = {
 }
 
 
-def styled(draw: Callable[P, str]) -> Callable[P, str]:
+def styled(draw: Callable[P, R]) -> Callable[P, R]:
     """Run a drawing function in the house style without touching matplotlib's global settings."""
 
     @functools.wraps(draw)
-    def in_style(*args: P.args, **kwargs: P.kwargs) -> str:
+    def in_style(*args: P.args, **kwargs: P.kwargs) -> R:
         import matplotlib as mpl
 
         with mpl.rc_context(_RC):
@@ -91,13 +92,8 @@ def grid(rows: int = 1, columns: int = 1, height: float = 3.0, **options: Any) -
     return list(figure.subplots(rows, columns, squeeze=False, **options).ravel())
 
 
-def svg(ax: Axes) -> str:
-    """Return the figure of ``ax`` as an ``<svg>`` element; equal figures give equal text.
-
-    All panels share one legend, above them, where it covers nothing.
-    """
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-
+def finished(ax: Axes) -> Figure:
+    """Return the figure of ``ax``, whose panels share one legend above them."""
     figure = ax.get_figure(root=True)
     assert figure is not None
     entries: dict[str, Any] = {}
@@ -108,7 +104,14 @@ def svg(ax: Axes) -> str:
         columns = min(len(entries), LEGEND_COLUMNS)
         figure.legend(entries.values(), entries, loc="outside upper left", ncols=columns)
     _make_plain(figure)
-    stream = io.StringIO()
+    return figure
+
+
+def svg(ax: Axes) -> str:
+    """Return the figure of ``ax`` as an ``<svg>`` element; equal figures give equal text."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    figure, stream = finished(ax), io.StringIO()
     with warnings.catch_warnings():
         # A box stands for a sign that the font lacks, and long names stand over each other.
         warnings.filterwarnings("ignore", "Glyph .* missing|constrained_layout not applied")
