@@ -149,6 +149,15 @@ class _Bordered(LinearFit):
     remains: Floats
     inverse: Floats
 
+    def _border(self, displacements: Floats) -> Floats:
+        """Border by ``displacements`` (n, 3, m); return what residuals keep of them (m, m)."""
+        each = sorted(self.plain.responses(displacements), key=lambda response: response.number)
+        first, *others = (response.parameters for response in each)
+        self.parameters = first.merged(lambda *fields: np.stack(fields, axis=-1), *others)
+        self.remains = np.stack([response.residuals for response in each], axis=2)
+        kept = np.array([response.kept for response in each])
+        return np.asarray(0.5 * (kept + kept.T))
+
     @property
     def unit_std(self) -> PlateParameters:
         def std(own: Floats, moved: Floats) -> Floats:
@@ -189,16 +198,15 @@ class WithGaps(_Bordered):
         self.plain = SpectralFit(BallPlateProblem.nominal(grid, problem.radius, table, ball))
         units = np.zeros((len(table), 3, len(gaps), 3))
         units[gaps[:, None], np.arange(3), np.arange(len(gaps))[:, None], np.arange(3)] = 1.0
-        _, self.parameters, left = self.plain.responses(units.reshape(len(table), 3, -1))
-        # a residual at the gaps per unit deviation there: the cofactor, symmetric but for rounding
-        at_gaps = left[gaps].reshape(3 * len(gaps), -1)
-        at_gaps = 0.5 * (at_gaps + at_gaps.T)
+        # a residual at the gaps per unit deviation there: the cofactor
+        at_gaps = self._border(units.reshape(len(table), 3, -1))
         if np.linalg.eigvalsh(at_gaps)[0] < DETERMINED:
             raise ObservabilityError(
                 "without the missing or rejected centres not all errors of table, plate and CMM "
                 "are determined: measure more balls at the table positions of the gaps"
             )
-        self.remains, self.inverse = left[self.measured], np.linalg.inv(at_gaps)
+        self.remains = self.remains[self.measured]
+        self.inverse = np.asarray(np.linalg.inv(at_gaps), dtype=np.float64)
 
     def fit(self, observed: Floats) -> tuple[PlateParameters, Floats]:
         """Return parameters and residuals (n, 3) of deviations (n, 3) of the rows, metres."""
@@ -261,10 +269,8 @@ class WithDrift(_Bordered):
         self.columns = drift_columns(problem.run_time, problem.drift)  # (n, 3, m)
         self.dof -= self.columns.shape[2]
         self.way = f"{self.plain.way} with drift"
-        responses = self.plain.responses(self.columns)
-        _, self.parameters, self.remains = responses
         self.weighted = problem.weights[:, :, None] * self.columns
-        information = responses.information(problem.weights)
+        information = self._border(self.columns)
         seen = drift_seen(problem, self.columns, information)
         if seen < VISIBLE:
             raise ObservabilityError(

@@ -85,15 +85,17 @@ class Taken:
     whole: BallPlateProblem
     gone: Ints
 
-    def counted(self, problem: BallPlateProblem, kind: str) -> tuple[Ints, Ints]:
-        """Return what people call the groups (n,) of a kind that the rows of ``problem`` are in.
+    def counted(self, problem: BallPlateProblem) -> dict[str, tuple[Ints, Ints]]:
+        """Return by kind the numbers (n,) that people call the groups of the rows of ``problem``.
 
-        And how many of each such group were rejected, (n,).
+        And how many rows of the group of each number were rejected.
         """
         at = places_of(problem.rows, self.whole.rows)
-        column = _columns(self.whole)[kind]
-        lost = np.bincount(column[np.isin(self.whole.rows, self.gone)], minlength=column.max() + 1)
-        return column[at], lost[column[at]]
+        gone = np.isin(self.whole.rows, self.gone)
+        return {
+            kind: (column[at], np.bincount(column[gone], minlength=column.max() + 1))
+            for kind, column in _columns(self.whole).items()
+        }
 
 
 def gathered(
@@ -114,17 +116,18 @@ def gathered(
         return _counted(before, problem, redundancy, taken)
     view = view_of(problem)
     whitened, unit, rest, scale = _whitened(problem, solution, sigma)
-    called = {kind: taken.counted(problem, kind) for kind in _columns(problem)}
+    called = taken.counted(problem)
     groups = list[Group]()
     for empty in view.groups:
-        number, lost = (column[empty.members[0]] for column in called[empty.kind])
+        numbers, lost = called[empty.kind]
+        number = numbers[empty.members[0]]
         groups.append(
             replace(
                 empty,
                 name=f"{empty.kind} {number}",
                 residual=whitened[empty.members],
                 unit=unit[empty.members],
-                lost=int(lost),
+                lost=int(lost[number]),
             )
         )
     common = _common(groups)
@@ -157,15 +160,11 @@ def _counted(
 ) -> Gathering:
     """Count what was rejected of each group of a problem that is not judged."""
     found = []
-    for kind in _columns(problem):
-        number, lost = taken.counted(problem, kind)
-        names, first, group, size = np.unique(
-            number, return_index=True, return_inverse=True, return_counts=True
-        )
-        share = np.bincount(group, redundancy) / size
-        for name, gone, left, checked in zip(
-            names.tolist(), lost[first].tolist(), size.tolist(), share.tolist(), strict=True
-        ):
+    for kind, (numbers, lost) in taken.counted(problem).items():
+        size, checks = np.bincount(numbers), np.bincount(numbers, redundancy)
+        for name in np.flatnonzero(size).tolist():
+            gone, left = int(lost[name]), int(size[name])
+            checked = float(checks[name]) / left
             test = GroupTest(0.0, 0, 1.0, checked, gone / (left + gone))
             found.append(Count(kind, f"{kind} {name}", test, left + gone, gone))
     return replace(before, counts=tuple(found))

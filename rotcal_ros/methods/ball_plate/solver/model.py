@@ -14,8 +14,9 @@ unknowns that leave all centres where they are.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Floats, Ints
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z
-from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, grid_angles, on_circle
+from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, on_circle
 
 N_CONSTRAINTS = 19
 ROUNDING = 4.0 * np.finfo(np.float64).eps
@@ -107,20 +108,23 @@ class Solution:
     drift: OriginDrift | None = None
 
 
-class Responses(NamedTuple):
-    """What m ``displacements`` (n, 3, m) of the centres, m, do to a fit, which is linear in them.
+class Response(NamedTuple):
+    """What the displacement ``number`` of m does to a fit, which is linear in it.
 
-    ``parameters`` have a last axis for the m, ``residuals`` are (n, 3, m).
+    ``kept`` (m,): what the residuals keep of its products with all m, in units of the rows'
+    ``std``. ``shared`` (n, 3) are the residuals of a fit, of which ``axes`` (3,) are its own.
     """
 
-    displacements: Floats
+    number: int
     parameters: PlateParameters
-    residuals: Floats
+    kept: Floats
+    shared: Floats
+    axes: Floats
 
-    def information(self, weights: Floats) -> Floats:
-        """Return what the residuals keep of their squares (m, m), ``weights`` (n, 3)."""
-        kept = np.einsum("nia,nib->ab", weights[:, :, None] * self.displacements, self.residuals)
-        return np.asarray(0.5 * (kept + kept.T))
+    @property
+    def residuals(self) -> Floats:
+        """The residuals (n, 3) of a unit of the displacement."""
+        return self.shared * self.axes
 
 
 class LinearFit(ABC):
@@ -170,12 +174,21 @@ class LinearFit(ABC):
         """Return the solution for deviations (n, 3)."""
         return self.solution(*self.fit(observed))
 
-    def responses(self, displacements: Floats) -> Responses:
-        """Return what ``displacements`` (n, 3, m) of the centres do, m from 1."""
-        each = [self.fit(displacements[:, :, m]) for m in range(displacements.shape[2])]
-        (first, *others), left = zip(*each, strict=True)
-        every = first.merged(lambda *fields: np.stack(fields, axis=-1), *others)
-        return Responses(displacements, every, np.stack(left, axis=2))
+    def responses(self, displacements: Floats) -> Iterator[Response]:
+        """Yield what each of ``displacements`` (n, 3, m), in the plane or along z, does.
+
+        The model keeps z apart from x and y: one in the plane and one along z share a fit.
+        """
+        columns = displacements.reshape(-1, displacements.shape[2])
+        axial = np.asarray(displacements[:, 2].any(axis=0))
+        for pair in zip_longest(np.flatnonzero(~axial).tolist(), np.flatnonzero(axial).tolist()):
+            numbers = [number for number in pair if number is not None]
+            found, left = self.fit(displacements.T[numbers].sum(axis=0).T)
+            kept = (self.problem.weights * left).ravel() @ columns
+            for number in numbers:
+                alike = axial == axial[number]
+                axes = np.where(axial[number], [0.0, 0.0, 1.0], [1.0, 1.0, 0.0])
+                yield Response(number, scaled(found, axes), kept * alike, left, axes)
 
 
 def scaled(unit: PlateParameters, axes: Floats) -> PlateParameters:
@@ -250,9 +263,15 @@ def plate_motion(problem: BallPlateProblem) -> Floats:
 
     The motion is given in the frame of the table at position 0.
     """
-    turn = rotation_about_z(problem.angles)[problem.position]
-    cross = _cross_unit(grid_angles(problem.grid))[problem.ball_step]
-    return np.concatenate([turn, turn @ cross], axis=2)
+    x, y, _ = on_circle(problem.angles).T
+    table, ball, place = problem.position, problem.ball_step, problem.cmm_index
+    motion = np.zeros((len(table), 3, 6))
+    motion[:, 0, 0], motion[:, 1, 0] = x[table], y[table]
+    motion[:, 0, 1], motion[:, 1, 1] = -y[table], x[table]
+    motion[:, 2, 2] = 1.0
+    motion[:, 2, 3], motion[:, 2, 4] = y[ball], -x[ball]
+    motion[:, 0, 5], motion[:, 1, 5] = -y[place], x[place]
+    return motion
 
 
 def blocks(problem: BallPlateProblem) -> dict[str, slice]:

@@ -232,9 +232,8 @@ def _moments(fit: Fitted, turn: float) -> tuple[Floats, Floats, float]:
     own = fit.problem.noise_unit
     back = rotation_about_z(turn)
     residuals = (fit.solution.residuals / own) @ back.T
-    cofactor = fit.solution.cofactor() / (own[:, :, None] * own[:, None, :])
-    cofactor = back @ cofactor @ back.T
-    x, y, z = np.einsum("nii->i", cofactor)
+    cofactor = np.einsum("nij,ni,nj->ij", fit.solution.cofactor(), 1.0 / own, 1.0 / own)
+    x, y, z = np.diag(back @ cofactor @ back.T)
     # M is a projector: the trace of M D M D is that of M less four times what mixes x and y
     squared = x + y - 4.0 * _mixed(fit, own, back, x + y)
     return np.sum(residuals**2, axis=0), np.array([[x + y, x - y], [x - y, squared]]), float(z)

@@ -11,6 +11,7 @@ motion finds what is too small for it.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
@@ -53,6 +54,9 @@ SETTLED: Final = 0.01
 """Share of the stated noise that the iteration of the exact model may leave in the residuals."""
 FALSE_KNOCK: Final = 1e-6
 """Probability that good data are said to contain a knock."""
+IN_PLANE: Final = [0, 1, 5]
+ALONG_Z: Final = [2, 3, 4]
+"""Of a motion, shift x, y, z and turn about x, y, z: those that move centres in x, y and in z."""
 CANDIDATES: Final = 3
 """Moments of a knock whose motion is fitted with all that table and CMM take of it."""
 
@@ -103,38 +107,50 @@ def order_effects(problem: BallPlateProblem, closing: BallPlateProblem | None) -
 def _of_layout(layout: RowLayout, closing: bytes) -> OrderEffects:
     """Return the effects in a layout; ``closing`` are the cells measured again at the end."""
     problem = layout.problem
-    linear, motion = factored_with_drift(problem), plate_motion(problem)
-    n = len(problem.centres)
+    linear, n = factored_with_drift(problem), len(problem.centres)
     quick = problem.complete and n <= MANY_CENTRES
     count = MOMENTS if quick else MOMENTS // 4
     moments = np.unique(np.ceil((np.arange(count) + 0.5) / count * n).astype(np.int64))
-    place = np.empty(n, dtype=np.int64)  # of each row in the order of measurement
-    place[np.argsort(problem.rows, kind="stable")] = np.arange(n)
+    place = np.argsort(np.argsort(problem.rows))  # of each row in the order of measurement
     cells = np.frombuffer(closing, dtype=np.int64)
     again = places_of(cells[np.isin(cells, problem.cell)], problem.cell)
     change = 0.5 - problem.run_time[again]  # of the run time, which is 0.5 at the end
 
     def patterns(columns: Floats, closed: Floats) -> DisplacementPatterns:
         """Return those of ``columns`` (n, 3, m); ``closed`` (k, 3, m): between first and last."""
-        found = linear.responses(columns)
+        m = columns.shape[2]
+        response, information = np.empty((6, len(problem.table_positions), m)), np.empty((m, m))
+        for found in linear.responses(columns):
+            response[:, :, found.number] = found.parameters.curves()
+            information[found.number] = found.kept
         return DisplacementPatterns(
-            response=found.parameters.curves(),
-            information=found.information(problem.weights),
+            response=response,
+            information=0.5 * (information + information.T),
             # a difference of two centres has twice the variance of one
             closing=0.5 * np.einsum("nia,nib->ab", closed, closed),
-            total=float(np.sum(problem.weights[:, :, None] * columns**2)) / columns.shape[2],
+            total=float(np.einsum("ni,nia,nia->", problem.weights, columns, columns)) / m,
         )
 
+    motion = plate_motion(problem)
+    repeated = motion[again]
     return OrderEffects(
         drift=patterns(drift_columns(problem.run_time, 1), drift_columns(change, 1)),
         knocks=tuple(
-            patterns(
-                np.where(place[:, None, None] >= m, motion, 0.0), motion[again[place[again] < m]]
-            )
-            for m in moments
+            patterns(moved, repeated[place[again] < moment])
+            for moment, moved in zip(moments, _from_each(moments, motion, place), strict=True)
         ),
         moments=moments,
     )
+
+
+def _from_each(moments: Ints, motion: Floats, place: Ints) -> Iterator[Floats]:
+    """Yield, one after the other in the place of ``motion`` (n, 3, m), that from each moment on.
+
+    ``moments`` ascend; ``place`` (n,) is that of each row in the order of measurement.
+    """
+    for moment in moments:
+        motion[place < moment] = 0.0
+        yield motion
 
 
 def needed(parameters: int, dof: int, tests: int = 1) -> float:
@@ -298,7 +314,7 @@ def find_motion(
     """Look for a motion of the plate at each of the moments of ``effects``."""
     if solution.dof < SPARE:
         return None
-    order, _, later = _pulled(problem, solution)
+    order, later = _pulled(problem, solution, plate_motion(problem))
     best: MotionTest | None = None
     least = least_noise(problem, solution)
     for moment, knock in zip(effects.moments, effects.knocks, strict=True):
@@ -312,17 +328,21 @@ def find_motion(
     return best
 
 
-def _pulled(problem: BallPlateProblem, solution: Solution) -> tuple[Ints, Floats, Floats]:
-    """Return what the residuals say of a motion of the plate, in the order of measurement.
+def _pulled(problem: BallPlateProblem, solution: Solution, motion: Floats) -> tuple[Ints, Floats]:
+    """Return what the residuals say of a ``motion`` (n, 3, 6) of the plate.
 
-    The rows in this order (n,), what a motion does to each (n, 3, 6), and the right-hand side
-    (n, 6) of the motion of all rows from each one on.
+    The rows in the order of measurement (n,), and the right-hand side (n, 6) of the motion of all
+    rows from each one on.
     """
     order = np.argsort(problem.rows, kind="stable")
-    motion = plate_motion(problem)[order]
-    pulled = (problem.weights * solution.residuals)[order]
-    later = np.cumsum(np.einsum("nij,ni->nj", motion, pulled)[::-1], axis=0)[::-1]
-    return order, motion, later
+    pulled = np.einsum("nij,ni->nj", motion, problem.weights * solution.residuals)[order]
+    return order, _from_the_end(pulled)
+
+
+def _from_the_end(rows: Floats) -> Floats:
+    """Return the sum of each of ``rows`` (n, ...) and all later ones, in their place."""
+    np.cumsum(rows[::-1], axis=0, out=rows[::-1])
+    return rows
 
 
 def least_noise(problem: BallPlateProblem, solution: Solution) -> float:
@@ -410,10 +430,14 @@ def find_knock(
     """
     if solution.dof <= 12:  # six parameters, and too little left to test them by
         return None
-    order, motion, later = _pulled(problem, solution)
+    motion = plate_motion(problem)
+    order, later = _pulled(problem, solution, motion)
+    starts = np.sort(_candidates(later, motion, problem.weights, order))
     fitted = [
-        (*_fit_motion(problem, linear, order[start:], motion[start:], later[start]), start)
-        for start in _candidates(later, motion, problem.weights[order])
+        (*_fit_motion(linear, moved, later[start]), start)
+        for start, moved in zip(
+            starts.tolist(), _from_each(starts, motion, np.argsort(order)), strict=True
+        )
     ]
     gain, amount, start = max(fitted, key=lambda each: each[0])
     rest = (solution.weighted_square_sum - gain) / (solution.dof - 6)
@@ -433,42 +457,43 @@ def find_knock(
     )
 
 
-def _candidates(later: Floats, motion: Floats, weight: Floats) -> list[int]:
+def _candidates(later: Floats, motion: Floats, weight: Floats, order: Ints) -> list[int]:
     """Return the most likely moments by a bound on their gain, best first.
 
-    Rows in the order of measurement. The bound leaves out that table and CMM absorb part of the
-    motion; it peaks where the gain does. Moments within 1 % of each other count as one.
+    ``later`` (n, 6) is in the ``order`` of measurement. The bound leaves out that table and CMM
+    absorb part of the motion; it peaks where the gain does. Moments within 1 % of each other count
+    as one.
     """
-    own = np.einsum("nij,ni,nik->njk", motion, weight, motion)
-    information = np.cumsum(own[::-1], axis=0)[::-1]
-    total = information[0]
-    starts = np.arange(1, len(later))
-    # a motion of all rows together is seen by nothing and taken off, as an unknown of its own;
-    # the small part of the total keeps the matrices regular at both ends of the run
-    share = information[starts] @ np.linalg.pinv(total)
-    spread = information[starts] @ (np.eye(6) - share.swapaxes(1, 2)) + 1e-9 * total
-    amount = np.linalg.solve(spread, later[starts][:, :, None])[:, :, 0]
-    bound = np.einsum("nj,nj->n", later[starts], amount)
+    bound = sum(
+        _bound(later[:, own], motion[:, :, own], weight, order) for own in (IN_PLANE, ALONG_Z)
+    )
     chosen: list[int] = []
     for index in np.argsort(-bound, kind="stable"):
-        if all(abs(int(starts[index]) - other) > 0.01 * len(later) for other in chosen):
-            chosen.append(int(starts[index]))
+        start = int(index) + 1
+        if all(abs(start - other) > 0.01 * len(later) for other in chosen):
+            chosen.append(start)
         if len(chosen) == CANDIDATES:
             break
     return chosen
 
 
-def _fit_motion(
-    problem: BallPlateProblem,
-    linear: LinearFit,
-    rows: Ints,
-    motion: Floats,
-    right: Floats,
-) -> tuple[float, Floats]:
-    """Return gain of w'w and the motion (6,) when the rows from a moment on have moved."""
-    moved = np.zeros((len(problem.centres), 3, 6))
-    moved[rows] = motion
-    information = linear.responses(moved).information(problem.weights)
+def _bound(later: Floats, motion: Floats, weight: Floats, order: Ints) -> Floats:
+    """Return what motions (n, 3, m) from every row but the first on gain at most, (n - 1,)."""
+    information = _from_the_end(np.einsum("nij,ni,nik->njk", motion, weight, motion)[order])
+    total, information, later = information[0], information[1:], later[1:]
+    # a motion of all rows together is seen by nothing and taken off, as an unknown of its own;
+    # the small part of the total keeps the matrices regular at both ends of the run
+    spread = information @ (np.eye(len(total)) - np.linalg.pinv(total) @ information)
+    amount = np.linalg.solve(spread + 1e-9 * total, later[:, :, None])[:, :, 0]
+    return np.asarray(np.einsum("nj,nj->n", later, amount))
+
+
+def _fit_motion(linear: LinearFit, moved: Floats, right: Floats) -> tuple[float, Floats]:
+    """Return gain of w'w and the motion (6,) of rows ``moved`` (n, 3, 6) by a unit of each."""
+    information = np.empty((6, 6))
+    for response in linear.responses(moved):
+        information[response.number] = response.kept
+    information = 0.5 * (information + information.T)
     # a motion that the CMM's own errors imitate leaves nothing: it counts as zero
     amount: Floats = np.linalg.pinv(information, rcond=1e-6, hermitian=True) @ right
     return float(right @ amount), amount

@@ -140,7 +140,7 @@ class BallPlateProblem:
     @cached_property
     def noise_unit(self) -> Floats:
         """What the noise of each coordinate is counted in, (n, 3): its ``std``, or 1 m."""
-        return np.ones_like(self.centres) if self.std is None else self.std
+        return np.broadcast_to(1.0, self.centres.shape) if self.std is None else self.std
 
     @cached_property
     def weighed_alike(self) -> bool:
@@ -150,22 +150,22 @@ class BallPlateProblem:
     @cached_property
     def weights(self) -> Floats:
         """Weights of the coordinates, (n, 3)."""
-        return np.asarray(self.noise_unit**-2, dtype=np.float64)
+        return self.noise_unit if self.std is None else np.asarray(self.std**-2)
 
     @cached_property
     def balls(self) -> Ints:
         """The ball steps in use, ascending, (R,)."""
-        return np.unique(self.ball_step)
+        return _in_use(self.ball_step)
 
     @cached_property
     def cmm_positions(self) -> Ints:
         """The CMM positions in use, ascending, (S,)."""
-        return np.unique(self.cmm_index)
+        return _in_use(self.cmm_index)
 
     @cached_property
     def table_positions(self) -> Ints:
         """The table positions in use, ascending, (M,); all of them unless some are missing."""
-        return np.unique(self.position)
+        return _in_use(self.position)
 
     @cached_property
     def table_index(self) -> Ints:
@@ -182,7 +182,7 @@ class BallPlateProblem:
         """Whether every ball was measured exactly once at every table position, from one side."""
         if self.bidirectional or len(self.cell) != len(self.balls) * self.grid:
             return False
-        return len(np.unique(self.cell)) == len(self.cell)
+        return bool(np.diff(self.cell).all())  # in canonical order doubles are neighbours
 
     @cached_property
     def deviations(self) -> Floats:
@@ -198,6 +198,8 @@ class BallPlateProblem:
 
     def take(self, keep: Bools | Ints) -> BallPlateProblem:
         """Return the problem with only the rows ``keep`` (mask or indices, canonical order)."""
+        if keep.dtype == np.bool_ and keep.all():
+            return self
         columns = {name: getattr(self, name) for name in COLUMNS}
         return replace(self, **{n: c[keep] for n, c in columns.items() if c is not None})
 
@@ -206,7 +208,7 @@ class BallPlateProblem:
 class RowLayout:
     """What of a problem does not depend on the measured values, to remember by.
 
-    ``key`` tells layouts apart; ``problem`` has nominal centres and the run time as its time.
+    ``key`` tells layouts apart; ``problem`` is one of this layout, whichever was met first.
     """
 
     key: tuple[object, ...]
@@ -216,14 +218,10 @@ class RowLayout:
     def of(cls, problem: BallPlateProblem) -> RowLayout:
         """Return the layout of a problem."""
         columns = (problem.position, problem.ball_step, problem.rows, problem.run_time)
-        fields = {"drift": problem.drift, "bidirectional": problem.bidirectional}
-        nominal = BallPlateProblem.nominal(
-            problem.grid, problem.radius, problem.position, problem.ball_step, std=problem.std,
-            row=problem.rows, time=problem.run_time, **fields,
-        )  # fmt: skip
         std = None if problem.std is None else problem.std.tobytes()
         held = (column.tobytes() for column in columns)
-        return cls((problem.grid, problem.radius, std, *held, *fields.values()), nominal)
+        stated = (problem.grid, problem.radius, problem.drift, problem.bidirectional)
+        return cls((*stated, std, *held), problem)
 
 
 def select(
@@ -263,6 +261,11 @@ def select(
         position=position_of(step[keep] // coarser, upward, grid),
         ball_step=part.ball_step // coarser,
     )
+
+
+def _in_use(column: Ints) -> Ints:
+    """Return the different values of a column of small numbers, ascending."""
+    return np.flatnonzero(np.bincount(column))
 
 
 def grid_step(position: Ints, grid: int) -> Ints:

@@ -82,9 +82,10 @@ def _centred(problem: BallPlateProblem) -> BallPlateProblem:
     weight, distance = np.ones(len(plane)), np.zeros(len(plane))
     found = np.zeros(3, dtype=np.complex128)
     for _ in range(ROUNDS):  # weights 1/distance make least squares least absolute distances
-        found = np.linalg.lstsq(weight[:, None] * design, weight * plane, rcond=1e-6)[0]
+        weighted = (weight[:, None] * design).conj().T
+        found = np.linalg.lstsq(weighted @ design, weighted @ plane, rcond=1e-12)[0]
         distance = np.abs(plane - design @ found)
-        weight = 1.0 / np.sqrt(np.maximum(distance, 1e-6 * problem.radius))
+        weight = 1.0 / np.maximum(distance, 1e-6 * problem.radius)
     if np.median(distance) > FITS * problem.radius:
         return problem  # another mistake, named by the steps that follow
     for shift, what in (

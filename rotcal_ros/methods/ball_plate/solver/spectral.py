@@ -28,7 +28,6 @@ import numpy as np
 from rotcal_ros.foundation.arrays import Complexes, Floats, Ints
 from rotcal_ros.foundation.components import ROTATIONS
 from rotcal_ros.foundation.errors import ObservabilityError, PlanError
-from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.ball_plate.solver.model import FIELDS, LinearFit, PlateParameters
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem, grid_angles
 
@@ -76,7 +75,7 @@ def phases(grid: int, balls: Ints) -> Complexes:
 
 
 def _design(phase: Complexes) -> Complexes:
-    """Return the table's design (2, Q, R, 2, 3) from :func:`phases`, for q = 1..N//2."""
+    """Return the table's design (2, Q, ..., 2, 3) from :func:`phases`, for q = 1..N//2."""
     below, own, above = phase[:-2], phase[1:-1], phase[2:]
     matrix = np.zeros((2, *own.shape, 2, 3), dtype=np.complex128)
     half = (1j * ROOT_HALF) * phase  # a rotation moves p_0 = (rho, 0, 0), as w+ and w- of i rho
@@ -357,20 +356,12 @@ class SpectralFit(LinearFit):
         In the turning frame one per ball holds everywhere.
         """
         system = self._system
-        n_balls = len(system.balls)
-        # the design at the CMM, its mean over the balls taken off
-        rows = _design(system.phase) - system.mean[:, :, None]
+        n_balls, grid = len(system.balls), system.grid
         # of noise 1 an observation keeps 1, less 1/R for the CMM's mean, less what the table fits
-        fitted = rows @ system.inverse[:, :, None] @ rows.conj().swapaxes(3, 4)
-        kept = np.eye(2) * (1.0 - 1.0 / n_balls) - fitted
-        lag = _zero_lag(kept, system.grid)
-        turning = np.zeros((n_balls, 3, 3))
-        turning[:, :2, :2] = _real_basis(lag[PLANE]).real
-        turning[:, 2, 2] = lag[AXIS, :, 0, 0].real
-        turn = rotation_about_z(grid_angles(system.grid)[self.problem.cmm_index])
-        every = np.repeat(turning, system.grid, axis=0)
-        cofactor: Floats = turn @ every @ turn.swapaxes(1, 2)
-        return cofactor
+        fitted = np.array([_fitted_at_ball(system, ball) for ball in range(n_balls)])
+        kept: Complexes = (1.0 - 1.0 / n_balls) * (grid - 1) / grid * np.eye(2) - fitted
+        turn = self._turn[self.problem.cmm_index].reshape(n_balls, grid)
+        return _turned(kept[:, PLANE], kept[:, AXIS, 0, 0].real, turn**2).reshape(-1, 3, 3)
 
     def _in_table_frame(self, observed: Floats) -> Complexes:
         """Return x + i y of deviations (n, 3) in the table's turning frame, then z, (2 R, N)."""
@@ -441,7 +432,7 @@ def _unit_std(grid: int, radius: float, balls: tuple[int, ...]) -> PlateParamete
     pairs = np.empty((3, 2, 2), dtype=np.complex128)
     pairs[:2], pairs[2] = table[:, :2, :2], cmm[PLANE]
     along = np.array([table[AXIS, 2, 2], table[PLANE, 2, 2], cmm[AXIS, 0, 0]]).real
-    fields = _turned_std(pairs, along, turn * turn)
+    fields = np.sqrt(np.einsum("fnii->fni", _turned(pairs, along, turn * turn)))
     # A ball has the variances 1/N (radial) and 1/N - 1/(N R) (tangential, axial).
     out = turn[steps]
     less = np.full((len(out), 3), common)
@@ -460,20 +451,29 @@ def _unit_std(grid: int, radius: float, balls: tuple[int, ...]) -> PlateParamete
     return stds
 
 
-def _turned_std(pairs: Complexes, along: Floats, turn: Complexes) -> Floats:
-    """Return the standard deviations (f, n, 3) of f vectors at n angles in the fixed frame.
+def _turned(pairs: Complexes, along: Floats, turn: Complexes) -> Floats:
+    """Return the covariances (f, n, 3, 3) of f vectors at n angles each in the fixed frame.
 
     ``pairs`` (f, 2, 2) are the covariances of (w+, w-) in the turning frame at lag 0, ``along``
-    (f,) the variances of z, ``turn`` (n,) the phases exp(2 i angle): the mean of the variances
-    of x and y is the same everywhere, their difference turns at twice the angle.
+    (f,) the variances of z, ``turn`` (n,) or (f, n) the phases exp(2 i angle): the mean of the
+    variances of x and y is the same everywhere, their difference turns at twice the angle.
     """
     mean = 0.5 * (pairs[:, 0, 0] + pairs[:, 1, 1]).real
-    swing = (pairs[:, 0, 1, None] * turn).real
-    variances = np.empty((len(pairs), len(turn), 3))
-    variances[..., 0] = mean[:, None] + swing
-    variances[..., 1] = mean[:, None] - swing
-    variances[..., 2] = along[:, None]
-    return np.sqrt(variances)
+    swing = pairs[:, 0, 1, None] * turn
+    covariances = np.zeros((*swing.shape, 3, 3))
+    covariances[..., 0, 0] = mean[:, None] + swing.real
+    covariances[..., 1, 1] = mean[:, None] - swing.real
+    covariances[..., 0, 1] = covariances[..., 1, 0] = swing.imag
+    covariances[..., 2, 2] = along[:, None]
+    return covariances
+
+
+def _fitted_at_ball(system: Harmonics, ball: int) -> Complexes:
+    """Return what the table takes of the noise of a ball, (2, 2, 2), at lag 0."""
+    # the design at the CMM, its mean over the balls taken off
+    rows = _design(system.phase[:, ball]) - system.mean
+    carried = np.einsum("bqik,bqkl->bqil", rows, system.inverse)
+    return _zero_lag(np.einsum("bqil,bqjl->bqij", carried, rows.conj()), system.grid)
 
 
 def _weights(name: str, radius: float, grid: int) -> tuple[int, list[tuple[int, Floats]]]:
