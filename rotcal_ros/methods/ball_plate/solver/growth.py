@@ -167,11 +167,11 @@ def _seen(
     problem: BallPlateProblem, linear: LinearFit, columns: Floats, residuals: Floats
 ) -> Seen:
     """Return what a fit makes of ``columns`` (n, 3, k), and ``residuals`` (n, 3) have of them."""
-    found = linear.responses(columns)
+    curves, information = linear.moved_by(columns)
     weighted = problem.weights[:, :, None] * columns
     return Seen(
-        found.parameters.curves().reshape(-1, columns.shape[2]).T,
-        found.information(problem.weights),
+        curves.reshape(-1, columns.shape[2]).T,
+        information,
         np.einsum("nia,ni->a", weighted, residuals),
         np.einsum("nia,nia->a", weighted, columns),
     )

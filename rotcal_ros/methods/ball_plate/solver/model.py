@@ -190,6 +190,19 @@ class LinearFit(ABC):
                 axes = np.where(axial[number], [0.0, 0.0, 1.0], [1.0, 1.0, 0.0])
                 yield Response(number, scaled(found, axes), kept * alike, left, axes)
 
+    def moved_by(self, displacements: Floats) -> tuple[Floats, Floats]:
+        """Return what ``displacements`` (n, 3, m), as of :meth:`responses`, do to the curves.
+
+        The six deviations (6, M, m) per unit, and the information (m, m) that residuals keep.
+        """
+        m = displacements.shape[2]
+        curves = np.empty((6, len(self.problem.table_positions), m))
+        information = np.empty((m, m))
+        for found in self.responses(displacements):
+            curves[:, :, found.number] = found.parameters.curves()
+            information[found.number] = found.kept
+        return curves, 0.5 * (information + information.T)
+
 
 def scaled(unit: PlateParameters, axes: Floats) -> PlateParameters:
     """Scale standard deviations: ``axes`` (3,) belong to x, y (the same) and z of a centre.

@@ -118,17 +118,14 @@ def _of_layout(layout: RowLayout, closing: bytes) -> OrderEffects:
 
     def patterns(columns: Floats, closed: Floats) -> DisplacementPatterns:
         """Return those of ``columns`` (n, 3, m); ``closed`` (k, 3, m): between first and last."""
-        m = columns.shape[2]
-        response, information = np.empty((6, len(problem.table_positions), m)), np.empty((m, m))
-        for found in linear.responses(columns):
-            response[:, :, found.number] = found.parameters.curves()
-            information[found.number] = found.kept
+        response, information = linear.moved_by(columns)
         return DisplacementPatterns(
             response=response,
-            information=0.5 * (information + information.T),
+            information=information,
             # a difference of two centres has twice the variance of one
             closing=0.5 * np.einsum("nia,nib->ab", closed, closed),
-            total=float(np.einsum("ni,nia,nia->", problem.weights, columns, columns)) / m,
+            total=float(np.einsum("ni,nia,nia->", problem.weights, columns, columns))
+            / columns.shape[2],
         )
 
     motion = plate_motion(problem)
