@@ -48,10 +48,11 @@ def assert_documented(details, method, sizes):
     """Every value is documented, with its shape, and what is always there is there."""
     (shapes, always), found = documented(method), flat(details)
     assert always <= set(found)
-    for key, values in found.items():
+    for given, values in found.items():
+        key = given if given in shapes else re.sub(r"(?<=\.)[^.]+$", "NAME", given)
         if key not in shapes:  # a list or group without entries
-            assert not any(values), key
-            assert any(path.startswith((f"{key}[]", f"{key}.")) for path in shapes), key
+            assert not any(values), given
+            assert any(path.startswith((f"{given}[]", f"{given}.")) for path in shapes), given
             continue
         *dimensions, last = re.sub(r" (or|with) null", "", shapes[key]).split()
         if last not in KINDS:

@@ -83,9 +83,10 @@ def forecast(plan: BallPlan, sigma: float, radius: float) -> OrderForecast:
         for kind, start, length in (("shift", 0, 1.0), ("turn", 3, radius))
         for a in range(3)
     ]
-    one = needed(1, dof, 1 if closing is None else 2)  # the closing rows have a test of their own
+    tests = 1 if closing is None else 2  # the closing rows have a test of their own
+    growing = needed(1, dof, tests)
     grown = unit_growth(once, linear, closing)
-    growth = _effect("growth", None, [grown], np.ones(1), 1.0, std, one, one)
+    growth = _effect("growth", None, [grown], np.ones(1), 1.0, std, growing, growing)
     # sizes were found for unit noise
     *units, growth = (
         replace(e, found_from=sigma * e.found_from) for e in (*drifts, *knocks, growth)
