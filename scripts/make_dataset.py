@@ -312,8 +312,8 @@ def found(scores: Sequence[Score]) -> str:
     beyond = sum(s.held < s.n for s in claims)
     words = (
         f"*rotcal* says ok of {len(claims)} curves without naming the effect; {beyond} of them "
-        "are off by more than U at some angle, where chance alone makes 43 % of sound curves of 12 "
-        "angles so. Beyond chance are, with the effect named or not:"
+        "are off by more than U at some angle, where chance alone makes 43 % of sound curves of "
+        "12 angles so. Beyond chance are, with the effect named or not:"
     )
     wrong = [fill(f"* {s.in_words()}", 98, subsequent_indent="  ") for s in own if not s.agree]
     listed = "\n".join(wrong) or "* none"
