@@ -108,7 +108,7 @@ class Solution:
     drift: OriginDrift | None = None
 
 
-class Response(NamedTuple):
+class FitResponse(NamedTuple):
     """What the displacement ``number`` of m does to a fit, which is linear in it.
 
     ``kept`` (m,): what the residuals keep of its products with all m, in units of the rows'
@@ -174,7 +174,7 @@ class LinearFit(ABC):
         """Return the solution for deviations (n, 3)."""
         return self.solution(*self.fit(observed))
 
-    def responses(self, displacements: Floats) -> Iterator[Response]:
+    def responses(self, displacements: Floats) -> Iterator[FitResponse]:
         """Yield what each of ``displacements`` (n, 3, m), in the plane or along z, does.
 
         The model keeps z apart from x and y: one in the plane and one along z share a fit.
@@ -188,7 +188,7 @@ class LinearFit(ABC):
             for number in numbers:
                 alike = axial == axial[number]
                 axes = np.where(axial[number], [0.0, 0.0, 1.0], [1.0, 1.0, 0.0])
-                yield Response(number, scaled(found, axes), kept * alike, left, axes)
+                yield FitResponse(number, scaled(found, axes), kept * alike, left, axes)
 
     def moved_by(self, displacements: Floats) -> tuple[Floats, Floats]:
         """Return what ``displacements`` (n, 3, m), as of :meth:`responses`, do to the curves.
