@@ -207,8 +207,8 @@ setup(
         "rotcal_ros.goals": [f"tracer = {NAME}.extensions.design.settings:TracerDesignSettings"],
         "rotcal_ros.functions": [
             f"plan_plate = {NAME}.extensions.design.ball_plate.ball_layout:plan_plate",
-            f"plot = {NAME}.methods.figures.curves:plot",
         ],
+        "rotcal_ros.figures": [f"plot = {NAME}.methods.figures.curves:plot"],
         "rotcal_ros.certificates": [
             f"dcc = {NAME}.extensions.certificate.verbs:write_certificate"
         ],

@@ -70,7 +70,9 @@ def _assert_row(declared: Declaration, row: Row, name: str) -> None:
         _assert_default(declared, row.default, name)
     info = declared.info
     if "`" in row.range:
-        assert info.choices == tuple(choice.strip("` ") for choice in row.range.split(",")), name
+        assert tuple(filter(None, info.choices)) == tuple(
+            choice.strip("` ") for choice in row.range.split(",")
+        ), name
         return
     low, dots, high = (part.strip() for part in row.range.partition("..."))
     assert bool(row.range) == bool(dots)

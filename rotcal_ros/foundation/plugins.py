@@ -36,8 +36,9 @@ PLANS: Final = "rotcal_ros.plans"
 GOALS: Final = "rotcal_ros.goals"
 """The settings of what a plan is designed for, which stand in a file of their own."""
 FUNCTIONS: Final = "rotcal_ros.functions"
-"""Functions by name: what extensions of this package add to ``import rotcal_ros``, and what
-results ask of the rooms above them."""
+"""Names that extensions of this package add to ``import rotcal_ros``."""
+FIGURES: Final = "rotcal_ros.figures"
+"""Figures of a result, which it asks of the rooms above it."""
 CERTIFICATES: Final = "rotcal_ros.certificates"
 """The writer of certificates for ``rotcal report``."""
 KINDS: Final = {

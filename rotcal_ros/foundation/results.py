@@ -441,7 +441,7 @@ class Result:
     def summary(self) -> list[str]:
         """The verdict, what was measured, and the size of each deviation, for people."""
         low, high = self.angles.min() / DEGREE, self.angles.max() / DEGREE
-        said = [
+        lines = [
             f"{self.method}, {self.verdict_line}",
             f"{len(self.angles)} angles from {low:g} to {high:g} deg, {self.n_observations} "
             f"observations, {len(self.rejected)} rejected, sigma0 {self.sigma0:.3g}",
@@ -453,9 +453,9 @@ class Result:
             if self.verdict == "ok":
                 band = COVERAGE_FACTOR * float(self.std[name].max()) / factor
                 line += f", U (k = 2) at most {band:.2g} {unit}"
-            said.append(line)
+            lines.append(line)
         more = f"{len(self.warnings)} warnings, the first: " if len(self.warnings) > 1 else ""
-        return [*said, *(f"{more}{text}" for text in self.warnings[:1])]
+        return [*lines, *(f"{more}{text}" for text in self.warnings[:1])]
 
     def plot(self, truth: Mapping[str, Any] | None = None) -> Any:
         """Return the deviations over the angle with U (k = 2) as a figure of Matplotlib.
@@ -467,7 +467,7 @@ class Result:
         >>> figure.axes[0].get_ylabel()
         'ECC / arcsec'
         """
-        return plugins.load(plugins.FUNCTIONS, "plot", "function")(self, truth)
+        return plugins.load(plugins.FIGURES, "plot", "figure")(self, truth)
 
     def to_xarray(self) -> Any:
         """Return an xarray Dataset over ``angle`` (rad), and ``again``, the same once more.

@@ -290,6 +290,7 @@ def test_all_nine_effects_and_those_of_plates_are_stated():
     problem, _ = measured(12, list(range(12)), 0)
     assert [p.effect for p in solve(problem).protections] == [
         *EFFECTS,
+        "growth",
         "one place",
         "numbering",
         "sign of z",

@@ -98,7 +98,7 @@ class CentreNoise:
         factors = self.used / self.weights
         return np.array([factors[:2].max(), factors[:2].max(), factors[2]])
 
-    def sentences(self, own_std: bool, explained: bool) -> list[str]:
+    def sentences(self, own_std: bool, explained: bool = False) -> list[str]:
         """Say which axis is noisier, and what of the statement does not hold.
 
         ``own_std``: the rows have standard deviations of their own, so there are only factors.
