@@ -138,7 +138,7 @@ def of_several():
         ball_plate.solve(plate_problem(balls)) for balls in (range(0, 12, 2), range(12))
     )
     yield six
-    yield replace(six, method="own", details={}, residuals=replace(six.residuals, unit="rad"))
+    yield replace(six, residuals=replace(six.residuals, unit="rad"))
     yield rc.combine(six, twelve)
     yield rc.combine(twelve, ball_plate.solve(plate_problem(range(12), ecc=np.zeros(12), seed=1)))
 
