@@ -1,7 +1,5 @@
 """Writes docs/result.schema.json from the tables of docs/result_json.md and from the code.
 
-usage: python scripts/result_schema.py [check]     check: only see whether the schema is current
-
 The page tells field, shape, unit and meaning; names that a field chooses among, and the group
 identity, come from the dataclasses. The keyword ``unit`` is an annotation of our own.
 """
@@ -10,7 +8,6 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -174,7 +171,4 @@ def text() -> str:
 
 
 if __name__ == "__main__":
-    if sys.argv[1:] == ["check"]:
-        current = FILE.exists() and FILE.read_text(encoding="utf-8") == text()
-        sys.exit(None if current else f"{FILE} is old: write it again")
     FILE.write_text(text(), encoding="utf-8")

@@ -70,7 +70,7 @@ def _assert_row(declared: Declaration, row: Row, name: str) -> None:
         _assert_default(declared, row.default, name)
     info = declared.info
     if "`" in row.range:
-        assert tuple(filter(None, info.choices)) == tuple(
+        assert info.named_choices == tuple(
             choice.strip("` ") for choice in row.range.split(",")
         ), name
         return

@@ -411,15 +411,15 @@ def _larger(found: Adjusted) -> Bools:
 
 def _protections(found: Adjusted) -> Iterator[Protection]:
     each = found.diagnosis.limits.of_each_effect(found.model)
-    taken = {e.effect.effect: e.effect for e in found.diagnosis.taken if e.effect is not None}
+    taken = [e.effect for e in found.diagnosis.taken if e.effect is not None]
     worst: dict[Effect, tuple[Unseen, Disturbing]] = {}
     for effect, seen in found.seen:
-        if effect in taken.values():
+        if effect in taken:
             continue
         hides = _unseen(effect, seen, found.counting_std, each, found.freedom)
         if effect.effect not in worst or hides.error > worst[effect.effect][0].error:
             worst[effect.effect] = hides, effect
-    for name, effect in taken.items():
+    for name, effect in {effect.effect: effect for effect in taken}.items():
         if name not in worst or worst[name][0].treatment == "harmless":
             worst.pop(name, None)
             yield Protection(name, "estimated", f"it was found that {effect.what}, and taken off")

@@ -11,8 +11,9 @@ import click
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.options import configurations, set_option, shown_option
 from rotcal_ros.foundation import plugins
+from rotcal_ros.foundation.components import SHOWN_IN
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
-from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
+from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.report.terminal.columns import Column, print_table, print_words
 
 if TYPE_CHECKING:
@@ -22,10 +23,6 @@ if TYPE_CHECKING:
 
 NOISE_SEED: Final = 1
 """Of the noise with which a plan is measured; what is found does not depend on it."""
-_ERRORS: Final = (
-    ("detectable_m", "error/um", MICROMETRE),
-    ("detectable_rad", "error/arcsec", ARCSEC),
-)
 touch_option = shown_option(
     "--touches", type=click.IntRange(min=1), default=15, help="Touch points per ball."
 )
@@ -191,9 +188,9 @@ def _print_reliability(data: dict[str, Any]) -> None:
             Column("target", [row["target"] for row in worst]),
             Column("redundancy", [row["redundancy"] for row in worst], ".3f"),
             *(
-                _sizes(head, [row[name] for row in worst], unit)
-                for name, head, unit in _ERRORS
-                if worst and name in worst[0]
+                _sizes(f"error/{label.replace('µ', 'u')}", [row[name] for row in worst], factor)
+                for unit, (factor, label) in SHOWN_IN.items()
+                if worst and (name := f"detectable_{unit}") in worst[0]
             ),
             _sizes("error/std", [row["detectable_std"] for row in worst]),
             _sizes("effect/std", [row["effect_std"] for row in worst]),

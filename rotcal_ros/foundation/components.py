@@ -20,6 +20,10 @@ HALF_OF_95_PERCENT: Final = 1.959963984540054
 """Standard deviations of a normal distribution in half an interval of exactly 95 %."""
 
 
+SHOWN_IN: Final = {"m": (MICROMETRE, "µm"), "rad": (ARCSEC, "arcsec")}
+"""Factor and label of the unit in which people read small lengths and angles."""
+
+
 def unit_of(component: str) -> tuple[float, str]:
     """Return factor and label of the unit in which a deviation is shown.
 
@@ -28,7 +32,7 @@ def unit_of(component: str) -> tuple[float, str]:
     >>> f"{2 * rc.ARCSEC / factor:g} {label}"
     '2 arcsec'
     """
-    return (MICROMETRE, "µm") if component in TRANSLATIONS else (ARCSEC, "arcsec")
+    return SHOWN_IN["m" if component in TRANSLATIONS else "rad"]
 
 
 def check_axis(axis: str) -> str:

@@ -41,6 +41,11 @@ class SettingInfo:
     choices: tuple[str, ...] = ()
     first: bool = False
 
+    @property
+    def named_choices(self) -> tuple[str, ...]:
+        """The choices for people; an empty one stands for none of them."""
+        return tuple(filter(None, self.choices))
+
 
 @dataclass(frozen=True, slots=True)
 class Declaration:
@@ -212,9 +217,9 @@ def _scalar(value: Any, declared: Declaration, place: str) -> Any:
             f"{place}: {value!r} is out of range {bounds} ({info.description})"
         )
     if info.choices and value not in info.choices:
-        hint = nearest(str(value), info.choices)
-        known = ", ".join(filter(None, info.choices))
-        raise ConfigurationError(f"{place}: {value!r:.80} is none of {known}{hint}")
+        known = info.named_choices
+        hint = nearest(str(value), known)
+        raise ConfigurationError(f"{place}: {value!r:.80} is none of {', '.join(known)}{hint}")
     return value
 
 

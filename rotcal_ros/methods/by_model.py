@@ -18,12 +18,11 @@ from rotcal_ros.adjust.model import Model
 from rotcal_ros.capture.attempt import CaptureRules
 from rotcal_ros.capture.decisions import mean_point, points
 from rotcal_ros.foundation.arrays import Floats
-from rotcal_ros.foundation.components import COVERAGE_FACTOR
+from rotcal_ros.foundation.components import COVERAGE_FACTOR, SHOWN_IN
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.protection import EFFECTS, Protection
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.units import ARCSEC, MICROMETRE
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.disturbance import (
     Disturbance,
@@ -43,7 +42,8 @@ TRUE_SIZE: Final = 2.0
 
 def tables_of_also(result: Result) -> list[ResultTable]:
     """Return what the model tells beside the deviations, a table for each name."""
-    unit, factor = ("arcsec", ARCSEC) if _of_angles(result) else ("um", MICROMETRE)
+    factor, label = SHOWN_IN["rad" if result.residuals is None else result.residuals.unit]
+    unit = label.replace("µ", "u")
     return [
         ResultTable.of(
             name.replace(" ", "_"),
@@ -56,10 +56,6 @@ def tables_of_also(result: Result) -> list[ResultTable]:
         )
         for name, found in result.details["also"].items()
     ]
-
-
-def _of_angles(result: Result) -> bool:
-    return result.residuals is not None and result.residuals.unit == "rad"
 
 
 @dataclass(frozen=True)

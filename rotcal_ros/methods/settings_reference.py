@@ -131,7 +131,7 @@ def range_in_words(declared: Declaration, mark: Mark = str) -> str:
     """Return the choices, or the inclusive range, or nothing."""
     info = declared.info
     if info.choices:
-        return ", ".join(mark(choice) for choice in info.choices if choice)
+        return ", ".join(map(mark, info.named_choices))
     if info.minimum is None and info.maximum is None:
         return ""
     low = "" if info.minimum is None else f"{info.minimum:g}"

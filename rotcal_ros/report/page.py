@@ -27,7 +27,7 @@ from rotcal_ros.evaluation.budget import WHOLE, contributions
 from rotcal_ros.evaluation.harmonics import HarmonicContent, harmonic_content
 from rotcal_ros.evaluation.marks import marks, withheld
 from rotcal_ros.evaluation.reliability import Reliability, reliability
-from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
+from rotcal_ros.foundation.components import COVERAGE_FACTOR, SHOWN_IN, unit_of
 from rotcal_ros.foundation.curves.measured import measured_curve
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.files import write_atomically
@@ -524,7 +524,6 @@ TABLES: Final = "Tables"
 MOST_ROWS: Final = 200
 """Of a table on a page; the files hold all."""
 _WORST: Final = 8
-_ERRORS_SHOWN: Final = {"m": ("µm", MICROMETRE), "rad": ("arcsec", ARCSEC)}
 
 
 def reliability_of_observations(result: Result) -> str | None:
@@ -545,7 +544,7 @@ def reliability_of_observations(result: Result) -> str | None:
 
 
 def _head(found: Reliability) -> list[str]:
-    error = [f"Error / {_ERRORS_SHOWN[found.unit][0]}"] if found.std is not None else []
+    error = [f"Error / {SHOWN_IN[found.unit][1]}"] if found.std is not None else []
     columns = ["Error / its std", "Effect, at most / std"]
     return ["Table position", "Target", "Redundancy", *error, *columns]
 
@@ -556,7 +555,7 @@ def _observation_rows(found: Reliability) -> list[list[str]]:
     for k in found.worst(_WORST).tolist():
         numbers = [found.detectable[k], found.effect[k]]
         if errors is not None:
-            numbers.insert(0, errors[k] / _ERRORS_SHOWN[found.unit][1])
+            numbers.insert(0, errors[k] / SHOWN_IN[found.unit][0])
         row = [str(found.table_position[k]), str(found.target[k]), f"{found.redundancy[k]:.3f}"]
         rows.append([*row, *(f"{v:.2f}" if np.isfinite(v) else "any" for v in numbers)])
     return rows

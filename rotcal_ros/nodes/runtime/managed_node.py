@@ -330,7 +330,7 @@ def _descriptor(declared: Declaration, read_only: bool) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(description=info.description, read_only=read_only)
     words = []
     if info.choices:
-        words.append(f"one of: {', '.join(filter(None, info.choices))}")
+        words.append(f"one of: {', '.join(info.named_choices)}")
     low, high = info.minimum, info.maximum
     if low is not None or high is not None:
         if declared.is_list or declared.kind not in _RANGES:

@@ -1,10 +1,14 @@
 """What looks wrong before anything moves: joint, velocity, unit, air, each in a sentence."""
 
+from dataclasses import replace
 from math import nan
 from pathlib import Path
 
 import pytest
 
+from rotcal_ros.capture.attempt import CaptureRules
+from rotcal_ros.capture.decisions import mean_point, points
+from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.methods import prepare
 from rotcal_ros.methods.configuration import changed, read_configuration
 from rotcal_ros.nodes.planner.preflight import doubts, expected_air, faults, without_air
@@ -126,3 +130,10 @@ def test_the_points_of_a_tracker_are_in_its_own_frame_and_no_unit_is_read_from_t
     far = max(abs(x) for step in plan.steps for x in step.position)
     values = {"now.probe_point": f"{1000.0 * max(far, 1.0)} 0.0 0.0"}
     assert faults(values, mirror, plan) == []
+
+
+def test_readings_are_no_points_of_the_machine():
+    """An autocollimator's own frame and small numbers say nothing of the plan's places."""
+    reads = CaptureRules({PointKind.READING: points(mean_point)})
+    angles = replace(TRACER, method=replace(TRACER.method, capture=reads))
+    assert doubts(GOOD | {"frame.probe_point": "autocollimator"}, angles) == []

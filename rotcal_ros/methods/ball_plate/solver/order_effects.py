@@ -487,10 +487,7 @@ def _bound(later: Floats, motion: Floats, weight: Floats, order: Ints) -> Floats
 
 def _fit_motion(linear: LinearFit, moved: Floats, right: Floats) -> tuple[float, Floats]:
     """Return gain of w'w and the motion (6,) of rows ``moved`` (n, 3, 6) by a unit of each."""
-    information = np.empty((6, 6))
-    for response in linear.responses(moved):
-        information[response.number] = response.kept
-    information = 0.5 * (information + information.T)
+    _, information = linear.moved_by(moved)
     # a motion that the CMM's own errors imitate leaves nothing: it counts as zero
     amount: Floats = np.linalg.pinv(information, rcond=1e-6, hermitian=True) @ right
     return float(right @ amount), amount
