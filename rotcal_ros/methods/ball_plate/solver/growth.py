@@ -139,7 +139,7 @@ def unit_growth(
         change = change - motion @ np.linalg.lstsq(motion, change, rcond=None)[0]
         closed = 0.5 * change.T @ change  # of two centres, which have twice the variance of one
     response = seen.moved.T.reshape(len(COMPONENTS), -1, 1)
-    return DisplacementPatterns(response, seen.information, closed, float(seen.whole[0]))
+    return DisplacementPatterns.of(response, seen.information, closed, float(seen.whole[0]))
 
 
 def find_growth(problem: BallPlateProblem, linear: LinearFit, solution: Solution) -> Growth:

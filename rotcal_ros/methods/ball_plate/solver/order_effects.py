@@ -54,9 +54,9 @@ SETTLED: Final = 0.01
 """Share of the stated noise that the iteration of the exact model may leave in the residuals."""
 FALSE_KNOCK: Final = 1e-6
 """Probability that good data are said to contain a knock."""
-IN_PLANE: Final = [0, 1, 5]
-ALONG_Z: Final = [2, 3, 4]
-"""Of a motion, shift x, y, z and turn about x, y, z: those that move centres in x, y and in z."""
+PARTS: Final = ([0, 1, 5], [2, 3, 4])
+"""Of a motion, shift x, y, z and turn about x, y, z: those that move centres in x, y and in z; of
+the deviations, EXC to ECC: those that these move. The one part knows nothing of the other."""
 CANDIDATES: Final = 3
 """Moments of a knock whose motion is fitted with all that table and CMM take of it."""
 
@@ -65,16 +65,36 @@ CANDIDATES: Final = 3
 class DisplacementPatterns:
     """Some patterns of displacement, m columns: amounts in metres, rotations times radius.
 
-    ``response`` (6, N, m) are the errors of the six deviations per unit, m and rad. The amount a
-    changes w'w of the fit by a' ``information`` a, and that of the difference between the first
-    table position and its repetition at the end by a' ``closing`` a (zero without); (m, m).
-    ``total`` is the mean information that perfect knowledge of all else would leave.
+    ``felt`` are the errors of the deviations of each part per unit of its patterns, (3, N, .), m
+    and rad. The amount a changes w'w of the fit by a' ``information`` a, and that of the
+    difference between the first table position and its repetition at the end by a' ``closing`` a
+    (zero without); (m, m). ``total`` is the mean information that perfect knowledge of all else
+    would leave.
     """
 
-    response: Floats
+    felt: tuple[Floats, Floats]
     information: Floats
     closing: Floats
     total: float
+
+    @classmethod
+    def of(
+        cls, response: Floats, information: Floats, closing: Floats, total: float
+    ) -> DisplacementPatterns:
+        """Return those with the errors ``response`` (6, N, m) of the six deviations per unit."""
+        m = response.shape[2]
+        first, second = (response[part][:, :, _of_part(part, m)] for part in PARTS)
+        return cls((first, second), information, closing, total)
+
+    @property
+    def response(self) -> Floats:
+        """Errors of the six deviations per unit (6, N, m), m and rad."""
+        m = len(self.information)
+        response = np.zeros((6, self.felt[0].shape[1], m))
+        for part, felt in zip(PARTS, self.felt, strict=True):
+            for k, number in enumerate(_of_part(part, m)):
+                response[part, :, number] = felt[:, :, k]
+        return response
 
     @property
     def seen(self) -> float:
@@ -119,7 +139,7 @@ def _of_layout(layout: RowLayout, closing: bytes) -> OrderEffects:
     def patterns(columns: Floats, closed: Floats) -> DisplacementPatterns:
         """Return those of ``columns`` (n, 3, m); ``closed`` (k, 3, m): between first and last."""
         response, information = linear.moved_by(columns)
-        return DisplacementPatterns(
+        return DisplacementPatterns.of(
             response=response,
             information=information,
             # a difference of two centres has twice the variance of one
@@ -138,6 +158,11 @@ def _of_layout(layout: RowLayout, closing: bytes) -> OrderEffects:
         ),
         moments=moments,
     )
+
+
+def _of_part(part: list[int], m: int) -> list[int]:
+    """Return which of m patterns, a drift or a motion, belong to a part."""
+    return [number for number in part if number < m]
 
 
 def _from_each(moments: Ints, motion: Floats, place: Ints) -> Iterator[Floats]:
@@ -179,14 +204,17 @@ def _worst_unseen(
     Over all directions of the amounts, components and positions; of the bounds by either test
     and by both together the smallest holds.
     """
-    gain = (disturbance.response / std[:, :, None]).reshape(-1, disturbance.response.shape[2])
     fitted, closed = disturbance.information / fit, disturbance.closing / closure
-    floor = disturbance.seen / max(fit, closure)
-    bounds = [
-        factor * _largest(gain, information, floor)
-        for factor, information in ((1.0, fitted), (1.0, closed), (2.0, fitted + closed))
-    ]
-    return float(np.sqrt(np.min(bounds, axis=0).max()))
+    floor, worst = disturbance.seen / max(fit, closure), 0.0
+    for part, felt in zip(PARTS, disturbance.felt, strict=True):
+        gain = (felt / std[part][:, :, None]).reshape(-1, felt.shape[2])
+        own = np.ix_(_of_part(part, len(fitted)), _of_part(part, len(fitted)))
+        bounds = [
+            factor * _largest(gain, information[own], floor)
+            for factor, information in ((1.0, fitted), (1.0, closed), (2.0, fitted + closed))
+        ]
+        worst = max(worst, float(np.min(bounds, axis=0).max()))
+    return float(np.sqrt(worst))
 
 
 def _largest(gain: Floats, information: Floats, floor: float) -> Floats:
@@ -461,9 +489,7 @@ def _candidates(later: Floats, motion: Floats, weight: Floats, order: Ints) -> l
     absorb part of the motion; it peaks where the gain does. Moments within 1 % of each other count
     as one.
     """
-    bound = sum(
-        _bound(later[:, own], motion[:, :, own], weight, order) for own in (IN_PLANE, ALONG_Z)
-    )
+    bound = sum(_bound(later[:, own], motion[:, :, own], weight, order) for own in PARTS)
     chosen: list[int] = []
     for index in np.argsort(-bound, kind="stable"):
         start = int(index) + 1
@@ -480,8 +506,10 @@ def _bound(later: Floats, motion: Floats, weight: Floats, order: Ints) -> Floats
     total, information, later = information[0], information[1:], later[1:]
     # a motion of all rows together is seen by nothing and taken off, as an unknown of its own;
     # the small part of the total keeps the matrices regular at both ends of the run
-    spread = information @ (np.eye(len(total)) - np.linalg.pinv(total) @ information)
-    amount = np.linalg.solve(spread + 1e-9 * total, later[:, :, None])[:, :, 0]
+    spread = np.linalg.pinv(total) @ information
+    spread = information @ np.subtract(np.eye(len(total)), spread, out=spread)
+    spread += 1e-9 * total
+    amount = np.linalg.solve(spread, later[:, :, None])[:, :, 0]
     return np.asarray(np.einsum("nj,nj->n", later, amount))
 
 

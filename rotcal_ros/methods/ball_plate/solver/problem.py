@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from hashlib import sha256
 from typing import Any, Final
 
 import numpy as np
@@ -218,10 +219,11 @@ class RowLayout:
     def of(cls, problem: BallPlateProblem) -> RowLayout:
         """Return the layout of a problem."""
         columns = (problem.position, problem.ball_step, problem.rows, problem.run_time)
-        std = None if problem.std is None else problem.std.tobytes()
-        held = (column.tobytes() for column in columns)
+        held = (
+            None if c is None else sha256(c.tobytes()).digest() for c in (*columns, problem.std)
+        )
         stated = (problem.grid, problem.radius, problem.drift, problem.bidirectional)
-        return cls((*stated, std, *held), problem)
+        return cls((*stated, *held), problem)
 
 
 def select(

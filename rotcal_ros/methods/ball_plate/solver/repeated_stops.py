@@ -101,6 +101,8 @@ def closing_apart(problem: BallPlateProblem) -> tuple[BallPlateProblem, BallPlat
     Repetitions within a stop, in the middle of the run, or of more than MOST_REPEATED of the
     rows stay where they are.
     """
+    if problem.complete:
+        return problem, None
     again = _closing(problem)
     if not again.any() or again.sum() > MOST_REPEATED * len(again):
         return problem, None

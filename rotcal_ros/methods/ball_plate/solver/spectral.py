@@ -184,15 +184,16 @@ def _solve_harmonics(
 ) -> tuple[Complexes, Complexes, Complexes]:
     """Solve all harmonics: ``spectrum`` (3, Q, R) to table (2, Q, 3), CMM (3, Q), rest (3, Q, R).
 
-    Rows are +, - and z in the frame that turns with the table. Where a layout is weak, a step of
-    iterative refinement takes the squared condition number out of the answer.
+    Rows are +, - and z in the frame that turns with the table; the rest takes the place of the
+    spectrum. Where a layout is weak, a step of iterative refinement takes the squared condition
+    number out of the answer.
     """
     table = _table_of(system, _centred(system, spectrum.copy())[1])
-    cmm, rest = _centred(system, spectrum - _fitted(system, table))
     if system.amplification > WEAK:
+        rest = _centred(system, spectrum - _fitted(system, table))[1]
         table = table + _table_of(system, rest)
-        cmm, rest = _centred(system, spectrum - _fitted(system, table))
-    return table, cmm, rest
+    spectrum -= _fitted(system, table)
+    return table, *_centred(system, spectrum)
 
 
 def _centred(system: Harmonics, rows: Complexes) -> tuple[Complexes, Complexes]:
@@ -267,14 +268,17 @@ def _to_harmonics(sequences: Complexes) -> tuple[Complexes, Complexes]:
     return rows, full[:, 0].reshape(2, n_balls) / grid
 
 
-def _to_sequences(plus: Complexes, minus: Complexes, axial: Complexes, grid: int) -> Complexes:
-    """Return x + i y, then z, (m + n, N) of zero mean from w+ and w- (m, Q) and z (n, Q)."""
-    n_plane, last = len(plus), grid // 2 + 1
-    full = np.zeros((n_plane + len(axial), grid), dtype=np.complex128)
+def _to_sequences(harmonics: Complexes, grid: int) -> Complexes:
+    """Return x + i y, then z, (2 m, N) of zero mean from w+, w- and z of m vectors, (3, m, Q)."""
+    plus, minus, axial = harmonics
+    m, last = len(plus), grid // 2 + 1
+    full = np.zeros((2 * m, grid), dtype=np.complex128)
     backward = full[:, : grid - last : -1]  # a view of the harmonics -1, -2, ...
-    full[:n_plane, 1:last], backward[:n_plane] = plus, minus.conj()
-    full[:n_plane] *= 1.0 / ROOT_HALF
-    full[n_plane:, 1:last], backward[n_plane:] = axial, axial.conj()
+    full[:m, 1:last] = plus
+    np.conj(minus, out=backward[:m])
+    full[:m] *= 1.0 / ROOT_HALF
+    full[m:, 1:last] = axial
+    np.conj(axial, out=backward[m:])
     return np.fft.ifft(full, axis=1)
 
 
@@ -388,18 +392,18 @@ class SpectralFit(LinearFit):
 
         Returns translation, rotation times radius and CMM, (3, N, 3), and the residuals (n, 3).
         """
-        n_balls, grid = len(self.problem.balls), self.problem.grid
-        plus, minus, axial = np.empty((3, n_balls + 3, grid // 2), dtype=np.complex128)
-        plus[3:], minus[3:], axial[3:] = rest.transpose(0, 2, 1)
-        plus[:2], minus[:2] = table[:, :, 0], table[:, :, 1]
-        axial[0], axial[1] = table[AXIS, :, 2], table[PLANE, :, 2]
-        plus[2], minus[2], axial[2] = cmm  # fields in a row: translation, rotation, CMM, residuals
-        sequences = _to_sequences(plus, minus, axial, grid)
-        plane = sequences[: n_balls + 3] * self._turn
-        vectors = np.empty((n_balls + 3, grid, 3))
-        vectors[..., 0], vectors[..., 1] = plane.real, plane.imag
-        vectors[..., 2] = sequences[n_balls + 3 :].real
-        return vectors[:3], vectors[3:].reshape(-1, 3)
+        grid = self.problem.grid
+        # w+, w- and z of translation, rotation and CMM
+        fields = np.stack([table[PLANE], table[AXIS], cmm.T]).transpose(2, 0, 1)
+        fields[2, :2] = fields[2, 1::-1]  # d_z is an unknown of the block AXIS, c_z of PLANE
+        found = [_to_sequences(each, grid) for each in (fields, rest.transpose(0, 2, 1))]
+        return self._vectors(found[0]), self._vectors(found[1]).reshape(-1, 3)
+
+    def _vectors(self, sequences: Complexes) -> Floats:
+        """Return vectors (m, N, 3) in the fixed frame of x + i y, then z, (2 m, N)."""
+        plane, axial = np.split(sequences, 2)
+        plane *= self._turn
+        return np.stack([plane.real, plane.imag, axial.real], axis=2)
 
     def _estimate(
         self, fields: Floats, mean: Complexes, pose: tuple[complex, complex]
