@@ -16,7 +16,7 @@ from rotcal_ros.cli.options import installed, setup_options
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.units import DEGREE
-from rotcal_ros.report.terminal.console import say, tell
+from rotcal_ros.report.terminal.console import say, tell, understood
 
 if TYPE_CHECKING:
     from rotcal_ros.compensation.agreement import Accepted, MachineIdentity
@@ -167,7 +167,7 @@ class _Asked:
         from rotcal_ros.recordings.result_sources import read_source
 
         changes = tuple(filter(_is_of_configuration, self.settings))
-        return read_source(path, Input(path, self.setup, self.targets, changes))
+        return read_source(path, Input(path, self.setup, self.targets, changes, told=understood))
 
     def controller_options(self) -> tuple[str, ...]:
         """Return the ``--set`` options of the controller."""

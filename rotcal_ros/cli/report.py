@@ -12,7 +12,7 @@ from rotcal_ros.cli.console import VERDICT_EXIT_CODES, NamedFile
 from rotcal_ros.cli.options import set_option, setup_options
 from rotcal_ros.foundation.errors import BagError
 from rotcal_ros.foundation.session_folder import SessionFolder
-from rotcal_ros.report.terminal.console import say
+from rotcal_ros.report.terminal.console import say, understood
 
 if TYPE_CHECKING:
     from rotcal_ros.foundation.results import Result
@@ -95,7 +95,9 @@ def command(
         from rotcal_ros.recordings.inputs import Input
 
         write: Callable[..., int] = extension(CERTIFICATES, "dcc", "a certificate")
-        return write(Input(source, setup, targets, changes), output, sign, certificate)
+        return write(
+            Input(source, setup, targets, changes, told=understood), output, sign, certificate
+        )
     if sign or certificate:
         raise click.UsageError("--sign and --certificate belong to --dcc")
     # Figures take a second to load; a wrong option should not wait for them.
@@ -114,7 +116,7 @@ def command(
         raise BagError(f"{output} exists and is not overwritten; name another file with -o")
     _require_empty(tables, source)
     injected = None if truth is None else _truth(truth)
-    given = Input(source, setup, targets, changes)
+    given = Input(source, setup, targets, changes, told=understood)
     if source.suffix == ".json":
         result = write_result(read_source(source, given), output, injected, in_force)
     else:

@@ -18,11 +18,12 @@ from rotcal_ros.cli.console import (
 )
 from rotcal_ros.cli.options import set_option, setup_options
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.report.terminal.console import progress, say, tell
+from rotcal_ros.report.terminal.console import progress, say, tell, understood
 
 if TYPE_CHECKING:
     from rotcal_ros.evaluation.ways import Evaluation
     from rotcal_ros.foundation.results import Result
+    from rotcal_ros.foundation.sheets.reading import Reading
     from rotcal_ros.methods.method import Measurements
     from rotcal_ros.recordings.replay import Recording
 
@@ -61,6 +62,7 @@ if TYPE_CHECKING:
 @click.option(
     "-o", "--output", type=NamedFile(".json"), help="Write the result to this file, as JSON."
 )
+@click.option("--explain", is_flag=True, help="Say how a table is understood, and stop.")
 @json_option
 def command(
     source: Path,
@@ -73,9 +75,10 @@ def command(
     coarser: tuple[int, ...],
     groups: str | None,
     output: Path | None,
+    explain: bool,
     as_json: bool,
 ) -> int:
-    """Solve BAG (a folder, .mcap or .db3 file) or TABLE (text with commas, and --setup).
+    """Solve BAG (a folder, .mcap or .db3 file) or TABLE (a workbook or text, and --setup).
 
     The bag's raw streams go through the same capture and solver as in the live run, so the
     result is the same to the last bit. A cut-off or damaged bag is read as far as possible.
@@ -85,8 +88,13 @@ def command(
     """
     from rotcal_ros.recordings.inputs import Input
 
+    def told(reading: Reading) -> None:
+        tell(*reading.lines()) if explain else understood(reading)
+
     with progress("reading") as shown:
-        data = Input(source, setup, targets, changes, taken_from, namespace).read(shown)
+        data = Input(source, setup, targets, changes, taken_from, namespace, told).read(shown)
+    if explain:
+        return 0
     if not (balls or coarser or groups):
         return _show(data.solve(), output, as_json)
     from rotcal_ros.evaluation.ways import ways

@@ -10,7 +10,7 @@ import click
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.options import set_option, setup_options
 from rotcal_ros.foundation.circumstances import NOTHING_MEASURED
-from rotcal_ros.report.terminal.console import progress, say
+from rotcal_ros.report.terminal.console import progress, say, understood
 
 if TYPE_CHECKING:
     from rotcal_ros.methods.method import Measurements
@@ -60,7 +60,7 @@ def command(
     from rotcal_ros.foundation.machine_load import cores
     from rotcal_ros.recordings.inputs import Input
 
-    measured = _read(Input(source, setup, targets, changes))
+    measured = _read(Input(source, setup, targets, changes, told=understood))
     with progress("trials") as shown:
         both = propagated(
             measured,

@@ -1,7 +1,7 @@
-"""Plain tables: comma-separated, one header line, ``#`` begins a comment line.
+"""Plain tables of our own form: comma-separated, one header line, ``#`` begins a comment line.
 
 Metres and radians; indices count from 0. Every error names file and row. The columns depend on the
-method: see the ``table`` modules of ``methods``.
+method: see the ``table`` modules of ``methods``. ``sheets`` makes one of a table in another form.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
@@ -16,17 +17,22 @@ from pathlib import Path
 from typing import Final
 
 from rotcal_ros.foundation.errors import BagError, DataError
-from rotcal_ros.foundation.untrusted import open_plain, plain_file, read_bytes, read_text, why
+from rotcal_ros.foundation.untrusted import (
+    WORKBOOKS,
+    open_plain,
+    plain_file,
+    read_bytes,
+    read_text,
+    why,
+)
 
 Header = tuple[str, ...]
 
-_SPREADSHEETS: Final = (".xlsx", ".xlsm", ".xls", ".ods")
-_OFFICE: Final = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
-"""First bytes of the files of spreadsheet programs."""
-_TEXTS: Final = (".csv", ".txt", ".tsv", ".dat", "")
+_WORKBOOKS: Final = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
+_TEXTS: Final = (".csv", ".txt", ".tsv", ".dat", ".asc", ".prn", "")
 _OTHERS: Final = (".mcap", ".db3", ".zstd", ".json", ".yaml", ".yml", ".html")
 """Endings of files that are not tables."""
-_SEPARATORS: Final = {";": "semicolons", "\t": "tabs"}
+_SEPARATED: Final = re.compile(r"\S *[,;\t|] *\S|\S\s{2,}\S|^(\S+ )+[-+.\d]\S*$", re.MULTILINE)
 _LOOK: Final = 4096
 _FARTHEST: Final = 50.0
 """Metres; no target or length of a calibration is farther away."""
@@ -111,26 +117,44 @@ class Table:
 
 
 def is_table(path: Path) -> bool:
-    """Return whether ``path`` is a plain table: ends in .csv, or its first line has columns.
-
-    Raises BagError for a spreadsheet, whatever its name is.
-    """
+    """Return whether ``path`` is a table: a workbook, or a text with several columns."""
     ending = path.suffix.lower()
+    if ending == ".csv" or ending in _WORKBOOKS:
+        return True
     if ending in _OTHERS or not plain_file(path):
-        return ending == ".csv"
+        return False
     with open_plain(path) as file:
         begin = file.read(_LOOK)
-    if ending in _SPREADSHEETS or (ending in _TEXTS and begin.startswith(_OFFICE)):
-        raise BagError(
-            f"{path} is a spreadsheet: save it as CSV (comma-separated, UTF-8) and name that file"
-        )
-    if ending == ".csv":
-        return True
-    if b"\0" in begin:
-        return False
+    if begin.startswith(WORKBOOKS):
+        return ending in _TEXTS
+    if begin.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return ending in _TEXTS
     text = begin.decode("utf-8-sig", errors="replace")
-    first = next((line for line in text.splitlines() if line.strip() and line[0] != "#"), "")
-    return any(separator in first for separator in (",", *_SEPARATORS))
+    return "\0" not in text and _SEPARATED.search(text) is not None
+
+
+def is_workbook(path: Path) -> bool:
+    """Return whether ``path`` is a file of a spreadsheet program, by its first bytes."""
+    if not plain_file(path):
+        return False
+    with open_plain(path) as file:
+        return file.read(8).startswith(WORKBOOKS)
+
+
+def own_table(path: Path, headers: Sequence[Header]) -> Table | None:
+    """Return a table of our own form: UTF-8, commas, one of ``headers`` first; None for others.
+
+    Raises BagError when the file cannot be read, DataError for a line that is no CSV.
+    """
+    try:
+        with open_plain(path) as file:
+            begin = file.read(_LOOK)
+        begins = begin.decode("utf-8-sig", errors="replace").splitlines()
+    except OSError as error:
+        raise BagError(f"cannot read the table {path}: {why(error)}") from error
+    first = next((line for line in begins if line.strip() and line.lstrip()[0] != "#"), "")
+    names = tuple(cell.strip() for cell in first.split(","))
+    return read_table(path) if names in headers else None
 
 
 def read_table(path: Path) -> Table:
@@ -150,14 +174,7 @@ def read_table(path: Path) -> Table:
         if line.strip() and not line.lstrip().startswith("#")
         for cells in csv_rows(line, f"{path}, row {number}")
     ]
-    header = lines[0][1] if lines else ()
-    for separator, name in _SEPARATORS.items():
-        if len(header) == 1 and separator in header[0]:
-            raise BagError(
-                f"{path}: its columns are separated by {name}: save it with commas between the "
-                "columns, and points in the numbers"
-            )
-    return Table(path, header, tuple(lines[1:]))
+    return Table(path, lines[0][1] if lines else (), tuple(lines[1:]))
 
 
 def csv_rows(text: str, name: str) -> Iterator[list[str]]:

@@ -24,6 +24,8 @@ from rotcal_ros.foundation.errors import ConfigurationError
 
 LARGEST_FILE: Final = 1 << 28
 """Bytes of a file that is read whole; the result of 20 000 lengths has 10 million."""
+WORKBOOKS: Final = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
+"""First bytes of the files of spreadsheet programs."""
 _PART: Final = 1 << 20
 LARGEST_YAML: Final = 1 << 22
 """Characters of a YAML text; a plan of 100 000 lengths has a million."""

@@ -31,6 +31,7 @@ from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.settings import declarations, load, to_mapping
+from rotcal_ros.foundation.sheets.reading import SheetSettings
 from rotcal_ros.foundation.untrusted import line_of, load_yaml, read_text, why
 from rotcal_ros.methods.air_settings import AirSettings
 from rotcal_ros.methods.method import Method, find_method, method_names
@@ -59,11 +60,12 @@ SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
     **EXTENSION_GROUPS,
     "topics": TopicSettings,
     "identity": Identity,
+    "sheet": SheetSettings,
     "table_adapter": TableAdapterSettings,
 }
 """Groups of settings that are the same for all methods."""
 _ORDER: Final = (
-    "identity", "cell", "plan", "capture", "air", "solver", "planner", "safety", "health",
+    "identity", "sheet", "cell", "plan", "capture", "air", "solver", "planner", "safety", "health",
     "recorder", "bridge", "dme", "instrument", "table_adapter", "topics", "page", "simulation",
 )  # fmt: skip
 """How a configuration is written, with the groups of extensions that may be installed."""
@@ -115,6 +117,7 @@ class Configuration:
     bridge: BridgeSettings
     topics: TopicSettings
     identity: Identity
+    sheet: SheetSettings
     table_adapter: TableAdapterSettings
     simulation: Any
     simulated: bool

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
@@ -10,10 +10,11 @@ from typing import Final
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.tables import Row, Table, hashes, read_table, require_header
+from rotcal_ros.foundation.sheets.reading import Known, Reading, read_any
+from rotcal_ros.foundation.tables import Row, Table, hashes, own_table
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.methods.calibration import Calibration, prepare
-from rotcal_ros.methods.configuration import Configuration
+from rotcal_ros.methods.configuration import Configuration, parse_configuration, replaced
 from rotcal_ros.methods.method import (
     Measurements,
     TableReader,
@@ -52,34 +53,78 @@ class PlannedMeasurements:
 
 
 def read_measurements(
-    path: Path, configuration: Configuration, targets: Path | None = None
+    path: Path,
+    configuration: Configuration,
+    targets: Path | None = None,
+    told: Callable[[Reading], object] = str,
 ) -> Measurements:
-    """Read the table at ``path`` as the method of the configuration understands it.
+    """Read the table at ``path``, of any form, as the method of the configuration understands it.
 
-    ``targets`` is a file of target positions, for methods that have targets. Raises BagError
-    when a file cannot be read or has other columns, ConfigurationError for a set-up without plan,
-    DataError when the content cannot be what it should be.
+    ``targets`` is a file of target positions, for methods that have targets. ``told`` is given how
+    the table was understood. Raises BagError when a file cannot be read or has other columns,
+    ConfigurationError for a set-up without plan, DataError when the content cannot be what it
+    should be or can be read in two ways.
     """
-    table, method = read_table(path), configuration.method
+    method = configuration.method
+    if method.table is None:
+        raise BagError(f"{path}: the method {method.name} reads no plain tables")
+    reader = method.table
+    _require_own_method(path, configuration)
+    planned = "plan" in configuration.given
+
+    def known() -> Mapping[str, Known]:
+        found = reader.known(configuration, path, targets)
+        return found if planned else {name: replace(of, angles=()) for name, of in found.items()}
+
+    reading = read_any(path, reader.headers, configuration.sheet, known)
+    if reading.angles_deg:
+        angles = {"table_angles_deg": list(reading.angles_deg)}
+        text = replaced(configuration, "plan", angles)
+        configuration = parse_configuration(text, configuration.source)
+    elif not planned:
+        raise ConfigurationError(
+            f"{configuration.source} has no group 'plan': it has to say which table angles the "
+            f"positions in {path} stand for"
+        )
+    told(reading)
+    return reader.read(configuration, reading.table, targets)
+
+
+def _require_own_method(path: Path, configuration: Configuration) -> None:
+    """Raise BagError for a table of our own form that belongs to another method."""
+    method = configuration.method
     others = [
         other.name
         for other in map(find_method, method_names())
-        if other.table is not None and table.header in other.table.headers
+        if other.table is not None and own_table(path, other.table.headers)
     ]
     if others and method.name not in others:
         raise BagError(
             f"{path} is a table of the method {others[0]}, but {configuration.source} sets up "
             f"{method.name}: give the set-up that belongs to it"
         )
-    if method.table is None:
-        raise BagError(f"{path}: the method {method.name} reads no plain tables")
-    require_header(table, method.table.headers)
-    if "plan" not in configuration.given:
-        raise ConfigurationError(
-            f"{configuration.source} has no group 'plan': it has to say which table angles the "
-            f"positions in {path} stand for"
-        )
-    return method.table.read(configuration, table, targets)
+
+
+def known_of_plan(
+    columns: Mapping[str, str],
+) -> Callable[[Configuration, Path, Path | None], dict[str, Known]]:
+    """Return what tells the numbers that ``columns`` may have, by the field of a step of each."""
+
+    def known(
+        configuration: Configuration, _path: Path, _targets: Path | None
+    ) -> dict[str, Known]:
+        plan = prepare(configuration).plan
+        numbers = {
+            name: tuple(sorted({getattr(step, field) for step in plan.steps}))
+            for name, field in columns.items()
+        }
+        angles = plan.table_angles
+        return {
+            name: Known(numbers[name], angles=angles if field == "table_position" else ())
+            for name, field in columns.items()
+        }
+
+    return known
 
 
 def planned_table(columns: Mapping[str, str], values: Mapping[str, float]) -> TableReader:
@@ -103,7 +148,7 @@ def planned_table(columns: Mapping[str, str], values: Mapping[str, float]) -> Ta
             observations.append(read_at(row, step.observed((*seen, *missing))))
         return PlannedMeasurements(calibration, tuple(observations), hashes(table.path))
 
-    return TableReader((header, (*header, TIME)), read)
+    return TableReader((header, (*header, TIME)), read, known_of_plan(columns))
 
 
 def read_at(row: Row, observation: Observation) -> Observation:

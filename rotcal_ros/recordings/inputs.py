@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from rotcal_ros.bags.reader import Progress, bag_files
 from rotcal_ros.bags.settings import ReadingLimits, changed_limits, is_limit
 from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.sheets.reading import Reading
 from rotcal_ros.foundation.tables import is_table
 from rotcal_ros.methods.configuration import OFFLINE_GROUPS, Configuration, changed, read_setup
 from rotcal_ros.methods.measurements import read_measurements
@@ -24,6 +26,7 @@ class Input:
     ``setup`` is the file of its configuration, which for a bag replaces the one in it; ``targets``
     that of a tracer's targets; ``changes`` are ``group.name=value``, for a bag
     ``reading.name=value`` too. ``taken_from`` and ``namespace`` say what part of a bag is solved.
+    ``told`` is given how a table was understood.
     """
 
     path: Path
@@ -32,6 +35,7 @@ class Input:
     changes: tuple[str, ...] = ()
     taken_from: Source = "streams"
     namespace: str = ""
+    told: Callable[[Reading], object] = field(default=str, compare=False)
 
     @property
     def plain(self) -> bool:
@@ -53,7 +57,7 @@ class Input:
             if of_reading:
                 raise ConfigurationError(f"--set {of_reading[0]}: {self.path} is not a bag")
             stated = changed(read_setup(self.setup), self.changes)
-            return read_measurements(self.path, stated, self.targets)
+            return read_measurements(self.path, stated, self.targets, self.told)
         if self.targets is not None:
             raise ConfigurationError(f"{self.path} is not a table: only a table takes --targets")
         limits = changed_limits(of_reading)

@@ -45,7 +45,7 @@ def test_a_table_is_known_by_its_content(lengths, name):
 
 @pytest.mark.parametrize("name", ["lengths.xlsx", "lengths.csv", "lengths.ods"])
 @pytest.mark.parametrize("verb", ["solve", "report", "uncertainty"])
-def test_a_spreadsheet_is_told_how_to_be_saved(tmp_path, verb, name):
+def test_a_damaged_workbook_is_told_how_to_be_saved(tmp_path, verb, name):
     with zipfile.ZipFile(tmp_path / name, "w") as file:
         file.writestr("xl/workbook.xml", "")
     done = run(verb, tmp_path / name, "--setup", TRACER)
@@ -53,19 +53,33 @@ def test_a_spreadsheet_is_told_how_to_be_saved(tmp_path, verb, name):
     assert "save it as CSV" in done.stderr
 
 
-@pytest.mark.parametrize(("separator", "words"), [(";", "semicolons"), ("\t", "tabs")])
-def test_other_separators_are_named(lengths, separator, words):
-    lengths.write_text(lengths.read_text().replace(",", separator))
-    done = run("solve", lengths, "--setup", TRACER)
-    assert done.exit_code == 2
-    assert f"separated by {words}" in done.stderr
+@pytest.mark.parametrize(
+    ("separator", "encoding", "words"),
+    [
+        (";", "utf-8", "text in utf-8, semicolons"),
+        ("\t", "utf-8", "tabs"),
+        (",", "utf-16", "text in utf-16, commas"),
+    ],
+)
+def test_another_form_gives_the_same_bits_and_is_told(lengths, separator, encoding, words):
+    expected = solved(lengths, "--setup", TRACER)
+    lengths.write_bytes(lengths.read_text().replace(",", separator).encode(encoding))
+    done = run("solve", lengths, "--setup", TRACER, "--json")
+    assert done.exit_code == 0, done.stderr
+    assert json.loads(done.stdout)["deviations"] == expected["deviations"]
+    assert words in done.stderr
+    assert "length_m = 'length_m'" in done.stderr
 
 
-def test_utf_16_is_told_how_to_be_saved(lengths):
-    lengths.write_bytes(lengths.read_text().encode("utf-16"))
-    done = run("solve", lengths, "--setup", TRACER)
-    assert done.exit_code == 2
-    assert "CSV UTF-8" in done.stderr
+def test_explain_says_how_a_table_is_read_and_solves_nothing(lengths):
+    text = lengths.read_text().replace("position,target,length_m", "Pos,Target,Length [m],By")
+    first, *rows = text.splitlines()
+    lengths.write_text("\n".join([first, *(f"{row},me" for row in rows), "Mean,,0.4,"]))
+    done = run("solve", lengths, "--setup", TRACER, "--explain")
+    assert (done.exit_code, done.stderr) == (0, "")
+    for words in ("'Length [m]'", "not needed: By", f"row {len(rows) + 2} left out", "(Mean)"):
+        assert words in done.stdout
+    assert "deviations" not in done.stdout
 
 
 @pytest.mark.parametrize(

@@ -120,14 +120,10 @@ def test_lengths_in_millimetres_do_not_fit_the_targets(
 @pytest.mark.parametrize(
     ("text", "error"),
     [
-        ("", "expected the header line"),
-        (
-            "position,target,length\n0,0,1\n",
-            "expected the header line 'position,target,length_m' or 'position,target,length_m,",
-        ),
-        ("position,target,length_mm\n0,0,1\n", "found 'position,target,length_mm'"),
-        ("0,0,0.25\n", "expected the header line"),
-        ("position;target;length_m\n0;0;1\n", "separated by semicolons: save it with commas"),
+        ("", "no row names the columns: expected 'position,target,length_m' or"),
+        ("0,0,0.25\n", "no row names the columns"),
+        ("position,target,speed\n0,0,1\n", "no column length_m: .* not known: 'speed'"),
+        ("position;length_m\n0;1\n", "no column target"),
     ],
 )
 def test_wrong_header(configuration: Configuration, tmp_path: Path, text: str, error: str) -> None:
@@ -141,7 +137,7 @@ def test_empty_missing_and_binary_tables(configuration: Configuration, tmp_path:
     path = tmp_path / "table.csv"
     with pytest.raises(BagError, match="cannot read the table"):
         read_measurements(path, configuration)
-    path.write_bytes(b"\xff\xfe\x00\x01")
+    path.write_bytes(b"\x00\x01\xff\xfe\x00\x00")
     with pytest.raises(BagError, match="cannot read the table"):
         read_measurements(path, configuration)
     path.write_text("position,target,length_m\n")

@@ -18,6 +18,7 @@ from rotcal_ros.methods.calibration import prepare
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder
 
+COLUMNS: Final = {"position": "table_position", "ball_step": "target"}
 STD: Final[Header] = ("sx_m", "sy_m", "sz_m")
 _CENTRES: Final[Header] = ("position", "ball_step", "x_m", "y_m", "z_m")
 HEADERS: Final[tuple[Header, ...]] = (_CENTRES, _CENTRES + STD)
@@ -36,7 +37,7 @@ def read(configuration: Configuration, table: Table, _targets: Path | None) -> P
         solver = replace(configuration.solver, own_std=True)
         configuration = replace(configuration, solver=solver)
     calibration = prepare(configuration)
-    find = RowStepFinder(calibration.plan, {"position": "table_position", "ball_step": "target"})
+    find = RowStepFinder(calibration.plan, COLUMNS)
     observations = []
     for number, row in enumerate(table.rows()):
         observation = find(row).observed(row.point(), PointKind.CENTRE)

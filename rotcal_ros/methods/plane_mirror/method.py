@@ -15,6 +15,7 @@ from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.configuration import Configuration
+from rotcal_ros.methods.measurements import known_of_plan
 from rotcal_ros.methods.method import Method, See, Stations, TableReader, zero_at_the_first
 from rotcal_ros.methods.plane_mirror import calibration, table
 from rotcal_ros.methods.plane_mirror.disturbances import DISTURBANCES
@@ -103,7 +104,7 @@ METHOD: Final = Method(
     check=calibration.check,
     nominal=nominal,
     stations=stations,
-    table=TableReader((table.HEADER, table.TIMED), table.read),
+    table=TableReader((table.HEADER, table.TIMED), table.read, known_of_plan(table.COLUMNS)),
     figures=figures,
     tables=tables,
     zero=zero,

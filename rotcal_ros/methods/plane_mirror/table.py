@@ -26,6 +26,7 @@ from rotcal_ros.methods.plane_mirror.plan import position_angles
 from rotcal_ros.methods.plane_mirror.solver import mirror_trials
 from rotcal_ros.methods.plane_mirror.solver.problem import PlaneMirrorProblem
 
+COLUMNS: Final = {"position": "table_position"}
 HEADER: Final[Header] = ("position", "tracker_station", "kind", "nest", "x_m", "y_m", "z_m")
 TIMED: Final[Header] = (*HEADER, "time_s")
 KINDS: Final = {

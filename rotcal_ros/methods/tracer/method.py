@@ -88,7 +88,9 @@ METHOD: Final = Method(
     trials=calibration.trials,
     nominal=nominal,
     stations=stations,
-    table=TableReader((*table.HEADERS, *table.STATIONS), table.read),
+    table=TableReader(
+        (*table.HEADERS, *table.STATIONS), table.read, table.known_lengths(table.COLUMNS)
+    ),
     figures=figures,
     tables=tables,
     disturbances=DISTURBANCES,

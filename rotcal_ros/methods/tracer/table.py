@@ -16,14 +16,24 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.foundation.circumstances import Circumstances
-from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.tables import Header, Row, Table, hashes, read_table, require_header
+from rotcal_ros.foundation.sheets.reading import Known, Reading, SheetSettings, read_any
+from rotcal_ros.foundation.tables import (
+    Header,
+    Row,
+    Table,
+    hashes,
+    is_table,
+    is_workbook,
+    read_table,
+    require_header,
+)
 from rotcal_ros.methods.calibration import Calibration, prepare
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder
+from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder, known_of_plan
 from rotcal_ros.methods.method import Measurements, PlanFile, Trials
 from rotcal_ros.methods.tracer.lengths import LengthCheck
 from rotcal_ros.methods.tracer.plan import explicit_plan, plan_of
@@ -36,13 +46,17 @@ HEADERS: Final[tuple[Header, ...]] = (
     ("position", "target", "length_m"),
     ("position", "target", "length_m", SEGMENT),
 )
+COLUMNS: Final = {"position": "table_position", "target": "target"}
+"""Columns of numbers, with the field of a step that each tells."""
 DISTANCE: Final = "d_m"
 STATIONS: Final[tuple[Header, ...]] = (
     ("position", "x_m", "y_m", "z_m"),
     ("position", "x_m", "y_m", "z_m", DISTANCE),
 )
 TARGETS: Final = ("target", "x_m", "y_m", "z_m")
-TARGETS_FILE: Final = "targets.csv"
+TARGETS_FILE: Final = "targets"
+"""Stem of the file of targets beside a table of lengths."""
+_AS_IT_STANDS: Final = SheetSettings()
 PAIRS: Final = ("step", "table_position", "target")
 
 
@@ -132,8 +146,7 @@ def _read_lengths(
             return explicit_plan(configuration.plan, targets)
         return plan_of(angles, targets, [Approach.UNKNOWN] * len(angles))
 
-    columns = {"position": "table_position", "target": "target"}
-    return read_lengths(configuration, table, targets, columns, replanned)
+    return read_lengths(configuration, table, targets, COLUMNS, replanned)
 
 
 def read_lengths(
@@ -150,11 +163,10 @@ def read_lengths(
     set-up's. Raises DataError for a length that cannot be one in metres.
     """
     files, calibration = [table.path], prepare(configuration)
-    beside = table.path.with_name(TARGETS_FILE)
-    targets = beside if targets is None and beside.exists() else targets
+    targets = targets_file(table.path, targets)
     if targets is not None:
-        files.append(targets)
-        plan = replanned(calibration.plan, read_targets(targets))
+        files += [targets] if targets != table.path else []
+        plan = replanned(calibration.plan, read_targets(targets, configuration.sheet))
         calibration = Calibration(configuration, plan)
     find, check = RowStepFinder(calibration.plan, columns), LengthCheck(calibration.plan)
     in_segments = SEGMENT in table.header
@@ -168,12 +180,46 @@ def read_lengths(
     return PlannedMeasurements(calibration, tuple(observations), hashes(*files))
 
 
-def read_targets(path: Path) -> tuple[Point, ...]:
-    """Return the target positions (m) of ``targets.csv`` in the order of their numbers."""
-    table = read_table(path)
-    require_header(table, (TARGETS,))
+def known_lengths(
+    columns: Mapping[str, str],
+) -> Callable[[Configuration, Path, Path | None], dict[str, Known]]:
+    """Return what tells the numbers of a table of lengths: those of the plan, and its targets'."""
+    of_plan = known_of_plan(columns)
+
+    def known(configuration: Configuration, path: Path, targets: Path | None) -> dict[str, Known]:
+        found, file = of_plan(configuration, path, targets), targets_file(path, targets)
+        if file is not None:
+            reading = _targets(file, configuration.sheet)
+            numbers = tuple(range(len(reading.table.lines)))
+            found["target"] = Known(numbers, reading.labels, source=reading)
+        return found
+
+    return known
+
+
+def targets_file(path: Path, given: Path | None) -> Path | None:
+    """Return the file of targets of a table of lengths: given, beside it, or its own workbook."""
+    beside = sorted(filter(is_table, path.parent.glob(f"{TARGETS_FILE}.*")))
+    if given is not None or beside:
+        return given or beside[0]
+    if not is_workbook(path):
+        return None
+    try:
+        _targets(path, SheetSettings())
+    except (BagError, DataError):
+        return None
+    return path
+
+
+def _targets(path: Path, settings: SheetSettings) -> Reading:
+    settings = replace(settings, name="")  # that is the sheet of the lengths
+    return read_any(path, (TARGETS,), settings, lambda: {"target": Known(listed=True)})
+
+
+def read_targets(path: Path, settings: SheetSettings = _AS_IT_STANDS) -> tuple[Point, ...]:
+    """Return the target positions (m) in a table of any form, in the order of their numbers."""
     points: dict[int, Point] = {}
-    for row in table.rows():
+    for row in _targets(path, settings).table.rows():
         number = row.index("target")
         if number in points:
             raise DataError(f"{row.place}: target {number} is listed twice")

@@ -21,6 +21,7 @@ from rotcal_ros.methods.tracer_six.plan import plan_of
 from rotcal_ros.methods.tracer_six.settings import SixPlanSettings
 from rotcal_ros.methods.tracer_six.solver import TracerSixSolverSettings
 
+COLUMNS: Final = {"place": "station", "position": "table_position", "target": "target"}
 HEADERS: Final[tuple[Header, ...]] = (
     ("place", "position", "target", "length_m"),
     ("place", "position", "target", "length_m", SEGMENT),
@@ -36,7 +37,7 @@ def read(configuration: Configuration, table: Table, targets: Path | None) -> Pl
         configuration,
         table,
         targets,
-        {"place": "station", "position": "table_position", "target": "target"},
+        COLUMNS,
         lambda _, listed: plan_of(configuration.plan, listed),
     )
 

@@ -16,12 +16,20 @@ from rotcal_ros.foundation.escapes import printable
 if TYPE_CHECKING:
     from rich.progress import Progress
 
+    from rotcal_ros.foundation.sheets.reading import Reading
+
 
 def say(text: str) -> None:
     """Print a line for people on standard error, above a progress bar if there is one."""
     note_told(text)
     # Not click.echo: it writes past what rich puts in the place of standard error meanwhile.
     sys.stderr.write(f"{printable(text)}\n")
+
+
+def understood(reading: Reading) -> None:
+    """Say in one line how a table of another form than ours was read."""
+    if line := reading.line():
+        say(f"read: {line}")
 
 
 def tell(*lines: str, colour: str = "", err: bool = False) -> None:

@@ -1,0 +1,169 @@
+"""Files as grids of cells: workbooks by python-calamine, texts in any encoding."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+import zipfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import date, datetime, time, timedelta
+from pathlib import Path
+from typing import Any, Final, TypeAlias
+
+from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.untrusted import LARGEST_FILE, WORKBOOKS, read_bytes, why
+
+Cell: TypeAlias = "str | float"
+"""A text as it stands there, or what a workbook holds as a number."""
+
+_MARKS: Final = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
+_OLDER: Final = ("cp1252", "gb18030", "cp932")
+"""Encodings that any bytes may be in: which one it is, the names of the columns tell."""
+_GAP: Final = re.compile(r"\s{2,}|\t")
+_STATED: Final = re.compile(r'^"?sep=(.)"?[;,\t]*$', re.IGNORECASE)
+SEPARATORS: Final[dict[str, str]] = {
+    ",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", "  ": "two spaces or more",
+    " ": "spaces",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """The cells of a sheet or of a text: ``rows`` with their line numbers.
+
+    ``form`` says in words what it is, "sheet Lengths" or "text in utf-8, semicolons"; ``name`` is
+    that of the sheet, empty for a text.
+    """
+
+    form: str
+    rows: tuple[tuple[int, tuple[Cell, ...]], ...]
+    name: str = ""
+
+
+def grids(path: Path) -> list[Grid]:
+    """Return what the file at ``path`` may hold: a grid per sheet, or per way to read a text.
+
+    Raises BagError for a file that cannot be read.
+    """
+    try:
+        data = read_bytes(path)
+    except OSError as error:
+        raise BagError(f"cannot read the table {path}: {why(error)}") from error
+    if data.startswith(WORKBOOKS):
+        return _sheets(path, data)
+    found = [grid for encoding, text in _texts(data) for grid in _ways(text, encoding)]
+    if not found:
+        raise BagError(
+            f"cannot read the table {path}: it is neither text nor a workbook (.xlsx, .xls, .ods)"
+        )
+    return found
+
+
+def _sheets(path: Path, data: bytes) -> list[Grid]:
+    try:
+        from python_calamine import CalamineError, CalamineWorkbook
+    except ImportError as error:
+        raise BagError(
+            f"{path} is a workbook, and python-calamine, which reads those, is not installed: "
+            "pip install python-calamine; or save it as CSV and name that file"
+        ) from error
+    try:
+        _require_bounded(data)
+        book = CalamineWorkbook.from_filelike(io.BytesIO(data))
+        read = [(name, book.get_sheet_by_name(name)) for name in book.sheet_names]
+        return [Grid(f"sheet {name}", _cells(sheet), name) for name, sheet in read]
+    except (CalamineError, zipfile.BadZipFile, OSError, ValueError) as error:
+        raise BagError(
+            f"cannot read the workbook {path}: {error}: save it again, or save it as CSV and name "
+            "that file"
+        ) from error
+
+
+def _require_bounded(data: bytes) -> None:
+    """Raise ValueError for a workbook that would grow beyond all bounds when it is unpacked."""
+    if not data.startswith(WORKBOOKS[0]):
+        return
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        size = sum(member.file_size for member in archive.infolist())
+    if size > LARGEST_FILE:
+        raise ValueError(f"unpacked it has more than the {LARGEST_FILE:,} bytes that we read")
+
+
+def _cells(sheet: Any) -> tuple[tuple[int, tuple[Cell, ...]], ...]:
+    first = sheet.start[0] + 1 if sheet.start else 1
+    rows = sheet.to_python(skip_empty_area=True)
+    return tuple(
+        (number, tuple(map(_cell, row)))
+        for number, row in enumerate(rows, start=first)
+        if any(value != "" for value in row)
+    )
+
+
+def _cell(value: object) -> Cell:
+    match value:
+        case bool() | str():
+            return str(value).strip()
+        case int() | float():
+            return float(value)
+        case datetime() | date() | time():
+            return value.isoformat()
+        case timedelta():
+            return value.total_seconds()
+    return ""
+
+
+def _texts(data: bytes) -> Iterator[tuple[str, str]]:
+    """Yield encodings with the text that ``data`` is in each; one alone where that is sure."""
+    marked = next((name for mark, name in _MARKS.items() if data.startswith(mark)), None)
+    wide = None if marked or b"\0" not in data else _wide(data)
+    for encoding in [marked] if marked else [wide] if wide else ["utf-8"]:
+        with suppress(UnicodeDecodeError):
+            yield encoding, data.decode(encoding)
+            return
+    if b"\0" not in data:
+        for encoding in _OLDER:
+            with suppress(UnicodeDecodeError):
+                yield encoding, data.decode(encoding)
+
+
+def _wide(data: bytes) -> str | None:
+    """Return UTF-16 of one order or the other, by where the zeros of plain letters are."""
+    even, odd = data[:4096:2].count(0), data[1:4096:2].count(0)
+    if max(even, odd) < 0.4 * len(data[:4096:2]) or min(even, odd) > 0:
+        return None
+    return "utf-16-be" if even > odd else "utf-16-le"
+
+
+def _ways(text: str, encoding: str) -> Iterator[Grid]:
+    """Yield the grids that a text may be, one for each separator that occurs in it."""
+    if "\0" in text:
+        return
+    lines = text.splitlines()
+    stated = _STATED.match(lines[0]) if lines else None
+    separators = [stated[1]] if stated else [s for s in SEPARATORS if s in text]
+    for separator in separators or [","]:
+        rows = _rows(text, separator)
+        if rows is not None:
+            rows = rows[1:] if stated else rows
+            name = SEPARATORS.get(separator, repr(separator))
+            yield Grid(f"text in {encoding}, {name} between the columns", tuple(rows))
+
+
+def _rows(text: str, separator: str) -> list[tuple[int, tuple[Cell, ...]]] | None:
+    """Return the lines that are not empty, with their cells; None where that is no CSV."""
+    splitting: dict[str, Callable[[str], Sequence[str]]] = {"  ": _GAP.split, " ": str.split}
+    if separator in splitting:
+        split = splitting[separator]
+        numbered = enumerate(text.splitlines(), start=1)
+        found = [(number, split(line.strip())) for number, line in numbered]
+    else:
+        reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
+        try:
+            found = [(reader.line_num, cells) for cells in reader]
+        except csv.Error:
+            return None
+    stripped = [(number, tuple(map(str.strip, cells))) for number, cells in found]
+    return [row for row in stripped if any(row[1]) and not str(row[1][0]).startswith("#")]

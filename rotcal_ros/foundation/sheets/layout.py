@@ -1,0 +1,316 @@
+"""Which cell of a grid is the head of which column: one value a row, or a matrix of values."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.sheets.files import Cell, Grid
+from rotcal_ros.foundation.sheets.words import (
+    ANGLE,
+    LENGTH,
+    TABLE_ANGLE,
+    TIME,
+    Heading,
+    columns_of,
+    folded,
+    quantity_of,
+    units_of,
+)
+from rotcal_ros.foundation.tables import Header
+
+_SUFFIXES: Final = {"_m": LENGTH, "_rad": ANGLE, "_s": TIME}
+TEXTS: Final = frozenset({"kind", "tracker_station"})
+"""Columns that hold words."""
+_LOOKED_AT: Final = 100
+"""Rows in which the head of a table is looked for."""
+_LABEL: Final = re.compile(r"(.*?)\s*[-_#.]?\s*(\d{1,6})(?:\.0)?")
+_ALL_IN: Final = re.compile(
+    r"(?:units?|einheit(?:en)?|unites?|单位|單位|単位)\s*[:=]\s*(\S+)|"
+    r"(?:all|alle|toutes?|tous)\b.*\b(?:in|en)\s+(\S+)",
+    re.IGNORECASE,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column of ours: ``name`` without unit, what it measures; empty: a number or a text."""
+
+    header: str
+    name: str
+    quantity: str
+
+    @classmethod
+    def of(cls, header: str) -> Column:
+        """Return the column with the name ``header``, as length_m."""
+        suffix = next((suffix for suffix in _SUFFIXES if header.endswith(suffix)), "")
+        return cls(header, header.removesuffix(suffix), _SUFFIXES.get(suffix, ""))
+
+
+@dataclass(frozen=True, slots=True)
+class Use:
+    """Where a column is: ``place`` of its cell in a row, from 0, and the units of its heading."""
+
+    place: int
+    text: str
+    units: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """Cells of a matrix that belong together: a ``label`` of ``column``, and a use per value."""
+
+    column: str
+    label: Cell
+    uses: Mapping[str, Use]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How a grid is understood: the ``header`` of ours that its columns fill, and from where.
+
+    ``uses`` maps names of columns, or TABLE_ANGLE, to their places; ``matrix`` are the cells of a
+    matrix, empty for a list. ``aside``: headings that nobody needs; ``missing``: columns without
+    any; ``doubled``: a column and two headings that mean it. ``first``: index of the first row of
+    values. ``length_unit``: stated above the table.
+    """
+
+    grid: Grid
+    header: Header
+    uses: Mapping[str, Use]
+    matrix: tuple[Cells, ...] = ()
+    aside: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
+    doubled: tuple[str, str, str] | None = None
+    first: int = 0
+    head: tuple[str, ...] = ()
+    length_unit: str = ""
+
+    @property
+    def rank(self) -> tuple[bool, int, int]:
+        """How well it is understood: whole, with how many columns, and how few left over."""
+        values = len(self.uses) + len({cells.column for cells in self.matrix})
+        return not self.missing, values, -len(self.aside)
+
+
+def best_layout(
+    found: Iterable[Grid], headers: Sequence[Header], named: Mapping[str, str], where: str
+) -> Layout | None:
+    """Return how the grids are understood best; None where no column is known in any.
+
+    ``named`` maps columns to the headings that a person has given them. Raises DataError where two
+    sheets are understood as well as each other, or two headings mean the same column.
+    """
+    layouts = [layout for grid in found for layout in [_of_grid(grid, headers, named)] if layout]
+    if not layouts:
+        return None
+    best = max(layouts, key=lambda layout: layout.rank)
+    if best.doubled:
+        name, one, other = best.doubled
+        raise DataError(
+            f"{where}: {one!r} and {other!r} may both be the column {name}: say which: "
+            f"--set 'sheet.columns=[{name}={other}]'"
+        )
+    equal = [layout for layout in layouts if layout.rank == best.rank and layout.grid.name]
+    if len(equal) > 1 and not best.missing:
+        sheets = " and ".join(layout.grid.name for layout in equal)
+        raise DataError(
+            f"{where}: the sheets {sheets} have the same columns: say which to read: "
+            f"--set sheet.name={equal[0].grid.name}"
+        )
+    return best
+
+
+def _of_grid(grid: Grid, headers: Sequence[Header], named: Mapping[str, str]) -> Layout | None:
+    """Return the layout of the row that has most of the columns, the first of such rows."""
+    best: Layout | None = None
+    for row in range(min(len(grid.rows), _LOOKED_AT)):
+        for heads, below in _heads(grid, row):
+            if len(heads) < 2:
+                continue
+            for header in headers:
+                layout = _of_heads(grid, header, heads, named)
+                if layout and (best is None or layout.rank > best.rank):
+                    best = replace(layout, first=row + below)
+    if best is None:
+        return None
+    return replace(best, length_unit=_stated_unit(grid, best.first))
+
+
+def _heads(grid: Grid, row: int) -> Iterator[tuple[dict[int, Heading], int]]:
+    """Yield the headings of a row by place, with the number of rows that they take.
+
+    Alone, with the units of the row below, and as the second of two rows, as in merged cells.
+    """
+    cells = grid.rows[row][1]
+    heads = {place: Heading.of(_text(cell)) for place, cell in enumerate(cells) if cell != ""}
+    below = grid.rows[row + 1][1] if row + 1 < len(grid.rows) else ()
+    units = {place: units_of(cell.strip("[]() ")) for place, cell in enumerate(below)
+             if isinstance(cell, str) and cell}  # fmt: skip
+    if units and all(units.values()):
+        for place, found in units.items():
+            if place in heads:
+                heads[place] = replace(heads[place], units=found)
+        yield heads, 2
+        return
+    yield heads, 1
+    second = [_text(cell) for cell in below]
+    if heads and second and all(isinstance(cell, str) for cell in below):
+        filled, joined = "", dict[int, Heading]()
+        for place, text in enumerate(second):
+            filled = _text(cells[place]) or filled if place < len(cells) else filled
+            joined[place] = Heading.of(f"{filled} {text}".strip())
+        yield {place: head for place, head in joined.items() if head.text}, 2
+
+
+def _of_heads(
+    grid: Grid,
+    header: Header,
+    heads: Mapping[int, Heading],
+    named: Mapping[str, str],
+) -> Layout | None:
+    columns = [Column.of(name) for name in header]
+    wanted = {column.name: column for column in columns}
+    uses, doubled = dict[str, Use](), None
+    for place, head in heads.items():
+        meant = _meant(head, wanted, named)
+        name = next((name for name in meant if name not in uses), "")
+        if name:
+            uses[name] = Use(place, head.text, head.units)
+        elif meant:
+            doubled = doubled or (meant[0], uses[meant[0]].text, head.text)
+    corner = None if uses else _corner(heads, wanted, named)
+    if corner:
+        uses[corner.name] = Use(min(heads), heads[min(heads)].text)
+    if not uses:
+        return None
+    missing = [c for c in columns if c.name not in uses and not _by_angle(c, uses)]
+    left = {
+        place: h for place, h in heads.items() if place not in {u.place for u in uses.values()}
+    }
+    matrix = _matrix(missing, left, columns, corner.units if corner else ())
+    if matrix:
+        missing = []
+        taken = {use.place for cells in matrix for use in cells.uses.values()}
+        left = {place: head for place, head in left.items() if place not in taken}
+    return Layout(
+        grid,
+        header,
+        uses,
+        tuple(matrix),
+        aside=tuple(head.text for head in left.values()),
+        missing=tuple(column.header for column in missing),
+        doubled=doubled,
+        head=tuple(head.text for head in heads.values()),
+    )
+
+
+def _by_angle(column: Column, uses: Mapping[str, Use]) -> bool:
+    return column.name == "position" and TABLE_ANGLE in uses
+
+
+def _meant(head: Heading, wanted: Mapping[str, Column], named: Mapping[str, str]) -> list[str]:
+    """Return which of the wanted columns, or the table angle, a heading means."""
+    chosen = [name for name, text in named.items() if folded(text) == folded(head.text)]
+    if chosen:
+        return [name for name in chosen if name in wanted or name == TABLE_ANGLE]
+    own = [name for name in wanted if folded(name) == folded(head.name)]
+    known = [name for name in (*own, *columns_of(head)) if name not in named]
+    if "ball" in known:
+        known.append("ball_step")
+    angle = {TABLE_ANGLE} if "position" in wanted else set()
+    return [name for name in known if name in wanted or name in angle]
+
+
+def _corner(
+    heads: Mapping[int, Heading], wanted: Mapping[str, Column], named: Mapping[str, str]
+) -> Heading | None:
+    """Return what the rows of a matrix are, where its first cell names rows and columns.
+
+    As in Target / Angle [deg]; with the unit of the columns' labels if these are angles.
+    """
+    first = heads[min(heads)]
+    rows, apart, across = re.sub(r"[\\|]", "/", first.name).partition("/")
+    names = _meant(Heading(rows, rows.strip()), wanted, named) if apart else []
+    if not names:
+        return None
+    angles = TABLE_ANGLE in columns_of(Heading(across, across.strip(), first.units))
+    return Heading(first.text, names[0], first.units if angles else ())
+
+
+def _matrix(
+    missing: Sequence[Column],
+    left: Mapping[int, Heading],
+    columns: Sequence[Column],
+    label_units: tuple[str, ...],
+) -> list[Cells]:
+    """Return the cells of a matrix: one key and all values are missing, their heads are labels.
+
+    ``label_units``: of labels that are table angles.
+    """
+    keys = [column for column in missing if not column.quantity and column.name not in TEXTS]
+    values = [column for column in missing if column.quantity not in ("", TIME)]
+    if len(keys) != 1 or len(values) + 1 != len(missing) or not values:
+        return []
+    if {c.name for c in values} != {c.name for c in columns if c.quantity not in ("", TIME)}:
+        return []
+    key, groups = keys[0], dict[Cell, dict[str, Use]]()
+    for place, head in left.items():
+        name, text = _value_of(head, values)
+        units = label_units or tuple(u for u in head.units if quantity_of(u) == ANGLE)
+        if units and name and key.name == "position":
+            label: Cell | None = f"{text.rstrip('°')} {units[0]}"
+        else:
+            label = _label(text, key.name, values) if name else None
+        if label is not None:
+            of_value = () if units else head.units
+            groups.setdefault(label, {}).setdefault(name, Use(place, head.text, of_value))
+    whole = {label: uses for label, uses in groups.items() if len(uses) == len(values)}
+    return (
+        [Cells(key.name, label, uses) for label, uses in whole.items()] if len(whole) > 1 else []
+    )
+
+
+def _value_of(head: Heading, values: Sequence[Column]) -> tuple[str, str]:
+    """Return which of the values the head of a matrix's column names, and the label beside it."""
+    if len(values) == 1:
+        return values[0].name, head.name
+    words = [word for word in re.split(r"[\s_\-:.]+", head.name) if word]
+    found = [word for word in words if any(folded(word) == value.name for value in values)]
+    rest = " ".join(word for word in words if word not in found)
+    return (folded(found[0]), rest) if len(found) == 1 else ("", "")
+
+
+def _label(text: str, key: str, values: Sequence[Column]) -> Cell | None:
+    """Return the label of a target, ball or position at the head of a matrix's column.
+
+    A number, alone or behind a word for it; a table angle is a text with its unit.
+    """
+    found = _LABEL.fullmatch(text.strip())
+    if found is None:
+        angle = text.strip().endswith("°") and key == "position"
+        return text.strip() if angle else None
+    word = found[1]
+    names = columns_of(Heading(word, word))
+    meant = {key, *(value.name for value in values)} | ({"ball"} if key == "ball_step" else set())
+    if len(word) <= 1 or meant.intersection(names):
+        return float(found[2])
+    return None
+
+
+def _stated_unit(grid: Grid, before: int) -> str:
+    """Return the unit of length that a line above the table states for all of it."""
+    for _, cells in grid.rows[:before]:
+        texts = [cell for cell in cells if isinstance(cell, str) and cell]
+        found = _ALL_IN.search(" ".join(texts)) if len(texts) <= 2 else None
+        units = units_of((found[1] or found[2]).strip("[]().,;")) if found else ()
+        if len(units) == 1 and quantity_of(units[0]) == LENGTH:
+            return units[0]
+    return ""
+
+
+def _text(cell: Cell) -> str:
+    return cell if isinstance(cell, str) else f"{cell:g}"

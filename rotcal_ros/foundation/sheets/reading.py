@@ -1,0 +1,469 @@
+"""The plain table that a method reads, made of whatever table of numbers somebody has.
+
+Every value becomes a text in metres or seconds, every number counts from 0; the reader of the
+method then checks it as one of our own tables.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import pi, remainder
+from pathlib import Path
+from typing import Final
+
+from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
+from rotcal_ros.foundation.settings import setting
+from rotcal_ros.foundation.sheets.files import Cell, grids
+from rotcal_ros.foundation.sheets.layout import TEXTS, Column, Layout, Use, best_layout
+from rotcal_ros.foundation.sheets.numerals import Measure, decimal_marks, in_si, parse
+from rotcal_ros.foundation.sheets.words import (
+    ANGLE,
+    LENGTH,
+    TABLE_ANGLE,
+    TIME,
+    UNITS,
+    Heading,
+    columns_of,
+    folded,
+    is_nothing,
+    is_summary,
+    kind_of,
+)
+from rotcal_ros.foundation.tables import Header, Table, own_table
+from rotcal_ros.foundation.units import DEGREE
+
+_DEFAULTS: Final = {LENGTH: "length_unit", ANGLE: "angle_unit", TIME: "time_unit"}
+_LABEL: Final = re.compile(r"(?:\D*[^\W\d_]\W*)?([0-9]{1,9})")
+"""A number, or a word and a number."""
+_NEAR: Final = 0.25
+"""Share of the smallest step of the table within which an angle is the planned one."""
+_SAME_ANGLE: Final = 1e-9
+"""Radians by which two readings of the same angle may differ."""
+
+
+@dataclass(frozen=True)
+class SheetSettings:
+    """How a table of numbers is read, where the table does not tell it itself."""
+
+    length_unit: str = setting(
+        "", doc="unit of lengths whose column states none", choices=("", *UNITS[LENGTH])
+    )
+    angle_unit: str = setting(
+        "", doc="unit of angles whose column states none", choices=("", *UNITS[ANGLE])
+    )
+    time_unit: str = setting(
+        "", doc="unit of times whose column states none", choices=("", *UNITS[TIME])
+    )
+    decimal: str = setting(
+        "", doc="decimal mark, a point or a comma; empty: as the numbers tell",
+        choices=("", ".", ","),
+    )  # fmt: skip
+    counted_from: str = setting(
+        "", doc="number of the first position and of the first target; empty: as the numbers tell",
+        choices=("", "0", "1"),
+    )  # fmt: skip
+    columns: tuple[str, ...] = setting(
+        (), doc="columns by the text at their head where that tells nothing, as length=Messwert"
+    )
+    name: str = setting("", doc="sheet of a workbook that is read; empty: the one that fits")
+
+
+@dataclass(frozen=True)
+class Known:
+    """What a number in a table may be: ``numbers`` of the plan, ascending, perhaps with gaps.
+
+    ``labels`` maps other names to them; ``angles`` (rad) are those of the positions. ``listed``:
+    no plan knows them, the table lists them all, as one of targets does. ``source`` is the table
+    that the labels are from.
+    """
+
+    numbers: tuple[int, ...] = ()
+    labels: Mapping[str, int] = field(default_factory=dict)
+    angles: tuple[float, ...] = ()
+    listed: bool = False
+    source: Reading | None = None
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A table as it was read, and how that was understood, in words.
+
+    ``columns`` maps our columns to theirs; ``left_out`` are the numbers of rows with why;
+    ``remarks`` say what was counted or turned. ``labels`` maps the labels of the first column to
+    their numbers. ``angles_deg`` are the table's own, ascending, where no plan had any. ``form``
+    is empty for a table of our own form, which is read as it stands. ``beside``: other tables that
+    were read for it.
+    """
+
+    table: Table
+    form: str = ""
+    columns: Mapping[str, str] = field(default_factory=dict)
+    aside: tuple[str, ...] = ()
+    left_out: tuple[tuple[int, str], ...] = ()
+    remarks: tuple[str, ...] = ()
+    labels: Mapping[str, int] = field(default_factory=dict)
+    angles_deg: tuple[float, ...] = ()
+    beside: tuple[Reading, ...] = ()
+
+    def line(self) -> str:
+        """Return it in one line; empty for a table of our own form."""
+        if not self.form:
+            return ""
+        columns = ", ".join(f"{ours} = {theirs}" for ours, theirs in self.columns.items())
+        parts = [f"{self.table.path} ({self.form}): {columns}", *self.remarks]
+        if self.left_out:
+            parts.append(f"{len(self.left_out)} rows left out (--explain)")
+        return "; ".join(parts)
+
+    def lines(self) -> list[str]:
+        """Return it in full, for ``--explain``."""
+        if not self.form:
+            header = ", ".join(self.table.header)
+            return [f"{self.table.path}: a table of our own form, read as it stands: {header}"]
+        return [
+            f"{self.table.path}: {self.form}, {len(self.table.lines)} rows",
+            *(f"  {ours:<16} {theirs}" for ours, theirs in self.columns.items()),
+            *(f"  {remark}" for remark in self.remarks),
+            *([f"  not needed: {', '.join(self.aside)}"] if self.aside else []),
+            *(f"  row {row} left out: {why}" for row, why in self.left_out),
+            *(line for other in self.beside for line in other.lines()),
+        ]
+
+
+def read_any(
+    path: Path,
+    headers: Sequence[Header],
+    settings: SheetSettings,
+    known: Callable[[], Mapping[str, Known]] = dict,
+) -> Reading:
+    """Return the table at ``path`` with one of our ``headers``, and how it was understood.
+
+    ``known`` tells the numbers that a column may have, by the name of the column; it is asked only
+    for a table that is not of our own form. Raises BagError for a file that is no table,
+    DataError, with what to do, where something can be read in two ways or not at all.
+    """
+    own = own_table(path, headers)
+    if own is not None:
+        return Reading(own)
+    named = dict(_named(entry) for entry in settings.columns)
+    found = [grid for grid in grids(path) if settings.name in ("", grid.name)]
+    if not found:
+        raise ConfigurationError(f"{path}: there is no sheet {settings.name!r} (sheet.name)")
+    layout = best_layout(found, headers, named, str(path))
+    if layout is None or layout.missing:
+        raise BagError(_not_understood(path, headers, layout))
+    return _Rows(path, layout, settings, known()).read()
+
+
+def _named(entry: str) -> tuple[str, str]:
+    name, equals, text = entry.partition("=")
+    if not (name.strip() and equals and text.strip()):
+        raise ConfigurationError(f"sheet.columns: {entry!r}: expected COLUMN=TEXT, as length=Weg")
+    return Column.of(name.strip()).name, text.strip()
+
+
+def _not_understood(path: Path, headers: Sequence[Header], layout: Layout | None) -> str:
+    expected = " or ".join(f"'{','.join(header)}'" for header in headers)
+    if layout is None:
+        return f"{path}: no row names the columns: expected {expected}, in any form and language"
+    found = ", ".join(f"{name} ({use.text})" for name, use in layout.uses.items())
+    others = f"; not known: {', '.join(map(repr, layout.aside))}" if layout.aside else ""
+    return (
+        f"{path}: no column {', '.join(layout.missing)}: found {found}{others}. Expected "
+        f"{expected}. Tell a column with another name by --set 'sheet.columns=[length=ITS NAME]'"
+    )
+
+
+class _Rows:
+    """Turns the rows of one layout into those of our table."""
+
+    def __init__(
+        self, path: Path, layout: Layout, settings: SheetSettings, known: Mapping[str, Known]
+    ) -> None:
+        self._path, self._layout, self._settings, self._known = path, layout, settings, known
+        self._columns = [Column.of(name) for name in layout.header]
+        self._left_out: list[tuple[int, str]] = []
+        self._remarks: list[str] = []
+        self._labels: dict[str, int] = {}
+        self._angles_deg: tuple[float, ...] = ()
+
+    def read(self) -> Reading:
+        """Return the table."""
+        layout = self._layout
+        rows = [
+            (number, values) for number, cells in self._kept() for values in self._spread(cells)
+        ]
+        if not rows:
+            raise DataError(f"{self._path}: the table has a header but no rows")
+        mark = self._mark([values for _, values in rows])
+        columns = [self._column(column, rows, mark) for column in self._columns]
+        lines = tuple(
+            (number, cells)
+            for (number, _), cells in zip(rows, zip(*columns, strict=True), strict=True)
+        )
+        theirs = {column.header: self._theirs(column) for column in self._columns}
+        return Reading(
+            Table(self._path, layout.header, lines),
+            layout.grid.form,
+            theirs,
+            layout.aside,
+            tuple(self._left_out),
+            (*self._remarks, *(["decimal comma"] if mark == "," else [])),
+            self._labels,
+            self._angles_deg,
+            tuple(known.source for known in self._known.values() if known.source),
+        )
+
+    def _kept(self) -> Iterator[tuple[int, tuple[Cell, ...]]]:
+        """Yield the rows of values; note those that are left out, and why."""
+        width = max(use.place for use in self._all_uses()) + 1
+        for number, row in self._layout.grid.rows[self._layout.first :]:
+            cells = (*row, *[""] * (width - len(row)))
+            if why := self._no_values(cells):
+                self._left_out.append((number, why))
+            else:
+                yield number, cells
+
+    def _no_values(self, cells: Sequence[Cell]) -> str:
+        """Return why a row holds no values; empty if it does."""
+        texts = [cell for cell in cells if cell != ""]
+        if tuple(map(str, texts)) == self._layout.head:
+            return "the head of the table again"
+        first = next((cell for cell in texts if isinstance(cell, str)), "")
+        if first and first is texts[0] and is_summary(first):
+            return f"a line about others ({first})"
+        keys = [cells[use.place] for use in self._layout.uses.values()]
+        used = {use.place for use in self._all_uses()}
+        values = [cells[place] for place in used]
+        if len(texts) == 1 and isinstance(texts[0], str) and not self._number(texts[0]):
+            return f"a line of text ({texts[0]:.40})"
+        quantities = [c for c in self._columns if c.quantity not in ("", TIME)]
+        named = [c.name for c in quantities if c.name in self._layout.uses]
+        measured = [cells[self._layout.uses[name].place] for name in named]
+        if any(_is_nothing(cell) for cell in measured):
+            return "nothing was measured" if not all(map(_is_nothing, values)) else "empty"
+        others = [cell for cell in keys if cell not in measured]
+        if measured and others and all(map(_is_nothing, others)):
+            return "values that belong to nothing"
+        return ""
+
+    @staticmethod
+    def _number(text: str) -> bool:
+        return any(parse(text, mark) for mark in (".", ","))
+
+    def _all_uses(self) -> list[Use]:
+        in_matrix = [use for cells in self._layout.matrix for use in cells.uses.values()]
+        return [*self._layout.uses.values(), *in_matrix]
+
+    def _spread(self, cells: Sequence[Cell]) -> Iterator[dict[str, tuple[Cell, Use]]]:
+        """Yield the cells of a row by column: once for a list, once per label for a matrix."""
+        own = {name: (cells[use.place], use) for name, use in self._layout.uses.items()}
+        if not self._layout.matrix:
+            yield own
+        for group in self._layout.matrix:
+            values = {name: (cells[use.place], use) for name, use in group.uses.items()}
+            if not any(_is_nothing(cell) for cell, _ in values.values()):
+                angle = group.column == "position" and isinstance(group.label, str)
+                label = {TABLE_ANGLE if angle else group.column: (group.label, Use(-1, "head"))}
+                yield own | label | values
+
+    def _mark(self, rows: Sequence[Mapping[str, tuple[Cell, Use]]]) -> str:
+        """Return the decimal mark; DataError where nothing tells it, or some tell another."""
+        if self._settings.decimal:
+            return self._settings.decimal
+        measured = {c.name for c in self._columns if c.quantity} | {TABLE_ANGLE}
+        cells = [cell for row in rows for name, (cell, _) in row.items() if name in measured]
+        marks = decimal_marks(cells)
+        with_comma = next((c for c in cells if isinstance(c, str) and "," in c), None)
+        if len(marks) == 1:
+            return next(iter(marks))
+        if not marks:
+            raise DataError(
+                f"{self._path}: some numbers have decimal points and some decimal commas: say "
+                "which it is: --set sheet.decimal=. or --set sheet.decimal=,"
+            )
+        if with_comma is None:
+            return "."
+        point, comma = (parse(with_comma, mark) for mark in (".", ","))
+        raise DataError(
+            f"{self._path}: {with_comma} is {point and point.value} with a decimal point, and "
+            f"{comma and comma.value} with a decimal comma: say which: --set sheet.decimal=. or "
+            "--set sheet.decimal=,"
+        )
+
+    def _column(
+        self,
+        column: Column,
+        rows: Sequence[tuple[int, Mapping[str, tuple[Cell, Use]]]],
+        mark: str,
+    ) -> list[str]:
+        """Return our cells of a column."""
+        name = column.name
+        if name not in rows[0][1]:
+            return self._positions([(number, *row[TABLE_ANGLE]) for number, row in rows], mark)
+        cells = [(number, *row[name]) for number, row in rows]
+        if column.quantity:
+            return [self._in_si(place, name, column.quantity, mark) for place in cells]
+        if name in TEXTS:
+            return [kind_of(_text(c)) if name == "kind" else _text(c)
+                    for _, c, _ in cells]  # fmt: skip
+        return self._numbers(name, [(number, _text(cell)) for number, cell, _ in cells])
+
+    def _in_si(self, cell: tuple[int, Cell, Use], name: str, quantity: str, mark: str) -> str:
+        number, value, use = cell
+        measure = parse(value, mark, quantity)
+        if measure is None:
+            raise DataError(
+                f"{self._path}, row {number}: {name} must be a number, found {_text(value)!r}"
+            )
+        si = in_si(measure, measure.unit or self._unit(use, quantity, measure, name))
+        return str(si)
+
+    def _unit(self, use: Use, quantity: str, measure: Measure, name: str) -> str:
+        """Return the unit of a column; DataError, with all readings, if none is told."""
+        stated = getattr(self._settings, _DEFAULTS[quantity])
+        above = self._layout.length_unit if quantity == LENGTH else ""
+        units = use.units if len(use.units) != 1 else (use.units[0],)
+        if len(units) == 1:
+            return units[0]
+        if stated or above:
+            return str(stated or above)
+        able = units or tuple(UNITS[quantity])
+        common = {LENGTH: ("m", "mm", "um", "in"), ANGLE: ("deg", "rad", "gon")}.get(
+            quantity, able
+        )
+        read = ", ".join(
+            f"{measure.value} {unit} = {float(in_si(measure, unit)):.6g} {_si(quantity)}"
+            for unit in (units or common)
+        )
+        raise DataError(
+            f"{self._path}: the column {use.text!r} ({name}) states no unit: its first value can "
+            f"be {read}. Say which: --set sheet.{_DEFAULTS[quantity]}=UNIT"
+        )
+
+    def _positions(self, cells: Sequence[tuple[int, Cell, Use]], mark: str) -> list[str]:
+        """Return the numbers of positions by table angles, whole turns aside."""
+        angles = [float(self._in_si(cell, "table angle", ANGLE, mark)) for cell in cells]
+        planned = self._known.get("position", Known()).angles
+        if not planned:
+            planned = _distinct(angles)
+            self._angles_deg = tuple(round(angle / DEGREE, 12) for angle in planned)
+        found = []
+        for (number, cell, _), angle in zip(cells, angles, strict=True):
+            off = [abs(remainder(angle - other, 2.0 * pi)) for other in planned]
+            nearest = min(range(len(off)), key=off.__getitem__)
+            if off[nearest] > _NEAR * _smallest_step(planned):
+                raise DataError(
+                    f"{self._path}, row {number}: the table angle {_text(cell)} is not in the "
+                    f"plan; the nearest there is {planned[nearest] / DEGREE:g} degrees"
+                )
+            found.append(nearest)
+        self._remarks.append("positions by their angles")
+        return [str(index) for index in found]
+
+    def _numbers(self, name: str, cells: Sequence[tuple[int, str]]) -> list[str]:
+        """Return numbers from 0, by what is known of them and by the labels that stand there."""
+        known, given = self._known.get(name, Known()), [text for _, text in cells if text]
+        if known.listed:
+            numbers = _listed(given)
+            self._labels = dict(zip(map(folded, given), numbers, strict=True))
+        elif known.labels and all(folded(text) in known.labels for text in given):
+            numbers = [known.labels[folded(text)] for text in given]
+        else:
+            numbers = self._as_planned(
+                name, [self._digits(name, *cell) for cell in cells if cell[1]]
+            )
+        found = iter(numbers)
+        return [str(next(found)) if text else "" for _, text in cells]
+
+    def _digits(self, name: str, number: int, text: str) -> int:
+        """Return the number that a label is, or ends with; DataError without one."""
+        found = _LABEL.fullmatch(text)
+        if found is None:
+            raise DataError(
+                f"{self._path}, row {number}: {name} must be a number, or a name that the table "
+                f"of targets has as well, found {text!r}"
+            )
+        return int(found[1])
+
+    def _as_planned(self, name: str, numbers: Sequence[int]) -> list[int]:
+        """Return numbers as the plan has them: as they stand, or as its first, second and so on.
+
+        Raises DataError where both may be.
+        """
+        planned = self._known.get(name, Known()).numbers
+        if not planned or not numbers:
+            return list(numbers)
+        ways = {"0": {n: n for n in planned}, "1": dict(enumerate(planned, start=1))}
+        use = self._layout.uses.get(name)
+        if use and columns_of(Heading.of(use.text)) == ("ball_step",):
+            del ways["1"]  # a step is no number of a ball
+        able = {first: way for first, way in ways.items() if way.keys() >= set(numbers)}
+        chosen = self._settings.counted_from or next(iter(able), "0")
+        if len(able) > 1 and not self._settings.counted_from:
+            raise DataError(
+                f"{self._path}: {name} {min(numbers)} to {max(numbers)}: counted from 0, "
+                f"{planned[0]} was not measured; counted from 1, the last was not. Say which: "
+                "--set sheet.counted_from=0 or --set sheet.counted_from=1"
+            )
+        if chosen == "1" and "1" in able:
+            self._remarks.append(f"{name} counts from 1")
+        return [able.get(chosen, {}).get(n, n) for n in numbers]
+
+    def _theirs(self, column: Column) -> str:
+        """Return in words what of theirs a column of ours is."""
+        use = self._layout.uses.get(column.name)
+        if use is None and column.name == "position" and TABLE_ANGLE in self._layout.uses:
+            use = self._layout.uses[TABLE_ANGLE]
+        if use is None:
+            heads = [u.text for c in self._layout.matrix for n, u in c.uses.items()
+                     if n == column.name or c.column == column.name]  # fmt: skip
+            return f"the matrix {heads[0]!r} to {heads[-1]!r}"
+        quantity = column.quantity or (ANGLE if use is self._layout.uses.get(TABLE_ANGLE) else "")
+        unit = "" if len(use.units) == 1 or not quantity else getattr(
+            self._settings, _DEFAULTS[quantity]
+        )  # fmt: skip
+        unit = unit or (self._layout.length_unit if quantity == LENGTH and not use.units else "")
+        return repr(use.text) + (f" in {unit}" if unit else "")
+
+
+def _distinct(angles: Sequence[float]) -> tuple[float, ...]:
+    """Return the different angles, ascending."""
+    kept: list[float] = []
+    for angle in sorted(angles):
+        if not kept or angle - kept[-1] > _SAME_ANGLE:
+            kept.append(angle)
+    return tuple(kept)
+
+
+def _smallest_step(angles: Sequence[float]) -> float:
+    """Return the smallest step between different angles on the circle; a turn for one alone."""
+    around = _distinct([angle % (2.0 * pi) for angle in angles])
+    steps = [b - a for a, b in zip(around, (*around[1:], around[0] + 2.0 * pi), strict=True)]
+    return min((step for step in steps if step > 1e-6), default=2.0 * pi)
+
+
+def _listed(texts: Sequence[str]) -> list[int]:
+    """Return numbers of all labels that there are: as they stand, from 1, or in their order."""
+    if all(text.isascii() and text.isdigit() and len(text) < 10 for text in texts):
+        first = 1 if min(map(int, texts)) == 1 else 0
+        return [int(text) - first for text in texts]
+    order = list(dict.fromkeys(map(folded, texts)))
+    return [order.index(folded(text)) for text in texts]
+
+
+def _text(cell: Cell) -> str:
+    """Return a cell as text; a whole number of a workbook without its point."""
+    if isinstance(cell, str):
+        return cell
+    return str(int(cell)) if cell.is_integer() else repr(cell)
+
+
+def _is_nothing(cell: Cell) -> bool:
+    return isinstance(cell, str) and is_nothing(cell)
+
+
+def _si(quantity: str) -> str:
+    return {LENGTH: "m", ANGLE: "rad", TIME: "s"}[quantity]

@@ -1,0 +1,216 @@
+"""The words of tables of numbers: columns and units, in the languages of ``words.yaml``."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from decimal import Decimal
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import yaml
+
+LENGTH: Final = "length"
+ANGLE: Final = "angle"
+TIME: Final = "time"
+TABLE_ANGLE: Final = "angle"
+"""A column of table angles, which stand for numbers of positions."""
+_PI: Final = Decimal("3.14159265358979323846264338327950288")
+UNITS: Final[Mapping[str, Mapping[str, Decimal]]] = {
+    LENGTH: {
+        "m": Decimal(1), "cm": Decimal("1e-2"), "mm": Decimal("1e-3"), "um": Decimal("1e-6"),
+        "nm": Decimal("1e-9"), "in": Decimal("25.4e-3"), "ft": Decimal("0.3048"),
+    },
+    ANGLE: {
+        "rad": Decimal(1), "mrad": Decimal("1e-3"), "urad": Decimal("1e-6"), "deg": _PI / 180,
+        "arcmin": _PI / 10_800, "arcsec": _PI / 648_000, "gon": _PI / 200, "dms": _PI / 180,
+    },
+    TIME: {
+        "s": Decimal(1), "ms": Decimal("1e-3"), "us": Decimal("1e-6"), "ns": Decimal("1e-9"),
+        "min": Decimal(60), "h": Decimal(3600),
+    },
+}  # fmt: skip
+"""Quantity -> unit -> size in metres, radians, seconds."""
+_QUANTITIES: Final = {
+    **dict.fromkeys(("length", "d", "x", "y", "z", "sx", "sy", "sz"), LENGTH),
+    TABLE_ANGLE: ANGLE,
+    "time": TIME,
+}
+"""Column -> what it measures; all others are numbers from 0, or words."""
+_APART: Final = re.compile(r"[\W_]+")
+_IN_BRACKETS: Final = re.compile(r"(.*\S)\s*[\[({【]\s*([^\[\](){}【】]+?)\s*[\])}】]", re.S)
+_BEHIND: Final = re.compile(r"(.*\S)(?:\s+in\s+|\s*[/,]\s*|[_\s]+)(\S+)", re.DOTALL)
+
+
+@dataclass(frozen=True, slots=True)
+class Heading:
+    """The text at the head of a column: its name and the units that it may state."""
+
+    text: str
+    name: str
+    units: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, text: str) -> Heading:
+        """Return name and unit of a text.
+
+        >>> Heading.of("Länge [mm]")
+        Heading(text='Länge [mm]', name='Länge', units=('mm',))
+        >>> Heading.of("length_m").units, Heading.of("angle_deg").units
+        (('m',), ('deg',))
+        """
+        for pattern in (_IN_BRACKETS, _BEHIND):
+            found = pattern.fullmatch(plain(text))
+            if found and (units := units_of(found[2])):
+                return cls(text, found[1].removesuffix(" in").strip(), units)
+        return cls(text, plain(text))
+
+
+def columns_of(head: Heading) -> tuple[str, ...]:
+    """Return the columns that a heading may be the name of; none if it is no name of any.
+
+    A nominal length or place is none: it was not measured. A position in degrees is an angle.
+    """
+    parts = _parts(head.name)
+    telling = "".join(part for part in parts if part not in _fillers() | _nominal())
+    names = ("".join(parts), telling, _without_fillers(telling))
+    found = next((_columns()[name] for name in names if name in _columns()), ())
+    if _nominal().intersection(parts):
+        found = tuple(name for name in found if _QUANTITIES.get(name) in (None, ANGLE))
+    quantities = {quantity_of(unit) for unit in head.units}
+    if not quantities:
+        return found
+    if "position" in found and ANGLE in quantities:
+        return (TABLE_ANGLE,)
+    return tuple(name for name in found if _QUANTITIES.get(name) in quantities)
+
+
+def units_of(text: str) -> tuple[str, ...]:
+    """Return the units that ``text`` may be, by the names of UNITS; none if it is no unit.
+
+    >>> units_of("Grad"), units_of("inch"), units_of("furlong")
+    (('deg', 'gon'), ('in',), ())
+    """
+    return _units().get(_unit(text), ())
+
+
+def quantity_of(unit: str) -> str:
+    """Return what a unit measures; ``min`` is a time, ``arcmin`` an angle."""
+    return next(name for name, units in UNITS.items() if unit in units)
+
+
+def is_summary(text: str) -> bool:
+    """Return whether a text begins a line about other lines, as Mean or Mittelwert do."""
+    return folded(text) in _summaries()
+
+
+def is_nothing(text: str) -> bool:
+    """Return whether a text stands where nothing was measured."""
+    return text.strip().lower() in _nothing()
+
+
+def kind_of(text: str) -> str:
+    """Return the kind of a tracker's point in our word, or the text as it stands."""
+    return _kinds().get(folded(text), text)
+
+
+def folded(text: str) -> str:
+    """Return a name without capitals, accents and signs.
+
+    >>> folded("Länge, gemessen"), folded("Zielpunkt-Nr.")
+    ('langegemessen', 'zielpunktnr')
+    """
+    return "".join(_parts(text)) or text.strip()
+
+
+def plain(text: str) -> str:
+    """Return a text in the plain form of each character: one kind of minus, space, digit."""
+    return unicodedata.normalize("NFKC", text).replace("\u2212", "-").strip()
+
+
+def _parts(text: str) -> list[str]:
+    return [part for part in _APART.split(_without_accents(plain(text)).casefold()) if part]
+
+
+def _without_fillers(name: str) -> str:
+    """Return a name in a script without spaces less the words that say nothing at its ends."""
+    for filler in sorted(_fillers(), key=len, reverse=True):
+        if not filler.isascii():
+            name = name.removeprefix(filler).removesuffix(filler)
+    return name
+
+
+def _unit(text: str) -> str:
+    return _without_accents(plain(text)).strip(" .:").casefold().replace("\u03bc", "u")
+
+
+def _without_accents(text: str) -> str:
+    """Return a text without the accents of Latin letters; other scripts keep their marks."""
+    apart, kept, latin = unicodedata.normalize("NFD", text), list[str](), False
+    for character in apart:
+        if not unicodedata.combining(character):
+            latin = character.isascii()
+        elif latin:
+            continue
+        kept.append(character)
+    return unicodedata.normalize("NFC", "".join(kept))
+
+
+@cache
+def _words() -> dict[str, Any]:
+    text = Path(__file__).with_name("words.yaml").read_text(encoding="utf-8")
+    words: dict[str, Any] = yaml.safe_load(text)
+    return words
+
+
+def _listed(languages: Mapping[str, str]) -> Iterator[str]:
+    for words in languages.values():
+        yield from (word.strip() for word in words.split(";"))
+
+
+@cache
+def _columns() -> dict[str, tuple[str, ...]]:
+    found: dict[str, dict[str, None]] = {}
+    for column, languages in _words()["columns"].items():
+        for name in (column, *_listed(languages)):
+            found.setdefault(folded(name), {})[column] = None
+    return {name: tuple(columns) for name, columns in found.items()}
+
+
+@cache
+def _units() -> dict[str, tuple[str, ...]]:
+    found: dict[str, list[str]] = {}
+    for units in UNITS.values():
+        for unit in units:
+            for name in (unit, *_words()["units"].get(unit, "").split(";")):
+                found.setdefault(_unit(name), []).append(unit)
+    return {name: tuple(dict.fromkeys(units)) for name, units in found.items() if name}
+
+
+@cache
+def _kinds() -> dict[str, str]:
+    kinds = _words()["kinds"]
+    return {folded(word): kind for kind, languages in kinds.items() for word in _listed(languages)}
+
+
+@cache
+def _fillers() -> frozenset[str]:
+    return frozenset(map(folded, _listed(_words()["fillers"])))
+
+
+@cache
+def _nominal() -> frozenset[str]:
+    return frozenset(map(folded, _listed(_words()["nominal"])))
+
+
+@cache
+def _summaries() -> frozenset[str]:
+    return frozenset(map(folded, _listed(_words()["summaries"])))
+
+
+@cache
+def _nothing() -> frozenset[str]:
+    return frozenset(word.lower() for word in _listed(_words()["nothing"])) | {""}

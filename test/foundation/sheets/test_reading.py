@@ -1,0 +1,216 @@
+"""What a table says is taken; what it leaves open is asked; what is no measurement is left out."""
+
+from __future__ import annotations
+
+from decimal import Decimal
+from math import pi
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
+from rotcal_ros.foundation.sheets.numerals import Measure, decimal_marks, in_si, parse
+from rotcal_ros.foundation.sheets.reading import Known, Reading, SheetSettings, read_any
+from rotcal_ros.foundation.sheets.words import ANGLE, TIME, Heading, columns_of, units_of
+
+HEADERS = (("position", "target", "length_m"),)
+BALLS = (("position", "ball_step", "x_m", "y_m", "z_m"),)
+KNOWN = {"position": Known(tuple(range(3)), angles=(0.0, pi / 2, pi)), "target": Known((0, 1))}
+
+
+def read(path: Path, text: str, headers=HEADERS, known=KNOWN, **settings: object) -> Reading:
+    path = path / "table.csv"
+    path.write_text(text, encoding="utf-8")
+    return read_any(path, headers, SheetSettings(**settings), lambda: known)
+
+
+def rows(reading: Reading) -> list[tuple[str, ...]]:
+    return [cells for _, cells in reading.table.lines]
+
+
+@pytest.mark.parametrize(
+    ("text", "mark", "value"),
+    [
+        ("312.5", ".", "312.5"),
+        ("312,5", ",", "312.5"),
+        ("1.234,5", ",", "1234.5"),
+        ("1,234,567.25", ".", "1234567.25"),
+        ("1\u202f234,5", ",", "1234.5"),
+        ("1'234.5", ".", "1234.5"),
+        ("0,313 166 907 9", ",", "0.3131669079"),
+        ("\u22125", ".", "-5"),
+        ("１２．５", ".", "12.5"),
+        ("1.5e-3", ".", "0.0015"),
+        ("1.5D-3", ".", "0.0015"),
+    ],
+)
+def test_numbers_as_people_write_them(text: str, mark: str, value: str) -> None:
+    assert parse(text, mark) == Measure(Decimal(value))
+
+
+@pytest.mark.parametrize("text", ["", "x", "1,2,3", "12,34,567", "1 23", "--5", "1.2.3", "0,123"])
+def test_no_numbers_with_a_decimal_point(text: str) -> None:
+    assert parse(text, ".") is None
+
+
+@pytest.mark.parametrize(
+    ("text", "degrees"),
+    [
+        ("12°30'15\"", 12 + 30 / 60 + 15 / 3600),
+        ("12° 30′ 15.5″", 12 + 30 / 60 + 15.5 / 3600),
+        ("-0°0'36\"", -0.01),
+        ("12:30:15", 12 + 30 / 60 + 15 / 3600),
+        ("90°", 90.0),
+        ("45 deg", 45.0),
+        ("100 gon", 90.0),
+        ("1.5 rad", 1.5 * 180 / pi),
+    ],
+)
+def test_angles_as_people_write_them(text: str, degrees: float) -> None:
+    measure = parse(text, ".", ANGLE)
+    assert measure is not None
+    assert float(in_si(measure, "")) == pytest.approx(degrees * pi / 180, rel=1e-15)
+
+
+def test_sixty_minutes_are_no_angle() -> None:
+    assert parse("12°60'00\"", ".", ANGLE) is None
+
+
+def test_moments_are_seconds() -> None:
+    assert parse("1970-01-02T00:00:30", ".", TIME) == Measure(Decimal("86430.0"), "s")
+
+
+@given(
+    st.decimals(min_value=-10, max_value=10, places=9), st.sampled_from(["mm", "um", "in", "m"])
+)
+def test_a_length_in_another_unit_is_the_same_double(metres: Decimal, unit: str) -> None:
+    size = {"m": 0, "mm": 3, "um": 6}.get(unit)
+    value = metres.scaleb(size) if size is not None else metres
+    expected = metres if size is not None else metres * Decimal("0.0254")
+    measure = parse(f"{value:f}", ".")
+    assert measure is not None
+    assert float(in_si(measure, unit)) == float(expected)
+
+
+def test_what_tells_the_decimal_mark() -> None:
+    assert decimal_marks(["1,234"]) == {".", ","}
+    assert decimal_marks(["1,234", "0,5"]) == {","}
+    assert decimal_marks(["1,234.5"]) == {"."}
+    assert decimal_marks(["1.234,5", "1,234.5"]) == set()
+
+
+@pytest.mark.parametrize(
+    ("text", "columns", "units"),
+    [
+        ("Gemessene Länge [mm]", ("length",), ("mm",)),
+        ("Nominal length [mm]", (), ("mm",)),
+        ("Soll-Winkel [°]", ("angle",), ("deg",)),
+        ("Position (deg)", ("angle",), ("deg",)),
+        ("靶标编号", ("target",), ()),
+        ("長さ［mm］", ("length",), ("mm",)),
+        ("N° de position de table", ("position",), ()),
+        ("Temperature [C]", (), ()),
+    ],
+)
+def test_headings(text: str, columns: tuple[str, ...], units: tuple[str, ...]) -> None:
+    head = Heading.of(text)
+    assert head.units == units
+    assert columns_of(head)[: len(columns)] == columns
+    assert bool(columns_of(head)) == bool(columns)
+
+
+def test_grad_is_degrees_in_german_and_gons_elsewhere() -> None:
+    assert set(units_of("Grad")) == {"deg", "gon"}
+
+
+@pytest.mark.parametrize(
+    ("text", "settings", "asked"),
+    [
+        ("position,target,length\n0,0,312.5\n", {}, "312.5 m = 312.5 m, 312.5 mm = 0.3125 m"),
+        ("position;target;length [um]\n0;0;1,234\n", {}, "1234 with a decimal point, and 1.234"),
+        ("pos,target,length [m]\n1,0,1.5\n2,0,1.5\n", {}, "counted from 0.*counted from 1"),
+        (
+            "Winkel [Grad],target,length [m]\n90,0,1.5\n",
+            {},
+            "90 deg = 1.5708 rad, 90 gon = 1.41372",
+        ),
+        ("pos,target,length [m],L [mm]\n0,0,1.5,1.5\n", {}, "may both be the column length"),
+        ("pos,target,length [m]\n0,zero,1.5\n", {}, "row 2: target must be a number, or a name"),
+        ("pos,target,length [m]\n0,0,x1\n", {}, "row 2: length must be a number, found 'x1'"),
+        ("angle [deg],target,length [m]\n45,0,1.5\n", {}, "45 is not in the plan; the nearest"),
+        ("pos;target;length [m]\n0;0;1,5\n0;1;2.5\n", {}, "some decimal commas"),
+    ],
+)
+def test_what_can_be_read_in_two_ways_is_asked(
+    tmp_path: Path, text: str, settings: dict[str, object], asked: str
+) -> None:
+    with pytest.raises(DataError, match=asked):
+        read(tmp_path, text, **settings)
+
+
+@pytest.mark.parametrize(
+    ("text", "settings", "expected"),
+    [
+        ("position,target,length\n0,0,312.5\n", {"length_unit": "mm"}, ("0", "0", "0.3125")),
+        ("pos;target;length [um]\n0;0;1,234\n", {"decimal": ","}, ("0", "0", "0.000001234")),
+        ("pos;target;length [um]\n0;0;1,234\n", {"decimal": "."}, ("0", "0", "0.001234")),
+        ("pos,target,length [m]\n1,1,1.5\n", {"counted_from": "1"}, ("0", "0", "1.5")),
+        ("pos,target,length [m]\n1,1,1.5\n", {"counted_from": "0"}, ("1", "1", "1.5")),
+        ("pos,target,Wert\n0,0,1.5\n", {"columns": ("length=Wert",), "length_unit": "m"},
+         ("0", "0", "1.5")),
+        ("angle,target,length [m]\n90,0,1.5\n", {"angle_unit": "deg"}, ("1", "0", "1.5")),
+        ("angle [deg],target,length [m]\n-270,0,1.5\n", {}, ("1", "0", "1.5")),
+    ],
+)  # fmt: skip
+def test_an_answer_is_taken(
+    tmp_path: Path, text: str, settings: dict[str, object], expected: tuple[str, ...]
+) -> None:
+    (cells,) = rows(read(tmp_path, text, **settings))
+    assert (*cells[:2], float(cells[2])) == (*expected[:2], float(expected[2]))
+
+
+def test_rows_that_hold_no_measurement_are_left_out_with_why(tmp_path: Path) -> None:
+    text = (
+        "Protocol\npos,target,length [m]\n0,0,1.5\n,,\npos,target,length [m]\n0,1,n/a\n"
+        "2,1,2.5\nMean,,2.0\nprinted by hand,,\n,,4.0\n"
+    )
+    reading = read(tmp_path, text)
+    assert rows(reading) == [("0", "0", "1.5"), ("2", "1", "2.5")]
+    assert [line for line, _ in reading.table.lines] == [3, 7]
+    assert dict(reading.left_out) == {
+        5: "the head of the table again",
+        6: "nothing was measured",
+        8: "a line about others (Mean)",
+        9: "a line of text (printed by hand)",
+        10: "values that belong to nothing",
+    }
+
+
+def test_balls_in_merged_cells(tmp_path: Path) -> None:
+    text = "Pos,Ball 1,,,Ball 2,,\n,X,Y,Z,X,Y,Z\n0,1,2,3,4,5,6\n1,7,8,9,10,11,12\n"
+    known = {"position": Known((0, 1)), "ball_step": Known((0, 5))}
+    reading = read(tmp_path, text, BALLS, known, length_unit="mm", counted_from="")
+    assert [tuple(map(float, cells)) for cells in rows(reading)] == [
+        (0, 0, 0.001, 0.002, 0.003),
+        (0, 5, 0.004, 0.005, 0.006),
+        (1, 0, 0.007, 0.008, 0.009),
+        (1, 5, 0.010, 0.011, 0.012),
+    ]
+
+
+def test_angles_of_a_table_without_a_plan_are_its_own(tmp_path: Path) -> None:
+    text = "angle [deg],target,length [m]\n120,0,1.5\n0,0,1.5\n240,0,1.5\n"
+    reading = read(tmp_path, text, known={"target": Known((0, 1))})
+    assert reading.angles_deg == (0.0, 120.0, 240.0)
+    assert [cells[0] for cells in rows(reading)] == ["1", "0", "2"]
+
+
+def test_a_column_and_a_sheet_that_are_not_there(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match=r"no column target: found position .* not known: 'Wer'"):
+        read(tmp_path, "pos,Wer,length [m]\n0,0,1.5\n")
+    with pytest.raises(ConfigurationError, match="no sheet 'Two'"):
+        read(tmp_path, "pos,target,length [m]\n0,0,1.5\n", name="Two")
+    with pytest.raises(ConfigurationError, match="expected COLUMN=TEXT"):
+        read(tmp_path, "pos,target,length [m]\n0,0,1.5\n", columns=("length",))
