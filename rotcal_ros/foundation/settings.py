@@ -184,11 +184,19 @@ def _checked(value: Any, declared: Declaration, place: str) -> Any:
         return _scalar(value, declared, place)
     if isinstance(value, str) or not isinstance(value, Sequence):
         raise ConfigurationError(f"{place}: expected a list, found {value!r:.80}")
+    if declared.length is None and _are_points(value):
+        value = [number for point in value for number in point]
     if declared.length not in (None, len(value)):
         raise ConfigurationError(
             f"{place}: expected {declared.length} values, found {len(value)}: {value!r:.80}"
         )
     return tuple(_scalar(v, declared, f"{place}[{i}]") for i, v in enumerate(value))
+
+
+def _are_points(values: Sequence[Any]) -> bool:
+    """Return whether a list holds lists of one length, such as points as x, y, z."""
+    lengths = {len(value) if isinstance(value, list | tuple) else None for value in values}
+    return len(lengths) == 1 and None not in lengths
 
 
 def _scalar(value: Any, declared: Declaration, place: str) -> Any:

@@ -80,9 +80,9 @@ def _read_recorded_configuration(path: Path) -> None:
 
 
 def _read_setup(path: Path) -> None:
-    from rotcal_ros.methods.configuration import read_setup
+    from rotcal_ros.methods.configuration import read_configuration
 
-    read_setup(path)
+    read_configuration(path)
 
 
 def _short_setups() -> Iterable[bytes]:

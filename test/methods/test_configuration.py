@@ -28,9 +28,9 @@ def test_dump_is_parsed_again() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "expected a ROS 2 parameter file"),
+        ("", "expected 'method: NAME' at the top"),
         ("a: [", "not valid YAML"),
-        ("/**: {ros__parameters: {}}", "expected a ROS 2 parameter file"),
+        ("/**: {ros__parameters: {}}", "expected 'method: NAME' at the top"),
         ("/**: {ros__parameters: {method: 3}}", "method must be a name"),
         (
             "/**: {ros__parameters: {method: ball_plate, plam: {}}}",
