@@ -126,7 +126,7 @@ def load(cls: type[T], values: Mapping[str, Any] | None, where: str) -> T:
             if dataclasses.is_dataclass(hint):
                 loaded[name] = load(typing.cast(type, hint), values[name], place)
             else:
-                loaded[name] = _checked(values[name], _declaration(field, hint), place)
+                loaded[name] = checked_value(values[name], _declaration(field, hint), place)
         elif field.default is MISSING and field.default_factory is MISSING:
             what = "a group of settings" if dataclasses.is_dataclass(hints[name]) else ""
             what = what or field.metadata["setting"].description
@@ -176,8 +176,11 @@ def _plain(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
 
 
-def _checked(value: Any, declared: Declaration, place: str) -> Any:
-    """Return ``value`` as the declared type, or raise with place, finding and expectation."""
+def checked_value(value: Any, declared: Declaration, place: str) -> Any:
+    """Return ``value`` as the declared type.
+
+    Raises ConfigurationError with ``place``, what was found there and what was expected.
+    """
     if declared.optional and value is None:
         return None
     if not declared.is_list:

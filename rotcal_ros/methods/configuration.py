@@ -174,7 +174,7 @@ def parse_configuration(
         if group not in GROUPS:
             missing = group in _ORDER
             hint = plugins.NOT_INSTALLED if missing else _without_its_group(method, str(group))
-            hint = hint or plugins.nearest(str(group), ("method", *GROUPS, *_short_names(method)))
+            hint = hint or plugins.nearest(str(group), ("method", *GROUPS, *short_names(method)))
             what = "group" if isinstance(value, Mapping) else "setting"
             raise ConfigurationError(f"{source}: unknown {what} {group!r:.80}{hint}")
     given = frozenset(values) & frozenset(groups)
@@ -237,7 +237,9 @@ def changed(
     name, given = raw_groups(configuration.text, configuration.source)
     parameters: dict[str, Any] = {"method": name, **given}
     for change in changes:
-        _change(parameters, change)
+        setting, value = parsed_change(str(parameters["method"]), change)
+        place, last = _place(parameters, setting, f"--set {change}")
+        place[last] = value
     text = dump_configuration(str(parameters.pop("method")), parameters)
     source = f"{configuration.source} with --set"
     text = _with_contents(text, source, Path(configuration.source).parent)
@@ -403,7 +405,7 @@ def _in_groups(method: str, entries: dict[str, Any], source: str) -> dict[str, A
         return entries
     found = find_method(method)
     groups = {name: value for name, value in entries.items() if name not in short}
-    names = _short_names(found)
+    names = short_names(found)
     for name, value in found.short_setup(short).items():
         group, last = _place(groups, names.get(name, str(name)), source)
         if last in group:
@@ -415,7 +417,7 @@ def _in_groups(method: str, entries: dict[str, Any], source: str) -> dict[str, A
     return groups
 
 
-def _short_names(method: Method) -> dict[str, str]:
+def short_names(method: Method) -> dict[str, str]:
     """Return the full names of the settings of plan and solver by their last word, if unique."""
     full = [
         f"{group}.{declared.name}"
@@ -441,15 +443,17 @@ def _require_alone(text: str, source: str, group: Any, name: str) -> None:
             )
 
 
-def _change(parameters: dict[str, Any], change: str) -> None:
-    """Put one ``group.name=value`` into raw groups."""
+def parsed_change(method: str, change: str) -> tuple[str, Any]:
+    """Return name and value, unchecked, of a ``group.name=value`` for a configuration of a method.
+
+    Raises ConfigurationError where it is none.
+    """
     name, equals, text = change.partition("=")
-    if not equals or name.endswith("."):
+    if not equals or not name or name.endswith("."):
         raise ConfigurationError(f"--set {change}: expected GROUP.NAME=VALUE")
-    group, last = _place(parameters, name, f"--set {change}")
     quoted = text[:1] in ("'", '"') and text[-1:] == text[:1]
-    plain = not quoted and _is_text(str(parameters["method"]), name)
-    group[last] = text if plain else load_yaml(text, f"--set {change}")
+    plain = not quoted and _is_text(method, name)
+    return name, text if plain else load_yaml(text, f"--set {change}")
 
 
 def _is_text(method: str, name: str) -> bool:
