@@ -28,7 +28,9 @@ _ANGLES: Final = "plan.table_angles_deg"
 """Replaces the three above."""
 _GRID: Final = "plan.plate.grid"
 _AIR: Final = ("air.temperature_c", "air.pressure_pa", "air.humidity")
-_ASKED: Final = tuple(f"identity.{n}" for n in ("serial", "place", "operator", "measured"))
+_ASKED: Final = tuple(
+    f"identity.{name}" for name in ("item", "serial", "place", "operator", "measured")
+)
 """Asked for besides what a method has to be told first."""
 
 
@@ -129,10 +131,8 @@ def _turn(known: Known, positions: int) -> dict[str, Any]:
 
 def _ask(method: str, known: Known, values: dict[str, Any]) -> None:
     """Ask for what has to be stated and is not in ``values``, and put it there."""
-    first = [name for name, declared in known.items() if _is_first(name, declared)]
-    for name in (*first, "identity.item", *_ASKED):
-        replaced = _ANGLES in values and name in (_START, _STEP, _POSITIONS)
-        if name in values or replaced:
+    for name in (*_first(known, values), *_ASKED):
+        if name in values:
             continue
         if name == _STEP and _POSITIONS not in values:
             values |= _answer(method, known, _POSITIONS)
@@ -167,9 +167,14 @@ def _answer(method: str, known: Known, name: str, default: str = "") -> dict[str
     return found
 
 
-def _is_first(name: str, declared: Declaration) -> bool:
-    """Return whether a plain table cannot be solved without somebody who looked at a setting."""
-    return declared.info.first and name.startswith(("plan.", "solver."))
+def _first(known: Known, values: Mapping[str, Any]) -> list[str]:
+    """Return the settings that a plain table cannot be solved without having looked at."""
+    replaced = (_START, _STEP, _POSITIONS) if _ANGLES in values else ()
+    return [
+        name
+        for name, declared in known.items()
+        if declared.info.first and name.startswith(("plan.", "solver.")) and name not in replaced
+    ]
 
 
 def _lines(method: str, known: Known, values: Mapping[str, Any]) -> Iterator[str]:
@@ -181,13 +186,10 @@ def _lines(method: str, known: Known, values: Mapping[str, Any]) -> Iterator[str
     found = find_method(method)
     short = {full: last for last, full in short_names(found).items()}
     tree: dict[str, Any] = {}
+    written = {*values, *_first(known, values), *_AIR}
     for name in sorted(known, key=lambda n: (n not in short, n.startswith("identity."))):
-        group, _, rest = name.partition(".")
-        stated = group == "identity" and "." not in rest
-        first = _is_first(name, known[name]) and not (
-            _ANGLES in values and name in (_START, _STEP, _POSITIONS)
-        )
-        if name in values or first or stated or name in _AIR:
+        of_the_item = name.startswith("identity.") and name.count(".") == 1
+        if name in written or of_the_item:
             place, (*groups, last) = tree, short.get(name, name).split(".")
             for part in groups:
                 place = place.setdefault(part, {})

@@ -451,7 +451,7 @@ def parsed_change(method: str, change: str) -> tuple[str, Any]:
     name, equals, text = change.partition("=")
     if not equals or not name or name.endswith("."):
         raise ConfigurationError(f"--set {change}: expected GROUP.NAME=VALUE")
-    quoted = text[:1] in ("'", '"') and text[-1:] == text[:1]
+    quoted = len(text) > 1 and text[0] in "'\"" and text[0] == text[-1]
     plain = not quoted and _is_text(method, name)
     return name, text if plain else load_yaml(text, f"--set {change}")
 

@@ -90,6 +90,10 @@ def _short_setups() -> Iterable[bytes]:
         b"method: ball_plate\ngrid: 6\ndiameter_m: 0.02\ncell_m: 0.05\n"
         b"balls: [0, 5, 30, 35]\ntable_step_deg: 30\n"
     )
+    yield (
+        b"method: tracer_six\nplaces_m: [[0.1, 0, 0.2], [0, 0.1, 0.2]]\nlength_std_m: 3e-8\n"
+        b"plan: {table_positions: 4}\nidentity: {item: a table, measured: 2026-03-31}\n"
+    )
 
 
 def _read_goal(path: Path) -> None:
