@@ -407,13 +407,13 @@ def _in_groups(method: str, entries: dict[str, Any], source: str) -> dict[str, A
     groups = {name: value for name, value in entries.items() if name not in short}
     names = short_names(found)
     for name, value in found.short_setup(short).items():
-        group, last = _place(groups, names.get(name, str(name)), source)
-        if last in group:
+        full = names.get(name, str(name))
+        group, last = _place(groups, full, source)
+        if last in group and name in short:
             raise ConfigurationError(
-                f"{source}: {name} is given at the top, and in a group as {names[name]}: keep one "
-                "of them"
+                f"{source}: {name} is given at the top, and in a group as {full}: keep one of them"
             )
-        group[last] = value
+        group.setdefault(last, value)
     return groups
 
 

@@ -85,7 +85,8 @@ def test_a_plate_file_may_state_the_noise_of_a_centre(tmp_path):
     path = tmp_path / "plate.yaml"
     good = (PLATES / "ball_plate_12.yaml").read_text()
     path.write_text(good + "sigma_centre_m: 2.0e-7\n")
-    assert read_configuration(path).solver.sigma_centre_m == 2.0e-7
+    made = read_configuration(path)
+    assert (made.solver.sigma_centre_m, made.plan.measure) == (2.0e-7, "centre")
 
 
 @pytest.mark.parametrize(

@@ -120,8 +120,8 @@ SHORT = {
     ),
     "ball_plate": (
         "grid: 24\nball_steps: [0, 3, 4]\ncircle_radius_m: 0.2\nball_diameter_m: 0.02\n"
-        "drift: linear\nplan: {cmm_positions: [0, 1]}\n",
-        {"plan.plate.grid": 24, "plan.plate.ball_steps": (0, 3, 4), "plan.measure": "centre",
+        "drift: linear\nplan: {cmm_positions: [0, 1], measure: surface}\n",
+        {"plan.plate.grid": 24, "plan.plate.ball_steps": (0, 3, 4), "plan.measure": "surface",
          "plan.cmm_positions": (0, 1), "solver.drift": "linear", "solver.cmm_positions": ()},
     ),
 }  # fmt: skip
@@ -149,6 +149,10 @@ def test_a_short_setup_states_settings_of_plan_and_solver_beside_groups(method: 
         (
             "table_positions: 3\nplan: {table_positions: 4}",
             "table_positions is given at the top, and in a group as plan.table_positions",
+        ),
+        (
+            "plan.table_positions: 3\nplan: {table_positions: 4}",
+            "plan.table_positions is given at the top, and in a group",
         ),
         ("table_positions: 3\nplan: 4", "plan is a value, not a group"),
         ("targets_m: [[1, 2, 3], [4, 5]]", r"targets_m\[0\]: expected float"),
