@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rotcal_ros import methods
 from rotcal_ros.bags.reader import bag_files, read_blocks
 from rotcal_ros.foundation.arrays import Ints
 from rotcal_ros.foundation.observations import (
@@ -20,7 +21,7 @@ from rotcal_ros.foundation.observations import (
     TemperatureSample,
 )
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.methods.configuration import Configuration, changed, read_setup
+from rotcal_ros.methods.configuration import Configuration, changed
 from rotcal_ros.methods.measurements import read_measurements
 from rotcal_ros.methods.method import Measurements
 from rotcal_ros.recordings import result_sources
@@ -47,7 +48,7 @@ def read_configuration(path: Name, *changes: str) -> Configuration:
     >>> configuration.method.name, configuration.plan.points_per_ball
     ('ball_plate', 9)
     """
-    return changed(read_setup(Path(path)), changes)
+    return changed(methods.read_configuration(Path(path)), changes)
 
 
 def read_bag(
@@ -97,7 +98,7 @@ def read_table(
     >>> table.solve().method
     'tracer_multistation'
     """
-    configuration = setup if isinstance(setup, Configuration) else read_setup(Path(setup))
+    configuration = setup if isinstance(setup, Configuration) else read_configuration(setup)
     places = None if targets is None else Path(targets)
     return read_measurements(Path(path), configuration, places)
 

@@ -214,6 +214,7 @@ def _export(forward: ResultSource, asked: _Asked) -> ExportFiles:
             machines,
             accepted,
             asked.now_ns,
+            measured_ns=forward.result.circumstances.from_ns,
             replaces=asked.replace,
             add_to=asked.add_to,
         ),
@@ -261,7 +262,7 @@ def _write_volumetric(forward: ResultSource, asked: _Asked) -> tuple[Path, ...]:
     asked.refuse_what_only_controllers_take()
     axis, result = asked.measured_axis(forward), forward.result
     measured = MachineIdentity(axis, result.circumstances.identity.serial)
-    begun_ns = result.circumstances.begun_ns or 0
+    begun_ns = result.circumstances.from_ns
     for note in require(measured, begun_ns, machines, accepted, asked.now_ns):
         say(f"warning: {note}")
     say(in_words(result.measured_on))

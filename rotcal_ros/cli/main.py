@@ -27,6 +27,7 @@ OF_PIP_ALONE: Final = ("mcap", "rosbags", "threadpoolctl")
 """Packages that only pip has: package.xml leaves them to the user."""
 
 OWN_VERBS: Final[Mapping[str, str]] = {
+    "new": "Write a set-up for measurements of your own.",
     "run": "Run the nodes of one cell and calibrate.",
     "attach": "Show a calibration that runs in the background.",
     "cell": "Examine a live cell: what is there, what is missing?",

@@ -26,13 +26,15 @@ def to_be_in_force(
     accepted: Accepted,
     now_ns: int,
     *,
+    measured_ns: int = 0,
     replaces: bool = False,
     add_to: Path | None = None,
 ) -> CompensationTable:
     """Return the table to be written for ``machine`` (its keys are names for people).
 
     It is ``table`` itself, or ``table`` added to the one in the folder ``add_to``; all have to
-    belong to the same machine. ``replaces``: a person says that none was in force. Raises
+    belong to the same machine. ``measured_ns`` is when it was measured (since 1970), if the table
+    does not tell that. ``replaces``: a person says that none was in force. Raises
     DataError for a contradiction that is not ``accepted``, and if nothing says what was in force;
     ConfigurationError if both options are given.
     """
@@ -42,12 +44,13 @@ def to_be_in_force(
             "other"
         )
     if add_to is None:
-        agreed = agreeing(table, machine, accepted, now_ns)
+        agreed = agreeing(table, machine, accepted, now_ns, measured_ns)
         return combined(agreed, lambda: None, "replace" if replaces else "as_measured")
     letter = next((m.axis for m in machine.values() if m.axis), table.axis)
     earlier = read_earlier(add_to, controller_name, letter)
     machines = {**machine, f"the table in {add_to}": earlier.machine}
-    return combined(agreeing(table, machines, accepted, now_ns), lambda: earlier, "add")
+    agreed = agreeing(table, machines, accepted, now_ns, measured_ns)
+    return combined(agreed, lambda: earlier, "add")
 
 
 def read_earlier(folder: Path, controller_name: str, axis: str) -> HeldTable:

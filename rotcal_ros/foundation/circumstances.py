@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from datetime import datetime, timezone
 from typing import Any, Final
 
 from rotcal_ros.foundation.identity import Identity
@@ -52,8 +53,9 @@ class Circumstances:
     """Circumstances of a measurement.
 
     ``simulated``: no instrument measured, a simulation did. Times are nanoseconds since 1970 of
-    the machine's clock, None if a table has none; ``temperature_c`` degrees Celsius,
-    ``pressure_pa`` of the air, ``humidity`` relative, 0 to 1. ``refraction`` says in words who
+    the machine's clock, None if a table has none: then ``identity.measured`` may tell the day;
+    ``temperature_c`` degrees Celsius, ``pressure_pa`` of the air, ``humidity`` relative, 0 to 1:
+    what was captured, else what the configuration states. ``refraction`` says in words who
     corrects the lengths for the index of refraction of the air; empty without lengths.
     """
 
@@ -67,6 +69,30 @@ class Circumstances:
     humidity: Range | None = None
     refraction: str = ""
     counts: StepCounts | None = None
+
+    @property
+    def days(self) -> tuple[str, str] | None:
+        """The first and the last day, as 2026-03-31; None: not known.
+
+        In UTC by the clock of the machine, else the local day that the identity states.
+        """
+        if self.begun_ns is None:
+            stated = self.identity.measured[:10]
+            return (stated, stated) if stated else None
+        ended = self.begun_ns if self.ended_ns is None else self.ended_ns
+        first, last = (
+            datetime.fromtimestamp(ns // 1_000_000_000, timezone.utc).date().isoformat()
+            for ns in (self.begun_ns, ended)
+        )
+        return first, last
+
+    @property
+    def from_ns(self) -> int:
+        """When it began, ns since 1970; of a stated day its first moment in UTC; 0: not known."""
+        if self.begun_ns is not None or self.days is None:
+            return self.begun_ns or 0
+        day = datetime.fromisoformat(self.days[0]).replace(tzinfo=timezone.utc)
+        return int(day.timestamp()) * 1_000_000_000
 
     def to_dict(self) -> dict[str, Any]:
         """Return what is known in plain types, as in result.json."""

@@ -7,8 +7,9 @@ computation.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields
-from datetime import date
+from datetime import date, datetime
 from typing import Any, Final
 
 from rotcal_ros.foundation.errors import ConfigurationError
@@ -80,6 +81,11 @@ class Identity:
     customer_number: str = setting("", doc="number of the order, or of the item at the customer's")
     certificate_number: str = setting("", doc="number of the certificate, in quotes")
     received: str = setting("", doc="date on which the item was received, as 2026-03-31")
+    measured: str = setting(
+        "",
+        doc="day or local time of the measurement, where the data tell no date: 2026-03-31 or "
+        "2026-03-31T10:00",
+    )
     tolerance_arcsec: float = setting(
         0.0, doc="arcsec, largest rotation that the item may show, either way; 0: none agreed",
         minimum=0.0,
@@ -93,6 +99,8 @@ class Identity:
     def __post_init__(self) -> None:
         """Refuse what is not a date or a country."""
         _check_date("received", self.received)
+        if self.measured != _time_of_day(self.measured):
+            _check_date("measured", self.measured, " or 2026-03-31T10:00")
         country = self.laboratory_country
         if country and not (len(country) == 2 and country.isascii() and country.isupper()):
             raise ConfigurationError(
@@ -123,7 +131,14 @@ class Identity:
         return load(cls, data, "identity")
 
 
-def _check_date(name: str, text: str) -> None:
+def _time_of_day(text: str) -> str:
+    """Return a day with a time as isoformat writes it, to the minute; empty: it is none."""
+    with suppress(ValueError):
+        return datetime.fromisoformat(text).isoformat(timespec="minutes")
+    return ""
+
+
+def _check_date(name: str, text: str, more: str = "") -> None:
     try:
         # fromisoformat takes 20260331 and 2026-W14-2 too, but the xs:date of a certificate must
         # be 2026-03-31: so the text must be what isoformat writes.
@@ -131,7 +146,9 @@ def _check_date(name: str, text: str) -> None:
     except ValueError:
         whole = False
     if not whole:
-        raise ConfigurationError(f"{name}: {text!r} is not a date: expected one like 2026-03-31")
+        raise ConfigurationError(
+            f"{name}: {text!r} is not a date: expected one like 2026-03-31{more}"
+        )
 
 
 def _without_nothing(values: Mapping[str, Any]) -> dict[str, Any]:

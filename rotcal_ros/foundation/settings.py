@@ -126,7 +126,7 @@ def load(cls: type[T], values: Mapping[str, Any] | None, where: str) -> T:
             if dataclasses.is_dataclass(hint):
                 loaded[name] = load(typing.cast(type, hint), values[name], place)
             else:
-                loaded[name] = _checked(values[name], _declaration(field, hint), place)
+                loaded[name] = checked_value(values[name], _declaration(field, hint), place)
         elif field.default is MISSING and field.default_factory is MISSING:
             what = "a group of settings" if dataclasses.is_dataclass(hints[name]) else ""
             what = what or field.metadata["setting"].description
@@ -176,19 +176,30 @@ def _plain(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
 
 
-def _checked(value: Any, declared: Declaration, place: str) -> Any:
-    """Return ``value`` as the declared type, or raise with place, finding and expectation."""
+def checked_value(value: Any, declared: Declaration, place: str) -> Any:
+    """Return ``value`` as the declared type.
+
+    Raises ConfigurationError with ``place``, what was found there and what was expected.
+    """
     if declared.optional and value is None:
         return None
     if not declared.is_list:
         return _scalar(value, declared, place)
     if isinstance(value, str) or not isinstance(value, Sequence):
         raise ConfigurationError(f"{place}: expected a list, found {value!r:.80}")
+    if declared.length is None and _are_points(value):
+        value = [number for point in value for number in point]
     if declared.length not in (None, len(value)):
         raise ConfigurationError(
             f"{place}: expected {declared.length} values, found {len(value)}: {value!r:.80}"
         )
     return tuple(_scalar(v, declared, f"{place}[{i}]") for i, v in enumerate(value))
+
+
+def _are_points(values: Sequence[Any]) -> bool:
+    """Return whether a list holds lists of one length, such as points as x, y, z."""
+    lengths = {len(value) if isinstance(value, list | tuple) else None for value in values}
+    return len(lengths) == 1 and None not in lengths
 
 
 def _scalar(value: Any, declared: Declaration, place: str) -> Any:

@@ -12,7 +12,8 @@ from rotcal_ros.foundation.settings import setting
 class AirSettings:
     """The air that the light of a tracer goes through, and who corrects its lengths for it.
 
-    What is published goes before what is given here.
+    What is published goes before what is given here, for the correction and for what report and
+    certificate say of the air.
     """
 
     refraction: Literal["instrument", "ciddor", "edlen"] = setting(

@@ -107,15 +107,14 @@ class Calibration:
         # Offline the group planner has done its work and is not read.
         chosen = read_policy(self.configuration.text) == UNTIL_GOAL
         dated = [o for o in used if o.window_start_ns > _DATED_NS]
-        return Circumstances(
-            simulated=self.configuration.simulated,
-            axis=self.configuration.cell.axis,
-            identity=self.configuration.identity,
+        stated = stated_circumstances(self.configuration)
+        return replace(
+            stated,
             begun_ns=min((o.window_start_ns for o in dated), default=None),
             ended_ns=max((o.window_end_ns for o in dated), default=None),
-            temperature_c=Range.of([o.temperature_c for o in used]),
-            pressure_pa=Range.of([o.pressure_pa for o in used]),
-            humidity=Range.of([o.humidity for o in used]),
+            temperature_c=Range.of([o.temperature_c for o in used]) or stated.temperature_c,
+            pressure_pa=Range.of([o.pressure_pa for o in used]) or stated.pressure_pa,
+            humidity=Range.of([o.humidity for o in used]) or stated.humidity,
             refraction=self.refraction.in_words(used),
             counts=StepCounts(
                 planned, len(steps), 0 if chosen else planned - len(steps), len(retried)
@@ -262,6 +261,19 @@ class Calibration:
         if self.method.joins_runs:
             return tuple(accepted.values())
         return final_observations(accepted.values())
+
+
+def stated_circumstances(configuration: Configuration) -> Circumstances:
+    """Return what a configuration alone tells of the circumstances."""
+    air = configuration.air
+    return Circumstances(
+        simulated=configuration.simulated,
+        axis=configuration.cell.axis,
+        identity=configuration.identity,
+        temperature_c=Range.of([air.temperature_c]),
+        pressure_pa=Range.of([air.pressure_pa]),
+        humidity=Range.of([air.humidity]),
+    )
 
 
 def prepare(configuration: Configuration) -> Calibration:

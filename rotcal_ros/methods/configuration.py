@@ -1,13 +1,14 @@
 """One YAML file is one calibration: read once, checked whole, every group a typed object.
 
-The file is an ordinary ROS 2 parameter file (``/**: ros__parameters: ...``), so that the same
-file starts the nodes through ROS 2's launch, through ``rotcal run``, and solves a bag offline.
+The same file starts the nodes through ROS 2's launch, through ``rotcal run``, and solves a bag or
+a plain table offline. It may be an ordinary ROS 2 parameter file (``/**: ros__parameters: ...``),
+or have ``method`` and the groups at the top. There, in short, settings of the plan and of the
+solver may stand without their group.
 
 Long lists of a plan may stand in files of their own, which the configuration names: as it is read,
 its text takes their contents in the place of the names (:func:`configuration_text`). What is
 recorded has to be whole: its hash, the session's folder, the goal of a run and the bag hold that
-text. What goes with a plain table is a configuration too, or, in short, what a method takes for
-one (:func:`read_setup`).
+text.
 """
 
 from __future__ import annotations
@@ -142,24 +143,6 @@ def read_configuration(path: Path) -> Configuration:
     return parse_configuration(configuration_text(path), str(path))
 
 
-def read_setup(path: Path) -> Configuration:
-    """Return the configuration that a set-up file states.
-
-    A file with ``method: NAME`` at the top is one too where the method knows what its other
-    entries mean, as the ball plate does with those of a plate. Raises ConfigurationError.
-    """
-    try:
-        document = load_yaml(read_text(path), str(path))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"cannot read the set-up {path}: {why(error)}") from error
-    name = document.get("method") if isinstance(document, dict) else None
-    short_setup = find_method(name).short_setup if name in method_names() else None
-    if name is None or short_setup is None:
-        return read_configuration(path)
-    text = dump_configuration(name, short_setup(document, str(path)))
-    return parse_configuration(text, str(path))
-
-
 def configuration_text(path: Path) -> str:
     """Return the text of a configuration file, with the content of the files that it names.
 
@@ -180,7 +163,7 @@ def parse_configuration(
     Only ``groups`` are looked at, the others keep their defaults. Raises ConfigurationError, with
     ``source``, the place and the nearest name, for whatever is misspelt or impossible.
     """
-    name, values = _parameters(text, source)
+    name, values = raw_groups(text, source)
     try:
         method = find_method(name)
     except ConfigurationError as error:
@@ -190,12 +173,13 @@ def parse_configuration(
         raise ConfigurationError(
             f"{source}: {USE_SIM_TIME} is true or false, found {use_sim_time!r:.80}"
         )
-    for group in values:
+    for group, value in values.items():
         if group not in GROUPS:
             missing = group in _ORDER
             hint = plugins.NOT_INSTALLED if missing else _without_its_group(method, str(group))
-            hint = hint or plugins.nearest(str(group), ("method", *GROUPS))
-            raise ConfigurationError(f"{source}: unknown group {group!r:.80}{hint}")
+            hint = hint or plugins.nearest(str(group), ("method", *GROUPS, *short_names(method)))
+            what = "group" if isinstance(value, Mapping) else "setting"
+            raise ConfigurationError(f"{source}: unknown {what} {group!r:.80}{hint}")
     given = frozenset(values) & frozenset(groups)
     loaded: dict[str, Any] = {
         group: load(cls, values[group] if group in given else None, f"{source}: {group}")
@@ -220,7 +204,7 @@ def read_subject(text: str, source: str = "configuration") -> tuple[Identity, bo
 
     Raises ConfigurationError where even that cannot be read.
     """
-    _, values = _parameters(text, source)
+    _, values = raw_groups(text, source)
     identity = load(Identity, values.get("identity"), f"{source}: identity")
     return identity, SIMULATION in values
 
@@ -228,7 +212,7 @@ def read_subject(text: str, source: str = "configuration") -> tuple[Identity, bo
 def read_topics(text: str) -> TopicSettings:
     """Return what a configuration says of its topics, whatever else of it can be read."""
     with suppress(ConfigurationError):
-        return load(TopicSettings, _parameters(text, "configuration")[1].get("topics"), "topics")
+        return load(TopicSettings, raw_groups(text, "configuration")[1].get("topics"), "topics")
     return TopicSettings()
 
 
@@ -236,7 +220,7 @@ def read_topics(text: str) -> TopicSettings:
 def read_policy(text: str) -> str:
     """Return the policy that a configuration states, whatever else of it can be read today."""
     with suppress(ConfigurationError):
-        planner = _parameters(text, "configuration")[1].get("planner")
+        planner = raw_groups(text, "configuration")[1].get("planner")
         if isinstance(planner, Mapping):
             return str(planner.get("policy", AS_LISTED))
     return AS_LISTED
@@ -245,17 +229,20 @@ def read_policy(text: str) -> str:
 def changed(
     configuration: Configuration, changes: Sequence[str], groups: Collection[str] = GROUPS
 ) -> Configuration:
-    """Return the configuration with ``group.name=value`` changes, values in YAML.
+    """Return the configuration with ``group.name=value`` changes.
 
-    Only ``groups`` are looked at. Without any changes the text stays as it is. Raises
+    A value is YAML; of a setting that is a text it is that text, in quotes or not. Only
+    ``groups`` are looked at. Without any changes the text stays as it is. Raises
     ConfigurationError for what cannot be set.
     """
     if not changes:
         return configuration
-    name, given = _parameters(configuration.text, configuration.source)
+    name, given = raw_groups(configuration.text, configuration.source)
     parameters: dict[str, Any] = {"method": name, **given}
     for change in changes:
-        _change(parameters, change)
+        setting, value = parsed_change(str(parameters["method"]), change)
+        place, last = _place(parameters, setting, f"--set {change}")
+        place[last] = value
     text = dump_configuration(str(parameters.pop("method")), parameters)
     source = f"{configuration.source} with --set"
     text = _with_contents(text, source, Path(configuration.source).parent)
@@ -264,7 +251,7 @@ def changed(
 
 def replaced(configuration: Configuration, group: str, values: Mapping[str, Any]) -> str:
     """Return the text of a configuration whose ``group`` has only these ``values``."""
-    name, groups = _parameters(configuration.text, configuration.source)
+    name, groups = raw_groups(configuration.text, configuration.source)
     return dump_configuration(name, {**groups, group: values})
 
 
@@ -365,18 +352,19 @@ def _in_yaml(name: str, numbers: Sequence[float] | Sequence[int], indent: int) -
 
 
 def _plan(text: str) -> tuple[str, list[tuple[yaml.Node, yaml.Node]]]:
-    """Return the method and the entries of the group ``plan``; none where they cannot be found."""
+    """Return the method and the entries that may be of the group ``plan``; none without either."""
     try:
         load_yaml(text, "")  # only what is within bounds is gone through node by node
         node = yaml.compose(text, Loader=yaml.SafeLoader)
     except (ConfigurationError, yaml.YAMLError):
         return "", []
-    for name in (ALL_NODES, PARAMETERS):
+    short = list(node.value) if _entry(node, "method") else []
+    for name in () if short else (ALL_NODES, PARAMETERS):
         node = _entry(node, name)
     method, plan = _entry(node, "method"), _entry(node, "plan")
-    if not (isinstance(method, yaml.ScalarNode) and isinstance(plan, yaml.MappingNode)):
+    if not isinstance(method, yaml.ScalarNode):
         return "", []
-    return str(method.value), list(plan.value)
+    return str(method.value), short + (plan.value if isinstance(plan, yaml.MappingNode) else [])
 
 
 def _entry(node: yaml.Node | None, name: str) -> yaml.Node | None:
@@ -385,22 +373,62 @@ def _entry(node: yaml.Node | None, name: str) -> yaml.Node | None:
     return next((value for key, value in node.value if key.value == name), None)
 
 
-def _parameters(text: str, source: str) -> tuple[str, dict[str, Any]]:
-    """Return the name of the method and the raw groups of a configuration."""
+def raw_groups(text: str, source: str) -> tuple[str, dict[str, Any]]:
+    """Return the name of the method, and the groups that a configuration states, unchecked.
+
+    Raises ConfigurationError for a text that has neither ROS's form nor ``method`` at the top.
+    """
     document = load_yaml(text, source)
+    at_the_top = isinstance(document, Mapping) and "method" in document
     try:
-        _require_alone(text, source, document, ALL_NODES)
-        _require_alone(text, source, document[ALL_NODES], PARAMETERS)
-        values = dict(document[ALL_NODES][PARAMETERS])
+        if at_the_top and ALL_NODES not in document:
+            values = dict(document)
+        else:
+            _require_alone(text, source, document, ALL_NODES)
+            _require_alone(text, source, document[ALL_NODES], PARAMETERS)
+            values = dict(document[ALL_NODES][PARAMETERS])
         method = values.pop("method")
     except (KeyError, TypeError, ValueError):
         raise ConfigurationError(
-            f"{source}: expected a ROS 2 parameter file with "
+            f"{source}: expected 'method: NAME' at the top, or a ROS 2 parameter file with "
             f"'{ALL_NODES}: {PARAMETERS}: method: ...'"
         ) from None
     if not isinstance(method, str):
         raise ConfigurationError(f"{source}: method must be a name, found {method!r:.80}")
-    return method, values
+    return method, _in_groups(method, values, source) if at_the_top else values
+
+
+def _in_groups(method: str, entries: dict[str, Any], source: str) -> dict[str, Any]:
+    """Return the groups of a configuration; what it states in short goes where it belongs.
+
+    What cannot be known stays. Raises ConfigurationError for what is stated twice.
+    """
+    short = {n: v for n, v in entries.items() if n not in (*_KNOWN, *_ORDER, USE_SIM_TIME)}
+    if not short or method not in method_names():
+        return entries
+    found = find_method(method)
+    groups = {name: value for name, value in entries.items() if name not in short}
+    names = short_names(found)
+    for name, value in found.short_setup(short).items():
+        full = names.get(name, str(name))
+        group, last = _place(groups, full, source)
+        if last in group and name in short:
+            raise ConfigurationError(
+                f"{source}: {name} is given at the top, and in a group as {full}: keep one of them"
+            )
+        group.setdefault(last, value)
+    return groups
+
+
+def short_names(method: Method) -> dict[str, str]:
+    """Return the full names of the settings of plan and solver by their last word, if unique."""
+    full = [
+        f"{group}.{declared.name}"
+        for group in ("plan", "solver")
+        for declared in declarations(method.own_settings[group])
+    ]
+    last = [name.rpartition(".")[2] for name in full]
+    return {short: name for short, name in zip(last, full, strict=True) if last.count(short) == 1}
 
 
 def _require_alone(text: str, source: str, group: Any, name: str) -> None:
@@ -418,15 +446,35 @@ def _require_alone(text: str, source: str, group: Any, name: str) -> None:
             )
 
 
-def _change(parameters: dict[str, Any], change: str) -> None:
-    """Put one ``group.name=value`` into raw groups."""
+def parsed_change(method: str, change: str) -> tuple[str, Any]:
+    """Return name and value, unchecked, of a ``group.name=value`` for a configuration of a method.
+
+    Raises ConfigurationError where it is none.
+    """
     name, equals, text = change.partition("=")
-    *groups, last = name.split(".")
-    if not equals or not last:
+    if not equals or not name or name.endswith("."):
         raise ConfigurationError(f"--set {change}: expected GROUP.NAME=VALUE")
+    quoted = len(text) > 1 and text[0] in "'\"" and text[0] == text[-1]
+    plain = not quoted and _is_text(method, name)
+    return name, text if plain else load_yaml(text, f"--set {change}")
+
+
+def _is_text(method: str, name: str) -> bool:
+    """Return whether the setting ``group.name`` of a method is one text."""
+    group, _, name = name.partition(".")
+    cls = settings_classes(find_method(method)).get(group)
+    declared = () if cls is None else declarations(cls)
+    return any(d.name == name and d.kind is str and not d.is_list for d in declared)
+
+
+def _place(parameters: dict[str, Any], name: str, where: str) -> tuple[dict[str, Any], str]:
+    """Return the group in ``parameters`` that the dotted ``name`` is for, and its last word."""
+    *groups, last = name.split(".")
     place = parameters
     for group in groups:
-        place = place.setdefault(group, {})
+        if place.get(group) is None:
+            place[group] = {}
+        place = place[group]
         if not isinstance(place, dict):
-            raise ConfigurationError(f"--set {change}: {group} is a value, not a group")
-    place[last] = load_yaml(text, f"--set {change}")
+            raise ConfigurationError(f"{where}: {group} is a value, not a group")
+    return place, last

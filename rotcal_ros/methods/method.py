@@ -150,10 +150,10 @@ class Method:
     deviations of the result, component by component in the order of ``COMPONENTS``. ``check``
     says in words what the observations so far tell about a person's work (see
     :class:`~rotcal_ros.planning.plan.Pause`), or raises DataError. ``table`` reads plain tables,
-    ``short_setup`` turns a set-up file that is no configuration, given with its name, into groups
-    of settings. ``figures`` draws what the method alone can show, ``tables`` lists it, ``zero``
-    says in words what the curves count from and how a whole turn closes. ``disturbances`` measure
-    a plan with its noise and with what may spoil it.
+    ``short_setup`` turns the entries of a short set-up into settings of plan and solver, by the
+    last word of their names. ``figures`` draws what the method alone can show, ``tables`` lists
+    it, ``zero`` says in words what the curves count from and how a whole turn closes.
+    ``disturbances`` measure a plan with its noise and with what may spoil it.
     """
 
     name: str
@@ -180,7 +180,7 @@ class Method:
     check_plan: Callable[[Configuration, Plan], None] | None = None
     plan_files: Mapping[str, PlanFile] = field(default_factory=dict)
     table: TableReader | None = None
-    short_setup: Callable[[Mapping[str, Any], str], Mapping[str, Any]] | None = None
+    short_setup: Callable[[Mapping[str, Any]], Mapping[str, Any]] = dict
     figures: Callable[[Result, Mapping[str, Any] | None], Sequence[Figure]] = no_figures
     tables: Callable[[Result], Sequence[ResultTable]] = no_tables
     zero: Callable[[Result], Sequence[str]] = zero_at_the_first

@@ -11,7 +11,12 @@ from rotcal_ros.bags.settings import ReadingLimits, changed_limits, is_limit
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.sheets.reading import Reading
 from rotcal_ros.foundation.tables import is_table
-from rotcal_ros.methods.configuration import OFFLINE_GROUPS, Configuration, changed, read_setup
+from rotcal_ros.methods.configuration import (
+    OFFLINE_GROUPS,
+    Configuration,
+    changed,
+    read_configuration,
+)
 from rotcal_ros.methods.measurements import read_measurements
 from rotcal_ros.methods.method import Measurements
 from rotcal_ros.recordings.recorded_setup import find_configuration
@@ -56,7 +61,7 @@ class Input:
                 )
             if of_reading:
                 raise ConfigurationError(f"--set {of_reading[0]}: {self.path} is not a bag")
-            stated = changed(read_setup(self.setup), self.changes)
+            stated = changed(read_configuration(self.setup), self.changes)
             return read_measurements(self.path, stated, self.targets, self.told)
         if self.targets is not None:
             raise ConfigurationError(f"{self.path} is not a table: only a table takes --targets")
@@ -85,7 +90,7 @@ class Input:
     ) -> Configuration | None:
         """Return the configuration for a bag; None: the one in it, as it is."""
         if self.setup is not None:
-            return changed(read_setup(self.setup), changes)
+            return changed(read_configuration(self.setup), changes)
         if not changes:
             return None
         files = bag_files(self.path)

@@ -125,7 +125,8 @@ def _ranged(name: str, found: Range | None, unit: str, digits: int, factor: floa
     mean, low, high = (
         f"{value * factor:.{digits}f}" for value in (found.mean, found.lowest, found.highest)
     )
-    return f"{name} {mean} {unit} ({low} to {high})"
+    spread = f" ({low} to {high})" if found.lowest < found.highest else ""
+    return f"{name} {mean} {unit}{spread}"
 
 
 def _item(identity: Identity) -> str:
@@ -139,9 +140,12 @@ def _tolerance(identity: Identity) -> str:
 
 
 def _dates(circumstances: Circumstances) -> str:
-    """Return when it was measured, to the minute; the day once where it is one."""
+    """Return when it was measured, to the minute; the day once where it is one.
+
+    Without stamps it is what the identity states.
+    """
     if circumstances.begun_ns is None or circumstances.ended_ns is None:
-        return ""
+        return circumstances.identity.measured.replace("T", " ")
     begun, ended = (
         datetime.fromtimestamp(ns * NANOSECOND, timezone.utc)
         for ns in (circumstances.begun_ns, circumstances.ended_ns)

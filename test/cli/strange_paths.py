@@ -180,4 +180,5 @@ def writing(path: Path) -> list[list[str]]:
         ["bag", "repair", bag, "-o", x],
         ["run", str(CONFIGURATION), "-o", x],
         ["verify", str(CONFIGURATION), "-o", x],
+        ["new", "--yes", "-o", x],
     ]

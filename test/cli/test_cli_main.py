@@ -85,7 +85,7 @@ def test_help_lists_every_verb_and_loads_none():
     [
         ("slove", "did you mean 'solve'"),
         ("reproces", "did you mean 'reprocess'"),
-        ("xyz", "known: run"),
+        ("xyz", "known: new"),
     ],
 )
 def test_a_misspelt_verb_gets_the_nearest_name(typed, hint):

@@ -117,3 +117,32 @@ def test_exported_files_of_a_simulation_say_so(tmp_path):
     side = json.loads((tmp_path / "c_csv_simulated.provenance.json").read_text())
     assert side["simulated"] is True
     assert any("SIMULATED" in warning for warning in side["warnings"])
+
+
+SUMMER_NIGHT_NS = 1_774_915_200 * SECOND
+"""The first moment of 2026-03-31 in UTC, by date(1)."""
+
+
+def test_the_day_is_that_of_the_stamps_else_the_stated_one():
+    stated = Identity(measured="2026-03-31T10:00")
+    assert Circumstances().days is None
+    assert Circumstances().from_ns == 0
+    assert Circumstances(identity=stated).days == ("2026-03-31", "2026-03-31")
+    assert Circumstances(identity=stated).from_ns == SUMMER_NIGHT_NS
+    ended = SUMMER_NIGHT_NS + 86_400 * SECOND
+    other = Identity(measured="1999-01-01")
+    stamped = Circumstances(identity=other, begun_ns=SUMMER_NIGHT_NS - 1, ended_ns=ended)
+    assert stamped.days == ("2026-03-30", "2026-04-01")
+    assert stamped.from_ns == SUMMER_NIGHT_NS - 1
+
+
+def test_stated_air_gives_way_to_what_was_captured(real):
+    air = ["air.temperature_c=25.0", "air.pressure_pa=95000.0", "air.humidity=0.4"]
+    calibration = prepare(changed(real.configuration, air))
+    seen = list(observed(calibration))
+    found = calibration.solve(seen).circumstances
+    assert found.temperature_c.lowest == 20.0
+    assert found.pressure_pa == Range(95000.0, 95000.0, 95000.0)
+    untold = calibration.solve(replace(o, temperature_c=None) for o in seen).circumstances
+    assert untold.temperature_c == Range(25.0, 25.0, 25.0)
+    assert untold.humidity == Range(0.4, 0.4, 0.4)

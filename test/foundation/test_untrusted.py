@@ -10,7 +10,11 @@ from rotcal_ros.compensation.controllers import parse_options
 from rotcal_ros.extensions.design.goal import goal_settings
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.untrusted import load_yaml
-from rotcal_ros.methods.configuration import node_parameters, parse_configuration, read_setup
+from rotcal_ros.methods.configuration import (
+    node_parameters,
+    parse_configuration,
+    read_configuration,
+)
 
 EXAMPLE = Path(__file__).parents[2] / "examples/data/tracer.yaml"
 # What YAML 1.1 (ROS, PyYAML, yaml-cpp) reads, by the tables of its types at yaml.org/type.
@@ -91,7 +95,7 @@ def test_every_reader_of_what_people_write_refuses_it(tmp_path):
         )
     )
     with pytest.raises(ConfigurationError, match=f"wrong.yaml: line {line}: 1:30 is 90"):
-        read_setup(wrong)
+        read_configuration(wrong)
     with pytest.raises(ConfigurationError, match=f"line {line}: 1:30 is 90"):
         parse_configuration(wrong.read_text())
     goal = tmp_path / "goal.yaml"

@@ -80,15 +80,19 @@ def _read_recorded_configuration(path: Path) -> None:
 
 
 def _read_setup(path: Path) -> None:
-    from rotcal_ros.methods.configuration import read_setup
+    from rotcal_ros.methods.configuration import read_configuration
 
-    read_setup(path)
+    read_configuration(path)
 
 
 def _short_setups() -> Iterable[bytes]:
     yield (
         b"method: ball_plate\ngrid: 6\ndiameter_m: 0.02\ncell_m: 0.05\n"
         b"balls: [0, 5, 30, 35]\ntable_step_deg: 30\n"
+    )
+    yield (
+        b"method: tracer_six\nplaces_m: [[0.1, 0, 0.2], [0, 0.1, 0.2]]\nlength_std_m: 3e-8\n"
+        b"plan: {table_positions: 4}\nidentity: {item: a table, measured: 2026-03-31}\n"
     )
 
 

@@ -4,10 +4,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rotcal_ros.foundation.settings import load
+from rotcal_ros.methods.ball_plate.settings import Plate, checked
 from rotcal_ros.methods.ball_plate.solver.problem import BallPlateProblem
 
 PAPER_PLATE = [0, 8, 12, 18, 21, 28, 32, 37, 42, 50, 58, 62]
 RADIUS = 0.185
+
+
+def parse_plate(entries, where):
+    """Return the plate with these entries, or raise ConfigurationError."""
+    return checked(load(Plate, entries, where), where)
 
 
 @dataclass(frozen=True)

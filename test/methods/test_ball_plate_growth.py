@@ -8,14 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from chances import LONG, most
-from plate_data import RADIUS
+from plate_data import RADIUS, parse_plate
 from plate_disturbed import DEMO_PLATE, ORDERS, caused, drifted, knocked, measured, on_plate
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.units import MICROMETRE
 from rotcal_ros.methods.ball_plate.materials import EXPANSION, kelvin
 from rotcal_ros.methods.ball_plate.measuring_order import plan_measurement
-from rotcal_ros.methods.ball_plate.settings import parse_plate
 from rotcal_ros.methods.ball_plate.solver import solve
 from rotcal_ros.methods.ball_plate.solver.estimate import solved
 from rotcal_ros.methods.ball_plate.solver.growth import GrowthTest, find_growth, unit_growth

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plate_data import PAPER_PLATE, RADIUS
+from plate_data import PAPER_PLATE, RADIUS, parse_plate
 
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
-from rotcal_ros.methods.ball_plate.settings import BallPlateSolverSettings, Plate, parse_plate
+from rotcal_ros.methods.ball_plate.settings import BallPlateSolverSettings, Plate
 from rotcal_ros.methods.ball_plate.solver.separability import separability
-from rotcal_ros.methods.configuration import read_setup
+from rotcal_ros.methods.configuration import read_configuration
 from rotcal_ros.methods.measurements import read_measurements
 
 PLATES = Path(__file__).parents[2] / "config" / "plates"
@@ -17,7 +17,7 @@ GOOD = {"grid": 72, "ball_steps": PAPER_PLATE, "circle_radius_m": 0.185, "ball_d
 
 
 def read_plate(path):
-    return read_setup(path).plan.plate
+    return read_configuration(path).plan.plate
 
 
 @pytest.mark.parametrize("path", sorted(PLATES.glob("*.yaml")), ids=lambda p: p.stem)
@@ -68,13 +68,13 @@ def test_balls_may_not_overlap_across_the_first_step():
 
 def test_bad_plate_files_are_refused(tmp_path):
     path = tmp_path / "plate.yaml"
-    with pytest.raises(ConfigurationError, match="cannot read the set-up"):
+    with pytest.raises(ConfigurationError, match="cannot read the configuration"):
         read_plate(path)
     for text, expected in (
         ("grid: [", "not valid YAML"),
         ("method: ball_plate\ngrid: 72\n", "setting 'ball_steps' is missing"),
-        ("grid: 72\n", "expected a ROS 2 parameter file"),
-        ("method: plane_mirror\ngrid: 72\n", "expected a ROS 2 parameter file"),
+        ("grid: 72\n", "expected 'method: NAME' at the top"),
+        ("method: plane_mirror\ngrid: 72\n", "unknown setting 'grid'"),
     ):
         path.write_text(text)
         with pytest.raises(ConfigurationError, match=expected):
@@ -85,7 +85,8 @@ def test_a_plate_file_may_state_the_noise_of_a_centre(tmp_path):
     path = tmp_path / "plate.yaml"
     good = (PLATES / "ball_plate_12.yaml").read_text()
     path.write_text(good + "sigma_centre_m: 2.0e-7\n")
-    assert read_setup(path).solver.sigma_centre_m == 2.0e-7
+    made = read_configuration(path)
+    assert (made.solver.sigma_centre_m, made.plan.measure) == (2.0e-7, "centre")
 
 
 @pytest.mark.parametrize(
@@ -100,7 +101,7 @@ def test_noise_in_exponents_and_for_each_axis(tmp_path, stated, sigma, axes):
     path = tmp_path / "plate.yaml"
     good = (PLATES / "ball_plate_12.yaml").read_text()
     path.write_text(good + f"sigma_centre_m: {stated}\n")
-    solver = read_setup(path).solver
+    solver = read_configuration(path).solver
     assert (solver.sigma_centre_m, solver.sigma_axes_m) == (sigma, axes)
 
 
@@ -117,7 +118,7 @@ def test_other_words_for_noise_are_refused(tmp_path, stated, text):
     path = tmp_path / "plate.yaml"
     path.write_text((PLATES / "ball_plate_12.yaml").read_text() + f"sigma_centre_m: {stated}\n")
     with pytest.raises(ConfigurationError, match=text):
-        read_setup(path)
+        read_configuration(path)
 
 
 def test_one_standard_deviation_or_three():
@@ -153,13 +154,13 @@ def test_a_table_may_state_the_noise_of_each_centre(tmp_path):
     setup.write_text(SMALL + "sigma_centre_m: 1e-7\n")
     std = (",sx_m,sy_m,sz_m", ",5e-8,5e-8,1.5e-7")
     path = centres_table(tmp_path / "balls.csv", std)
-    result = read_measurements(path, read_setup(setup)).solve()
+    result = read_measurements(path, read_configuration(setup)).solve()
     assert result.verdict == "ok"
     np.testing.assert_allclose(result.details["axis_noise"]["used"], 1.0)  # times the stated
-    wrong = read_measurements(centres_table(tmp_path / "b.csv"), read_setup(setup)).solve()
+    wrong = read_measurements(centres_table(tmp_path / "b.csv"), read_configuration(setup)).solve()
     assert wrong.verdict == "suspect"  # 0.1 um for all does not hold
     setup.write_text(SMALL + "sigma_centre_m: [5e-8, 5e-8, 1.5e-7]\n")
-    same = read_measurements(tmp_path / "b.csv", read_setup(setup)).solve()
+    same = read_measurements(tmp_path / "b.csv", read_configuration(setup)).solve()
     for name, deviations in same.deviations.items():
         np.testing.assert_array_equal(deviations, result.deviations[name])
         np.testing.assert_array_equal(same.std[name], result.std[name])
@@ -172,7 +173,7 @@ def test_a_standard_deviation_in_a_table_must_be_one(tmp_path, bad):
     std = (",sx_m,sy_m,sz_m", f",5e-8,5e-8,{bad}")
     path = centres_table(tmp_path / "balls.csv", std)
     with pytest.raises(DataError, match=r"row 2: sz_m"):
-        read_measurements(path, read_setup(setup))
+        read_measurements(path, read_configuration(setup))
 
 
 def test_plate_defaults():

@@ -20,7 +20,7 @@ from rotcal_ros.methods.configuration import (
     Configuration,
     dump_configuration,
     parse_configuration,
-    read_setup,
+    read_configuration,
 )
 from rotcal_ros.methods.measurements import read_measurements
 from rotcal_ros.methods.tracer.table import read_targets
@@ -260,4 +260,4 @@ def test_a_table_of_lengths_with_the_sign_turned_round_says_so(table, setup, tmp
     turned = tmp_path / "lengths.csv"
     turned.write_text("\n".join([head, *(",".join(row) for row in cells)]) + "\n")
     with pytest.raises(DataError, match="opposite sign they fit: turn their sign round"):
-        read_measurements(turned, read_setup(EXAMPLES / setup)).solve()
+        read_measurements(turned, read_configuration(EXAMPLES / setup)).solve()

@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from plate_data import parse_plate
 from settings_page import assert_documented
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.methods.ball_plate.settings import Plate, parse_plate
+from rotcal_ros.methods.ball_plate.settings import Plate
 from rotcal_ros.methods.plane_mirror.settings import MirrorSolverSettings
 from rotcal_ros.methods.tracer.solver_settings import TracerLimits, TracerSolverSettings
 

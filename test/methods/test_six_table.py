@@ -8,7 +8,6 @@ import pytest
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.methods import changed, prepare, read_configuration
-from rotcal_ros.methods.configuration import read_setup
 from rotcal_ros.methods.measurements import read_measurements
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_six_demo.yaml"
@@ -79,7 +78,7 @@ zero: per_station
 def test_a_short_setup_lists_settings_and_points(tmp_path):
     file = tmp_path / "setup.yaml"
     file.write_text(SHORT)
-    made = read_setup(file)
+    made = read_configuration(file)
     assert made.method.name == "tracer_six"
     assert made.plan.places_m == (0.15, 0.0, 0.1, -0.07, 0.13, 0.1, -0.07, -0.13, 0.12)
     assert made.plan.table_angles_deg == (0.0, 90.0, 180.0, 270.0)
@@ -89,7 +88,7 @@ def test_a_short_setup_lists_settings_and_points(tmp_path):
     with pytest.raises(
         ConfigurationError, match=r"setup\.yaml: .*'target_std'; did you mean 'target_"
     ):
-        read_setup(file)
+        read_configuration(file)
 
 
 def test_the_column_segment_numbers_unbroken_beams(configuration, tmp_path):

@@ -30,7 +30,7 @@ from rotcal_ros.bags.storage_scan import losses_in_words, session_losses
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.observations import LengthStatus, Observation, TracerSample
-from rotcal_ros.methods.configuration import parse_configuration, read_policy, read_setup
+from rotcal_ros.methods.configuration import parse_configuration, read_configuration, read_policy
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.recordings.summary import describe
 from rotcal_ros.recordings.topics import Topics
@@ -72,7 +72,7 @@ def test_given_configuration_wins(run_bag: Path) -> None:
 @pytest.mark.parametrize("method", ["tracer", "ball_plate", "plane_mirror"])
 @pytest.mark.parametrize("other", ["tracer", "ball_plate", "plane_mirror", "tracer_six"])
 def test_the_set_up_of_another_method_is_refused(method: str, other: str) -> None:
-    given = read_setup(GOLDEN / other / "table" / "setup.yaml")
+    given = read_configuration(GOLDEN / other / "table" / "setup.yaml")
     if method == other:
         assert read_recording(GOLDEN / method / "bag", configuration=given).observations
         return

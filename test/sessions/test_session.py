@@ -44,7 +44,7 @@ def test_changes_reach_their_settings(tmp_path):
         ("plan.box_points.x=9", "box_points is a value"),
         ("plan.box_points=[1", "not valid YAML"),
         ("planer.max_attempts=2", "unknown group 'planer'; did you mean 'planner'"),
-        ("table_positions=12", "unknown group 'table_positions'; .*plan.table_positions"),
+        ("table_positions=12", "unknown setting 'table_positions'; .*plan.table_positions"),
         ("writer.sync_interval_s=1", "unknown group 'writer'; .*recorder.writer"),
         ("plan=3", "plan: expected a group of settings, found 3"),
         ("plan=[3]", "plan: expected a group of settings"),

@@ -10,7 +10,7 @@ from __future__ import annotations
 import gzip
 from base64 import b64encode
 from collections.abc import Iterable, Iterator
-from datetime import date, datetime, timezone
+from datetime import date
 from hashlib import sha256
 from math import sqrt
 from typing import Any, Final
@@ -216,7 +216,9 @@ def _conditions(circumstances: Circumstances) -> Any:
 
 
 def _condition(name: str, found: Range, unit: str) -> Any:
-    values = (("mean", found.mean), ("lowest", found.lowest), ("highest", found.highest))
+    values = [("mean", found.mean), ("lowest", found.lowest), ("highest", found.highest)]
+    if found.lowest == found.highest:  # such as a value that the configuration states
+        values = [("value", found.mean)]
     quantities = (
         DCC.quantity(text("name", what), SI.real(SI.value(repr(float(value))), SI.unit(unit)))
         for what, value in values
@@ -336,13 +338,12 @@ def missing_settings(result: Result) -> dict[str, str]:
         missing["identity.instruments.*"] = (
             "serial and date of calibration (calibrated) of one instrument or more: traceability"
         )
-    if circumstances.begun_ns is None:
-        missing["time"] = "when it was measured: a bag states it, the result of a table does not"
+    if circumstances.days is None:
+        missing["identity.measured"] = "when it was measured: a bag tells it, a table does not"
     return missing
 
 
 NOT_MEASURED: Final = f"{SIMULATED}: a simulation, no item was measured."
-_SECOND_NS: Final = 1_000_000_000
 
 
 def administrative_data(result: Result, issued: date) -> Any:
@@ -382,15 +383,10 @@ def software() -> Any:
     )
 
 
-def day(stamp_ns: int) -> str:
-    """Return the date (UTC) of a stamp."""
-    return datetime.fromtimestamp(stamp_ns // _SECOND_NS, timezone.utc).date().isoformat()
-
-
 def _core_data(circumstances: Circumstances, issued: date) -> Any:
     identity = circumstances.identity
-    begun, ended = circumstances.begun_ns, circumstances.ended_ns
-    assert begun is not None
+    assert circumstances.days is not None
+    begun, ended = circumstances.days
     number = f"{SIMULATED}-" * circumstances.simulated + identity.certificate_number
     ordered = None
     if identity.customer_number:
@@ -404,8 +400,8 @@ def _core_data(circumstances: Circumstances, issued: date) -> Any:
             leaf("uniqueIdentifier", number),
             ordered,
             leaf("receiptDate", identity.received) if identity.received else None,
-            leaf("beginPerformanceDate", day(begun)),
-            leaf("endPerformanceDate", day(begun if ended is None else ended)),
+            leaf("beginPerformanceDate", begun),
+            leaf("endPerformanceDate", ended),
             leaf("performanceLocation", "other"),
             leaf("issueDate", issued.isoformat()),
         )

@@ -13,7 +13,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.settings import group, load, setting
+from rotcal_ros.foundation.settings import group, setting
 from rotcal_ros.methods.ball_plate.materials import MATERIALS, NOT_STATED
 from rotcal_ros.methods.ball_plate.measuring_order import DEFAULT_ORDER, Order
 from rotcal_ros.methods.simulation.settings import SimulationSettings
@@ -64,15 +64,6 @@ class Plate:
         from rotcal_ros.methods.ball_plate.solver.problem import grid_angles, on_circle
 
         return self.circle_radius_m * on_circle(grid_angles(self.grid))
-
-
-def parse_plate(entries: Mapping[str, Any], where: str) -> Plate:
-    """Return the plate with the given entries; ``where`` names them in error messages.
-
-    Raises ConfigurationError for entries that are missing, unknown, of the wrong kind, or that
-    do not go together.
-    """
-    return checked(load(Plate, entries, where), where)
 
 
 def checked(plate: Plate, where: str) -> Plate:

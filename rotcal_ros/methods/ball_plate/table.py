@@ -13,7 +13,7 @@ from typing import Any, Final
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.tables import Header, Row, Table, hashes
-from rotcal_ros.methods.ball_plate.settings import parse_plate
+from rotcal_ros.methods.ball_plate.settings import CENTRE
 from rotcal_ros.methods.calibration import prepare
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder
@@ -46,19 +46,15 @@ def read(configuration: Configuration, table: Table, _targets: Path | None) -> P
     return PlannedMeasurements(calibration, tuple(observations), hashes(table.path))
 
 
-def short_setup(document: Mapping[str, Any], where: str) -> Mapping[str, Any]:
-    """Return the groups of settings that the entries of a plate file state.
+def short_setup(entries: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the settings that the entries of a plate file state.
 
-    Beside the plate, ``sigma_centre_m`` states the standard deviation of a centre: a number, or a
-    list of three for x, y, z. Raises ConfigurationError for a plate that cannot be.
+    Its balls are measured as centres. Beside the plate, ``sigma_centre_m`` states the standard
+    deviation of a centre: a number, or a list of three for x, y, z.
     """
-    entries = {name: value for name, value in document.items() if name not in ("method", SIGMA)}
-    parse_plate(entries, where)
-    groups: dict[str, Any] = {"plan": {"plate": entries, "measure": "centre"}}
-    if SIGMA in document:
-        several = isinstance(document[SIGMA], list)
-        groups["solver"] = {AXES if several else SIGMA: document[SIGMA]}
-    return groups
+    several = isinstance(entries.get(SIGMA), list)
+    named = {AXES if name == SIGMA and several else name: v for name, v in entries.items()}
+    return {"measure": CENTRE, **named}
 
 
 def _std(row: Row, name: str) -> float:

@@ -15,7 +15,6 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.observations import Approach
@@ -31,7 +30,7 @@ from rotcal_ros.foundation.tables import (
     read_table,
     require_header,
 )
-from rotcal_ros.methods.calibration import Calibration, prepare
+from rotcal_ros.methods.calibration import Calibration, prepare, stated_circumstances
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder, known_of_plan
 from rotcal_ros.methods.method import Measurements, PlanFile, Trials
@@ -70,10 +69,7 @@ class StationTable:
 
     def solve(self) -> Result:
         """Return the result, under the circumstances that the set-up states."""
-        given = self.configuration
-        stated = Circumstances(
-            simulated=given.simulated, axis=given.cell.axis, identity=given.identity
-        )
+        stated = stated_circumstances(self.configuration)
         return replace(solve(self.problem), circumstances=stated)
 
     def trials(self) -> Trials:

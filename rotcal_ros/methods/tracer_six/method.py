@@ -61,7 +61,6 @@ METHOD: Final = Method(
     stations=lambda configuration: Stations(places_of(configuration.plan), carried=True),
     gauge=gauge.without_axis_and_artefact,
     table=TableReader(table.HEADERS, table.read, known_lengths(table.COLUMNS)),
-    short_setup=table.short_setup,
     figures=figures,
     tables=tables,
     zero=gauge.in_words,

@@ -118,7 +118,7 @@ def test_everything_that_is_missing_is_listed_by_its_setting():
         "identity.item", "identity.maker", "identity.model", "identity.laboratory_email",
         "identity.received", "identity.customer_number", "identity.instruments",
     }  # fmt: skip
-    assert named == wanted | {"identity.instruments.*", "time"}
+    assert named == wanted | {"identity.instruments.*", "identity.measured"}
     assert refused.value.exit_code == 2
 
 

@@ -1,11 +1,14 @@
 """``rotcal report --dcc``: where the certificate goes, and what is refused how."""
 
 import json
+import re
+import shutil
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+import yaml
 from click.testing import CliRunner
 
 from rotcal_ros.cli.main import rotcal
@@ -53,7 +56,7 @@ def test_it_is_written_beside_the_result_once(result_file):
 def test_a_result_without_identity_is_refused_with_all_it_needs(tmp_path):
     refused = run(DATA / "result_ball_plate.json", "--dcc", "-o", tmp_path / "c.xml")
     assert refused.exit_code == 2
-    assert refused.output.count("identity.") == 11
+    assert refused.output.count("identity.") == 12
     assert not (tmp_path / "c.xml").exists()
 
 
@@ -80,3 +83,74 @@ def test_without_the_extension_it_is_said_what_to_install(result_file, monkeypat
     assert refused.output == (
         "rotcal: a certificate needs the extension 'dcc': pip install 'rotcal_ros[dcc]'\n"
     )
+
+
+SETUP = """method: tracer_multistation
+table_positions: 12
+length_std_m: 1.2e-7
+target_std_m: 8.5e-7
+error_motion_std_m: 7.0e-8
+air: {temperature_c: 20.3, pressure_pa: 101325.0, humidity: 0.45}
+"""
+NAMES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
+
+
+@pytest.fixture
+def lengths(tmp_path):
+    """A plain table with a set-up in short that says all that a certificate needs."""
+    for name in ("lengths.csv", "targets.csv"):
+        shutil.copy(DATA / name, tmp_path)
+    identity = yaml.safe_dump({"identity": {**IDENTITY, "measured": "2026-03-31T10:00"}})
+    (tmp_path / "setup.yaml").write_text(SETUP + identity)
+    return tmp_path / "lengths.csv"
+
+
+def test_a_plain_table_gets_a_certificate_by_what_its_set_up_states(lengths):
+    setup = lengths.with_name("setup.yaml")
+    done = run(lengths, "--setup", setup, "--set", "identity.certificate_number=007", "--dcc")
+    assert done.exit_code == 0, done.output
+    root = ElementTree.parse(lengths.with_name("certificate.xml")).getroot()
+    core = root.find(".//dcc:coreData", NAMES)
+    assert core.findtext("dcc:uniqueIdentifier", None, NAMES) == "007"
+    assert core.findtext("dcc:beginPerformanceDate", None, NAMES) == "2026-03-31"
+    assert core.findtext("dcc:endPerformanceDate", None, NAMES) == "2026-03-31"
+    said = "".join(root.itertext())
+    assert "hall" in said
+    assert "SIMULATED" not in said
+    conditions = root.findall(".//dcc:influenceCondition", NAMES)
+    values = [[v.text for v in c.findall(".//si:value", NAMES)] for c in conditions]
+    assert values == [["20.3"], ["101325.0"], ["0.45"]]  # nobody has seen a lowest or highest
+
+
+def test_a_report_of_a_plain_table_names_day_place_person_and_air(lengths):
+    page = lengths.with_name("page.html")
+    done = run(lengths, "--setup", lengths.with_name("setup.yaml"), "-o", page)
+    assert done.exit_code == 0, done.output
+    stated = dict(re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", page.read_text()))
+    facts = {re.sub(r"\W*<.*", "", name): text for name, text in stated.items()}
+    assert facts["Date of calibration"] == "2026-03-31 10:00"
+    assert (facts["Place"], facts["Operator"]) == ("hall", "A")
+    assert facts["Conditions"] == (
+        "temperature 20.30 °C; air pressure 1013.2 hPa; relative humidity 45 %"
+    )
+
+
+def test_the_age_of_a_plain_table_is_that_of_its_stated_day(lengths, tmp_path):
+    setup = str(lengths.with_name("setup.yaml"))
+    for to in ("csv", "volumetric"):
+        asked = ["export", str(lengths), "--setup", setup, "--to", to, "-o", str(tmp_path / to)]
+        asked += ["--set", "identity.measured=2020-01-01"]
+        asked += ["--replace"] if to == "csv" else []
+        refused = CliRunner().invoke(rotcal, asked)
+        assert refused.exit_code == 3, to
+        assert re.search("the measurement is [0-9]{4,} days old", refused.output), to
+        assert not (tmp_path / to).exists()
+
+
+def test_a_table_without_a_day_is_told_how_to_state_it(lengths):
+    setup = lengths.with_name("setup.yaml")
+    refused = run(lengths, "--setup", setup, "--set", "identity.measured=", "--dcc")
+    assert refused.exit_code == 2
+    assert refused.output.splitlines()[1:] == [
+        "  identity.measured: when it was measured: a bag tells it, a table does not"
+    ]

@@ -23,7 +23,7 @@ from rotcal_ros.extensions.design.ball_plate.ball_layout import (
 )
 from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.errors import PlanError
-from rotcal_ros.methods.configuration import read_setup
+from rotcal_ros.methods.configuration import read_configuration
 
 ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs" / "ball_plate.md").read_text()
@@ -63,7 +63,9 @@ def test_printed_layouts_promise_what_the_page_says(grid, steps, printed, gap, o
 
 @pytest.mark.parametrize("count", [6, 8, 10])
 def test_shipped_subsets_are_the_best_ones(count):
-    plate = read_setup(ROOT / "config" / "plates" / f"ball_plate_{count}_of_72.yaml").plan.plate
+    plate = read_configuration(
+        ROOT / "config" / "plates" / f"ball_plate_{count}_of_72.yaml"
+    ).plan.plate
     assert plate.ball_steps == plan_plate(72, count, subset_of=PAPER_PLATE).steps
 
 

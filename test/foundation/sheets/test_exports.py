@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 from exports import DATA, EXPORTS, ROUNDED, sample
 
-from rotcal_ros.methods.configuration import Configuration, read_setup
+from rotcal_ros.methods.configuration import Configuration, read_configuration
 from rotcal_ros.methods.measurements import read_measurements
 
 
 @pytest.fixture(scope="module")
 def configuration() -> Configuration:
-    return read_setup(DATA / "tracer.yaml")
+    return read_configuration(DATA / "tracer.yaml")
 
 
 def lengths(path: Path, configuration: Configuration) -> list[tuple[int, int, float]]:

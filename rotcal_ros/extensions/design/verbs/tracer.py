@@ -115,8 +115,7 @@ def _needed(need: str | None) -> list[str]:
 def _write_plan(folder: Path, found: OrderedDesign, pattern: Configuration | None) -> None:
     """Write targets, pairs in their order, and a configuration that measures them."""
     from rotcal_ros.foundation.files import write_atomically
-    from rotcal_ros.foundation.untrusted import load_yaml
-    from rotcal_ros.methods.configuration import dump_configuration
+    from rotcal_ros.methods.configuration import dump_configuration, raw_groups
     from rotcal_ros.methods.tracer.table import write_pairs, write_targets
 
     settings, scene, lengths = found.design.settings, found.design.scene, found.lengths
@@ -126,8 +125,7 @@ def _write_plan(folder: Path, found: OrderedDesign, pattern: Configuration | Non
     write_pairs(folder / PAIRS_FILE, [*pairs])
     groups: dict[str, Any] = {}
     if pattern is not None:
-        groups = dict(load_yaml(pattern.text, pattern.source)["/**"]["ros__parameters"])
-        groups.pop("method")
+        _, groups = raw_groups(pattern.text, pattern.source)
     solver = dict(groups.get("solver", {}))
     for name in ("circle_std_m", "error_motion_std_m"):  # of the plan alone
         solver.pop(name, None)
