@@ -85,11 +85,15 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """A table file: its header and the cells of its lines by line number."""
+    """A table: its header and the cells of its lines by line number.
+
+    ``path`` is its file, or a name alone for what is ``in_memory``.
+    """
 
     path: Path
     header: Header
     lines: tuple[tuple[int, tuple[str, ...]], ...]
+    in_memory: bool = False
 
     def rows(self) -> list[Row]:
         """Return the lines with their cells by column.
@@ -178,6 +182,13 @@ def require_header(table: Table, headers: Sequence[Header]) -> None:
         )
 
 
-def hashes(*files: Path) -> dict[str, str]:
-    """Return the SHA-256 of files by their names."""
-    return {file.name: hashlib.sha256(read_bytes(file)).hexdigest() for file in files}
+def hashes(*tables: Table) -> dict[str, str]:
+    """Return the SHA-256 of the files of tables by their names; in memory, of the table as CSV."""
+    return {table.path.name: hashlib.sha256(_content(table)).hexdigest() for table in tables}
+
+
+def _content(table: Table) -> bytes:
+    if not table.in_memory:
+        return read_bytes(table.path)
+    rows = (table.header, *(cells for _, cells in table.lines))
+    return "".join(",".join(row) + "\n" for row in rows).encode()

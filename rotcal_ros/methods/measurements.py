@@ -52,15 +52,15 @@ class PlannedMeasurements:
 
 
 def read_measurements(
-    path: Path, configuration: Configuration, targets: Path | None = None
+    source: Path | Table, configuration: Configuration, targets: Path | Table | None = None
 ) -> Measurements:
-    """Read the table at ``path`` as the method of the configuration understands it.
+    """Read a table, or that in a file, as the method of the configuration understands it.
 
-    ``targets`` is a file of target positions, for methods that have targets. Raises BagError
+    ``targets`` are target positions, for methods that have targets. Raises BagError
     when a file cannot be read or has other columns, ConfigurationError for a set-up without plan,
     DataError when the content cannot be what it should be.
     """
-    table, method = read_table(path), configuration.method
+    table, method = _table(source), configuration.method
     others = [
         other.name
         for other in map(find_method, method_names())
@@ -68,18 +68,22 @@ def read_measurements(
     ]
     if others and method.name not in others:
         raise BagError(
-            f"{path} is a table of the method {others[0]}, but {configuration.source} sets up "
-            f"{method.name}: give the set-up that belongs to it"
+            f"{table.path} is a table of the method {others[0]}, but {configuration.source} sets "
+            f"up {method.name}: give the set-up that belongs to it"
         )
     if method.table is None:
-        raise BagError(f"{path}: the method {method.name} reads no plain tables")
+        raise BagError(f"{table.path}: the method {method.name} reads no plain tables")
     require_header(table, method.table.headers)
     if "plan" not in configuration.given:
         raise ConfigurationError(
             f"{configuration.source} has no group 'plan': it has to say which table angles the "
-            f"positions in {path} stand for"
+            f"positions in {table.path} stand for"
         )
-    return method.table.read(configuration, table, targets)
+    return method.table.read(configuration, table, None if targets is None else _table(targets))
+
+
+def _table(source: Path | Table) -> Table:
+    return source if isinstance(source, Table) else read_table(source)
 
 
 def planned_table(columns: Mapping[str, str], values: Mapping[str, float]) -> TableReader:
@@ -93,7 +97,7 @@ def planned_table(columns: Mapping[str, str], values: Mapping[str, float]) -> Ta
     header = (*columns, *values)
 
     def read(
-        configuration: Configuration, table: Table, _targets: Path | None
+        configuration: Configuration, table: Table, _targets: Table | None
     ) -> PlannedMeasurements:
         calibration = prepare(configuration)
         find, observations = RowStepFinder(calibration.plan, columns), list[Observation]()
@@ -101,7 +105,7 @@ def planned_table(columns: Mapping[str, str], values: Mapping[str, float]) -> Ta
             seen = [_value(row, name, largest) for name, largest in values.items()]
             step, missing = find(row), (0.0,) * (3 - len(seen))
             observations.append(read_at(row, step.observed((*seen, *missing))))
-        return PlannedMeasurements(calibration, tuple(observations), hashes(table.path))
+        return PlannedMeasurements(calibration, tuple(observations), hashes(table))
 
     return TableReader((header, (*header, TIME)), read)
 

@@ -80,12 +80,12 @@ class Measurements(Protocol):
 class TableReader:
     """Reads plain tables with one of ``headers``, the present one first.
 
-    ``read`` takes the configuration, the table and the file of targets, if any, and returns what
-    was measured; DataError names file and row of what cannot be.
+    ``read`` takes the configuration, the table and that of targets, if any, and returns what was
+    measured; DataError names file and row of what cannot be.
     """
 
     headers: tuple[Header, ...]
-    read: Callable[[Configuration, Table, Path | None], Measurements]
+    read: Callable[[Configuration, Table, Table | None], Measurements]
 
 
 DEFAULT: Final = "tracer_multistation"

@@ -70,12 +70,12 @@ class StationTable:
         )
 
 
-def read(configuration: Configuration, table: Table, targets: Path | None) -> Measurements:
+def read(configuration: Configuration, table: Table, targets: Table | None) -> Measurements:
     """Return what a table of lengths, or of stations, holds."""
     if table.header in STATIONS:
         if targets is not None:
             raise DataError(
-                f"{table.path} is a table of stations, which has no targets: {targets}"
+                f"{table.path} is a table of stations, which has no targets: {targets.path}"
             )
         return read_stations(configuration, table)
     return _read_lengths(configuration, table, targets)
@@ -110,11 +110,11 @@ def read_stations(configuration: Configuration, table: Table) -> StationTable:
         error_motion_std=solver.error_motion_std_m,
         significance=solver.test_significance,
     )
-    return StationTable(configuration, problem, hashes(table.path))
+    return StationTable(configuration, problem, hashes(table))
 
 
 def _read_lengths(
-    configuration: Configuration, table: Table, targets: Path | None
+    configuration: Configuration, table: Table, targets: Table | None
 ) -> PlannedMeasurements:
     """Return lengths by table position and target; a table tells no scatter, so there is none.
 
@@ -139,22 +139,23 @@ def _read_lengths(
 def read_lengths(
     configuration: Configuration,
     table: Table,
-    targets: Path | None,
+    targets: Table | None,
     columns: Mapping[str, str],
     replanned: Callable[[Plan, tuple[Point, ...]], Plan],
 ) -> PlannedMeasurements:
     """Return the lengths of ``table``, each as the one step of the plan that its row tells.
 
     By its ``columns`` as of a :class:`RowStepFinder`. ``replanned`` makes the plan to the targets
-    of the file ``targets``, or of ``targets.csv`` beside the table; without either they are the
-    set-up's. Raises DataError for a length that cannot be one in metres.
+    of the table ``targets``, or of ``targets.csv`` beside the file of lengths; without either they
+    are the set-up's. Raises DataError for a length that cannot be one in metres.
     """
-    files, calibration = [table.path], prepare(configuration)
+    tables, calibration = [table], prepare(configuration)
     beside = table.path.with_name(TARGETS_FILE)
-    targets = beside if targets is None and beside.exists() else targets
+    if targets is None and not table.in_memory and beside.exists():
+        targets = read_table(beside)
     if targets is not None:
-        files.append(targets)
-        plan = replanned(calibration.plan, read_targets(targets))
+        tables.append(targets)
+        plan = replanned(calibration.plan, _points(targets))
         calibration = Calibration(configuration, plan)
     find, check = RowStepFinder(calibration.plan, columns), LengthCheck(calibration.plan)
     in_segments = SEGMENT in table.header
@@ -165,12 +166,15 @@ def read_lengths(
         if not observation.accepted:
             raise DataError(f"{row.place}: {observation.reason}")
         observations.append(observation)
-    return PlannedMeasurements(calibration, tuple(observations), hashes(*files))
+    return PlannedMeasurements(calibration, tuple(observations), hashes(*tables))
 
 
 def read_targets(path: Path) -> tuple[Point, ...]:
     """Return the target positions (m) of ``targets.csv`` in the order of their numbers."""
-    table = read_table(path)
+    return _points(read_table(path))
+
+
+def _points(table: Table) -> tuple[Point, ...]:
     require_header(table, (TARGETS,))
     points: dict[int, Point] = {}
     for row in table.rows():
@@ -181,7 +185,8 @@ def read_targets(path: Path) -> tuple[Point, ...]:
     missing = sorted(set(range(max(points) + 1)) - points.keys())
     if missing:
         raise DataError(
-            f"{path}: targets are numbered from 0 without gaps, but target {missing[0]} is missing"
+            f"{table.path}: targets are numbered from 0 without gaps, but target {missing[0]} is "
+            "missing"
         )
     return tuple(points[number] for number in sorted(points))
 

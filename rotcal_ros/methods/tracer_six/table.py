@@ -7,7 +7,6 @@ A short set-up lists settings of the plan and of the solver by their names, poin
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, Final
 
 from rotcal_ros.foundation.errors import ConfigurationError
@@ -27,7 +26,7 @@ HEADERS: Final[tuple[Header, ...]] = (
 )
 
 
-def read(configuration: Configuration, table: Table, targets: Path | None) -> PlannedMeasurements:
+def read(configuration: Configuration, table: Table, targets: Table | None) -> PlannedMeasurements:
     """Return lengths by place, table position and target; a table tells no scatter.
 
     What the plan measures several times may stand in the table as often, in the order of time.
