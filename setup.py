@@ -115,6 +115,7 @@ setup(
         "opcua": ["asyncua", "cryptography"],
         "ads": ["pyads"],
         "dcc": ["cryptography", "lxml", "signxml"],
+        "notebook": ["ipykernel", "nbclient", "nbformat", "pandas", "xarray"],
         "page": ["sse-starlette", "starlette", "uvicorn"],
         "build": [
             "catkin-pkg",

@@ -18,7 +18,7 @@ SUFFIX=-$DISTRO
 VENV=$PWD/.venv$SUFFIX
 BUILD=$PWD/build/setup$SUFFIX
 LOG=$BUILD/setup.log
-EXTRAS=${ROTCAL_EXTRAS:-ros,many,opcua,ads,dcc,page,test},build,build-$DISTRO
+EXTRAS=${ROTCAL_EXTRAS:-ros,many,opcua,ads,dcc,notebook,page,test},build,build-$DISTRO
 PINS=(constraints.txt "constraints-$DISTRO.txt")
 # Settings of a sourced ROS installation or of another environment would leak into this one.
 unset AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
@@ -73,7 +73,7 @@ make_environment() {
 }
 
 install_packages() {
-    say "2/3 Python packages and ROS 2 wheels (800 MB on disk, a minute or two)"
+    say "2/3 Python packages and ROS 2 wheels (1 GB on disk, a minute or two)"
     local pip=("$VENV/bin/python" -m pip --disable-pip-version-check)
     local wanted=("${PINS[@]/#/-c}" --no-build-isolation -e ".[$EXTRAS]") settings
     quietly "${pip[@]}" install "${PINS[@]/#/-c}" setuptools wheel

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from rotcal_ros.foundation.observations import (
     TemperatureSample,
 )
 from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.tables import Table
 from rotcal_ros.methods.configuration import Configuration, changed
 from rotcal_ros.methods.measurements import read_measurements
 from rotcal_ros.methods.method import Measurements
@@ -32,6 +33,8 @@ from rotcal_ros.recordings.topics import Topics
 
 Name = str | PathLike[str]
 """A path as people give it."""
+Frame: TypeAlias = Any
+"""A DataFrame of pandas or polars; nothing here imports them."""
 
 
 def read_configuration(path: Name, *changes: str) -> Configuration:
@@ -82,15 +85,16 @@ def read_bag(
 
 
 def read_table(
-    path: Name, setup: Configuration | Name, targets: Name | None = None
+    table: Name | Frame, setup: Configuration | Name, targets: Name | Frame | None = None
 ) -> Measurements:
-    """Read a plain table (.csv) of another program: lengths, ball centres, or tracker points.
+    """Read a plain table of another program: lengths, ball centres, or tracker points.
 
+    It is a file (.csv), or a DataFrame of pandas or polars; errors count the rows of this from 0.
     ``setup`` is a configuration or its file. The columns are ``position,target,length_m``,
     ``position,x_m,y_m,z_m``, ``position,ball_step,x_m,y_m,z_m`` or
     ``position,tracker_station,kind,nest,x_m,y_m,z_m``;
     metres, positions count from 0. ``targets`` (``target,x_m,y_m,z_m``) defaults to targets.csv
-    beside a table of lengths. ``solve()`` of the returned object gives the result. Raises BagError
+    beside a file of lengths. ``solve()`` of the returned object gives the result. Raises BagError
     when a file cannot be read, DataError with file and row, ConfigurationError.
 
     >>> import rotcal_ros as rc
@@ -99,8 +103,29 @@ def read_table(
     'tracer_multistation'
     """
     configuration = setup if isinstance(setup, Configuration) else read_configuration(setup)
-    places = None if targets is None else Path(targets)
-    return read_measurements(Path(path), configuration, places)
+    places = None if targets is None else _table(targets, "DataFrame of targets")
+    return read_measurements(_table(table, "DataFrame"), configuration, places)
+
+
+def _table(source: Name | Frame, name: str) -> Path | Table:
+    """Return a file as its path, a DataFrame as a table called ``name``."""
+    if isinstance(source, str | PathLike):
+        return Path(source)
+    of_polars = hasattr(source, "iter_rows")
+    rows = source.iter_rows() if of_polars else source.itertuples(index=False, name=None)
+    lines = enumerate(tuple(map(_cell, row)) for row in rows)
+    return Table(Path(name), tuple(map(str, source.columns)), tuple(lines), in_memory=True)
+
+
+def _cell(value: object) -> str:
+    """Return a cell as CSV has it: floats to the last bit, whole numbers without a point.
+
+    Whole numbers become floats where a column has an empty cell.
+    """
+    text = str(value).strip()
+    if text in ("None", "nan", "NaT", "<NA>"):
+        return ""
+    return text.removesuffix(".0") if isinstance(value, float) else text
 
 
 def read_result(path: Name) -> Result:

@@ -29,6 +29,7 @@ from rotcal_ros.foundation.curves.interpolation import (
     unknown_basis,
 )
 from rotcal_ros.foundation.curves.measured import MeasuredCurve
+from rotcal_ros.foundation.dataframes import ByAngle
 from rotcal_ros.foundation.results import plain_fields
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
@@ -42,7 +43,7 @@ TOO_ALIKE: Final = (
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class Comparison(ByAngle):
     """First minus second at ``angles`` (n,) rad, in the unit of the curves (rad or m).
 
     ``difference`` is aligned, ``std`` its standard uncertainty (k = 1) after the alignment,

@@ -26,6 +26,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from rotcal_ros.foundation.arrays import Floats
+from rotcal_ros.foundation.dataframes import ByAngle
 from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.results import Result, plain_fields
 from rotcal_ros.foundation.tables import csv_rows
@@ -85,7 +86,7 @@ class BidirectionalRuns:
 
 
 @dataclass(frozen=True, eq=False)
-class Iso230:
+class Iso230(ByAngle):
     """The figures of ISO 230-2; everything in radians, arrays (m,) per target.
 
     ``mean_*`` and ``s_*`` per direction, ``reversal_i`` = B_i = mean forward - mean reverse,

@@ -22,6 +22,7 @@ import numpy as np
 from rotcal_ros.adjust.distributions import normal_isf
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import unit_of
+from rotcal_ros.foundation.dataframes import dataframe
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.results import Result, plain_fields
 from rotcal_ros.foundation.units import DEGREE
@@ -248,6 +249,17 @@ class Propagated:
             f"{self.spread.trials} trials {verdict} the solver's uncertainty; {stable} "
             f"{self.spread.digits} digits, seed {self.seed}{within}"
         )
+
+    def to_dataframe(self) -> Any:
+        """Return a pandas DataFrame: a row for each angle, SI, ``ECC`` with ``ECC_std`` and so on.
+
+        For the columns of a component see :class:`PropagatedComponent`.
+        """
+        columns = {"angle_rad": self.result.angles}
+        for name, part in self.components.items():
+            columns[name] = part.value
+            columns |= {f"{name}_{n}": v for n, v in vars(part).items() if n != "value"}
+        return dataframe(columns)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain types for JSON, SI."""

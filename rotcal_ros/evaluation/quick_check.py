@@ -16,6 +16,7 @@ from rotcal_ros.foundation.arrays import Bools, Floats, std_of
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.curves.interpolation import without_harmonics
 from rotcal_ros.foundation.curves.measured import MeasuredCurve
+from rotcal_ros.foundation.dataframes import ByAngle
 from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.results import plain_fields
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
@@ -25,7 +26,7 @@ CheckVerdict = Literal["still valid", "changed", "undecided"]
 
 
 @dataclass(frozen=True, eq=False)
-class QuickCheck:
+class QuickCheck(ByAngle):
     """New minus earlier at the n ``angles`` (rad) of the new measurement, in rad or m.
 
     ``difference`` is aligned: the offset that no method knows is removed. ``std`` is its

@@ -24,6 +24,7 @@ from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
 from rotcal_ros.foundation.circumstances import SIMULATED, Circumstances
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
+from rotcal_ros.foundation.dataframes import dataframe
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.in_force import UNKNOWN, check_in_force
 from rotcal_ros.foundation.protection import Effect, Protection, ordered, unprotected
@@ -501,16 +502,12 @@ class Result:
 
         Only this needs pandas; without it ImportError says so.
         """
-        try:
-            pandas = import_module("pandas")
-        except ImportError as error:
-            raise ImportError("Result.to_dataframe() needs pandas: pip install pandas") from error
         columns = {"angle_rad": self.angles}
         for name, values in self.deviations.items():
             columns |= {name: values, f"{name}_std": self.std[name]}
             touching = (d.columns[name] for d in self.zeros.free if name in d.columns)
             columns |= {f"{name}_free_{k}": column for k, column in enumerate(touching)}
-        return pandas.DataFrame(columns)
+        return dataframe(columns)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Result:

@@ -91,11 +91,15 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """A table file: its header and the cells of its lines by line number."""
+    """A table: its header and the cells of its lines by line number.
+
+    ``path`` is its file, or a name alone for what is ``in_memory``.
+    """
 
     path: Path
     header: Header
     lines: tuple[tuple[int, tuple[str, ...]], ...]
+    in_memory: bool = False
 
     def rows(self) -> list[Row]:
         """Return the lines with their cells by column.
@@ -141,20 +145,22 @@ def is_workbook(path: Path) -> bool:
         return file.read(8).startswith(WORKBOOKS)
 
 
-def own_table(path: Path, headers: Sequence[Header]) -> Table | None:
+def own_table(source: Path | Table, headers: Sequence[Header]) -> Table | None:
     """Return a table of our own form: UTF-8, commas, one of ``headers`` first; None for others.
 
     Raises BagError when the file cannot be read, DataError for a line that is no CSV.
     """
+    if isinstance(source, Table):
+        return source if source.header in headers else None
     try:
-        with open_plain(path) as file:
+        with open_plain(source) as file:
             begin = file.read(_LOOK)
         begins = begin.decode("utf-8-sig", errors="replace").splitlines()
     except OSError as error:
-        raise BagError(f"cannot read the table {path}: {why(error)}") from error
+        raise BagError(f"cannot read the table {source}: {why(error)}") from error
     first = next((line for line in begins if line.strip() and line.lstrip()[0] != "#"), "")
     names = tuple(cell.strip() for cell in first.split(","))
-    return read_table(path) if names in headers else None
+    return read_table(source) if names in headers else None
 
 
 def read_table(path: Path) -> Table:
@@ -195,6 +201,13 @@ def require_header(table: Table, headers: Sequence[Header]) -> None:
         )
 
 
-def hashes(*files: Path) -> dict[str, str]:
-    """Return the SHA-256 of files by their names."""
-    return {file.name: hashlib.sha256(read_bytes(file)).hexdigest() for file in files}
+def hashes(*tables: Table) -> dict[str, str]:
+    """Return the SHA-256 of the files of tables by their names; in memory, of the table as CSV."""
+    return {table.path.name: hashlib.sha256(_content(table)).hexdigest() for table in tables}
+
+
+def _content(table: Table) -> bytes:
+    if not table.in_memory:
+        return read_bytes(table.path)
+    rows = (table.header, *(cells for _, cells in table.lines))
+    return "".join(",".join(row) + "\n" for row in rows).encode()

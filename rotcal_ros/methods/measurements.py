@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
@@ -10,8 +11,22 @@ from typing import Final
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.sheets.reading import Known, Reading, read_any
-from rotcal_ros.foundation.tables import Row, Table, hashes, own_table
+from rotcal_ros.foundation.sheets.reading import (
+    AS_IT_STANDS,
+    Known,
+    Reading,
+    SheetSettings,
+    read_any,
+)
+from rotcal_ros.foundation.tables import (
+    Header,
+    Row,
+    Table,
+    hashes,
+    is_table,
+    is_workbook,
+    own_table,
+)
 from rotcal_ros.foundation.units import NANOSECOND
 from rotcal_ros.methods.calibration import Calibration, prepare
 from rotcal_ros.methods.configuration import Configuration, parse_configuration, replaced
@@ -24,6 +39,8 @@ from rotcal_ros.methods.method import (
 )
 from rotcal_ros.planning.plan import Plan, Step
 
+TARGETS_FILE: Final = "targets"
+"""Stem of the file of targets beside a table of lengths."""
 TIME: Final = "time_s"
 """A last column that tells when a row was read, from any moment on."""
 LATEST_S: Final = 9e9
@@ -53,30 +70,35 @@ class PlannedMeasurements:
 
 
 def read_measurements(
-    path: Path,
+    source: Path | Table,
     configuration: Configuration,
-    targets: Path | None = None,
+    targets: Path | Table | None = None,
     told: Callable[[Reading], object] = str,
 ) -> Measurements:
-    """Read the table at ``path``, of any form, as the method of the configuration understands it.
+    """Read a table, of any form, as the method of the configuration understands it.
 
-    ``targets`` is a file of target positions, for methods that have targets. ``told`` is given how
-    the table was understood. Raises BagError when a file cannot be read or has other columns,
+    ``targets`` are target positions, for methods that have targets; without them they are taken
+    from the file ``targets`` beside the table, or from a sheet of its workbook. ``told`` is given
+    how the table was understood. Raises BagError when a file cannot be read or has other columns,
     ConfigurationError for a set-up without plan, DataError when the content cannot be what it
     should be or can be read in two ways.
     """
-    method = configuration.method
+    path, method = source.path if isinstance(source, Table) else source, configuration.method
     if method.table is None:
         raise BagError(f"{path}: the method {method.name} reads no plain tables")
-    reader = method.table
-    _require_own_method(path, configuration)
+    _require_own_method(source, configuration)
+    reader, settings = method.table, configuration.sheet
+    aim = _targets(source, targets, reader.targets, settings)
     planned = "plan" in configuration.given
 
     def known() -> Mapping[str, Known]:
-        found = reader.known(configuration, path, targets)
+        found = _known_of_plan(configuration, reader.columns)
+        if aim is not None:
+            numbers = tuple(range(len(aim.table.lines)))
+            found["target"] = Known(numbers, aim.labels, source=aim)
         return found if planned else {name: replace(of, angles=()) for name, of in found.items()}
 
-    reading = read_any(path, reader.headers, configuration.sheet, known)
+    reading = read_any(source, reader.headers, settings, known)
     if reading.angles_deg:
         angles = {"table_angles_deg": list(reading.angles_deg)}
         text = replaced(configuration, "plan", angles)
@@ -87,44 +109,64 @@ def read_measurements(
             f"positions in {path} stand for"
         )
     told(reading)
-    return reader.read(configuration, reading.table, targets)
+    aimed_at = aim.table if aim is not None and "target" in reading.table.header else None
+    if targets is not None and aimed_at is None:
+        raise DataError(f"{path} has no column of targets: leave out the table of targets")
+    return reader.read(configuration, reading.table, aimed_at)
 
 
-def _require_own_method(path: Path, configuration: Configuration) -> None:
+def _require_own_method(source: Path | Table, configuration: Configuration) -> None:
     """Raise BagError for a table of our own form that belongs to another method."""
     method = configuration.method
     others = [
         other.name
         for other in map(find_method, method_names())
-        if other.table is not None and own_table(path, other.table.headers)
+        if other.table is not None and own_table(source, other.table.headers)
     ]
     if others and method.name not in others:
+        path = source.path if isinstance(source, Table) else source
         raise BagError(
             f"{path} is a table of the method {others[0]}, but {configuration.source} sets up "
             f"{method.name}: give the set-up that belongs to it"
         )
 
 
-def known_of_plan(
-    columns: Mapping[str, str],
-) -> Callable[[Configuration, Path, Path | None], dict[str, Known]]:
-    """Return what tells the numbers that ``columns`` may have, by the field of a step of each."""
+def _targets(
+    source: Path | Table, given: Path | Table | None, header: Header, settings: SheetSettings
+) -> Reading | None:
+    """Return the table of targets: the one given, beside the table, or in its own workbook."""
+    if not header:
+        return None
+    own = replace(settings, name="")  # that is the sheet of the measurements
+    if given is not None:
+        return read_targets(given, header, own)
+    if isinstance(source, Table):
+        return None
+    beside = sorted(filter(is_table, source.parent.glob(f"{TARGETS_FILE}.*")))
+    if beside:
+        return read_targets(beside[0], header, own)
+    with suppress(BagError, DataError):
+        return read_targets(source, header, own) if is_workbook(source) else None
+    return None
 
-    def known(
-        configuration: Configuration, _path: Path, _targets: Path | None
-    ) -> dict[str, Known]:
-        plan = prepare(configuration).plan
-        numbers = {
-            name: tuple(sorted({getattr(step, field) for step in plan.steps}))
-            for name, field in columns.items()
-        }
-        angles = plan.table_angles
-        return {
-            name: Known(numbers[name], angles=angles if field == "table_position" else ())
-            for name, field in columns.items()
-        }
 
-    return known
+def read_targets(
+    source: Path | Table, header: Header, settings: SheetSettings = AS_IT_STANDS
+) -> Reading:
+    """Return a table of targets, whose labels it alone knows."""
+    return read_any(source, (header,), settings, lambda: {"target": Known(listed=True)})
+
+
+def _known_of_plan(configuration: Configuration, columns: Mapping[str, str]) -> dict[str, Known]:
+    """Return the numbers that ``columns`` may have, by the field of a step that each tells."""
+    plan = prepare(configuration).plan
+    return {
+        name: Known(
+            tuple(sorted({getattr(step, field) for step in plan.steps})),
+            angles=plan.table_angles if field == "table_position" else (),
+        )
+        for name, field in columns.items()
+    }
 
 
 def planned_table(columns: Mapping[str, str], values: Mapping[str, float]) -> TableReader:
@@ -138,7 +180,7 @@ def planned_table(columns: Mapping[str, str], values: Mapping[str, float]) -> Ta
     header = (*columns, *values)
 
     def read(
-        configuration: Configuration, table: Table, _targets: Path | None
+        configuration: Configuration, table: Table, _targets: Table | None
     ) -> PlannedMeasurements:
         calibration = prepare(configuration)
         find, observations = RowStepFinder(calibration.plan, columns), list[Observation]()
@@ -146,9 +188,9 @@ def planned_table(columns: Mapping[str, str], values: Mapping[str, float]) -> Ta
             seen = [_value(row, name, largest) for name, largest in values.items()]
             step, missing = find(row), (0.0,) * (3 - len(seen))
             observations.append(read_at(row, step.observed((*seen, *missing))))
-        return PlannedMeasurements(calibration, tuple(observations), hashes(table.path))
+        return PlannedMeasurements(calibration, tuple(observations), hashes(table))
 
-    return TableReader((header, (*header, TIME)), read, known_of_plan(columns))
+    return TableReader((header, (*header, TIME)), read, columns)
 
 
 def read_at(row: Row, observation: Observation) -> Observation:

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from rotcal_ros.foundation.arrays import Floats
     from rotcal_ros.foundation.observations import Observation
     from rotcal_ros.foundation.results import Result
-    from rotcal_ros.foundation.sheets.reading import Known
     from rotcal_ros.foundation.tables import Header, Table
     from rotcal_ros.methods.configuration import Configuration
     from rotcal_ros.methods.continuation import Continuation
@@ -81,14 +80,16 @@ class Measurements(Protocol):
 class TableReader:
     """Reads plain tables with one of ``headers``, the present one first.
 
-    ``read`` takes the configuration, the table and the file of targets, if any, and returns what
-    was measured; DataError names file and row of what cannot be. ``known`` takes the same, with
-    the table's path, and tells which numbers its columns may have.
+    ``read`` takes the configuration, the table and that of targets, if any, and returns what was
+    measured; DataError names file and row of what cannot be. ``columns`` are those of numbers from
+    0, each with the field of a :class:`~.planning.plan.Step` that it tells. ``targets`` is the
+    header of a table of targets; empty where there is none.
     """
 
     headers: tuple[Header, ...]
-    read: Callable[[Configuration, Table, Path | None], Measurements]
-    known: Callable[[Configuration, Path, Path | None], Mapping[str, Known]]
+    read: Callable[[Configuration, Table, Table | None], Measurements]
+    columns: Mapping[str, str]
+    targets: Header = ()
 
 
 DEFAULT: Final = "tracer_multistation"

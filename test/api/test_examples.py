@@ -18,10 +18,8 @@ KEY_FIGURES = {
     "04_solve_a_bag": (r"against the truth: (\S+) arcsec", 0.0, 0.15),
     "05_compare_two_results": (r"^agree: rms (\S+) arcsec", 0.0, 0.5),
     "06_iso230_of_repeated_runs": (r"mean reversal: (\S+) arcsec", -1.6, -1.4),
-    "07_uncertainty_before_measuring": (r"trials / solver: (\S+)", 0.95, 1.05),
     "08_plan_a_ball_plate": (r"solver / prediction: (\S+)", 0.999999, 1.000001),
     "09_table_for_my_controller": (r"left: (\S+) arcsec", 0.0, 0.3),
-    "10_own_solver_on_raw_streams": (r"against the truth: (\S+) arcsec", 0.0, 0.25),
     "12_six_deviations_from_lengths": (
         r"rms error / stated standard uncertainty: (\S+)",
         0.5,

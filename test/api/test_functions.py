@@ -108,6 +108,7 @@ def test_a_plot_shows_every_component_with_its_band(plate):
     labels = {ax.get_ylabel() for ax in figure.axes}
     assert {"EXC / µm", "ECC / arcsec"} <= labels
     assert figure.legends[0].get_texts()[0].get_text() == "measured, with U (k = 2)"
+    assert figure._repr_png_().startswith(b"\x89PNG")  # a notebook asks so, without pyplot
 
 
 @pytest.mark.parametrize("source", ["bag", "table", "result"])

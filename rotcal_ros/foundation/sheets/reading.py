@@ -15,7 +15,7 @@ from typing import Final
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.settings import setting
-from rotcal_ros.foundation.sheets.files import Cell, grids
+from rotcal_ros.foundation.sheets.files import Cell, Grid, grids
 from rotcal_ros.foundation.sheets.layout import TEXTS, Column, Layout, Use, best_layout
 from rotcal_ros.foundation.sheets.numerals import Measure, decimal_marks, in_si, parse
 from rotcal_ros.foundation.sheets.words import (
@@ -68,6 +68,10 @@ class SheetSettings:
         (), doc="columns by the text at their head where that tells nothing, as length=Messwert"
     )
     name: str = setting("", doc="sheet of a workbook that is read; empty: the one that fits")
+
+
+AS_IT_STANDS: Final = SheetSettings()
+"""For a table that tells everything itself."""
 
 
 @dataclass(frozen=True)
@@ -133,22 +137,25 @@ class Reading:
 
 
 def read_any(
-    path: Path,
+    source: Path | Table,
     headers: Sequence[Header],
     settings: SheetSettings,
     known: Callable[[], Mapping[str, Known]] = dict,
 ) -> Reading:
-    """Return the table at ``path`` with one of our ``headers``, and how it was understood.
+    """Return a table, or that in a file, with one of our ``headers``, and how it was understood.
 
     ``known`` tells the numbers that a column may have, by the name of the column; it is asked only
     for a table that is not of our own form. Raises BagError for a file that is no table,
     DataError, with what to do, where something can be read in two ways or not at all.
     """
-    own = own_table(path, headers)
+    own = own_table(source, headers)
     if own is not None:
         return Reading(own)
     named = dict(_named(entry) for entry in settings.columns)
-    found = [grid for grid in grids(path) if settings.name in ("", grid.name)]
+    if isinstance(source, Table):
+        path, found = source.path, [Grid("DataFrame", ((0, source.header), *source.lines))]
+    else:
+        path, found = source, [g for g in grids(source) if settings.name in ("", g.name)]
     if not found:
         raise ConfigurationError(f"{path}: there is no sheet {settings.name!r} (sheet.name)")
     layout = best_layout(found, headers, named, str(path))

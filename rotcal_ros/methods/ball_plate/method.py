@@ -20,7 +20,6 @@ from rotcal_ros.methods.ball_plate.settings import (
 from rotcal_ros.methods.ball_plate.solver.result import METHOD as NAME
 from rotcal_ros.methods.ball_plate.touched_ball import reported_centre, touched_centre
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.measurements import known_of_plan
 from rotcal_ros.methods.method import Method, See, TableReader
 from rotcal_ros.planning.plan import Plan
 
@@ -64,7 +63,7 @@ METHOD: Final = Method(
     trials=calibration.trials,
     gauge=gauge.without_axis_and_artefact,
     nominal=nominal,
-    table=TableReader(table.HEADERS, table.read, known_of_plan(table.COLUMNS)),
+    table=TableReader(table.HEADERS, table.read, table.COLUMNS),
     short_setup=table.short_setup,
     figures=figures,
     tables=tables,

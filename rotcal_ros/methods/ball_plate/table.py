@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, Final
 
 from rotcal_ros.foundation.errors import DataError
@@ -26,7 +25,9 @@ SIGMA: Final = "sigma_centre_m"
 AXES: Final = "sigma_axes_m"
 
 
-def read(configuration: Configuration, table: Table, _targets: Path | None) -> PlannedMeasurements:
+def read(
+    configuration: Configuration, table: Table, _targets: Table | None
+) -> PlannedMeasurements:
     """Return ball centres by table position and ball step, numbered in the order of the rows.
 
     A plate that moved is looked for in the order of measurement, which is that of the rows.
@@ -43,7 +44,7 @@ def read(configuration: Configuration, table: Table, _targets: Path | None) -> P
         observation = find(row).observed(row.point(), PointKind.CENTRE)
         std = tuple(_std(row, name) for name in STD) if stated else observation.std
         observations.append(replace(observation, step=number, std=std))
-    return PlannedMeasurements(calibration, tuple(observations), hashes(table.path))
+    return PlannedMeasurements(calibration, tuple(observations), hashes(table))
 
 
 def short_setup(entries: Mapping[str, Any]) -> Mapping[str, Any]:

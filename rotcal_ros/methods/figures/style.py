@@ -104,7 +104,15 @@ def finished(ax: Axes) -> Figure:
         columns = min(len(entries), LEGEND_COLUMNS)
         figure.legend(entries.values(), entries, loc="outside upper left", ncols=columns)
     _make_plain(figure)
+    vars(figure)["_repr_png_"] = functools.partial(_png, figure)
     return figure
+
+
+def _png(figure: Figure) -> bytes:
+    """Return what a notebook shows; it would know a figure by itself only after pyplot."""
+    stream = io.BytesIO()
+    figure.savefig(stream)
+    return stream.getvalue()
 
 
 def svg(ax: Axes) -> str:

@@ -15,7 +15,6 @@ from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.measurements import known_of_plan
 from rotcal_ros.methods.method import Method, See, Stations, TableReader, zero_at_the_first
 from rotcal_ros.methods.plane_mirror import calibration, table
 from rotcal_ros.methods.plane_mirror.disturbances import DISTURBANCES
@@ -104,7 +103,7 @@ METHOD: Final = Method(
     check=calibration.check,
     nominal=nominal,
     stations=stations,
-    table=TableReader((table.HEADER, table.TIMED), table.read, known_of_plan(table.COLUMNS)),
+    table=TableReader((table.HEADER, table.TIMED), table.read, table.COLUMNS),
     figures=figures,
     tables=tables,
     zero=zero,

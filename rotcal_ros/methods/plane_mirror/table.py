@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -59,9 +58,9 @@ class TrackerPoints:
         return read_points(self.table, np.array(position_angles(self.configuration.plan)))
 
 
-def read(configuration: Configuration, table: Table, _targets: Path | None) -> TrackerPoints:
+def read(configuration: Configuration, table: Table, _targets: Table | None) -> TrackerPoints:
     """Return the points of any stations and nests, whose rows need not be steps of a plan."""
-    return TrackerPoints(configuration, table, hashes(table.path))
+    return TrackerPoints(configuration, table, hashes(table))
 
 
 def read_points(table: Table, angles: Floats) -> PlaneMirrorProblem:

@@ -88,9 +88,7 @@ METHOD: Final = Method(
     trials=calibration.trials,
     nominal=nominal,
     stations=stations,
-    table=TableReader(
-        (*table.HEADERS, *table.STATIONS), table.read, table.known_lengths(table.COLUMNS)
-    ),
+    table=TableReader((*table.HEADERS, *table.STATIONS), table.read, table.COLUMNS, table.TARGETS),
     figures=figures,
     tables=tables,
     disturbances=DISTURBANCES,

@@ -15,24 +15,15 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
+from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.results import Result
-from rotcal_ros.foundation.sheets.reading import Known, Reading, SheetSettings, read_any
-from rotcal_ros.foundation.tables import (
-    Header,
-    Row,
-    Table,
-    hashes,
-    is_table,
-    is_workbook,
-    read_table,
-    require_header,
-)
+from rotcal_ros.foundation.tables import Header, Row, Table, hashes, read_table, require_header
+from rotcal_ros.methods import measurements
 from rotcal_ros.methods.calibration import Calibration, prepare, stated_circumstances
 from rotcal_ros.methods.configuration import Configuration
-from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder, known_of_plan
+from rotcal_ros.methods.measurements import PlannedMeasurements, RowStepFinder
 from rotcal_ros.methods.method import Measurements, PlanFile, Trials
 from rotcal_ros.methods.tracer.lengths import LengthCheck
 from rotcal_ros.methods.tracer.plan import explicit_plan, plan_of
@@ -53,9 +44,6 @@ STATIONS: Final[tuple[Header, ...]] = (
     ("position", "x_m", "y_m", "z_m", DISTANCE),
 )
 TARGETS: Final = ("target", "x_m", "y_m", "z_m")
-TARGETS_FILE: Final = "targets"
-"""Stem of the file of targets beside a table of lengths."""
-_AS_IT_STANDS: Final = SheetSettings()
 PAIRS: Final = ("step", "table_position", "target")
 
 
@@ -80,13 +68,9 @@ class StationTable:
         )
 
 
-def read(configuration: Configuration, table: Table, targets: Path | None) -> Measurements:
+def read(configuration: Configuration, table: Table, targets: Table | None) -> Measurements:
     """Return what a table of lengths, or of stations, holds."""
     if table.header in STATIONS:
-        if targets is not None:
-            raise DataError(
-                f"{table.path} is a table of stations, which has no targets: {targets}"
-            )
         return read_stations(configuration, table)
     return _read_lengths(configuration, table, targets)
 
@@ -120,11 +104,11 @@ def read_stations(configuration: Configuration, table: Table) -> StationTable:
         error_motion_std=solver.error_motion_std_m,
         significance=solver.test_significance,
     )
-    return StationTable(configuration, problem, hashes(table.path))
+    return StationTable(configuration, problem, hashes(table))
 
 
 def _read_lengths(
-    configuration: Configuration, table: Table, targets: Path | None
+    configuration: Configuration, table: Table, targets: Table | None
 ) -> PlannedMeasurements:
     """Return lengths by table position and target; a table tells no scatter, so there is none.
 
@@ -148,21 +132,20 @@ def _read_lengths(
 def read_lengths(
     configuration: Configuration,
     table: Table,
-    targets: Path | None,
+    targets: Table | None,
     columns: Mapping[str, str],
     replanned: Callable[[Plan, tuple[Point, ...]], Plan],
 ) -> PlannedMeasurements:
     """Return the lengths of ``table``, each as the one step of the plan that its row tells.
 
     By its ``columns`` as of a :class:`RowStepFinder`. ``replanned`` makes the plan to the targets
-    of the file ``targets``, or of ``targets.csv`` beside the table; without either they are the
-    set-up's. Raises DataError for a length that cannot be one in metres.
+    of the table ``targets``; without it they are the set-up's. Raises DataError for a length that
+    cannot be one in metres.
     """
-    files, calibration = [table.path], prepare(configuration)
-    targets = targets_file(table.path, targets)
+    tables, calibration = [table], prepare(configuration)
     if targets is not None:
-        files += [targets] if targets != table.path else []
-        plan = replanned(calibration.plan, read_targets(targets, configuration.sheet))
+        tables.append(targets)
+        plan = replanned(calibration.plan, _points(targets))
         calibration = Calibration(configuration, plan)
     find, check = RowStepFinder(calibration.plan, columns), LengthCheck(calibration.plan)
     in_segments = SEGMENT in table.header
@@ -173,49 +156,17 @@ def read_lengths(
         if not observation.accepted:
             raise DataError(f"{row.place}: {observation.reason}")
         observations.append(observation)
-    return PlannedMeasurements(calibration, tuple(observations), hashes(*files))
+    return PlannedMeasurements(calibration, tuple(observations), hashes(*tables))
 
 
-def known_lengths(
-    columns: Mapping[str, str],
-) -> Callable[[Configuration, Path, Path | None], dict[str, Known]]:
-    """Return what tells the numbers of a table of lengths: those of the plan, and its targets'."""
-    of_plan = known_of_plan(columns)
-
-    def known(configuration: Configuration, path: Path, targets: Path | None) -> dict[str, Known]:
-        found, file = of_plan(configuration, path, targets), targets_file(path, targets)
-        if file is not None:
-            reading = _targets(file, configuration.sheet)
-            numbers = tuple(range(len(reading.table.lines)))
-            found["target"] = Known(numbers, reading.labels, source=reading)
-        return found
-
-    return known
-
-
-def targets_file(path: Path, given: Path | None) -> Path | None:
-    """Return the file of targets of a table of lengths: given, beside it, or its own workbook."""
-    beside = sorted(filter(is_table, path.parent.glob(f"{TARGETS_FILE}.*")))
-    if given is not None or beside:
-        return given or beside[0]
-    if not is_workbook(path):
-        return None
-    try:
-        _targets(path, SheetSettings())
-    except (BagError, DataError):
-        return None
-    return path
-
-
-def _targets(path: Path, settings: SheetSettings) -> Reading:
-    settings = replace(settings, name="")  # that is the sheet of the lengths
-    return read_any(path, (TARGETS,), settings, lambda: {"target": Known(listed=True)})
-
-
-def read_targets(path: Path, settings: SheetSettings = _AS_IT_STANDS) -> tuple[Point, ...]:
+def read_targets(path: Path) -> tuple[Point, ...]:
     """Return the target positions (m) in a table of any form, in the order of their numbers."""
+    return _points(measurements.read_targets(path, TARGETS).table)
+
+
+def _points(table: Table) -> tuple[Point, ...]:
     points: dict[int, Point] = {}
-    for row in _targets(path, settings).table.rows():
+    for row in table.rows():
         number = row.index("target")
         if number in points:
             raise DataError(f"{row.place}: target {number} is listed twice")
@@ -223,7 +174,8 @@ def read_targets(path: Path, settings: SheetSettings = _AS_IT_STANDS) -> tuple[P
     missing = sorted(set(range(max(points) + 1)) - points.keys())
     if missing:
         raise DataError(
-            f"{path}: targets are numbered from 0 without gaps, but target {missing[0]} is missing"
+            f"{table.path}: targets are numbered from 0 without gaps, but target {missing[0]} is "
+            "missing"
         )
     return tuple(points[number] for number in sorted(points))
 

@@ -11,7 +11,7 @@ from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.method import Method, See, Stations, TableReader
 from rotcal_ros.methods.tracer.lengths import LengthCheck, read_from
-from rotcal_ros.methods.tracer.table import known_lengths
+from rotcal_ros.methods.tracer.table import TARGETS
 from rotcal_ros.methods.tracer_six import calibration, table
 from rotcal_ros.methods.tracer_six.disturbances import DISTURBANCES
 from rotcal_ros.methods.tracer_six.figures import figures, tables
@@ -60,7 +60,7 @@ METHOD: Final = Method(
     nominal=nominal,
     stations=lambda configuration: Stations(places_of(configuration.plan), carried=True),
     gauge=gauge.without_axis_and_artefact,
-    table=TableReader(table.HEADERS, table.read, known_lengths(table.COLUMNS)),
+    table=TableReader(table.HEADERS, table.read, table.COLUMNS, TARGETS),
     figures=figures,
     tables=tables,
     zero=gauge.in_words,

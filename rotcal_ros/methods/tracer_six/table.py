@@ -5,7 +5,6 @@ A fifth column ``segment`` numbers the unbroken beams from a place; without it e
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Final
 
 from rotcal_ros.foundation.tables import Header, Table
@@ -21,7 +20,7 @@ HEADERS: Final[tuple[Header, ...]] = (
 )
 
 
-def read(configuration: Configuration, table: Table, targets: Path | None) -> PlannedMeasurements:
+def read(configuration: Configuration, table: Table, targets: Table | None) -> PlannedMeasurements:
     """Return lengths by place, table position and target; a table tells no scatter.
 
     What the plan measures several times may stand in the table as often, in the order of time.
