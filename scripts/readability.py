@@ -3,9 +3,9 @@
 
     python scripts/readability.py docs/planning.md  # none named: all that people wrote
 
-Words are all words of a page; of prose are those outside of code, tables, headings and comments. A
-formula or a name in backticks is one word, a link is its text. An item of a list ends a sentence, as
-a full stop does.
+Words are all words of a page; of prose are those outside of code, tables, headings and comments.
+A formula or a name in backticks is one word, a link is its text. An item of a list ends a
+sentence, as a full stop does.
 """
 
 from __future__ import annotations
