@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-GENERATED = {"settings.md", "result_json.md"}
+GENERATED = {"settings.md", "result_json.md", "troubleshooting.md"}
 LONGEST = 35
 """Words of a sentence; a longer one is read twice."""
 
