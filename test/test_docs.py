@@ -6,10 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from rotcal_ros.methods.plane_mirror import table as plane_mirror
-from rotcal_ros.methods.tracer import table as tracer
-from rotcal_ros.methods.tracer_six import table as tracer_six
-
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(
     path
@@ -49,17 +45,3 @@ def test_every_link_leads_somewhere(page):
 def test_no_line_is_too_wide_to_read(page):
     text = [re.sub(r"https?://\S+", "", line) for line in prose(page) if line[:1] != "|"]
     assert [line for line in text if len(line) > MAX_WIDTH] == []
-
-
-def test_the_page_of_formats_has_the_columns_that_are_read():
-    page = (ROOT / "docs" / "formats.md").read_text("utf-8")
-    headers = [
-        *tracer.HEADERS, *tracer.STATIONS, tracer.TARGETS, *tracer_six.HEADERS,
-        plane_mirror.HEADER, plane_mirror.TIMED,
-    ]  # fmt: skip
-    rows = [row for row in page.splitlines() if row.startswith("|")]
-    for header in headers:
-        least, *more = [",".join(header), ",".join(header[:-1]), header[-1]]
-        assert any(f"`{least}`" in row or all(f"`{m}`" in row for m in more) for row in rows), (
-            header
-        )
