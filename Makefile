@@ -42,7 +42,7 @@ docs: setup  ## build the site of the pages strictly; open out/site/index.html
 	@$(BIN)/python -c 'import material, mkdocs_click' 2>/dev/null || $(BIN)/pip install -q \
 		--disable-pip-version-check --no-build-isolation -c constraints.txt -e '.[docs]'
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
-	@echo "open out/site/index.html; with its search: $(BIN)/mkdocs serve"
+	@echo "open out/site/index.html"
 
 reproduce: setup  ## compute the papers' tables, figures and claims again: docs/papers
 	@for paper in tracer three_rosette two_groups mirror; do \

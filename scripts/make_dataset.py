@@ -222,7 +222,7 @@ def slim(result: Result, *also: str) -> dict[str, Any]:
 
 
 def write_tables(case: Path, method: str, observations: Sequence[Observation]) -> None:
-    """Write the plain tables of docs/recording.md."""
+    """Write the plain tables of docs/formats.md."""
     used = [o for o in observations if o.accepted]
     rows: list[tuple[Any, ...]]
     if method == "plane_mirror":
