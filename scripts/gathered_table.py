@@ -303,7 +303,7 @@ def _sound(case: Case, runs: int) -> str:
         deviations, std = _curves(result)
         alarms += result.verdict != "ok"
         beyond += result.verdict == "ok" and _worst(deviations - truth, std) > LIMIT
-    return f"{100 * alarms / runs:.0f} / {100 * beyond / runs:.0f}"
+    return f"{100 * alarms / runs:.0f}/{100 * beyond / runs:.0f}"
 
 
 def _cell(case: Case, size: float, runs: int) -> str:
@@ -315,7 +315,7 @@ def _cell(case: Case, size: float, runs: int) -> str:
         deviations, std = _curves(result)
         caused += _worst(deviations - _curves(sound)[0], std) > LIMIT
         whole += _worst(deviations - truth, std) > LIMIT
-    return f"{100 * caused / runs:.0f} / {100 * whole / runs:.0f}"
+    return f"{100 * caused / runs:.0f}/{100 * whole / runs:.0f}"
 
 
 if __name__ == "__main__":
