@@ -5,7 +5,7 @@
 
 Worlds are drawn by plain geometry that shares no code with solvers and simulation
 (test/methods/gathered_worlds.py, plate_disturbed.py, benchmarks/six_scene.py). Each is solved with
-and without the disturbance, with the same noise. The tables of the pages, between two marks, are
+and without the disturbance, with the same noise. The tables of the page, between two marks, are
 written again.
 """
 
@@ -44,10 +44,8 @@ SIZES_STD = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 10.0, 20.0)
 """Of what the mirror shows: in standard deviations of a reading across the beam."""
 SIZES_PLATE_UM = (0.3, 0.5, 1.0)
 LIMIT = 2.5
-PAGE = ROOT / "docs" / "tracer.md"
-PLATE_PAGE = ROOT / "docs" / "ball_plate.md"
-MIRROR_PAGE = ROOT / "docs" / "plane_mirror.md"
-MARKS = ("<!-- scripts/gathered_table.py -->\n", "<!-- end -->\n")
+PAGE = ROOT / "docs" / "evidence_methods.md"
+END = "<!-- end -->\n"
 
 
 class Seen(NamedTuple):
@@ -81,15 +79,15 @@ def main() -> int:
     of_plate = [case for case in plate_cases() if chosen.cases in case.name]
     of_mirror = [case for case in mirror_cases() if chosen.cases in case.name]
     heading = f"Of {chosen.runs} worlds ({chosen.six_runs} of six deviations), in percent:"
-    write(PAGE, heading, "zero, pattern", "um", SIZES_UM, of_lengths, chosen)
+    write("tracer", heading, "zero, pattern", "um", SIZES_UM, of_lengths, chosen)
     heading = f"Of {chosen.runs} worlds, in percent:"
-    write(PLATE_PAGE, heading, "displaced", "um", SIZES_PLATE_UM, of_plate, chosen)
-    write(MIRROR_PAGE, heading, "place, pattern", "std", SIZES_STD, of_mirror, chosen)
+    write("ball plate", heading, "displaced", "um", SIZES_PLATE_UM, of_plate, chosen)
+    write("plane mirror", heading, "place, pattern", "std", SIZES_STD, of_mirror, chosen)
     return 0
 
 
 def write(
-    page: Path,
+    method: str,
     heading: str,
     first: str,
     unit: str,
@@ -97,7 +95,7 @@ def write(
     chosen_cases: list[Case],
     chosen: argparse.Namespace,
 ) -> None:
-    """Measure the cases and write their table into its page; nothing where there are none."""
+    """Measure the cases and write the table of ``method`` into the page, where there are any."""
     if not chosen_cases:
         return
     lines = [
@@ -112,10 +110,11 @@ def write(
         cells = [_sound(case, runs), *(_cell(case, size * scale, runs) for size in sizes)]
         lines.append(f"| {case.name} | " + " | ".join(cells) + " |")
         print(lines[-1], flush=True)
-    before, rest = page.read_text(encoding="utf-8").split(MARKS[0])
-    after = rest.split(MARKS[1])[1]
+    begin = f"<!-- scripts/gathered_table.py: {method} -->\n"
+    before, rest = PAGE.read_text(encoding="utf-8").split(begin)
+    after = rest.partition(END)[2]
     text = "\n".join(["", *lines, "", ""])
-    write_atomically(page, before + MARKS[0] + text + MARKS[1] + after)
+    write_atomically(PAGE, before + begin + text + END + after)
 
 
 def cases() -> Iterator[Case]:
@@ -304,7 +303,7 @@ def _sound(case: Case, runs: int) -> str:
         deviations, std = _curves(result)
         alarms += result.verdict != "ok"
         beyond += result.verdict == "ok" and _worst(deviations - truth, std) > LIMIT
-    return f"{100 * alarms / runs:.0f} / {100 * beyond / runs:.0f}"
+    return f"{100 * alarms / runs:.0f}/{100 * beyond / runs:.0f}"
 
 
 def _cell(case: Case, size: float, runs: int) -> str:
@@ -316,7 +315,7 @@ def _cell(case: Case, size: float, runs: int) -> str:
         deviations, std = _curves(result)
         caused += _worst(deviations - _curves(sound)[0], std) > LIMIT
         whole += _worst(deviations - truth, std) > LIMIT
-    return f"{100 * caused / runs:.0f} / {100 * whole / runs:.0f}"
+    return f"{100 * caused / runs:.0f}/{100 * whole / runs:.0f}"
 
 
 if __name__ == "__main__":

@@ -85,16 +85,21 @@ PAPERS = {
 }
 """Plan -> the change that makes of our solver what the paper prints; papers give no verdict."""
 LEGEND = """\
-*rotcal*: this package as it comes. *scipy*: least squares on the plain equations. *closed_form*:
-linear equations only. *paper*: the recipe that the paper prints (tracer: station by station; ball
-plate: the closed form, which is the mean of a whole plate; mirror: registration), without a
-verdict. A *curve* is one component of one measurement. Errors are arcsec for rotations and um for
-translations; *rms* is over all cases, *plain rms* over those with nothing wrong. *say ok*: curves
-whose result says ok, or says nothing; *hold*: their intervals (U, k = 2) that hold the truth,
-where 95.4 % should, without curves that name the effect. *mislead*: they say ok, name no reason,
-and more intervals fail than chance explains (one sound curve of a hundred does); *named*: the
-same, but the verdict line names the effect; *alarms*: not ok, and right. The plain equations of
-the ball plate know no axis that leans: *scipy* pays for it in the case gauge."""
+* *rotcal*: this package as it comes.
+* *scipy*: least squares on the plain equations.
+* *closed_form*: linear equations only.
+* *paper*: the recipe that the paper prints, without a verdict (tracer: station by station; ball
+  plate: the closed form; mirror: registration).
+* A *curve* is one component of one measurement. Errors are arcsec for rotations and um for
+  translations; *rms* is over all cases, *plain rms* over those with nothing wrong.
+* *say ok*: curves whose result says ok, or says nothing. *hold*: their intervals (U, k = 2) that
+  hold the truth, where 95.4 % should, without curves that name the effect.
+* *mislead*: they say ok, name no reason, and more intervals fail than chance explains (one sound
+  curve of a hundred does). *named*: the same, but the verdict line names the effect.
+* *alarms*: not ok, and right.
+
+The plain equations of the ball plate know no axis that leans: *scipy* pays for it in the case
+gauge."""
 
 
 def main() -> int:
@@ -311,7 +316,7 @@ def found(scores: Sequence[Score]) -> str:
     claims = [s for s in own if not s.named]
     beyond = sum(s.held < s.n for s in claims)
     words = (
-        f"*rotcal* says ok of {len(claims)} curves without naming the effect; {beyond} of them "
+        f"*rotcal* says ok of {len(claims)} curves without naming the effect. {beyond} of them "
         "are off by more than U at some angle, where chance alone makes 43 % of sound curves of "
         "12 angles so. Beyond chance are, with the effect named or not:"
     )

@@ -6,7 +6,7 @@ Every run measures with a tracer of its own place, targets and noise, by the pol
 nominal geometry from the plan alone; lengths are exact distances with noise. At the end the
 deviations are estimated by generalised least squares, written here and not in the package, and
 compared with the uncertainty that the policy states, and that which the result of the solver
-states for the same lengths is compared with the goal. All in docs/policy.md.
+states for the same lengths is compared with the goal. All in docs/evidence_planning.md.
 """
 
 from __future__ import annotations

@@ -27,30 +27,32 @@ PAGE = Path(__file__).parents[1] / "docs" / "what_could_be_wrong.md"
 INTRODUCTION = f"""# What could be wrong, and would you see it?
 
 Every effect that could spoil a calibration was added to simulated measurements of a small plan,
-larger and larger, until the verdict was no longer `ok` in {100 * POWER:g} % of them. The error is
-what the effect does to the deviations unnoticed up to that size: root mean square over the
-measurements whose verdict stayed `ok`, at the worst component and angle (over all angles for
-effects that scatter, since these hit all alike), in standard uncertainties (k = 1) as that result
-states them. The noise itself is not included.
+larger and larger, until the verdict was no longer `ok` in {100 * POWER:g} % of them.
 
-*Size* is where the verdict turns. If it never does, the largest size that was tried is given
-after "not up to"; "allowed" is the allowance that the configuration states and the uncertainty
-contains. *Named* says whether the verdict line names the effect ("ok, not protected against
-..."). No effect may do more than {TOLERABLE:g} standard uncertainties unnoticed and unnamed.
+* *Size* is where the verdict turns. If it never does, the largest size that was tried follows
+  "not up to". "Allowed" is the allowance that the configuration states and the uncertainty
+  contains.
+* *Error* is what the effect does to the deviations unnoticed up to that size, in standard
+  uncertainties (k = 1) as the result states them. It is the root mean square over the measurements
+  whose verdict stayed `ok`, at the worst component and angle. Effects that scatter hit all angles
+  alike, and count over all. The noise itself is not included.
+* *Named* says whether the verdict line names the effect ("ok, not protected against ...").
+
+No effect may do more than {TOLERABLE:g} standard uncertainties unnoticed and unnamed. What an
+effect is, stands below the table, or else below the nearest table above.
 
 Three errors have no size here, because no size turns the verdict:
 
-* An offset between parts of the table that nothing joins: 4 arcsec between the odd and even
-  positions of a plate of 6 balls leave no trace. Such a result is always `suspect`, its verdict
-  line names the parts, and export and bridge refuse it until `rotcal combine` joins them
+* **An offset between parts of the table that nothing joins**: 4 arcsec between the odd and even
+  positions of a plate of 6 balls leave no trace. Such a result is always `suspect`, and its
+  verdict line names the parts. Export and bridge refuse it until `rotcal combine` joins them
   ([groups](ball_plate.md#closed-form-and-groups)).
-* Positions of a table of lengths that are all numbered off by one. The verdict line names
+* **Positions of a table of lengths that are all numbered off by one**. The verdict line names
   `numbering` until `plan.tracer_m` states where the tracer stands. Live, the table's feedback
   numbers the positions.
-* A z axis that points down in a table of ball centres. The verdict line names `sign of z`. Live,
-  touch points show which way is up. The same is named for targets and places of a tracer at
-  several places, unless some beam rises by more than 45 degrees: mirrored, it would go through
-  the table, and the result is `suspect`.
+* **A z axis that points down** in a table of ball centres. The verdict line names `sign of z`.
+  Live, touch points show which way is up. The same is named for targets and places of a tracer at
+  several places, unless some beam rises by more than 45 degrees: then the result is `suspect`.
 
 Sizes depend on the plan: lengths, redundancy, order. `make power` writes this page again;
 `python scripts/power_table.py --plan CONFIG --output PAGE` measures your own plan. The words:
@@ -133,8 +135,20 @@ def _put(page: Path, title: str, section: str) -> None:
     known = [title_of(plan) for plan in plans_of(METHODS)]
     order = [name for name in known if name in sections]
     order += [name for name in sections if name not in known]
-    texts = [f"## {name}\n\n{sections[name].rstrip()}\n" for name in order]
+    told: dict[str, str] = {}
+    texts = [f"## {name}\n\n{_once(sections[name], told).rstrip()}\n" for name in order]
     write_atomically(page, "\n".join([INTRODUCTION, *texts]))
+
+
+def _once(section: str, told: dict[str, str]) -> str:
+    """Return ``section`` without the explanations in ``told``, by effect, and remember its own."""
+    table, *items = re.split(r"^(?=\* )", section, flags=re.M)
+    for item in items:
+        effect, explanation = item.rstrip().split(":", 1)
+        if told.get(effect) != explanation:
+            table += item
+        told[effect] = explanation
+    return table
 
 
 if __name__ == "__main__":

@@ -30,7 +30,7 @@ _WORD = re.compile(r"[^\W_]")
 
 def pages() -> list[Path]:
     """Return the pages of the site that people wrote."""
-    return sorted(page for page in (ROOT / "docs").glob("*.md") if page.name not in GENERATED)
+    return sorted(page for page in (ROOT / "docs").rglob("*.md") if page.name not in GENERATED)
 
 
 def sentences(text: str) -> list[str]:

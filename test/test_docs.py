@@ -1,6 +1,7 @@
-"""The pages: their links lead somewhere, and their lines can be read in any editor."""
+"""The pages: links lead somewhere, lines fit any editor, no sentence has to be read twice."""
 
 import re
+import runpy
 from itertools import chain
 from pathlib import Path
 
@@ -13,6 +14,8 @@ PAGES = sorted(
     for path in ROOT.glob(pattern)
 )
 MAX_WIDTH = 120
+MAX_WORDS = 35
+READABILITY = runpy.run_path(str(ROOT / "scripts" / "readability.py"))
 each_page = pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
 
 
@@ -45,3 +48,25 @@ def test_every_link_leads_somewhere(page):
 def test_no_line_is_too_wide_to_read(page):
     text = [re.sub(r"https?://\S+", "", line) for line in prose(page) if line[:1] != "|"]
     assert [line for line in text if len(line) > MAX_WIDTH] == []
+
+
+@pytest.mark.parametrize("page", READABILITY["pages"](), ids=lambda page: page.name)
+def test_no_sentence_is_too_long_to_read_once(page):
+    found = READABILITY["sentences"](page.read_text("utf-8"))
+    assert [text for text in found if READABILITY["words"](text) > MAX_WORDS] == []
+
+
+@pytest.mark.parametrize(
+    ("text", "lengths"),
+    [
+        ("One two `a b`, three.\nFour [five six](x.md#seven).", [4, 3]),
+        ("* one; see Eq. 5\n  and 6\n* two, e.g. Three\n", [6, 3]),
+        (
+            "# One\n\n| a | b |\n\n    code a\n\n```sh\ncode\n```\n\n<!-- not run: a -->\nSaid.",
+            [1],
+        ),
+    ],
+)
+def test_words_of_sentences_are_counted_without_code_and_tables(text, lengths):
+    found = READABILITY["sentences"](text)
+    assert [READABILITY["words"](sentence) for sentence in found] == lengths

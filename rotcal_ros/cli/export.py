@@ -29,7 +29,7 @@ VOLUMETRIC: Final = "volumetric"
 DEFAULT_AXIS: Final = "C"
 
 
-@click.command(epilog="Controllers and their settings: docs/compensation.md.")
+@click.command(epilog="Controllers and their settings: docs/controllers.md.")
 @click.argument("source", type=path_type, metavar="BAG|TABLE|RESULT")
 @setup_options
 @click.option(

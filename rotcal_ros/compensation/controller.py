@@ -2,7 +2,7 @@
 
 A controller is a frozen dataclass whose fields are the settings of one machine. Its reader reads
 back what its writer wrote, and the rule shows what the real control would do with it: this
-verifies a file before it counts as written. How to add one: ``docs/compensation.md``.
+verifies a file before it counts as written. How to add one: ``docs/controllers.md``.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ import pytest
 from rotcal_ros.compensation.controllers import controller_names, make_controller
 from rotcal_ros.foundation.settings import declarations
 
-DOCS = Path(__file__).parents[2] / "docs" / "compensation.md"
+DOCS = Path(__file__).parents[2] / "docs" / "controllers.md"
 
 
 @pytest.mark.parametrize("name", controller_names())
@@ -14,10 +14,10 @@ def test_docs_say_what_the_program_says(name):
     text = " ".join(DOCS.read_text().split())
     controller = make_controller(name)
     facts = controller.facts
-    assert f"### {facts.title} (`{name}`)" in text
+    assert f"## {facts.title} (`{name}`)" in text
     for fact in (facts.sign, facts.wrap, facts.unit, facts.source):
         assert fact in text
-    section = text.split(f"(`{name}`)")[1].split("###")[0]
+    section = text.split(f"(`{name}`)")[1].split(" ## ")[0]
     for declared in declarations(type(controller)):
         assert f"`{declared.name}` = " in section
         assert declared.info.description in section

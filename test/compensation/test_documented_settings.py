@@ -12,7 +12,7 @@ from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.controllers import controller_names, make_controller
 from rotcal_ros.foundation.settings import declarations
 
-DOCS = Path(__file__).parents[2] / "docs" / "compensation.md"
+DOCS = Path(__file__).parents[2] / "docs" / "controllers.md"
 NUMBER = r"[-+\d.e]+"
 WORDS = {"empty": "", "true": True, "false": False}
 
@@ -26,7 +26,7 @@ def test_the_bridge_is_as_documented():
 
 def documented(name):
     """Yield name, default and range in words of every setting of a controller."""
-    section = DOCS.read_text().split(f"(`{name}`)")[1].split("###")[0]
+    section = DOCS.read_text().split(f"(`{name}`)")[1].split("\n## ")[0]
     for line in section.splitlines():
         if match := re.fullmatch(r"  \* `(\w+)` = (\S+?)(?: \(([^)]*)\))?: .*", line):
             yield match.groups()

@@ -1,6 +1,7 @@
 """The rows of the power table, and the page that they make, against the rule of trust."""
 
 import re
+import runpy
 from dataclasses import replace
 from pathlib import Path
 
@@ -50,6 +51,15 @@ def test_no_effect_does_more_than_two_standard_uncertainties_unnoticed_and_unnam
         assert (named == "yes") >= (treatment == "not protected"), effect
         assert re.fullmatch(r"(not up to |allowed )?[\d.e+-]+ \S+", size), effect
         assert treatment != "not stated"
+
+
+def test_an_effect_is_explained_again_where_it_is_another():
+    once = runpy.run_path(str(ROOT / "scripts" / "power_table.py"))["_once"]
+    told = {}
+    first = "table\n\n* drift: of the machine\n* knock: of the\n  tracer\n"
+    assert once(first, told) == first
+    assert once(first.replace("tracer", "plate"), told) == "table\n\n* knock: of the\n  plate\n"
+    assert once(first, told) == "table\n\n* knock: of the\n  tracer\n"
 
 
 @pytest.mark.parametrize(

@@ -77,8 +77,8 @@ def test_usual_kinematics_are_those_of_the_documentation():
     text = " ".join((DOCS / "ball_plate.md").read_text().split())
     numbers = re.search(
         r"Usual are ([\d.]+) rad/s and ([\d.]+) rad/s\^2 for the table, ([\d.]+) m/s and ([\d.]+) "
-        r"m/s\^2 for the probe, ([\d.]+) s to settle, ([\d.]+) s for each of (\d+) touches and a "
-        r"clearance of ([\d.]+) m",
+        r"m/s\^2 for the probe. Settling takes ([\d.]+) s and a touch ([\d.]+) s, with (\d+) "
+        r"touches per ball. The probe crosses the balls with a clearance of ([\d.]+) m",
         text,
     )
     assert numbers is not None

@@ -138,7 +138,7 @@ def test_the_linear_view_of_reflectors_is_that_of_the_way():
 
 
 def test_small_ones_are_seldom_ok_and_wrong():
-    """The figures for 100 worlds of each size are in docs/plane_mirror.md."""
+    """The figures for 100 worlds of each size are in docs/evidence_methods.md."""
     missed = 0
     for seed in range(10 if LONG else 2):
         world = mirror_world(seed, "random", 5.0)

@@ -1,7 +1,8 @@
 """Ball plate: all six deviations of a rotary table by the reduced three-rosette method.
 
 The model and its constraints are those of the reduced three-rosette method with six degrees of
-freedom; closed form and groups follow a second paper. docs/ball_plate.md has the derivation.
+freedom; closed form and groups follow a second paper. Derivation:
+docs/ball_plate_derivation.md.
 
 To read in this order:
 

@@ -2,7 +2,7 @@
 
 In the frame that turns with the CMM position every ball sees a shifted copy of the table's
 sequence, so a discrete Fourier transform over the CMM positions splits the least squares into
-systems that do not know of each other (docs/ball_plate.md has the derivation). Result and
+systems that do not know of each other (docs/ball_plate_derivation.md). Result and
 covariances equal the dense form (Eq. 20, 21 of the paper); time and memory grow like N R log N and
 N R instead of N^3 and N^2.
 
