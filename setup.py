@@ -76,7 +76,7 @@ setup(
     maintainer_email="maintainers@rotcal.invalid",
     license="Apache-2.0",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={"": ["py.typed", "*.pyi", "*.xml", "templates/*", "static/*"]},
+    package_data={"": ["py.typed", "*.pyi", "*.xml", "templates/*", "translations/*", "static/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

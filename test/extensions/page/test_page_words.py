@@ -3,12 +3,8 @@
 import re
 
 import pytest
-from browser import launched
 
-from rotcal_ros.extensions.page.app import Answer, PageServer
-from rotcal_ros.extensions.page.settings import PageSettings
 from rotcal_ros.extensions.page.state import (
-    Board,
     Curve,
     Deviations,
     Now,
@@ -20,7 +16,7 @@ from rotcal_ros.extensions.page.state import (
     StepProgress,
 )
 
-playwright = pytest.importorskip("playwright.sync_api")
+pytest.importorskip("playwright.sync_api")
 
 pytestmark = pytest.mark.slow
 
@@ -48,40 +44,6 @@ DONE = MEASURING | {
     "now": Now("done", "Finished, measurement ok", "The result and its bag are on disk."),
     "deviations": Deviations((0.0, 180.0), (CURVE,), 104, True, MARKS, ()),
 }
-
-
-class Nobody:
-    """Asks for nothing and gets nothing."""
-
-    def __getattr__(self, _name):
-        return lambda *_arguments: Answer(False, "nobody")
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    with playwright.sync_playwright() as running:
-        browser = launched(running)
-        yield browser
-        browser.close()
-
-
-@pytest.fixture
-def shown(chromium):
-    """Return what opens a page that shows sections."""
-    board = Board()
-    server = PageServer(PageSettings(), board, Nobody())
-    page = chromium.new_page(viewport={"width": 1280, "height": 1500})
-
-    def open_page(sections, scheme="light"):
-        board.show(**sections)
-        page.emulate_media(color_scheme=scheme)
-        page.goto(server.address)
-        playwright.expect(page.locator("#headline")).to_have_text(sections["now"].headline)
-        return page
-
-    yield open_page
-    page.close()
-    server.close()
 
 
 def test_there_is_one_count_of_steps_and_places_have_no_numbers_that_look_like_one(shown):

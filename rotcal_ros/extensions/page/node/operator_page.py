@@ -26,7 +26,7 @@ from rcl_interfaces.msg import Log
 from rclpy.logging import LoggingSeverity
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_action_status_default
 from rotcal_msgs.action import Calibrate
-from rotcal_msgs.msg import CalibrationPlan, DeviationArray
+from rotcal_msgs.msg import CalibrationPlan, DeviationArray, Pause
 from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
 from rotcal_msgs.msg import Observation as ObservationMsg
 from rotcal_msgs.srv import ApplyTable, GetCorrection
@@ -159,6 +159,7 @@ class OperatorPage(CellNode):
             now=now(self._heard(), offer),
             steps=goal.steps(),
             standing=self._standing(),
+            table_deg=self._streams.table_deg(),
             lengths=self._streams.lengths(),
             length_course=self._streams.length_course(),
             temperatures=self._streams.temperatures(),
@@ -180,6 +181,7 @@ class OperatorPage(CellNode):
             doing=feedback.doing if feedback else Why.UNKNOWN,
             activity=feedback.activity if feedback else "",
             instruction=feedback.instruction if feedback else "",
+            task=self.board.state.task,
             stopping=goal.stopping,
             ended=outcome is not None,
             canceled=outcome is not None and outcome.canceled,
@@ -336,6 +338,7 @@ class PageTopics:
     def __init__(self, node: CellNode, board: Board) -> None:
         self._node, self._board = node, board
         self._calibration: Calibration | None = None
+        self._pause = Pause()
         self._rejections: deque[RejectedAttempt] = deque(maxlen=REJECTIONS)
         self._log: deque[LogLine] = deque(maxlen=LOG_LINES)
         self._visited: dict[float, None] = {}
@@ -345,6 +348,7 @@ class PageTopics:
         node.listen(DeviationArray, "deviations", self._take_deviations, LATCHED)
         # There are few, and a person has to see all of them, however busy the machine is.
         node.listen(ObservationMsg, names.OBSERVATION, self._take_observation, EVENT)
+        node.listen(Pause, names.PAUSE, self._take_pause, LATCHED)
         node.listen(Log, "/rosout", self._take_log, ROSOUT)
         node.take_orders(self._point)
 
@@ -371,6 +375,7 @@ class PageTopics:
             cell=page_sections.cell(self._calibration, self._node.get_namespace()),
             view=page_sections.plan_view(self._calibration),
         )
+        self._show_task()
 
     def _take_deviations(self, message: DeviationArray) -> None:
         if self._calibration and message.plan_id == self._calibration.configuration.plan_id:
@@ -388,6 +393,16 @@ class PageTopics:
             row = RejectedAttempt(time.time(), place, message.reason)
             self._rejections.appendleft(row)
             self._board.show(rejections=tuple(self._rejections))
+
+    def _take_pause(self, message: Pause) -> None:
+        self._pause = message
+        self._show_task()
+
+    def _show_task(self) -> None:
+        """Show what the latest pause is for, once its plan has come too."""
+        known, pause = self._calibration, self._pause
+        ours = known is not None and known.configuration.plan_id == pause.plan_id
+        self._board.show(task=page_sections.task(known, pause) if known and ours else None)
 
     def _take_log(self, message: Log) -> None:
         if message.level >= LoggingSeverity.WARN:
@@ -477,6 +492,11 @@ class CapturedValues:
             at = "  ".join(f"{float(x) * 1e3:.3f}" for x in words)
             return LiveReading("Probe x y z", f"{at} mm", "")
         return None
+
+    def table_deg(self) -> float | None:
+        """Return where the table stands, to 0.1 deg; None before its first reading."""
+        words = self._reading(names.JOINT_STATES)
+        return round(float(words[0]) / DEGREE, 1) % 360.0 if words else None
 
     def length_course(self) -> Points:
         """Return the lengths of the last minute, in whole seconds between two changes."""

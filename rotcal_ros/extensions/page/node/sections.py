@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from rotcal_msgs.msg import DeviationArray
+from rotcal_msgs.msg import DeviationArray, Pause
 
 from rotcal_ros.evaluation.marks import measurement, tolerance, withheld_by
 from rotcal_ros.extensions.page.state import (
@@ -20,13 +20,14 @@ from rotcal_ros.extensions.page.state import (
     PlanView,
     RecorderState,
     ShownNode,
+    Task,
 )
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods import Calibration
 from rotcal_ros.nodes.runtime.health import Health
-from rotcal_ros.planning.plan import Point
+from rotcal_ros.planning.plan import TABLE_FRAME, Point
 
 SILENT: Final = 3
 MOST_TARGETS: Final = 400
@@ -60,6 +61,25 @@ def plan_view(calibration: Calibration) -> PlanView:
         ),
         targets=tuple(targets)[::every],
         stands=tuple(stands),
+    )
+
+
+def task(calibration: Calibration, pause: Pause) -> Task | None:
+    """Return what a pause asks a person to move; None if it moves nothing, or is over."""
+    if not pause.waiting or pause.kind != Pause.KIND_MOVE:
+        return None
+    plan = calibration.plan
+    moves = [p.move for p in plan.pauses if p.move is not None and p.move.what == pause.what]
+    stations = sorted({move.station for move in moves} | {pause.station})
+    at = None if math.isnan(pause.position[0]) else tuple(map(float, pause.position))
+    return Task(
+        what=pause.what,
+        number=1 + stations.index(pause.station),
+        count=len(stations),
+        station=pause.station,
+        at=at,
+        rides=pause.header.frame_id == TABLE_FRAME,
+        again=all(planned.instruction != pause.instruction for planned in plan.pauses),
     )
 
 

@@ -27,8 +27,10 @@ async function ask(what, values = {}) {
     const answer = response.headers.get("content-type")?.includes("json") ? JSON.parse(words) : { message: words };
     text("answer", sentence(answer.message));
     setTimeout(() => text("answer", ""), answer.success ? 6000 : 30000);
+    return Boolean(answer.success);
   } catch {
     text("answer", "The server of this page does not answer: it is not known whether the request arrived.");
+    return false;
   }
 }
 
@@ -38,9 +40,10 @@ async function resume(instruction) { // what is looked at is what is done
   if (answering) return;
   answering = true;
   disable(dead);
-  await ask("resume", { instruction });
+  const done = await ask("resume", { instruction });
   answering = false;
   disable(dead);
+  if (done) by("headline").focus(); // the button is gone
 }
 
 export function prepare(state) {

@@ -1,7 +1,7 @@
 // From a section of the state to its place on the page.
 import { draw } from "./charts.js";
-import { drawView } from "./plan_view.js";
-import { clock, duration, element, number, sentence, text, unit } from "./words.js";
+import { drawView, facts } from "./plan_view.js";
+import { clock, duration, element, number, say, sentence, text, unit } from "./words.js";
 import { change } from "./actions.js";
 
 const by = (id) => document.getElementById(id);
@@ -18,7 +18,7 @@ export function show(sections, state, whole) {
 function title({ now, steps, cell }) {
   const mark = ["person", "confirm", "emergency"].includes(now.kind) ? "▶ " : "";
   const place = steps ? `${steps.step}/${steps.total} ` : "";
-  return `${mark}${place}${now.headline}${cell.simulated ? " (simulated)" : ""} – rotcal`;
+  return `${mark}${place}${say(now.headline)}${cell.simulated ? " (simulated)" : ""} – rotcal`;
 }
 
 const RENDER = {
@@ -30,11 +30,13 @@ const RENDER = {
     by("reality").hidden = !known;
     text("reality", cell.simulated ? "SIMULATED" : "REAL MACHINE");
   },
-  now(now) {
+  now(now, state) {
+    const headline = say(now.headline);
     by("now").dataset.kind = now.kind;
-    text("headline", now.headline);
-    by("headline").className = now.headline.length > 50 ? "long" : "";
-    text("detail", now.detail);
+    text("headline", headline);
+    by("headline").className = headline.length > 50 ? "long" : "";
+    text("detail", sentence(say(now.detail)));
+    task(state);
     by("resume").hidden = !now.resume;
     by("stop").hidden = !now.stop;
     by("review").hidden = now.kind !== "confirm";
@@ -76,6 +78,8 @@ const RENDER = {
   },
   view: (_, state) => view(state),
   pointing: (_, state) => view(state),
+  task: (_, state) => { view(state); task(state); },
+  table_deg: (_, state) => { view(state); task(state); },
   lengths(lengths) {
     text("length_title", lengths?.label ?? "Length");
     text("length", lengths?.now ?? "–");
@@ -208,9 +212,19 @@ const times = (_, splits) => splits.map((v) => clock(v, true));
 
 function view(state) {
   if (!state.view) { text("view_words", "Shown once the plan has been announced."); by("view").replaceChildren(); return; }
-  drawView(by("view"), state.view, state.pointing);
-  const p = state.pointing;
+  const { pointing: p, now, table_deg } = state;
+  drawView(by("view"), state.view, p, now.kind === "person" ? (state.task ?? {}) : null, table_deg);
   text("view_words", p ? `Table at ${number(p.table_angle_deg, 1)}°, ${p.visited_deg.length} of ${state.view.angles_deg.length} angles visited. ${sentence(p.place)}.` : "");
+}
+
+function task({ now, task: asked, view: seen, table_deg }) {
+  const placed = now.kind === "person" && asked?.at && seen;
+  for (const id of ["task_view", "task_facts"]) by(id).hidden = !placed;
+  by("instruction").hidden = !(now.kind === "person" && asked && !asked.again);
+  text("instruction_words", sentence(now.instruction));
+  if (!placed) return;
+  drawView(by("task_view"), { ...seen, targets: [], stands: [] }, null, asked, table_deg);
+  by("task_facts").replaceChildren(...facts(asked, table_deg).flatMap(([name, words]) => [element("dt", name), element("dd", words)]));
 }
 
 function fill(id, rows, nothing, parts) {

@@ -4,6 +4,10 @@ export function text(id, words) {
   if (place.textContent !== words) place.textContent = words;
 }
 
+// A text of ours with its places {0}, {1} filled; say: words from the server, a phrase is [text, parts].
+export const t = (words, ...parts) => words.replace(/\{(\d)\}/g, (_, place) => parts[place]);
+export const say = (words) => (Array.isArray(words) ? t(words[0], ...words.slice(1).map(say)) : words);
+
 export function element(name, words = "", kind = "") {
   const made = document.createElement(name);
   made.textContent = words;
