@@ -11,7 +11,7 @@ import click
 from rotcal_ros.cli.console import VERDICT_EXIT_CODES, NamedFile
 from rotcal_ros.cli.options import set_option, setup_options
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.foundation.session_folder import SessionFolder
+from rotcal_ros.foundation.session_folder import SessionFolder, resume_command, unfinished
 from rotcal_ros.report.terminal.console import say
 
 if TYPE_CHECKING:
@@ -118,7 +118,9 @@ def command(
     if source.suffix == ".json":
         result = write_result(read_source(source, given), output, injected, in_force)
     else:
-        result = write_measured(given.read(), output, injected, in_force)
+        begun = source.is_dir() and unfinished(source.parent)
+        go_on = resume_command(source.parent) if begun else ""
+        result = write_measured(given.read(), output, injected, in_force, go_on)
     say(f"report: {output.absolute()}")
     for path in () if tables is None else write_tables(result, tables):
         say(f"table: {path.absolute()}")

@@ -70,7 +70,7 @@ class ReportInput:
     ``inputs`` pairs the name of every input with its SHA-256, ``versions`` names the software,
     ``truth`` is the injected deviation of a simulation in the form of truth.json, ``extra`` holds
     further sections as (title, HTML) pairs, ``goal`` how a goal was reached, ``issued`` the date
-    of issue.
+    of issue, ``go_on`` the command line that goes on with a session that was interrupted.
     """
 
     result: Result
@@ -84,6 +84,7 @@ class ReportInput:
     extra: Sequence[tuple[str, str]] = ()
     goal: GoalStanding | None = None
     issued: str = ""
+    go_on: str = ""
 
 
 def render_report(report: ReportInput) -> str:
@@ -253,12 +254,13 @@ def write_recorded(
     truth: Mapping[str, Any] | None = None,
     extra: Sequence[tuple[str, str]] = (),
     in_force: Path | None = None,
+    go_on: str = "",
 ) -> Result:
     """Solve a recording, write the page about it, and return the result.
 
     ``truth`` is the content of the truth.json of a simulation, ``extra`` holds further sections
     as (title, HTML), ``in_force`` is the folder with the files of the table on which it was
-    measured.
+    measured, ``go_on`` the command line that goes on with an interrupted session.
     """
     configuration = recording.calibration.configuration
     result = recording.solve()
@@ -273,6 +275,7 @@ def write_recorded(
         extra=extra or acting_section(result, in_force),  # that of verify says it itself
         goal=recording.goal_standing(result),
         issued=_today(),
+        go_on=go_on,
     )
     write_page(page, render_report(report))
     return result
@@ -283,10 +286,11 @@ def write_measured(
     page: Path,
     truth: Mapping[str, Any] | None = None,
     in_force: Path | None = None,
+    go_on: str = "",
 ) -> Result:
     """Solve a bag or a plain table, write the page about it, and return the result."""
     if isinstance(measured, Recording):
-        return write_recorded(measured, page, truth, in_force=in_force)
+        return write_recorded(measured, page, truth, in_force=in_force, go_on=go_on)
     configuration, result = measured.configuration, measured.solve()
     report = ReportInput(
         result,

@@ -41,7 +41,8 @@ class Cell:
 class Now:
     """What happens now, large; ``resume`` and ``stop`` are what a person may do.
 
-    ``instruction`` is the work whose end ``resume`` reports.
+    ``instruction`` is the work whose end ``resume`` reports, ``command`` the command line that
+    goes on with a session that has no result.
     """
 
     kind: Kind = "waiting"
@@ -50,6 +51,7 @@ class Now:
     resume: bool = False
     stop: bool = False
     instruction: str = ""
+    command: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -385,7 +387,7 @@ class HeardPlanner:
     ``planner`` is its state, UNKNOWN if it is not there; ``silent``: it was there and fell silent.
     ``calibrating``: a goal runs; ``doing`` and ``activity`` say what it does, as a code and in
     words, ``instruction`` what it waits for, ``task`` the same as data. ``ended``: the last goal
-    has ended, with a verdict or an error.
+    has ended, with a verdict or an error, and may go on with ``command``.
     """
 
     planner: NodeState = UNHEARD
@@ -400,6 +402,7 @@ class HeardPlanner:
     canceled: bool = False
     verdict: str = ""
     error: str = ""
+    command: str = ""
 
 
 def now(heard: HeardPlanner, offer: ShownOffer | None = None) -> Now:
@@ -462,10 +465,10 @@ def _after_the_end(heard: HeardPlanner) -> Now | None:
     if not heard.ended:
         return None
     if heard.canceled:
-        return Now("stopped", phrase("Stopped"), _sentence(heard.error))
+        return Now("stopped", phrase("Stopped"), _sentence(heard.error), command=heard.command)
     if heard.error:
         headline = phrase("The calibration ended without a result")
-        return Now("failed", headline, _sentence(heard.error))
+        return Now("failed", headline, _sentence(heard.error), command=heard.command)
     return Now("done", phrase("Finished, measurement {0}", phrase(heard.verdict)),
                phrase("The result and its bag are on disk."))  # fmt: skip
 

@@ -99,3 +99,15 @@ def test_a_pause_is_a_task_that_counts_from_one():
     assert page_sections.task(calibration, pause).again
     pause.waiting = False
     assert page_sections.task(calibration, pause) is None
+
+
+def test_the_command_names_the_session_of_a_bag_that_is_here(tmp_path):
+    from rotcal_ros.extensions.page.node import sections as page_sections
+
+    (tmp_path / "table" / "bag").mkdir(parents=True)
+    assert page_sections.command(str(tmp_path / "table" / "bag")) == ""
+    (tmp_path / "table" / "configuration.yaml").write_text("method: tracer_multistation\n")
+    assert page_sections.command(str(tmp_path / "table" / "bag")).endswith(
+        f"--resume {tmp_path / 'table'}"
+    )
+    assert page_sections.command("") == ""

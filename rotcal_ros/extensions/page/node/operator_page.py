@@ -187,6 +187,7 @@ class OperatorPage(CellNode):
             canceled=outcome is not None and outcome.canceled,
             verdict=outcome.verdict if outcome else "",
             error=outcome.error_msg if outcome else "",
+            command=page_sections.command(outcome.bag_folder) if outcome else "",
         )
 
     def _standing(self) -> ShownUncertainty:

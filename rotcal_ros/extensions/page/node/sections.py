@@ -24,6 +24,7 @@ from rotcal_ros.extensions.page.state import (
 )
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.identity import Identity
+from rotcal_ros.foundation.session_folder import resume_command, unfinished
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods import Calibration
 from rotcal_ros.nodes.runtime.health import Health
@@ -71,13 +72,13 @@ def task(calibration: Calibration, pause: Pause) -> Task | None:
     plan = calibration.plan
     moves = [p.move for p in plan.pauses if p.move is not None and p.move.what == pause.what]
     stations = sorted({move.station for move in moves} | {pause.station})
-    at = None if math.isnan(pause.position[0]) else tuple(map(float, pause.position))
+    x, y, z = map(float, pause.position)
     return Task(
         what=pause.what,
         number=1 + stations.index(pause.station),
         count=len(stations),
         station=pause.station,
-        at=at,
+        at=None if math.isnan(x) else (x, y, z),
         rides=pause.header.frame_id == TABLE_FRAME,
         again=all(planned.instruction != pause.instruction for planned in plan.pauses),
     )
@@ -161,6 +162,15 @@ def recording(values: Mapping[str, str]) -> RecorderState | None:
         losses=tuple(f"{name}: {n}" for name, n in losses.items()),
         free_gb=_free_gb(Path(values["file"]).parent),
     )
+
+
+def command(bag_folder: str) -> str:
+    """Return the command line that goes on with a session on this machine; empty: there is none.
+
+    ``bag_folder`` is empty where nothing was recorded.
+    """
+    session = Path(bag_folder).parent
+    return resume_command(session) if bag_folder and unfinished(session) else ""
 
 
 def _free_gb(folder: Path) -> float | None:

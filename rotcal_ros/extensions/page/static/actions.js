@@ -53,6 +53,7 @@ export function prepare(state) {
     if (by("stop_dialog").returnValue === "yes") ask("stop");
     by("stop_dialog").returnValue = "no";
   });
+  by("copy").addEventListener("click", copy);
   let confirmation = "";
   by("review").addEventListener("click", () => {
     confirmation = state.offer.confirmation; // what is looked at is what is confirmed
@@ -69,6 +70,16 @@ export function prepare(state) {
     if (by("apply_dialog").returnValue === "yes") ask("apply", { confirmation, secret });
     by("apply_dialog").returnValue = "no";
   });
+}
+
+async function copy() {
+  getSelection().selectAllChildren(by("command")); // what a browser refuses to copy is ready for Ctrl-C
+  try {
+    await navigator.clipboard.writeText(by("command").textContent);
+    text("copied", "Copied");
+  } catch { // only for pages of this machine, or encrypted ones
+    text("copied", document.execCommand("copy") ? "Copied" : "Press Ctrl+C");
+  }
 }
 
 export function change(offer) {

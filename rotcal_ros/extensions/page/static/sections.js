@@ -37,6 +37,9 @@ const RENDER = {
     by("headline").className = headline.length > 50 ? "long" : "";
     text("detail", sentence(say(now.detail)));
     task(state);
+    text("command", now.command);
+    by("go_on").hidden = !now.command;
+    text("copied", "");
     by("resume").hidden = !now.resume;
     by("stop").hidden = !now.stop;
     by("review").hidden = now.kind !== "confirm";
