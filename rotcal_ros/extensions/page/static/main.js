@@ -3,6 +3,7 @@ import { show } from "./sections.js";
 import { redraw } from "./charts.js";
 import { clock, text } from "./words.js";
 import * as actions from "./actions.js";
+import * as alerts from "./alerts.js";
 
 const SILENCE_MS = 4000; // the page hears something every second
 const RETRY_MS = 2000;
@@ -37,6 +38,7 @@ function take(event) {
   document.body.className = ended ? "ended" : "live";
   text("alive", `Live ${clock(time_s, true)}`);
   show(sections, state, Boolean(token));
+  alerts.tell(state.now);
   if (ended) {
     source.close();
     banner(`Switched off at ${clock(time_s)}`, "Below is the last state. Nothing here is live any more.");
@@ -75,4 +77,5 @@ let resizing = 0;
 addEventListener("resize", () => { clearTimeout(resizing); resizing = setTimeout(redraw, 150); });
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
 actions.prepare(state);
+alerts.prepare();
 connect();

@@ -8,6 +8,10 @@ export function text(id, words) {
 export const t = (words, ...parts) => words.replace(/\{(\d)\}/g, (_, place) => parts[place]);
 export const say = (words) => (Array.isArray(words) ? t(words[0], ...words.slice(1).map(say)) : words);
 
+// What this browser keeps for the next visit; some are told to keep nothing.
+export function recall(name) { try { return localStorage.getItem(`rotcal.${name}`); } catch { return null; } }
+export function remember(name, value) { try { localStorage.setItem(`rotcal.${name}`, value); } catch { /* until it is closed */ } }
+
 export function element(name, words = "", kind = "") {
   const made = document.createElement(name);
   made.textContent = words;
