@@ -138,6 +138,7 @@ setup(
         "release": ["build", "cyclonedx-bom"],
         "mutants": ["coverage", "hypothesis", "libcst", "mutmut", "pytest"],
         "test": [
+            "Babel",
             "flask",
             "flask-cors",
             "httpx2",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -31,7 +31,7 @@ class Phrase(str):
     parts: tuple[str, ...]
 
 
-def text(template: str) -> str:
+def noted(template: str) -> str:
     """Mark a text for the catalogues that is filled and translated elsewhere."""
     return template
 
@@ -43,9 +43,15 @@ def phrase(template: str, *parts: object) -> Phrase:
     'table position 5'
     """
     texts = tuple(part if isinstance(part, str) else str(part) for part in parts)
-    made = Phrase(template.format(*texts))
+    made = Phrase(template.format(*texts) if texts else template)
     made.template, made.parts = template, texts
     return made
+
+
+def listed(texts: Sequence[str], between: str = "; ") -> str:
+    """Return texts one after the other; phrases among them stay phrases."""
+    places = between.join(f"{{{place}}}" for place in range(len(texts)))
+    return texts[0] if len(texts) == 1 else phrase(places, *texts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +64,8 @@ class Language:
     def __call__(self, template: str, *parts: object) -> str:
         """Return a text of the catalogue in this language, with its places filled."""
         spoken = (self.say(part) if isinstance(part, str) else part for part in parts)
-        return (self.texts or {}).get(template, template).format(*spoken)
+        text = (self.texts or {}).get(template, template)
+        return text.format(*spoken) if parts else text
 
     def say(self, text: str) -> str:
         """Return a phrase in this language, any other text as it is."""

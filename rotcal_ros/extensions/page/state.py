@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from math import isfinite
 from typing import Any, Final, Literal
 
-from rotcal_ros.foundation.language import Phrase, phrase, text
+from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.node_state import RELEASED, STOPS, UNHEARD, NodeState, State, Why
 
 Points = tuple[tuple[float, float], ...]
@@ -292,20 +292,20 @@ NAMES: Final = tuple(field.name for field in fields(PageState))
 def changes(seen: PageState | None, state: PageState) -> Mapping[str, Any]:
     """Return what has to be sent to a viewer who has ``seen`` a state; all of it for None."""
     return {
-        name: _plain(getattr(state, name))
+        name: plain(getattr(state, name))
         for name in NAMES
         if seen is None or getattr(seen, name) != getattr(state, name)
     }
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Return what JSON can hold: of a phrase its parts; NaN and infinity become None."""
     if isinstance(value, Phrase):
-        return [value.template, *map(_plain, value.parts)]
+        return [value.template, *map(plain, value.parts)]
     if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     return None if isinstance(value, float) and not isfinite(value) else value
 
 
@@ -364,17 +364,17 @@ _HEADLINES: Final = {
 PRESS: Final = phrase("Press Continue when it is done.")
 _STOPS: Final = {
     Why.STOPPED: (
-        text("Emergency stop: {0}."),
-        text("Nothing is ordered, and the present step does not count. The recording goes on and "
+        noted("Emergency stop: {0}."),
+        noted("Nothing is ordered, and the present step does not count. The recording goes on and "
              "the bag is safe. Release the stop, then press Continue."),
     ),
     Why.RELEASED: (
-        text("Emergency stop: released, it was: {0}."),
-        text("Nothing moves before you press Continue: make sure that the cell may move."),
+        noted("Emergency stop: released, it was: {0}."),
+        noted("Nothing moves before you press Continue: make sure that the cell may move."),
     ),
     Why.RELEASED_AND_WORK: (
-        text("Emergency stop: released, it was: {0}."),
-        text("Nothing moves before you press Continue: make sure that the cell may move ({1})."),
+        noted("Emergency stop: released, it was: {0}."),
+        noted("Nothing moves before you press Continue: make sure that the cell may move ({1})."),
     ),
 }  # fmt: skip
 """Headline and detail of a stop, to be filled with the arguments of its reason."""

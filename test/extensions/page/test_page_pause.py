@@ -7,6 +7,7 @@ import pytest
 
 from rotcal_ros.extensions.page.state import HeardPlanner, PlanView, Pointing, Task, now
 from rotcal_ros.foundation.node_state import NodeState, Reason, State, Why
+from rotcal_ros.foundation.observations import place_in_words
 
 expect = pytest.importorskip("playwright.sync_api").expect
 
@@ -15,7 +16,7 @@ pytestmark = pytest.mark.slow
 SECOND = Task("tracer", 2, 3, 1, (-0.075, 0.12990381, 0.12), rides=True)  # 150 mm at 120 deg
 TRACKER = Task("tracker", 1, 2, 0, (0.0, 2.0, 0.3))
 VIEW = PlanView(tuple(45.0 * i for i in range(8)), ((0.3, 0.3), (-0.3, 0.3)), ((0.15, 0.0),))
-BEAM = Pointing("table position 5, target 34", 90.0, (0.3, 0.3), (0.15, 0.0), (0.0, 90.0))
+BEAM = Pointing(place_in_words(5, 34), 90.0, (0.3, 0.3), (0.15, 0.0), (0.0, 90.0))
 
 
 def pause(task, table_deg, instruction="fix the tracer; it must not move"):

@@ -4,44 +4,51 @@ import re
 
 import pytest
 
+from rotcal_ros.evaluation.marks import measurement
 from rotcal_ros.extensions.page.state import (
     Curve,
     Deviations,
-    Now,
+    HeardPlanner,
     PageMark,
     PlanView,
     Pointing,
     RejectedAttempt,
     ShownUncertainty,
     StepProgress,
+    now,
 )
+from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.node_state import NodeState, State, Why
+from rotcal_ros.foundation.observations import place_in_words
 
 pytest.importorskip("playwright.sync_api")
 
 pytestmark = pytest.mark.slow
 
+HERE = NodeState(State.CALIBRATING)
+PLACE = place_in_words(5, 34)
 # What a policy tells in its 67th step of 105 expected ones; the plan holds 2344 pairs.
 MEASURING = {
-    "now": Now("measuring", "Measuring", "Table position 5, target 34.", stop=True),
+    "now": now(HeardPlanner(HERE, calibrating=True, doing=Why.MEASURING, activity=PLACE)),
     "steps": StepProgress(step=66, total=105, accepted=64, rejected=6, left=39, end_s=None),
     "view": PlanView((0.0, 30.0, 60.0), ((0.5, 0.0), (0.0, 0.5)), ((0.1, 0.1),)),
-    "pointing": Pointing(
-        "table position 5, target 34", 150.0, (0.5, 0.0), (0.1, 0.1), (0.0, 30.0)
-    ),
-    "rejections": (
-        RejectedAttempt(1.7e9, "table position 2, target 21 (attempt 2)", "beam broken"),
-    ),
+    "pointing": Pointing(PLACE, 150.0, (0.5, 0.0), (0.1, 0.1), (0.0, 30.0)),
+    "rejections": (RejectedAttempt(1.7e9, place_in_words(2, 21, 1), "beam broken"),),
     "standing": ShownUncertainty(
         largest_arcsec=0.96, rms_arcsec=0.6, goal_arcsec=0.79, course=((10.0, 1.5), (64.0, 0.96))
     ),
 }
 CURVE = Curve("ECC", "arcsec", (0.0, -3.0), (0.0, 0.96))
 MARKS = (
-    PageMark("measurement", "partly", "measurement: ok"),
-    PageMark("tolerance", "beyond", "tolerance: beyond ±2 arcsec (ECC)"),
+    PageMark("measurement", "partly", measurement("ok", phrase("ok"), covered=False).line),
+    PageMark(
+        "tolerance",
+        "beyond",
+        phrase("{0}: {1} {2}", phrase("tolerance"), phrase("beyond"), "±2 arcsec (ECC)"),
+    ),
 )
 DONE = MEASURING | {
-    "now": Now("done", "Finished, measurement ok", "The result and its bag are on disk."),
+    "now": now(HeardPlanner(HERE, ended=True, verdict="ok")),
     "deviations": Deviations((0.0, 180.0), (CURVE,), 104, True, MARKS, ()),
 }
 

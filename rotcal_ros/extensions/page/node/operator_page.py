@@ -57,6 +57,7 @@ from rotcal_ros.extensions.page.state import (
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import RotcalError
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.node_state import LOADING, NodeState, Reason, State, Why
 from rotcal_ros.foundation.observations import Approach, Command, LengthStatus, place_in_words
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
@@ -179,7 +180,7 @@ class OperatorPage(CellNode):
             silent=PLANNER in health.lost,
             calibrating=goal.running or (outcome is None and health.is_calibrating()),
             doing=feedback.doing if feedback else Why.UNKNOWN,
-            activity=feedback.activity if feedback else "",
+            activity=self._activity(feedback) if feedback else "",
             instruction=feedback.instruction if feedback else "",
             task=self.board.state.task,
             stopping=goal.stopping,
@@ -189,6 +190,15 @@ class OperatorPage(CellNode):
             error=outcome.error_msg if outcome else "",
             command=page_sections.command(outcome.bag_folder) if outcome else "",
         )
+
+    def _activity(self, feedback: Feedback) -> str:
+        """Return what a goal does: from what its planner and its orders say, as data."""
+        pointing = self.board.state.pointing
+        if feedback.doing is Why.MEASURING and pointing is not None:
+            return pointing.place
+        reasons = self.health.node_state(PLANNER).reasons
+        said = (reason.in_words() for reason in reasons if reason.code == feedback.doing)
+        return next(said, feedback.activity)
 
     def _standing(self) -> ShownUncertainty:
         """Return U of the curve, and if there is a goal the policy's figure beside it."""
@@ -267,11 +277,11 @@ class FollowedGoal:
         """Tell the planner that the work of this instruction is done, once."""
         asked = self.feedback
         if asked is None or not asked.instruction:
-            return Answer(False, "nothing waits for resume")
+            return Answer(False, phrase("nothing waits for resume"))
         if instruction != asked.instruction:
-            return Answer(False, "the instruction has changed: read the new one first")
+            return Answer(False, phrase("the instruction has changed: read the new one first"))
         if not self._resume.service_is_ready():
-            return Answer(False, "the planner does not answer")
+            return Answer(False, phrase("the planner does not answer"))
         # Until the planner's next feedback, a second click finds that nothing is asked for.
         going_on = Reason(Why.GOING_ON)
         self.feedback = continuing = replace(
@@ -280,17 +290,18 @@ class FollowedGoal:
         answer = await self._resume.call_async(Trigger.Request())
         if not answer.success and self.feedback is continuing:
             self.feedback = asked
-        return Answer(answer.success, answer.message or "the calibration goes on")
+        return Answer(answer.success, answer.message or phrase("the calibration goes on"))
 
     async def stop(self) -> Answer:
         """Cancel the goal that is followed, and no other."""
         if self._id is None or not self.running:
-            return Answer(False, "no calibration runs")
+            return Answer(False, phrase("no calibration runs"))
         request = CancelGoal.Request()
         request.goal_info.goal_id = self._id
         answer = await self._cancel.call_async(request)
         self.stopping = answer.return_code == CancelGoal.Response.ERROR_NONE
-        return Answer(self.stopping, "stopping" if self.stopping else "it has ended already")
+        words = phrase("stopping") if self.stopping else phrase("it has ended already")
+        return Answer(self.stopping, words)
 
     def _look(self, message: GoalStatusArray) -> None:
         goals = sorted(message.status_list, key=lambda s: _time(s.goal_info.stamp))
@@ -437,9 +448,9 @@ LENGTH_POINTS: Final = 400
 TEMPERATURE_PERIOD_S: Final = 5.0
 VALID: Final = "valid."
 WORDS: Final = {
-    LengthStatus.BEAM_BROKEN.name: "beam broken",
-    LengthStatus.UNSTABLE.name: "unstable",
-    LengthStatus.UNKNOWN.name: "state unknown",
+    LengthStatus.BEAM_BROKEN.name: phrase("beam broken"),
+    LengthStatus.UNSTABLE.name: phrase("unstable"),
+    LengthStatus.UNKNOWN.name: phrase("state unknown"),
 }
 HOUR_S: Final = 3600.0
 
@@ -488,10 +499,10 @@ class CapturedValues:
         if words := self._reading(names.TRACER_LENGTH):
             length = float(words[0]) * 1e3
             shown = f"{length:.4f} mm" if math.isfinite(length) else "–"
-            return LiveReading("Length", shown, WORDS.get(words[1], ""))
+            return LiveReading(phrase("Length"), shown, WORDS.get(words[1], ""))
         if words := self._reading(names.PROBE_POINT):
             at = "  ".join(f"{float(x) * 1e3:.3f}" for x in words)
-            return LiveReading("Probe x y z", f"{at} mm", "")
+            return LiveReading(phrase("Probe x y z"), f"{at} mm", "")
         return None
 
     def table_deg(self) -> float | None:
@@ -545,7 +556,7 @@ BRIDGE: Final = "bridge"
 MOST_ANGLES: Final = 120
 SILENCE_S: Final = 10.0
 """After this long without an answer the bridge is asked for the drawing again."""
-UNDRAWN: Final = "it is not drawn yet"
+UNDRAWN: Final = phrase("it is not drawn yet")
 
 
 class WaitingTable:
@@ -575,7 +586,8 @@ class WaitingTable:
         confirmation, why_not = values.get("confirmation", ""), ""
         if OFFERED not in values:
             withheld = values.get(WITHHELD)
-            why_not = f"not offered: {withheld}" if withheld else "the bridge does not offer it"
+            refused = phrase("the bridge does not offer it")
+            why_not = phrase("not offered: {0}", withheld) if withheld else refused
         if not confirmation:
             why_not = health.in_words(BRIDGE)
         elif never := values.get(NEVER):
@@ -586,7 +598,7 @@ class WaitingTable:
         return ShownOffer(
             confirmation=confirmation,
             table_hash=values["table_hash"],
-            verdict=values.get("verdict", ""),
+            verdict=phrase(values.get("verdict", "")),
             in_force=values.get("in_force", ""),
             residual=values.get("residual", ""),
             bridge=health.in_words(BRIDGE),
@@ -601,7 +613,7 @@ class WaitingTable:
     async def apply(self, confirmation: str, secret: str) -> Answer:
         """Have the bridge feed the table with this hash to the controller."""
         if not self._apply.service_is_ready():
-            return Answer(False, "the bridge does not offer to apply a table")
+            return Answer(False, phrase("the bridge does not offer to apply a table"))
         request = ApplyTable.Request(confirmation=confirmation, secret=secret)
         answer = await self._apply.call_async(request)
         if answer.success:

@@ -24,6 +24,7 @@ from rotcal_ros.extensions.page.state import (
 )
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.identity import Identity
+from rotcal_ros.foundation.language import listed, noted, phrase
 from rotcal_ros.foundation.session_folder import resume_command, unfinished
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods import Calibration
@@ -40,7 +41,7 @@ def cell(calibration: Calibration, namespace: str) -> Cell:
     configuration = calibration.configuration
     return Cell(
         namespace=namespace,
-        method=calibration.method.title,
+        method=phrase(calibration.method.title),
         axis=configuration.cell.axis,
         simulated=configuration.simulated,
         item=configuration.identity.item,
@@ -120,7 +121,9 @@ def _marks(message: DeviationArray, identity: Identity, why: str | None) -> tupl
     )
     line = message.verdict_line or message.verdict
     covered = bool(message.verdict_line) and "," not in line  # what is not covered follows
-    about = measurement(message.verdict, line, covered=covered)
+    verdict, _, rest = line.partition(", ")
+    words = phrase("{0}, {1}", phrase(verdict), rest) if rest else phrase(verdict)
+    about = measurement(message.verdict, words, covered=covered)
     against = tolerance(values, std, identity, why)
     return tuple(PageMark(m.name, m.kind, m.line) for m in (about, against) if m is not None)
 
@@ -134,9 +137,9 @@ def nodes(health: Health) -> tuple[ShownNode, ...]:
     found = []
     for name, beat in sorted(health.others.items()):
         level = SILENT if name in health.lost else beat.level
-        words = "silent" if level == SILENT else _words(health, name)
+        words = phrase("silent") if level == SILENT else _words(health, name)
         if (seconds := health.slow.get(name)) is not None:
-            words = f"slow: no sign of life for {seconds:.0f} s; {words}"
+            words = phrase("slow: no sign of life for {0} s; {1}", f"{seconds:.0f}", words)
             level = max(level, 1)
         found.append(ShownNode(name, words, level))
     return tuple(found)
@@ -145,9 +148,9 @@ def nodes(health: Health) -> tuple[ShownNode, ...]:
 def _words(health: Health, name: str) -> str:
     """Return the state of a node with what troubles it."""
     values = health.values(name)
-    forms = {"lost_nodes": "without {}", "unfinished": "{}"}
-    trouble = [form.format(values[key]) for key, form in forms.items() if key in values]
-    return "; ".join([health.in_words(name), *trouble])
+    forms = {"lost_nodes": noted("without {0}"), "unfinished": "{0}"}
+    trouble = [phrase(form, values[key]) for key, form in forms.items() if key in values]
+    return listed([health.in_words(name), *trouble])
 
 
 def recording(values: Mapping[str, str]) -> RecorderState | None:
