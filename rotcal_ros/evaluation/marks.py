@@ -33,7 +33,7 @@ from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 Decision = Literal["within", "beyond", "undecided"]
 DRAWS: Final = 20_000
 """Curves drawn for the probability of a whole curve; one of 0.5 is then known to 0.004."""
-RULE: Final = "JCGM 106:2012, guard band w = U (k = 2)"
+RULE: Final = phrase("JCGM 106:2012, guard band w = U (k = 2)")
 
 
 _DECIDED: Final[Mapping[Decision, str]] = {
@@ -67,8 +67,8 @@ class Conformity:
             return phrase("{0} is undecided against the tolerance {1}: {2}",
                           self.component, limit, self.open_zeros)  # fmt: skip
         place = f"{result.angles[self.worst] / DEGREE:g}°"
-        said = phrase(_DECIDED[self.decision], self.component, limit, place)
-        return phrase("{0}; conformance probability {1}", said, _percent(self.probability))
+        decision = phrase(_DECIDED[self.decision], self.component, limit, place)
+        return phrase("{0}; conformance probability {1}", decision, _percent(self.probability))
 
 
 def decide(values: Floats, stds: Floats, tolerance: float) -> Decision:

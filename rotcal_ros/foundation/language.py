@@ -43,9 +43,9 @@ def phrase(template: str, *parts: object) -> Phrase:
     'table position 5'
     """
     texts = tuple(part if isinstance(part, str) else str(part) for part in parts)
-    made = Phrase(template.format(*texts) if texts else template)
-    made.template, made.parts = template, texts
-    return made
+    whole = Phrase(template.format(*texts) if texts else template)
+    whole.template, whole.parts = template, texts
+    return whole
 
 
 def listed(texts: Sequence[str], between: str = "; ") -> str:

@@ -83,7 +83,11 @@ def about_the_work(result: Result, identity: Identity, method: str, issued: str)
         Fact(phrase("Date of issue"), issued, "7.8.2.1 j"),
         Fact(phrase("Operator"), identity.operator),
         Fact(phrase("Authorised by"), "", "7.8.2.1 o"),
-        Fact(phrase("Method"), f"{method}; rotcal_ros {__version__}", "7.8.2.1 f"),
+        Fact(
+            phrase("Method"),
+            phrase("{0}; rotcal_ros {1}", phrase(method), __version__),
+            "7.8.2.1 f",
+        ),
         Fact(phrase("Conditions"), conditions(result.circumstances), "7.8.4.1 b"),
     ]
 

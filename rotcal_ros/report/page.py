@@ -366,9 +366,8 @@ def _versions(attachments: Mapping[str, bytes]) -> dict[str, str]:
         recorded = ", ".join(f"{name} {text}" for name, text in noted.items())
     except (ValueError, AttributeError):
         recorded = "the bag's note of versions is damaged"
-    return ({phrase("recorded with"): recorded} if recorded else {}) | {
-        phrase("solved with"): running
-    }
+    versions: dict[str, str] = {phrase("recorded with"): recorded} if recorded else {}
+    return versions | {phrase("solved with"): running}
 
 
 BUDGET = phrase("Uncertainty budget")

@@ -30,7 +30,7 @@ class Frame(HTMLParser):
         self._inside = None if tag == self._inside else self._inside
 
     def handle_data(self, data):
-        if self._inside and re.search(r"[A-Za-z]{4}", data):
+        if self._inside and re.search(r"[A-Za-z]{2}", data):
             self.texts.append(data)
 
 
@@ -46,7 +46,9 @@ def test_the_frame_is_german():
     english, page = Frame(render_report(report())).texts, Frame(german()).texts
     assert len(page) == len(english) > 40
     same = {one for one, other in zip(english, page, strict=True) if one == other}
-    assert same <= {"bag_0.mcap", "numpy", "Redundanz", "Name", "Phase / °", "Amplitude / arcsec"}
+    translated = language("de").texts
+    assert {text for text in same if translated.get(text, text) != text} == set()
+    assert not same & {"Result", "Uncertainty budget", "Method", "Source"}
 
 
 def test_the_statements_of_page_one_are_german_with_the_same_numbers():
