@@ -75,6 +75,7 @@ def about_the_item(result: Result, identity: Identity) -> list[Fact]:
 
 def about_the_work(result: Result, identity: Identity, method: str, issued: str) -> list[Fact]:
     """Return who calibrated it, where, when and how."""
+    how = phrase("{0}; rotcal_ros {1}", phrase(method), __version__)
     laboratory = [identity.laboratory, identity.laboratory_address, identity.laboratory_country]
     return [
         Fact(phrase("Laboratory"), _joined([*laboratory, identity.laboratory_email]), "7.8.2.1 b"),
@@ -83,11 +84,7 @@ def about_the_work(result: Result, identity: Identity, method: str, issued: str)
         Fact(phrase("Date of issue"), issued, "7.8.2.1 j"),
         Fact(phrase("Operator"), identity.operator),
         Fact(phrase("Authorised by"), "", "7.8.2.1 o"),
-        Fact(
-            phrase("Method"),
-            phrase("{0}; rotcal_ros {1}", phrase(method), __version__),
-            "7.8.2.1 f",
-        ),
+        Fact(phrase("Method"), how, "7.8.2.1 f"),
         Fact(phrase("Conditions"), conditions(result.circumstances), "7.8.4.1 b"),
     ]
 

@@ -197,8 +197,8 @@ class OperatorPage(CellNode):
         if feedback.doing is Why.MEASURING and pointing is not None:
             return pointing.place
         reasons = self.health.node_state(PLANNER).reasons
-        said = (reason.in_words() for reason in reasons if reason.code == feedback.doing)
-        return next(said, feedback.activity)
+        words = (reason.in_words() for reason in reasons if reason.code == feedback.doing)
+        return next(words, feedback.activity)
 
     def _standing(self) -> ShownUncertainty:
         """Return U of the curve, and if there is a goal the policy's figure beside it."""
