@@ -76,7 +76,17 @@ setup(
     maintainer_email="maintainers@rotcal.invalid",
     license="Apache-2.0",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={"": ["py.typed", "*.pyi", "*.xml", "words.yaml", "templates/*", "static/*"]},
+    package_data={
+        "": [
+            "py.typed",
+            "*.pyi",
+            "*.xml",
+            "words.yaml",
+            "templates/*",
+            "translations/*",
+            "static/*",
+        ]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -140,6 +150,7 @@ setup(
         "release": ["build", "cyclonedx-bom"],
         "mutants": ["coverage", "hypothesis", "libcst", "mutmut", "pytest"],
         "test": [
+            "Babel",
             "flask",
             "flask-cors",
             "httpx2",

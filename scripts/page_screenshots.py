@@ -71,7 +71,7 @@ def measuring(scene: Scene) -> None:
 def person(scene: Scene) -> None:
     """Wait for the second place, so that something has been measured."""
     scene.page.get_by_role("button", name="Continue").click()
-    scene.text("#headline", "Fix the tracer at place 1")
+    scene.text("#headline", "Fix the tracer at place 2")
 
 
 def confirm(scene: Scene) -> None:

@@ -21,6 +21,8 @@ PROGRAMS = (
     HERE / "bags" / "node" / "read_bag.mjs",
     HERE / "extensions" / "network_stores" / "node" / "file_server.mjs",
 )
+AXE = HERE / "report" / "node" / "axe.js"
+"""A place beside the list of packages; the program is in one of them."""
 NIST = "https://github.com/aschet/nistippdmetestsuite"
 """NIST's suite, made ready for the compilers of today."""
 COMMIT = "890b29966b741e4cbdeda67a14954b61b3721a0f"
@@ -40,13 +42,23 @@ def packages_of(program):
 
 def on_node(program):
     """Return ``program`` beside its packages; skip the test where it cannot run."""
+    return Path(shutil.copy(program, installed(program)))
+
+
+def axe():
+    """Return the script of axe-core, which finds faults of accessibility in a page."""
+    return (installed(AXE) / "node_modules" / "axe-core" / "axe.min.js").read_text()
+
+
+def installed(program):
+    """Return the folder with the packages of a program; skip the test where they are missing."""
     folder = packages_of(program)
     if shutil.which("node") is None:
         why = "Node.js is not installed: apt install nodejs npm"
     elif not (folder / "installed").exists():
         why = f"packages of Node.js are not here: {HOW}"
     else:
-        return Path(shutil.copy(program, folder))
+        return folder
     if os.environ.get("ROTCAL_REQUIRE_NODE"):
         pytest.fail(f"required here (ROTCAL_REQUIRE_NODE): {why}")
     return pytest.skip(why)
@@ -101,7 +113,10 @@ def failure(work, *arguments):
 
 def main():
     """Fetch what can be had; return 1 where something is missing."""
-    failures = [failure(fetch_nist), *(failure(fetch_packages, program) for program in PROGRAMS)]
+    failures = [
+        failure(fetch_nist),
+        *(failure(fetch_packages, program) for program in (*PROGRAMS, AXE)),
+    ]
     for text in filter(None, failures):
         sys.stderr.write(f"{text}\n")
     return 1 if any(failures) else 0

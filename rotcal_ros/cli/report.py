@@ -11,7 +11,8 @@ import click
 from rotcal_ros.cli.console import VERDICT_EXIT_CODES, NamedFile
 from rotcal_ros.cli.options import set_option, setup_options
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.foundation.session_folder import SessionFolder
+from rotcal_ros.foundation.language import ENGLISH, codes
+from rotcal_ros.foundation.session_folder import SessionFolder, resume_command, unfinished
 from rotcal_ros.report.terminal.console import say, understood
 
 if TYPE_CHECKING:
@@ -40,6 +41,12 @@ if TYPE_CHECKING:
     type=click.Path(exists=True, file_okay=False, path_type=Path),
     metavar="FOLDER",
     help="Files of the table that was in force, to test whether it acts.",
+)
+@click.option(
+    "--language",
+    type=click.Choice(codes()),
+    default=ENGLISH.code,
+    help="Language of headings, tables and statements; explanations of the methods stay English.",
 )
 @click.option(
     "--dcc",
@@ -73,6 +80,7 @@ def command(
     output: Path | None,
     truth: Path | None,
     in_force: Path | None,
+    language: str,
     dcc: bool,
     sign: Path | None,
     certificate: Path | None,
@@ -105,6 +113,7 @@ def command(
     from rotcal_ros.recordings.result_sources import read_source
     from rotcal_ros.report.page import write_measured, write_result, write_tables
     from rotcal_ros.report.printing import require_writable
+    from rotcal_ros.report.template import speaking
 
     session = SessionFolder(source)
     source = session.bag if session.bag.is_dir() else source
@@ -117,10 +126,13 @@ def command(
     _require_empty(tables, source)
     injected = None if truth is None else _truth(truth)
     given = Input(source, setup, targets, changes, told=understood)
-    if source.suffix == ".json":
-        result = write_result(read_source(source, given), output, injected, in_force)
-    else:
-        result = write_measured(given.read(), output, injected, in_force)
+    begun = source.is_dir() and unfinished(source.parent)
+    go_on = resume_command(source.parent) if begun else ""
+    with speaking(language):
+        if source.suffix == ".json":
+            result = write_result(read_source(source, given), output, injected, in_force)
+        else:
+            result = write_measured(given.read(), output, injected, in_force, go_on)
     say(f"report: {output.absolute()}")
     for path in () if tables is None else write_tables(result, tables):
         say(f"table: {path.absolute()}")

@@ -123,7 +123,9 @@ def _loaded(folder: Path, files: Sequence[Path]) -> bool:
         "load this table into the control, make it active (by a restart, for instance), and "
         f"reference the axis again: {', '.join(map(str, files))}"
     )
-    later = f"to go on when it is loaded: rotcal verify --resume {folder} --loaded"
+    from rotcal_ros.foundation.session_folder import resume_command
+
+    later = f"to go on when it is loaded: {resume_command(folder)} --loaded"
     if sys.stdin.isatty():
         with suppress(click.Abort):
             question = "enter 'loaded' when this is done, or 'later' to end here"

@@ -28,6 +28,7 @@ from scipy.special import stdtrit
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.dataframes import ByAngle
 from rotcal_ros.foundation.errors import BagError, DataError
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.results import Result, plain_fields
 from rotcal_ros.foundation.tables import csv_rows
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
@@ -123,18 +124,18 @@ class Iso230(ByAngle):
     def summary(self) -> list[tuple[str, tuple[float | None, float | None, float | None]]]:
         """Return each figure (rad) with its name: for both directions, forward, reverse."""
         return [
-            ("Reversal B", (self.reversal, None, None)),
-            ("Mean reversal", (self.mean_reversal, None, None)),
+            (phrase("Reversal B"), (self.reversal, None, None)),
+            (phrase("Mean reversal"), (self.mean_reversal, None, None)),
             (
-                "Repeatability R",
+                phrase("Repeatability R"),
                 (self.repeatability, self.repeatability_forward, self.repeatability_reverse),
             ),
             (
-                "Systematic deviation E",
+                phrase("Systematic deviation E"),
                 (self.systematic, self.systematic_forward, self.systematic_reverse),
             ),
-            ("Range of the mean M", (self.mean_range, None, None)),
-            ("Accuracy A", (self.accuracy, self.accuracy_forward, self.accuracy_reverse)),
+            (phrase("Range of the mean M"), (self.mean_range, None, None)),
+            (phrase("Accuracy A"), (self.accuracy, self.accuracy_forward, self.accuracy_reverse)),
         ]
 
     def expanded(self) -> list[float]:

@@ -26,13 +26,21 @@ from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, TRANSLATIONS, unit_of
 from rotcal_ros.foundation.gum_numbers import uncertainty
 from rotcal_ros.foundation.identity import Identity
+from rotcal_ros.foundation.language import noted, phrase
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 
 Decision = Literal["within", "beyond", "undecided"]
 DRAWS: Final = 20_000
 """Curves drawn for the probability of a whole curve; one of 0.5 is then known to 0.004."""
-RULE: Final = "JCGM 106:2012, guard band w = U (k = 2)"
+RULE: Final = phrase("JCGM 106:2012, guard band w = U (k = 2)")
+
+
+_DECIDED: Final[Mapping[Decision, str]] = {
+    "within": noted("{0} is within the tolerance {1}"),
+    "beyond": noted("{0} is beyond the tolerance {1}, by more than U at {2}"),
+    "undecided": noted("{0} is undecided against the tolerance {1}: U goes beyond it at {2}"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,16 +64,11 @@ class Conformity:
         unit, label = unit_of(self.component)
         limit = f"±{self.tolerance / unit:g} {label}"
         if self.open_zeros:
-            return (
-                f"{self.component} is undecided against the tolerance {limit}: {self.open_zeros}"
-            )
+            return phrase("{0} is undecided against the tolerance {1}: {2}",
+                          self.component, limit, self.open_zeros)  # fmt: skip
         place = f"{result.angles[self.worst] / DEGREE:g}°"
-        verb = {
-            "within": f"within the tolerance {limit}",
-            "beyond": f"beyond the tolerance {limit}, by more than U at {place}",
-            "undecided": f"undecided against the tolerance {limit}: U goes beyond it at {place}",
-        }[self.decision]
-        return f"{self.component} is {verb}; conformance probability {_percent(self.probability)}"
+        decision = phrase(_DECIDED[self.decision], self.component, limit, place)
+        return phrase("{0}; conformance probability {1}", decision, _percent(self.probability))
 
 
 def decide(values: Floats, stds: Floats, tolerance: float) -> Decision:
@@ -114,8 +117,8 @@ def _whole_curve(values: Floats, covariance: Floats, tolerance: float) -> float:
 def _percent(probability: float) -> str:
     """Return a probability in percent, not closer to 0 or 100 than the draws can resolve."""
     if probability > 0.999:
-        return "above 99.9 %"
-    return "below 0.1 %" if probability < 0.001 else f"{100.0 * probability:.1f} %"
+        return phrase("above 99.9 %")
+    return phrase("below 0.1 %") if probability < 0.001 else f"{100.0 * probability:.1f} %"
 
 
 WITHIN: Final = "within"
@@ -152,7 +155,7 @@ class Mark:
     @property
     def line(self) -> str:
         """The mark as one line."""
-        return f"{self.name}: {self.words}"
+        return phrase("{0}: {1}", phrase(self.name), self.words)
 
 
 def marks(result: Result, truth: Mapping[str, Any] | None = None) -> tuple[Mark, ...]:
@@ -188,11 +191,12 @@ def tolerance(
     if not agreed:
         return None
     if doubt:
-        return Mark("tolerance", UNDECIDED, f"undecided, because U is not stated ({_all(agreed)})")
+        words = phrase("undecided, because U is not stated ({0})", _all(agreed))
+        return Mark("tolerance", UNDECIDED, words)
     found = {name: decide(deviations[name], std[name], agreed[name]) for name in agreed}
     kind = next((k for k in (BEYOND, UNDECIDED) if k in found.values()), WITHIN)
     named = {name: limit for name, limit in agreed.items() if found[name] == kind}
-    return Mark("tolerance", kind, f"{kind} {_all(named)}")
+    return Mark("tolerance", kind, phrase("{0} {1}", phrase(kind), _all(named)))
 
 
 def _all(agreed: Mapping[str, float]) -> str:
@@ -222,13 +226,16 @@ def withheld_by(verdict: str, warnings: Sequence[str]) -> str | None:
     """Return why a verdict forbids to state an uncertainty; None if it does not."""
     if verdict == "ok":
         return None
-    return f"the verdict is {verdict}: {'; '.join(warnings) or 'its reason is not recorded'}"
+    why = "; ".join(warnings) or phrase("its reason is not recorded")
+    return phrase("the verdict is {0}: {1}", phrase(verdict), why)
 
 
 def not_covered(result: Result) -> tuple[str, ...]:
     """Return the effects that a stated uncertainty leaves out."""
     if not result.protections:
-        return ("what drift, knocks and the like may have done (not stated by the method)",)
+        return (
+            phrase("what drift, knocks and the like may have done (not stated by the method)"),
+        )
     return result.unprotected
 
 

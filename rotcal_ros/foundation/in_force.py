@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from typing import Final
 
 from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.language import phrase
 
 UNKNOWN: Final = "unknown"
 NONE: Final = "none"
@@ -79,7 +80,10 @@ def known_hash(state: str) -> bool:
 def in_words(state: str) -> str:
     """Return what was in force during a measurement, for people."""
     if known_hash(state):
-        return f"measured on top of the table {state[:12]}: the deviations are what it leaves"
+        return phrase("measured on top of the table {0}: the deviations are what it leaves",
+                      state[:12])  # fmt: skip
     if state == NONE:
-        return "measured with no table in force: the deviations are complete"
-    return "not known which table was in force: the whole deviation, or what a table leaves"
+        return phrase("measured with no table in force: the deviations are complete")
+    return phrase(
+        "not known which table was in force: the whole deviation, or what a table leaves"
+    )

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
 
+from rotcal_ros.foundation.language import listed, phrase
+
 
 class State(IntEnum):
     """What a node does; UNKNOWN if it was never heard, or belongs to a later version."""
@@ -115,15 +117,17 @@ class Reason:
         return cls(code, tuple(map(str, arguments)))
 
     def in_words(self) -> str:
-        """Return the reason for a person to read."""
+        """Return the reason for a person to read; what a foreign node left out is blank."""
         if self.code is Why.UNKNOWN:
             return "; ".join(self.arguments)
-        return _filled(REASONS[self.code], self.arguments)
+        return phrase(REASONS[self.code], *self.arguments, "", "")
 
     @property
     def instruction(self) -> str | None:
         """What a person has to do before a goal goes on; None if it waits for nobody."""
-        return _filled(INSTRUCTIONS[self.code], self.arguments) if self.code in PAUSES else None
+        if self.code not in PAUSES:
+            return None
+        return phrase(INSTRUCTIONS[self.code], *self.arguments, "", "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,12 +154,13 @@ class NodeState:
 
     def in_words(self) -> str:
         """Return the state for a person to read."""
-        reasons = "; ".join(reason.in_words() for reason in self.reasons)
+        reasons = listed([reason.in_words() for reason in self.reasons])
         if self.state is State.CALIBRATING:
-            return f"calibrating: step {self.step} of {self.total}, {reasons}"
+            return phrase("calibrating: step {0} of {1}, {2}", self.step, self.total, reasons)
+        state = phrase(STATES[self.state])
         if self.state in NAMED and reasons:
-            return f"{STATES[self.state]}: {reasons}"
-        return reasons or STATES[self.state]
+            return phrase("{0}: {1}", state, reasons)
+        return reasons or state
 
 
 UNHEARD: Final = NodeState()
@@ -241,8 +246,3 @@ REASONS: Final = {
     Why.BLOCKED: "{0}",
     Why.SERVING: "serving {0}",
 }
-
-
-def _filled(text: str, arguments: tuple[str, ...]) -> str:
-    """Return a text with its arguments; those that a foreign node left out are blank."""
-    return text.format(*arguments, "", "")

@@ -10,6 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
+from rotcal_ros.foundation.language import phrase
+
 
 class LengthStatus(IntEnum):
     """Status of a tracer reading; the values of ``rotcal_msgs/TracerLength``."""
@@ -165,8 +167,10 @@ def place_in_words(table_position: int, target: int, attempt: int = 0) -> str:
     >>> place_in_words(3, 30), place_in_words(3, 30, 1)
     ('table position 3, target 30', 'table position 3, target 30 (attempt 2)')
     """
-    again = f" (attempt {attempt + 1})" if attempt else ""
-    return f"table position {table_position}, target {target}{again}"
+    place = (table_position, target)
+    if attempt:
+        return phrase("table position {0}, target {1} (attempt {2})", *place, attempt + 1)
+    return phrase("table position {0}, target {1}", *place)
 
 
 @dataclass(frozen=True, slots=True)

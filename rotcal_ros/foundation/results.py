@@ -22,11 +22,12 @@ import numpy as np
 
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.arrays import Bools, Floats, Ints
-from rotcal_ros.foundation.circumstances import SIMULATED, Circumstances
+from rotcal_ros.foundation.circumstances import Circumstances
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.dataframes import dataframe
 from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.in_force import UNKNOWN, check_in_force
+from rotcal_ros.foundation.language import listed, phrase
 from rotcal_ros.foundation.protection import Effect, Protection, ordered, unprotected
 from rotcal_ros.foundation.raw_data import RawData
 from rotcal_ros.foundation.records import record
@@ -314,13 +315,15 @@ class Result:
     @property
     def verdict_line(self) -> str:
         """The verdict for people: never without what it does not cover."""
-        verdict = f"{self.verdict} ({SIMULATED})" if self.simulated else self.verdict
+        verdict: str = phrase(self.verdict)
+        if self.simulated:
+            verdict = phrase("{0} (SIMULATED)", verdict)
         if self.zeros.free:
-            verdict = f"{verdict}, {self.zeros.in_words()}"
+            verdict = phrase("{0}, {1}", verdict, self.zeros.in_words())
         if not self.protections:
-            return f"{verdict}, protection against drift and the like not stated"
-        against = ", ".join(self.unprotected)
-        return f"{verdict}, not protected against {against}" if against else verdict
+            return phrase("{0}, protection against drift and the like not stated", verdict)
+        against = listed([phrase(effect) for effect in self.unprotected], ", ")
+        return phrase("{0}, not protected against {1}", verdict, against) if against else verdict
 
     @property
     def verdict_within(self) -> Verdict:

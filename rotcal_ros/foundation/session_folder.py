@@ -1,7 +1,8 @@
-"""The names of everything inside the folder of a session."""
+"""The names of everything inside the folder of a session, and what goes on with it."""
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -70,3 +71,21 @@ class SessionFolder:
     def continuation(self, run: int) -> Path:
         """Return the file with what is left of the plan for a run."""
         return self.path / f"continuation_{run}.json"
+
+
+def resume_command(session: Path) -> str:
+    """Return the command line that goes on with an interrupted session, for a shell.
+
+    A measurement of a verification goes on as a part of it.
+    """
+    for whole in (session, session.parent):
+        if (whole / REQUEST).is_file():
+            return shlex.join(("rotcal", "verify", "--resume", str(whole)))
+    configuration = str(SessionFolder(session).configuration)
+    return shlex.join(("rotcal", "run", configuration, "--resume", str(session)))
+
+
+def unfinished(session: Path) -> bool:
+    """Return whether a folder is a session that was begun, and has no result."""
+    folder = SessionFolder(session)
+    return folder.configuration.is_file() and folder.bag.is_dir() and not folder.result.exists()

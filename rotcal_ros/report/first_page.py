@@ -29,11 +29,12 @@ from rotcal_ros.foundation.gum_numbers import (
 )
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.in_force import in_words
+from rotcal_ros.foundation.language import listed, noted, phrase
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
 
-NOT_STATED: Final = "not stated"
-ONLY_THIS_ITEM: Final = (
+NOT_STATED: Final = phrase("not stated")
+ONLY_THIS_ITEM: Final = phrase(
     "The results relate only to the item calibrated, in the state and under the conditions named."
 )
 PASCAL_PER_HPA: Final = 100.0
@@ -62,75 +63,82 @@ def about_the_item(result: Result, identity: Identity) -> list[Fact]:
     """Return what was calibrated, and for whom."""
     customer = [identity.customer, identity.customer_address]
     return [
-        Fact("Item", _item(identity), "7.8.2.1 g"),
-        Fact("Axis", result.circumstances.axis),
-        Fact("Compensation in force", in_words(result.measured_on)),
-        Fact("Tolerance", _tolerance(identity)),
-        Fact("Customer", _joined(customer), "7.8.2.1 e"),
-        Fact("Customer's number", identity.customer_number),
-        Fact("Received", identity.received, "7.8.2.1 h"),
+        Fact(phrase("Item"), _item(identity), "7.8.2.1 g"),
+        Fact(phrase("Axis"), result.circumstances.axis),
+        Fact(phrase("Compensation in force"), in_words(result.measured_on)),
+        Fact(phrase("Tolerance"), _tolerance(identity)),
+        Fact(phrase("Customer"), _joined(customer), "7.8.2.1 e"),
+        Fact(phrase("Customer's number"), identity.customer_number),
+        Fact(phrase("Received"), identity.received, "7.8.2.1 h"),
     ]
 
 
 def about_the_work(result: Result, identity: Identity, method: str, issued: str) -> list[Fact]:
     """Return who calibrated it, where, when and how."""
+    how = phrase("{0}; rotcal_ros {1}", phrase(method), __version__)
     laboratory = [identity.laboratory, identity.laboratory_address, identity.laboratory_country]
     return [
-        Fact("Laboratory", _joined([*laboratory, identity.laboratory_email]), "7.8.2.1 b"),
-        Fact("Place", identity.place, "7.8.2.1 c"),
-        Fact("Date of calibration", _dates(result.circumstances), "7.8.2.1 i"),
-        Fact("Date of issue", issued, "7.8.2.1 j"),
-        Fact("Operator", identity.operator),
-        Fact("Authorised by", "", "7.8.2.1 o"),
-        Fact("Method", f"{method}; rotcal_ros {__version__}", "7.8.2.1 f"),
-        Fact("Conditions", conditions(result.circumstances), "7.8.4.1 b"),
+        Fact(phrase("Laboratory"), _joined([*laboratory, identity.laboratory_email]), "7.8.2.1 b"),
+        Fact(phrase("Place"), identity.place, "7.8.2.1 c"),
+        Fact(phrase("Date of calibration"), _dates(result.circumstances), "7.8.2.1 i"),
+        Fact(phrase("Date of issue"), issued, "7.8.2.1 j"),
+        Fact(phrase("Operator"), identity.operator),
+        Fact(phrase("Authorised by"), "", "7.8.2.1 o"),
+        Fact(phrase("Method"), how, "7.8.2.1 f"),
+        Fact(phrase("Conditions"), conditions(result.circumstances), "7.8.4.1 b"),
     ]
 
 
 def about_the_plan(result: Result, rejected_attempts: int) -> list[Fact]:
     """Return what was sampled, what was left out, and who else had a part in it."""
     counts = result.circumstances.counts
-    skipped = "" if counts is None else f"{counts.skipped} of {counts.planned} steps were skipped"
+    skipped = (
+        ""
+        if counts is None
+        else phrase("{0} of {1} steps were skipped", counts.skipped, counts.planned)
+    )
     return [
-        Fact("Sampling", in_numbers(result, counts, rejected_attempts), "7.8.2.1 k"),
-        Fact("Deviations from the method", skipped, "7.8.2.1 n"),
-        Fact("External providers", "", "7.8.2.1 p"),
+        Fact(phrase("Sampling"), in_numbers(result, counts, rejected_attempts), "7.8.2.1 k"),
+        Fact(phrase("Deviations from the method"), skipped, "7.8.2.1 n"),
+        Fact(phrase("External providers"), "", "7.8.2.1 p"),
     ]
 
 
 def in_numbers(result: Result, counts: StepCounts | None, rejected_attempts: int) -> str:
     """Return the true counts in one line."""
-    rejected = f"{len(result.rejected)} rejected by the solver"
+    rejected = phrase("{0} rejected by the solver", len(result.rejected))
     if counts is None:
-        return f"{result.n_observations} observations, {rejected}"
-    return (
-        f"{counts.planned} steps planned or on offer, {counts.used} used, {counts.skipped} "
-        f"skipped, {counts.retried} retried, {rejected}, {rejected_attempts} during the capture"
-    )
+        return phrase("{0} observations, {1}", result.n_observations, rejected)
+    return phrase(
+        "{0} steps planned or on offer, {1} used, {2} skipped, {3} retried, {4}, {5} during the "
+        "capture",
+        counts.planned, counts.used, counts.skipped, counts.retried, rejected, rejected_attempts,
+    )  # fmt: skip
 
 
 def conditions(circumstances: Circumstances) -> str:
     """Return temperature, pressure and humidity with their ranges."""
     ranges = [
-        _ranged("temperature", circumstances.temperature_c, "°C", 2),
-        _ranged("air pressure", circumstances.pressure_pa, "hPa", 1, 1.0 / PASCAL_PER_HPA),
-        _ranged("relative humidity", circumstances.humidity, "%", 0, 100.0),
+        _ranged(phrase("temperature"), circumstances.temperature_c, "°C", 2),
+        _ranged(phrase("air pressure"), circumstances.pressure_pa, "hPa", 1, 1.0 / PASCAL_PER_HPA),
+        _ranged(phrase("relative humidity"), circumstances.humidity, "%", 0, 100.0),
     ]
-    return "; ".join(ranges) if any(NOT_STATED not in text for text in ranges) else ""
+    return listed(ranges) if any(NOT_STATED not in text for text in ranges) else ""
 
 
 def _ranged(name: str, found: Range | None, unit: str, digits: int, factor: float = 1.0) -> str:
     if found is None:
-        return f"{name} {NOT_STATED}"
+        return phrase("{0} {1}", name, NOT_STATED)
     mean, low, high = (
         f"{value * factor:.{digits}f}" for value in (found.mean, found.lowest, found.highest)
     )
-    spread = f" ({low} to {high})" if found.lowest < found.highest else ""
-    return f"{name} {mean} {unit}{spread}"
+    if found.lowest == found.highest:  # such as a value that the configuration states
+        return phrase("{0} {1} {2}", name, mean, unit)
+    return phrase("{0} {1} {2} ({3} to {4})", name, mean, unit, low, high)
 
 
 def _item(identity: Identity) -> str:
-    serial = f"no. {identity.serial}" if identity.serial else ""
+    serial = phrase("no. {0}", identity.serial) if identity.serial else ""
     return _joined([identity.item, identity.maker, identity.model, serial])
 
 
@@ -151,13 +159,14 @@ def _dates(circumstances: Circumstances) -> str:
         for ns in (circumstances.begun_ns, circumstances.ended_ns)
     )
     last = f"{ended:%H:%M}" if begun.date() == ended.date() else f"{ended:%Y-%m-%d %H:%M}"
-    return f"{begun:%Y-%m-%d %H:%M} to {last} UTC"
+    return phrase("{0} to {1} UTC", f"{begun:%Y-%m-%d %H:%M}", last)
 
 
 def _joined(texts: list[str]) -> str:
-    return ", ".join(text for text in texts if text)
+    return listed([text for text in texts if text], ", ")
 
 
+_RANGES: Final = (noted("Deviation"), noted("lowest"), noted("highest"), noted("range"))
 FEW_SENTENCES: Final = 2
 """Up to this many components have a sentence each; more of them a table of ranges."""
 FEW_ROWS: Final = 8
@@ -194,41 +203,45 @@ def ranges(result: Result, withheld: str | None) -> ValueBlock | None:
         largest = NO_U if withheld else f"{ends.largest_u} {ends.unit}"
         texts = (ends.low, ends.high, ends.span)
         rows.append([name, *(f"{text} {ends.unit}" for text in texts), largest])
-    return ValueBlock(["Deviation", "lowest", "highest", "range", f"U {K}, at most"], rows)
+    return ValueBlock([*map(phrase, _RANGES), phrase("U {0}, at most", K)], rows)
 
 
 def statement_of_u(result: Result, withheld: str | None) -> str:
     """Return the definition of U, or the reason for which it is not stated."""
     if withheld:
-        return f"U: not stated, because {withheld}."
-    text = (
+        return phrase("U: not stated, because {0}.", withheld)
+    text = phrase(
         "U is the expanded uncertainty, the standard uncertainty multiplied by the coverage "
-        f"factor k = {COVERAGE_FACTOR:g} (about 95 % for a normal distribution), JCGM 100:2008."
+        "factor k = {0} (about 95 % for a normal distribution), JCGM 100:2008.",
+        f"{COVERAGE_FACTOR:g}",
     )
-    missing = not_covered(result)
-    return f"{text} It does not cover: {', '.join(missing)}." if missing else text
+    missing = listed([phrase(effect) for effect in not_covered(result)], ", ")
+    return phrase("{0} It does not cover: {1}.", text, missing) if missing else text
 
 
 def statements_of_conformity(result: Result, withheld: str | None) -> list[str]:
     """Return within, beyond or undecided for every component that has a tolerance."""
-    found = conformities(result, result.circumstances.identity)
-    if not found:
+    every = conformities(result, result.circumstances.identity)
+    if not every:
         return []
     if withheld:
-        return ["No statement of conformity, because U is not stated."]
-    return [f"{conformity.in_words(result)} (decision rule: {RULE})." for conformity in found]
+        return [phrase("No statement of conformity, because U is not stated.")]
+    return [phrase("{0} (decision rule: {1}).", found.in_words(result), RULE) for found in every]
 
 
 def value_blocks(result: Result, withheld: str | None) -> list[ValueBlock]:
     """Return the table of values, in blocks side by side if it is long and narrow."""
     if len(result.components) > 1:
-        head = ["Angle / °", *(f"{name} ± U / {unit_of(name)[1]}" for name in result.components)]
+        head = [
+            phrase("Angle / °"),
+            *(f"{name} ± U / {unit_of(name)[1]}" for name in result.components),
+        ]
         return [ValueBlock(head, _wide_rows(result, withheld))]
     (name,) = result.components
     unit = unit_of(name)[1]
     rows = _narrow_rows(result, name, withheld)
     size = len(rows) if len(rows) <= FEW_ROWS else -(-len(rows) // BLOCKS)
-    head = ["Angle / °", f"{name} / {unit}", f"U / {unit}"]
+    head = [phrase("Angle / °"), f"{name} / {unit}", f"U / {unit}"]
     return [ValueBlock(head, rows[i : i + size]) for i in range(0, len(rows), size)]
 
 
@@ -267,13 +280,11 @@ def _ends(result: Result, name: str) -> _Ends:
 def _range(result: Result, name: str, withheld: str | None) -> str:
     """Return lowest, highest and range of one component in one sentence."""
     ends = _ends(result, name)
-    text = (
-        f"{name} lies between {ends.low} and {ends.high} {ends.unit}, a range of {ends.span} "
-        f"{ends.unit}"
-    )
+    text = phrase("{0} lies between {1} and {2} {3}, a range of {4} {3}",
+                  name, ends.low, ends.high, ends.unit, ends.span)  # fmt: skip
     if withheld:
-        return f"{text}; U is not stated."
-    return f"{text}, with U ≤ {ends.largest_u} {ends.unit} {K}."
+        return phrase("{0}; U is not stated.", text)
+    return phrase("{0}, with U ≤ {1} {2} {3}.", text, ends.largest_u, ends.unit, K)
 
 
 def _positioning(result: Result, withheld: str | None) -> str | None:
@@ -293,7 +304,8 @@ def _positioning(result: Result, withheld: str | None) -> str | None:
         texts.append(f"{name} = {shown.split(' ')[0] if withheld else shown} arcsec")
     count = runs.forward.shape[1]
     probability = "." if withheld else " (95 %)."
-    return f"After ISO 230-2, from {count} runs in each direction: {', '.join(texts)}{probability}"
+    return phrase("After ISO 230-2, from {0} runs in each direction: {1}{2}",
+                  count, ", ".join(texts), probability)  # fmt: skip
 
 
 def _narrow_rows(result: Result, name: str, withheld: str | None) -> list[list[str]]:

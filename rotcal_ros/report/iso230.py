@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from rotcal_ros.evaluation.iso230 import ONLY_SCATTER, BidirectionalRuns, Iso230, iso230, runs_of
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods.figures import style
@@ -74,7 +75,7 @@ def section(result: Result) -> str | None:
         return None
     figures = iso230(runs)
     rows = [
-        [name, *("–" if v is None else f"{v / ARCSEC:.3f}" for v in (*values, expanded))]
+        [phrase(name), *("–" if v is None else f"{v / ARCSEC:.3f}" for v in (*values, expanded))]
         for (name, values), expanded in zip(figures.summary(), figures.expanded(), strict=True)
     ]
     drawn = diagrams(runs, figures)

@@ -39,6 +39,7 @@ from rotcal_ros.foundation.gum_numbers import (
 )
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.in_force import UNKNOWN
+from rotcal_ros.foundation.language import listed, phrase
 from rotcal_ros.foundation.observations import Observation
 from rotcal_ros.foundation.protection import TOLERABLE
 from rotcal_ros.foundation.results import Result
@@ -59,8 +60,11 @@ from rotcal_ros.report.printing import write_page
 from rotcal_ros.report.template import render
 from rotcal_ros.report.verification import acting_section
 
-TITLE: Final = "Calibration report of a rotary table"
-NO_ADJUSTMENT: Final = "No adjustment or repair between measurements is part of this report."
+TITLE: Final = phrase("Calibration report of a rotary table")
+PLAN_ID: Final = phrase("plan and configuration")
+NO_ADJUSTMENT: Final = phrase(
+    "No adjustment or repair between measurements is part of this report."
+)
 
 
 @dataclass(frozen=True)
@@ -70,7 +74,7 @@ class ReportInput:
     ``inputs`` pairs the name of every input with its SHA-256, ``versions`` names the software,
     ``truth`` is the injected deviation of a simulation in the form of truth.json, ``extra`` holds
     further sections as (title, HTML) pairs, ``goal`` how a goal was reached, ``issued`` the date
-    of issue.
+    of issue, ``go_on`` the command line that goes on with a session that was interrupted.
     """
 
     result: Result
@@ -84,6 +88,7 @@ class ReportInput:
     extra: Sequence[tuple[str, str]] = ()
     goal: GoalStanding | None = None
     issued: str = ""
+    go_on: str = ""
 
 
 def render_report(report: ReportInput) -> str:
@@ -113,7 +118,7 @@ def render_report(report: ReportInput) -> str:
         values=first_page.value_blocks(result, doubt),
         traceability=traceability_statement(result),
         only_this_item=first_page.ONLY_THIS_ITEM,
-        adjustment=f"See “{verification.TITLE}”." if adjusted else NO_ADJUSTMENT,
+        adjustment=phrase("See “{0}”.", verification.TITLE) if adjusted else NO_ADJUSTMENT,
         goal=goal_standing(report.goal),
         sections=_sections(report, doubt),
         rejected=[[r.index, r.why] for r in result.rejected],
@@ -131,12 +136,12 @@ def _sections(report: ReportInput, doubt: str | None) -> list[tuple[str, str]]:
         (BUDGET, budget(result, doubt)),
         (TRUST, protections(result)),
         (TRACEABILITY, traceability(result)),
-        ("Set-up", drawn["set-up"]),
+        (phrase("Set-up"), drawn["set-up"]),
         *report.extra,
-        ("ISO 230-2: positioning of the axis", iso230.section(result)),
-        ("Harmonic content", harmonics(result)),
-        ("Further figures", drawn["results"]),
-        ("Residuals", drawn["residuals"]),
+        (phrase("ISO 230-2: positioning of the axis"), iso230.section(result)),
+        (phrase("Harmonic content"), harmonics(result)),
+        (phrase("Further figures"), drawn["results"]),
+        (phrase("Residuals"), drawn["residuals"]),
         (RELIABILITY, reliability_of_observations(result)),
         (TABLES, tables_of(result, stated=not doubt)),
     ]
@@ -185,15 +190,17 @@ def _figures(report: ReportInput) -> list[Figure]:
     draw = find_method(result.method).figures if installed else _residuals_alone
     return [
         Figure(
-            "Adjacent deviations",
-            "Deviation of each step between neighbouring angles (k = 2). These are not the "
-            "positioning deviations: a controller needs the cumulative curve of page one.",
+            phrase("Adjacent deviations"),
+            phrase(
+                "Deviation of each step between neighbouring angles (k = 2). These are not the "
+                "positioning deviations: a controller needs the cumulative curve of page one."
+            ),
             curves.adjacent(result),
         ),
         *draw(result, report.truth),
         Figure(
-            "Temperature",
-            "Temperature at each observation.",
+            phrase("Temperature"),
+            phrase("Temperature at each observation."),
             curves.temperature(report.observations),
         ),
     ]
@@ -209,7 +216,11 @@ def _zero(result: Result) -> Sequence[str]:
     if result.method in method_names():
         return find_method(result.method).zero(result)
     counts_from = result.zeros.counts_from
-    return () if counts_from == UNKNOWN else (f"Every deviation counts from: {counts_from}.",)
+    return (
+        ()
+        if counts_from == UNKNOWN
+        else (phrase("Every deviation counts from: {0}.", counts_from),)
+    )
 
 
 def _details(result: Result) -> list[tuple[str, str]]:
@@ -253,12 +264,13 @@ def write_recorded(
     truth: Mapping[str, Any] | None = None,
     extra: Sequence[tuple[str, str]] = (),
     in_force: Path | None = None,
+    go_on: str = "",
 ) -> Result:
     """Solve a recording, write the page about it, and return the result.
 
     ``truth`` is the content of the truth.json of a simulation, ``extra`` holds further sections
     as (title, HTML), ``in_force`` is the folder with the files of the table on which it was
-    measured.
+    measured, ``go_on`` the command line that goes on with an interrupted session.
     """
     configuration = recording.calibration.configuration
     result = recording.solve()
@@ -267,12 +279,16 @@ def write_recorded(
         recording.calibration.method.title,
         observations=recording.observations,
         configuration_text=configuration.text,
-        inputs=[*recording.sha256.items(), ("plan and configuration", configuration.plan_id)],
+        inputs=[
+            *recording.sha256.items(),
+            (PLAN_ID, configuration.plan_id),
+        ],
         versions=_versions(recording.attachments),
         truth=truth,
         extra=extra or acting_section(result, in_force),  # that of verify says it itself
         goal=recording.goal_standing(result),
         issued=_today(),
+        go_on=go_on,
     )
     write_page(page, render_report(report))
     return result
@@ -283,17 +299,21 @@ def write_measured(
     page: Path,
     truth: Mapping[str, Any] | None = None,
     in_force: Path | None = None,
+    go_on: str = "",
 ) -> Result:
     """Solve a bag or a plain table, write the page about it, and return the result."""
     if isinstance(measured, Recording):
-        return write_recorded(measured, page, truth, in_force=in_force)
+        return write_recorded(measured, page, truth, in_force=in_force, go_on=go_on)
     configuration, result = measured.configuration, measured.solve()
     report = ReportInput(
         result,
         configuration.method.title,
         observations=measured.observations if isinstance(measured, PlannedMeasurements) else (),
         configuration_text=configuration.text,
-        inputs=[*measured.sha256.items(), ("plan and configuration", configuration.plan_id)],
+        inputs=[
+            *measured.sha256.items(),
+            (PLAN_ID, configuration.plan_id),
+        ],
         versions=_versions({}),
         truth=truth,
         extra=acting_section(result, in_force),
@@ -346,10 +366,11 @@ def _versions(attachments: Mapping[str, bytes]) -> dict[str, str]:
         recorded = ", ".join(f"{name} {text}" for name, text in noted.items())
     except (ValueError, AttributeError):
         recorded = "the bag's note of versions is damaged"
-    return ({"recorded with": recorded} if recorded else {}) | {"solved with": running}
+    versions: dict[str, str] = {phrase("recorded with"): recorded} if recorded else {}
+    return versions | {phrase("solved with"): running}
 
 
-BUDGET = "Uncertainty budget"
+BUDGET = phrase("Uncertainty budget")
 
 
 def budget(result: Result, withheld: str | None) -> str:
@@ -398,8 +419,8 @@ def _tables(result: Result) -> list[dict[str, Any]]:
         place = f"{degrees(float(result.angles[worst]))}°"
         texts = [uncertainty(whole), uncertainty(COVERAGE_FACTOR * whole)]
         rows.append([name, place, *(f"{text} {label}" for text in texts)])
-    caption = f"{WHOLE}: the method does not separate the sources"
-    head = ["Deviation", "where U is largest", "u", f"U (k = {COVERAGE_FACTOR:g})"]
+    caption = phrase("{0}: the method does not separate the sources", phrase(WHOLE))
+    head = [phrase("Deviation"), phrase("where U is largest"), "u", f"U (k = {COVERAGE_FACTOR:g})"]
     return [{"caption": caption, "head": head, "rows": rows}]
 
 
@@ -415,13 +436,16 @@ def _table(result: Result, name: str) -> dict[str, Any]:
     for part in contributions(result, name):
         size = float(part.std[worst]) / unit
         share = 100.0 * (size / whole) ** 2 if whole else 0.0
-        rows.append([part.source, value_to(size, place), f"{share:.0f} %"])
-    expanded = COVERAGE_FACTOR * whole
-    rows.append(["Combined standard uncertainty", value_to(whole, place), "100 %"])
-    rows.append([f"Expanded uncertainty U (k = {COVERAGE_FACTOR:g})", uncertainty(expanded), ""])
+        rows.append([phrase(part.source), value_to(size, place), f"{share:.0f} %"])
+    expanded = uncertainty(COVERAGE_FACTOR * whole)
+    rows.append([phrase("Combined standard uncertainty"), value_to(whole, place), "100 %"])
+    stated = phrase("Expanded uncertainty U (k = {0})", f"{COVERAGE_FACTOR:g}")
+    rows.append([stated, expanded, ""])
     return {
-        "caption": f"{name} at {degrees(float(result.angles[worst]))}°, where its U is largest",
-        "head": ["Source", f"u / {label}", "Share of u²"],
+        "caption": phrase(
+            "{0} at {1}°, where its U is largest", name, degrees(float(result.angles[worst]))
+        ),
+        "head": [phrase("Source"), f"u / {label}", phrase("Share of u²")],
         "rows": rows,
     }
 
@@ -447,20 +471,20 @@ def _plan_rows(own: PlanFigures, papers: PlanFigures) -> list[list[str]]:
     """Return what both plans take and reach, one row for each figure."""
     plans = (own, papers)
     rows = [
-        ["Lengths", *(str(plan.lengths) for plan in plans)],
+        [phrase("Lengths"), *(str(plan.lengths) for plan in plans)],
         [
-            "Predicted rms of U(ECC) / arcsec",
+            phrase("Predicted rms of U(ECC) / arcsec"),
             *(f"{plan.uncertainty / ARCSEC:.3f}" for plan in plans),
         ],
         [
-            "Time at the pace of planner.step_s and turn_s",
+            phrase("Time at the pace of planner.step_s and turn_s"),
             *(f"{plan.seconds:.0f} s" for plan in plans),
         ],
     ]
     if own.cell_seconds is not None:
         clocks = [plan.cell_seconds for plan in plans]
         cells = ["" if clock is None else f"{clock:.0f} s" for clock in clocks]
-        rows.append(["Time by the simulated cell's clock", *cells])
+        rows.append([phrase("Time by the simulated cell’s clock"), *cells])
     return rows
 
 
@@ -519,8 +543,8 @@ def _harmonics_table(name: str, content: HarmonicContent) -> dict[str, Any]:
     return {"name": name, "unit": label, "rows": rows, "rest": rest}
 
 
-RELIABILITY: Final = "What a single observation could hide"
-TABLES: Final = "Tables"
+RELIABILITY: Final = phrase("What a single observation could hide")
+TABLES: Final = phrase("Tables")
 MOST_ROWS: Final = 200
 """Of a table on a page; the files hold all."""
 _WORST: Final = 8
@@ -544,9 +568,9 @@ def reliability_of_observations(result: Result) -> str | None:
 
 
 def _head(found: Reliability) -> list[str]:
-    error = [f"Error / {SHOWN_IN[found.unit][1]}"] if found.std is not None else []
-    columns = ["Error / its std", "Effect, at most / std"]
-    return ["Table position", "Target", "Redundancy", *error, *columns]
+    error = [phrase("Error / {0}", SHOWN_IN[found.unit][1])] if found.std is not None else []
+    columns = [phrase("Error / its std"), phrase("Effect, at most / std")]
+    return [phrase("Table position"), phrase("Target"), phrase("Redundancy"), *error, *columns]
 
 
 def _observation_rows(found: Reliability) -> list[list[str]]:
@@ -557,29 +581,30 @@ def _observation_rows(found: Reliability) -> list[list[str]]:
         if errors is not None:
             numbers.insert(0, errors[k] / SHOWN_IN[found.unit][0])
         row = [str(found.table_position[k]), str(found.target[k]), f"{found.redundancy[k]:.3f}"]
-        rows.append([*row, *(f"{v:.2f}" if np.isfinite(v) else "any" for v in numbers)])
+        rows.append([*row, *(f"{v:.2f}" if np.isfinite(v) else phrase("any") for v in numbers)])
     return rows
 
 
-TRACEABILITY: Final = "Traceability"
+TRACEABILITY: Final = phrase("Traceability")
 _INSTRUMENTS: Final = (
-    "Instrument",
-    "Maker and model",
-    "Serial number",
-    "Calibrated",
-    "Certificate",
+    phrase("Instrument"),
+    phrase("Maker and model"),
+    phrase("Serial number"),
+    phrase("Calibrated"),
+    phrase("Certificate"),
 )
 
 
 def traceability_statement(result: Result) -> str:
     """Return in one sentence how far the numbers are traceable, claiming nothing unstated."""
     if result.simulated:
-        return "None: a simulation was measured, no instrument."
+        return phrase("None: a simulation was measured, no instrument.")
     known = result.circumstances.identity.instruments.known
     certified = [name for name, instrument in known.items() if instrument.certificate]
     if not certified:
-        return f"{NOT_STATED}: no certificate of an instrument is named."
-    return f"Through the calibration certificates of: {', '.join(map(_spoken, certified))}."
+        return phrase("{0}: no certificate of an instrument is named.", NOT_STATED)
+    names = listed([phrase(_spoken(name)) for name in certified], ", ")
+    return phrase("Through the calibration certificates of: {0}.", names)
 
 
 def traceability(result: Result) -> str:
@@ -597,7 +622,7 @@ def _instrument_rows(identity: Identity) -> list[list[str]]:
     for name, instrument in identity.instruments.known.items():
         model = " ".join(text for text in (instrument.maker, instrument.model) if text)
         texts = [model, instrument.serial, instrument.calibrated, instrument.certificate]
-        rows.append([_spoken(name).capitalize(), *(text or NOT_STATED for text in texts)])
+        rows.append([phrase(_spoken(name).capitalize()), *(text or NOT_STATED for text in texts)])
     return rows
 
 
@@ -605,7 +630,7 @@ def _spoken(name: str) -> str:
     return name.replace("_", " ")
 
 
-TRUST = "What could be wrong, and would it show?"
+TRUST = phrase("What could be wrong, and would it show?")
 
 
 def protections(result: Result) -> str:
@@ -614,8 +639,8 @@ def protections(result: Result) -> str:
         "trust",
         rows=[
             {
-                "effect": p.effect,
-                "treatment": p.treatment,
+                "effect": phrase(p.effect),
+                "treatment": phrase(p.treatment),
                 "why": p.why,
                 "error": "" if p.error is None else f"{p.error:.1f}",
                 "bare": p.effect in result.unprotected,

@@ -7,7 +7,10 @@ uses the custom properties ``--figure-...``, which the page sets for its dark sc
 from __future__ import annotations
 
 import re
-from functools import cache
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import cache, partial
 from html import escape
 from typing import Any, Final
 
@@ -16,6 +19,7 @@ from markupsafe import Markup
 
 from rotcal_ros import __version__
 from rotcal_ros.foundation.escapes import printable, printable_lines
+from rotcal_ros.foundation.language import ENGLISH, Language, Phrase, language
 from rotcal_ros.methods.figures import style
 
 _OWN: Final = "rotcal_ros.report"
@@ -27,43 +31,65 @@ def render(template: str, *, package: str = _OWN, **values: Any) -> str:
     The template lies in the folder ``templates`` of ``package``, and may include the style
     and the parts of all pages, which are here.
     """
-    template_file = _environment(package).get_template(f"{template}.html.j2")
+    template_file = _environment(package, SPOKEN.get().code).get_template(f"{template}.html.j2")
     return template_file.render(values, version=__version__)
 
 
+SPOKEN: Final[ContextVar[Language]] = ContextVar("SPOKEN", default=ENGLISH)
+"""The language of what is rendered now."""
+
+
+@contextmanager
+def speaking(code: str) -> Iterator[None]:
+    """Render in another language: what is ours in a template or a phrase; nothing else."""
+    token = SPOKEN.set(language(code))
+    try:
+        yield
+    finally:
+        SPOKEN.reset(token)
+
+
 @cache
-def _environment(package: str) -> Environment:
-    """Return the environment that compiles each template of a package once."""
+def _environment(package: str, code: str) -> Environment:
+    """Return the environment that compiles each template of a package once for a language."""
+    spoken = language(code)
     environment = Environment(
         loader=ChoiceLoader(
             [PackageLoader(name, "templates") for name in dict.fromkeys((package, _OWN))]
         ),
         autoescape=True,
         undefined=StrictUndefined,
-        finalize=_visible,
+        finalize=partial(_visible, spoken),
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"drawn": _drawn, "quoted": _quoted, "capitalize_first": _sentence}
+    environment.globals["t"] = spoken
+    environment.filters |= {
+        "drawn": partial(_drawn, spoken),
+        "quoted": partial(_quoted, spoken),
+        "capitalize_first": partial(_sentence, spoken),
+    }
     return environment
 
 
-def _visible(value: Any) -> Any:
-    """Return a value with its texts printable; markup stays as it is."""
-    return printable_lines(value) if type(value) is str else value
+def _visible(spoken: Language, value: Any) -> Any:
+    """Return a value with its texts printable, phrases translated; markup stays as it is."""
+    return printable_lines(spoken.say(value)) if type(value) in (str, Phrase) else value
 
 
-def _sentence(text: str) -> str:
+def _sentence(spoken: Language, text: str) -> str:
+    text = spoken.say(text)
     return text[:1].upper() + text[1:]
 
 
-def _drawn(svg: str, name: str) -> Markup:
+def _drawn(spoken: Language, svg: str, name: str) -> Markup:
     """Return a figure of ours as it stands in a page."""
-    return Markup(inline(svg, name))
+    return Markup(inline(svg, spoken.say(name)))
 
 
-def _quoted(text: str) -> Markup:
+def _quoted(spoken: Language, text: str) -> Markup:
     """Return any text for use between the quotes of a style sheet, without syntax in it."""
+    text = spoken.say(text)
     return Markup("".join(c if c.isalnum() or c == " " else f"\\{ord(c):x} " for c in text))
 
 

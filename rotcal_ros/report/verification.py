@@ -12,18 +12,19 @@ from rotcal_ros.evaluation.verification import ISO_FIGURES, Positioning, Verific
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.escapes import printable_lines
 from rotcal_ros.foundation.in_force import in_words, known_hash
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods.figures import style
 from rotcal_ros.report.template import render
 
-TITLE = "Before and after compensation"
+TITLE = phrase("Before and after compensation")
 _WORDS = {
-    "accuracy": "A, accuracy of positioning",
-    "repeatability": "R, repeatability",
-    "systematic": "E, systematic deviation",
-    "reversal": "B, reversal",
-    "mean_range": "M, mean bidirectional deviation",
+    "accuracy": phrase("A, accuracy of positioning"),
+    "repeatability": phrase("R, repeatability"),
+    "systematic": phrase("E, systematic deviation"),
+    "reversal": phrase("B, reversal"),
+    "mean_range": phrase("M, mean bidirectional deviation"),
 }
 
 
@@ -31,20 +32,23 @@ def verification_section(verification: Verification) -> tuple[str, str]:
     """Return title and HTML of the section."""
     before, after = verification.before, verification.after
     rows = [
-        ("E, range of the measured deviations", before.systematic, after.systematic),
-        ("rms of the measured deviations", before.rms, after.rms),
-        ("largest U (k = 2)", *(COVERAGE_FACTOR * run.std.max() for run in (before, after))),
+        (phrase("E, range of the measured deviations"), before.systematic, after.systematic),
+        (phrase("rms of the measured deviations"), before.rms, after.rms),
+        (
+            phrase("largest U (k = 2)"),
+            *(COVERAGE_FACTOR * run.std.max() for run in (before, after)),
+        ),
     ]
     if verification.iso:
         first, second = verification.iso["before"], verification.iso["after"]
         rows += [
-            (f"{_WORDS[name]} (true angle)", getattr(first, name), getattr(second, name))
+            (phrase("{0} (true angle)", _WORDS[name]), getattr(first, name), getattr(second, name))
             for name in ISO_FIGURES
         ]
     section = render(
         "verification",
         text=_in_words(verification),
-        verdict=verification.verdict,
+        verdict=phrase(verification.verdict),
         reserves=verification.reserves,
         figure=before_and_after(before, after),
         rows=[(name, f"{a / ARCSEC:.3f}", f"{b / ARCSEC:.3f}") for name, a, b in rows],
@@ -72,7 +76,7 @@ def acting_section(result: Result, in_force: Path | None) -> list[tuple[str, str
     else:
         return []
     text = f"{in_words(result.measured_on)}. Does that table act? {acts}."
-    return [("The table in force", f"<p>{escape(printable_lines(text))}</p>")]
+    return [(phrase("The table in force"), f"<p>{escape(printable_lines(text))}</p>")]
 
 
 def _in_words(verification: Verification) -> str:

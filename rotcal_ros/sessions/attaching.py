@@ -26,7 +26,7 @@ from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.files import FolderLock, write_atomically
 from rotcal_ros.foundation.machine_load import patient
 from rotcal_ros.foundation.node_state import PAUSES
-from rotcal_ros.foundation.session_folder import MEETING_POINT, SessionFolder
+from rotcal_ros.foundation.session_folder import MEETING_POINT, SessionFolder, resume_command
 from rotcal_ros.foundation.untrusted import NotAFileError, load_json, read_text
 from rotcal_ros.methods import read_configuration
 from rotcal_ros.report.terminal.console import progress_bar, say
@@ -352,4 +352,4 @@ def _is_locked(folder: SessionFolder) -> bool:
 
 
 def _how_to_go_on(folder: SessionFolder) -> str:
-    return f"go on with: rotcal run {folder.configuration} --resume {folder.path}"
+    return f"go on with: {resume_command(folder.path)}"

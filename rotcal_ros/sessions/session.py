@@ -21,7 +21,7 @@ from rotcal_ros.bags.session_identity import require_one_session
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.files import FolderLock, make_folder, write_atomically
 from rotcal_ros.foundation.observations import Observation
-from rotcal_ros.foundation.session_folder import SessionFolder
+from rotcal_ros.foundation.session_folder import SessionFolder, resume_command
 from rotcal_ros.foundation.settings import declarations
 from rotcal_ros.foundation.untrusted import read_text
 from rotcal_ros.methods import (
@@ -41,14 +41,12 @@ from rotcal_ros.report.terminal.console import progress, say
 class Session:
     """A calibration and its folder; ``continuation`` is what an interrupted run has left.
 
-    ``continued_by`` is the command line that continues the whole that it is a part of;
     ``shown_by`` names nodes for people that are started too (VIEWERS of node_names).
     """
 
     calibration: Calibration
     folder: SessionFolder
     continuation: Continuation | None = None
-    continued_by: str = ""
     shown_by: tuple[str, ...] = ()
 
     @property
@@ -84,10 +82,7 @@ class Session:
     @property
     def resume_command(self) -> str:
         """The command line that continues this session."""
-        return (
-            self.continued_by
-            or f"rotcal run {self.folder.configuration} --resume {self.folder.path}"
-        )
+        return resume_command(self.folder.path)
 
 
 def prepare_session(
@@ -267,7 +262,7 @@ def _check_folder(folder: SessionFolder, calibration: Calibration) -> None:
     if read_text(known) != calibration.configuration.text:
         raise ConfigurationError(
             f"{calibration.configuration.source} differs from {known}: an interrupted plan is "
-            f"continued as it was begun; use 'rotcal run {known} --resume {folder.path}'"
+            f"continued as it was begun; use: {resume_command(folder.path)}"
         )
 
 

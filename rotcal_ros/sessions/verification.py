@@ -336,7 +336,6 @@ def _measure(
         session = resume_session(folder.configuration, path, ())
     if not folder.result.is_file():
         say(f"measuring {'before' if path == whole else path.name} compensation")
-        session = replace(session, continued_by=f"rotcal verify --resume {whole}")
         with Viewers(session) as viewers:
             outcome = calibrate(session, viewers)
             viewers.end(outcome)

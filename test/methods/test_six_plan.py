@@ -65,8 +65,11 @@ def test_a_person_fixes_the_tracer_at_every_place_and_the_first_lengths_show_it(
     plan = six_plan(SMALL)
     assert [(p.first, p.last) for p in plan.pauses] == [(0, 7), (32, 39), (64, 71)]
     text = plan.pauses[1].instruction
-    assert text.startswith("fix the tracer at place 1 (of 0 to 2) on the table, 150 mm from")
-    assert "towards 120 deg of the table, its centre 120 mm above it" in text
+    assert text.startswith("fix the tracer at place 2 of 3 (number 1 in the data) on the table, ")
+    assert (
+        "150 mm from the table axis towards 120 deg of the table, its centre 120 mm above it"
+        in text
+    )
     assert "8 targets at 4 table angles" in text
     # Six targets at the first angle are enough; the sweeps of five lie between.
     by_target = six_plan(BY_TARGET).pauses[0]

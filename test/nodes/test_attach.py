@@ -110,15 +110,15 @@ def test_a_pause_is_answered_by_one_of_two_who_are_attached(tmp_path, terminal):
     try:
         instruments.start("simulated_cell")
         run = terminal("run", file, "--output", folder, "--no-report", "--no-export")
-        run.wait_for("put the tracker at station 0 (of 0 to 1)")
+        run.wait_for("put the tracker at place 1 of 2")
         run.hang_up()
         first, second = terminal("attach", folder), terminal("attach", folder)
         for viewer in (first, second):
-            viewer.wait_for("put the tracker at station 0 (of 0 to 1)")
+            viewer.wait_for("put the tracker at place 1 of 2")
             viewer.wait_for("press Enter")
         second.press(ENTER)
         for viewer in (first, second):
-            viewer.wait_for("put the tracker at station 1")
+            viewer.wait_for("put the tracker at place 2")
         first.press(ENTER)
         for viewer in (first, second):
             assert viewer.process.wait(patient(DEADLINE_S)) == 0

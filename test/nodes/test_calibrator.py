@@ -135,9 +135,9 @@ def test_a_person_is_asked_once_for_every_work(cell, calibrator):
             calibrator.resume()
     outcome = calibrator.result()
     assert (outcome.error_code, outcome.verdict) == (0, "ok"), outcome.error_msg
-    assert [text[:28] for text in asked] == [
-        "put the tracker at station 0",
-        "put the tracker at station 1",
+    assert [text[:26] for text in asked] == [
+        "put the tracker at place 1",
+        "put the tracker at place 2",
     ]
 
 

@@ -63,11 +63,11 @@ def test_the_planner_waits_for_the_tracker_and_asks_again_for_a_displaced_nest(c
         "simulation.tracker.displaced_at_stations=[1]",
         "simulation.tracker.displaced_attempts=1",
     )
-    assert paused(client).startswith("put the tracker at station 0 (of 0 to 1)")
+    assert paused(client).startswith("put the tracker at place 1 of 2")
     resume(live)
     assert client.wait_for("resumed")["success"]
 
-    assert paused(client).startswith("put the tracker at station 1 (of 0 to 1)")
+    assert paused(client).startswith("put the tracker at place 2 of 2")
     resume(live)
     again = paused(client)
     assert again.startswith("not right yet: nest 4 moved between tracker stations 0 and 1")
@@ -105,7 +105,7 @@ def test_a_nest_that_stays_displaced_is_named_in_the_result(cell):
         "simulation.tracker.displaced_at_stations=[1]",
         "simulation.tracker.displaced_attempts=100",
     )
-    for start in ("put the tracker at station 0", "put the tracker at station 1", "not as it"):
+    for start in ("put the tracker at place 1", "put the tracker at place 2", "not as it"):
         assert paused(client).startswith(start)
         resume(live)
     outcome = client.result()
@@ -124,7 +124,7 @@ def test_a_station_at_which_the_tracker_drifts_is_measured_again(cell):
         "simulation.tracker.azimuth_drift_arcsec_per_h=6000.0",
     )
     for station in (0, 1):
-        assert paused(client).startswith(f"put the tracker at station {station}")
+        assert paused(client).startswith(f"put the tracker at place {station + 1}")
         resume(live)
         again = paused(client)
         assert again.startswith("not right yet: the tracker turned by ")
@@ -145,14 +145,14 @@ def test_a_station_at_which_the_tracker_drifts_is_measured_again(cell):
 def test_a_pause_can_be_canceled_and_nothing_else_can_be_resumed(cell):
     # Without a configuration in the goal: the planner's own parameters are enough.
     live, client = cell("simulation.time_scale=2.0", configuration=None)
-    assert paused(client).startswith("put the tracker at station 0 (of 0 to 1)")
+    assert paused(client).startswith("put the tracker at place 1 of 2")
     resume(live)
     assert client.wait_for("resumed")["success"]
     resume(live)  # while the first station is measured
     answer = client.wait_for("resumed")
     assert not answer["success"]
     assert "nothing waits for resume: the planner is calibrating" in answer["reason"]
-    assert paused(client).startswith("put the tracker at station 1")
+    assert paused(client).startswith("put the tracker at place 2")
     client.cancel()
     outcome = client.result()
     assert outcome["error_code"] == CANCELED

@@ -50,10 +50,10 @@ def test_the_planner_waits_for_the_tracer_at_every_place_and_sees_a_wrong_one(
         live.processes.end()
     assert event["error_code"] == 0, event["error_msg"]
     assert [text.split(" on the table")[0] for text in asked if text.startswith("fix")] == [
-        f"fix the tracer at place {number} (of 0 to 2)" for number in range(3)
+        f"fix the tracer at place {number + 1} of 3" for number in range(3)
     ]
     assert len(asked) == 4
-    assert asked[2].startswith("not right yet: place 1: the tracer stands ")
+    assert asked[2].startswith("not right yet: place 2: the tracer stands ")
     assert event["n_used"] == 3 * PER_PLACE
 
     recording = read_recording(live.bag)

@@ -85,7 +85,7 @@ def test_the_tracker_stands_where_it_is_put_in_plans_of_both_directions_too() ->
 
 def test_the_instruction_names_place_nests_and_positions() -> None:
     text = mirror_plan(PAPER).pauses[2].instruction
-    assert "station 1 (of 0 to 5)" in text
+    assert "place 2 of 6 (number 1 in the data)" in text
     # Middle of the positions 67.5 to 135 deg: the tracker faces the mirror there.
     assert f"x {2 * math.cos(101.25 * DEGREE):.2f}, y {2 * math.sin(101.25 * DEGREE):.2f}" in text
     assert "nests 1 to 5 and table positions 67.5 to 135 deg" in text

@@ -6,6 +6,7 @@ from shutil import which
 from subprocess import run
 
 import pytest
+from accessibility import require_accessible, require_reachable
 from browser import launched
 from certified_samples import CIRCUMSTANCES, report, result
 
@@ -42,6 +43,23 @@ def test_nothing_hangs_over_the_edge(chromium, address, width):
         ".filter(e => e.scrollWidth > e.clientWidth + 1).length"
     )
     assert blocks == 0
+    page.close()
+
+
+@pytest.mark.parametrize("width", [400, 1280])
+def test_what_scrolls_is_reached_by_keyboard_and_has_a_name(chromium, address, width):
+    page = chromium.new_page(viewport={"width": width, "height": 900})
+    page.goto(address)
+    require_reachable(page)
+    page.close()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing(chromium, address, scheme):
+    page = chromium.new_page(color_scheme=scheme)
+    page.goto(address)
+    page.evaluate("document.querySelectorAll('details').forEach(e => { e.open = true; })")
+    require_accessible(page)
     page.close()
 
 

@@ -149,3 +149,11 @@ def test_a_method_that_states_nothing_is_told_from_one_that_is_protected() -> No
     page = trusting()
     assert '<span class="verdict partly">Measurement: ok, protection against drift' in page
     assert "does not state what it does about drift" in page
+
+
+def test_an_unfinished_session_says_how_it_goes_on() -> None:
+    command = "rotcal run '/data/my table/configuration.yaml' --resume '/data/my table'"
+    page = render_report(replace(REPORT, go_on=command))
+    shown = command.replace("'", "&#39;")
+    assert f"<code>{shown}</code>" in page
+    assert "not finished" not in render_report(REPORT)

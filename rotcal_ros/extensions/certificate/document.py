@@ -31,6 +31,7 @@ from rotcal_ros.foundation.errors import ConfigurationError, DataError
 from rotcal_ros.foundation.escapes import printable, printable_lines
 from rotcal_ros.foundation.identity import Identity, InstrumentIdentity
 from rotcal_ros.foundation.in_force import in_words
+from rotcal_ros.foundation.language import ENGLISH, Phrase, codes, language, phrase
 from rotcal_ros.foundation.results import Result
 
 DCC_NAMESPACE: Final = "https://ptb.de/dcc"
@@ -38,12 +39,19 @@ SI_NAMESPACE: Final = "https://ptb.de/si"
 PREFIXES: Final = {"dcc": DCC_NAMESPACE, "si": SI_NAMESPACE}
 DCC: Final = ElementMaker(namespace=DCC_NAMESPACE, nsmap=PREFIXES)
 SI: Final = ElementMaker(namespace=SI_NAMESPACE, nsmap=PREFIXES)
-LANGUAGE: Final = "en"
+LANGUAGE: Final = ENGLISH.code
+OTHERS: Final = codes()[1:]
 
 
 def text(tag: str, *paragraphs: str, **attributes: str) -> Any:
-    """Return an element with localised text."""
+    """Return an element with its text in English, and what is a phrase in the others too."""
     contents = [DCC.content(printable_lines(p), lang=LANGUAGE) for p in paragraphs]
+    contents += [
+        DCC.content(printable_lines(language(code).say(p)), lang=code)
+        for code in OTHERS
+        for p in paragraphs
+        if isinstance(p, Phrase)
+    ]
     return DCC(tag, *contents, **attributes)
 
 
@@ -121,7 +129,7 @@ def _result_file(result: Result) -> Any:
         name, mime = "result.json.sha256", "text/plain"
         data = f"{digest}  result.json\n".encode()
     return DCC.document(
-        text("name", "The result in the machine-readable form of rotcal_ros"),
+        text("name", phrase("The result in the machine-readable form of rotcal_ros")),
         leaf("fileName", name),
         leaf("mimeType", mime),
         leaf("dataBase64", b64encode(data).decode()),
@@ -142,11 +150,11 @@ def measurement_results(result: Result, method_title: str) -> Any:
     """Return the element ``measurementResults``."""
     circumstances = result.circumstances
     paragraphs = [NOT_MEASURED] if circumstances.simulated else []
-    paragraphs.append("Deviation = actual - commanded, names after ISO 230-1, SI units.")
+    paragraphs.append(phrase("Deviation = actual - commanded, names after ISO 230-1, SI units."))
     return DCC.measurementResults(
         DCC.measurementResult(
             *present(
-                text("name", marked("Deviations of a rotary table", circumstances)),
+                text("name", marked(phrase("Deviations of a rotary table"), circumstances)),
                 text("description", *paragraphs),
                 DCC.usedMethods(*_methods(result, method_title)),
                 DCC.usedSoftware(software()),
@@ -160,19 +168,20 @@ def measurement_results(result: Result, method_title: str) -> Any:
 
 def _methods(result: Result, title: str) -> Iterator[Any]:
     yield DCC.usedMethod(
-        text("name", title),
+        text("name", phrase(title)),
         text(
             "description",
             f"Method {result.method} of rotcal_ros; {result.n_observations} observations, of "
             f"these {len(result.rejected)} rejected; degrees of freedom {result.dof}, "
             f"sigma0 {result.sigma0:.4g}.",
-            f"Compensation table in force meanwhile: {in_words(result.measured_on)}.",
+            phrase("Compensation table in force meanwhile: {0}.", in_words(result.measured_on)),
         ),
     )
     refraction = result.circumstances.refraction
     if refraction:
         yield DCC.usedMethod(
-            text("name", "Index of refraction of the air"), text("description", f"{refraction}.")
+            text("name", phrase("Index of refraction of the air")),
+            text("description", f"{refraction}."),
         )
 
 
@@ -186,16 +195,16 @@ def _instruments(circumstances: Circumstances) -> Any:
 def _instrument(name: str, instrument: InstrumentIdentity) -> Any:
     history = []
     if instrument.calibrated:
-        history.append(f"Calibrated on {instrument.calibrated}.")
+        history.append(phrase("Calibrated on {0}.", instrument.calibrated))
     if instrument.certificate:
-        history.append(f"Certificate {instrument.certificate}.")
+        history.append(phrase("Certificate {0}.", instrument.certificate))
     serial = None
     if instrument.serial:
-        known = identification("manufacturer", instrument.serial, "serial number")
+        known = identification("manufacturer", instrument.serial, phrase("serial number"))
         serial = DCC.identifications(known)
     return DCC.measuringEquipment(
         *present(
-            text("name", name.replace("_", " ")),
+            text("name", phrase(name.replace("_", " "))),
             text("description", *history) if history else None,
             contact("manufacturer", instrument.maker) if instrument.maker else None,
             leaf("model", instrument.model) if instrument.model else None,
@@ -207,18 +216,22 @@ def _instrument(name: str, instrument: InstrumentIdentity) -> Any:
 def _conditions(circumstances: Circumstances) -> Any:
     """Return the known conditions of the air; None: nothing is known."""
     ranges = (
-        ("Temperature", circumstances.temperature_c, "\\degreecelsius"),
-        ("Air pressure", circumstances.pressure_pa, "\\pascal"),
-        ("Relative humidity", circumstances.humidity, "\\one"),
+        (phrase("Temperature"), circumstances.temperature_c, "\\degreecelsius"),
+        (phrase("Air pressure"), circumstances.pressure_pa, "\\pascal"),
+        (phrase("Relative humidity"), circumstances.humidity, "\\one"),
     )
     known = [_condition(name, found, unit) for name, found, unit in ranges if found is not None]
     return DCC.influenceConditions(*known) if known else None
 
 
 def _condition(name: str, found: Range, unit: str) -> Any:
-    values = [("mean", found.mean), ("lowest", found.lowest), ("highest", found.highest)]
+    values = [
+        (phrase("mean"), found.mean),
+        (phrase("lowest"), found.lowest),
+        (phrase("highest"), found.highest),
+    ]
     if found.lowest == found.highest:  # such as a value that the configuration states
-        values = [("value", found.mean)]
+        values = [(phrase("value"), found.mean)]
     quantities = (
         DCC.quantity(text("name", what), SI.real(SI.value(repr(float(value))), SI.unit(unit)))
         for what, value in values
@@ -240,9 +253,11 @@ def _curve(result: Result, component: str) -> Any:
     return DCC.result(
         text("name", component),
         DCC.data(
-            DCC.quantity(text("name", "Commanded angle"), angles, refType="basic_nominalValue"),
             DCC.quantity(
-                text("name", f"{component}: actual - commanded"),
+                text("name", phrase("Commanded angle")), angles, refType="basic_nominalValue"
+            ),
+            DCC.quantity(
+                text("name", phrase("{0}: actual - commanded", component)),
                 deviations,
                 refType="basic_measurementError",
             ),
@@ -343,7 +358,7 @@ def missing_settings(result: Result) -> dict[str, str]:
     return missing
 
 
-NOT_MEASURED: Final = f"{SIMULATED}: a simulation, no item was measured."
+NOT_MEASURED: Final = phrase("SIMULATED: a simulation, no item was measured.")
 
 
 def administrative_data(result: Result, issued: date) -> Any:
@@ -373,7 +388,7 @@ def administrative_data(result: Result, issued: date) -> Any:
 
 def marked(name: str, circumstances: Circumstances) -> str:
     """Return a name that says where a simulation was measured instead."""
-    return f"{SIMULATED}: {name}" if circumstances.simulated else name
+    return phrase("SIMULATED: {0}", name) if circumstances.simulated else name
 
 
 def software() -> Any:
@@ -390,12 +405,12 @@ def _core_data(circumstances: Circumstances, issued: date) -> Any:
     number = f"{SIMULATED}-" * circumstances.simulated + identity.certificate_number
     ordered = None
     if identity.customer_number:
-        known = identification("customer", identity.customer_number, "customer's number")
+        known = identification("customer", identity.customer_number, phrase("customer's number"))
         ordered = DCC.identifications(known)
     return DCC.coreData(
         *present(
             leaf("countryCodeISO3166_1", identity.laboratory_country),
-            leaf("usedLangCodeISO639_1", LANGUAGE),
+            *(leaf("usedLangCodeISO639_1", code) for code in codes()),
             leaf("mandatoryLangCodeISO639_1", LANGUAGE),
             leaf("uniqueIdentifier", number),
             ordered,
@@ -410,7 +425,11 @@ def _core_data(circumstances: Circumstances, issued: date) -> Any:
 
 def _item(circumstances: Circumstances) -> Any:
     identity: Identity = circumstances.identity
-    axis = f"Rotary axis {circumstances.axis}." if circumstances.axis else "Rotary axis."
+    axis = (
+        phrase("Rotary axis {0}.", circumstances.axis)
+        if circumstances.axis
+        else phrase("Rotary axis.")
+    )
     paragraphs = [axis, NOT_MEASURED] if circumstances.simulated else [axis]
     return DCC.item(
         *present(
@@ -418,7 +437,9 @@ def _item(circumstances: Circumstances) -> Any:
             text("description", *paragraphs),
             contact("manufacturer", identity.maker) if identity.maker else None,
             leaf("model", identity.model) if identity.model else None,
-            DCC.identifications(identification("manufacturer", identity.serial, "serial number")),
+            DCC.identifications(
+                identification("manufacturer", identity.serial, phrase("serial number"))
+            ),
         )
     )
 
@@ -427,22 +448,26 @@ def _statements(result: Result) -> Iterator[list[Any]]:
     """Yield name and declaration of each statement for the reader."""
     circumstances = result.circumstances
     if circumstances.simulated:
-        yield _statement(SIMULATED, NOT_MEASURED)
-    yield _statement("Place of calibration", circumstances.identity.place)
+        yield _statement(phrase(SIMULATED), NOT_MEASURED)
+    yield _statement(phrase("Place of calibration"), circumstances.identity.place)
     yield _statement(
-        "Uncertainty",
-        "The expanded uncertainties are standard uncertainties times the coverage factor k = 2, "
-        "which for a normal distribution is a coverage of about 95 %. The covariance matrices are "
-        "those of the standard uncertainties (JCGM 100).",
+        phrase("Uncertainty"),
+        phrase(
+            "The expanded uncertainties are standard uncertainties times the coverage factor "
+            "k = 2, which for a normal distribution is a coverage of about 95 %. The covariance "
+            "matrices are those of the standard uncertainties (JCGM 100)."
+        ),
     )
     yield _statement(
-        "Traceability",
-        "The results are traced through the instruments named with the results and the "
-        "certificates of their calibrations.",
+        phrase("Traceability"),
+        phrase(
+            "The results are traced through the instruments named with the results and the "
+            "certificates of their calibrations."
+        ),
     )
-    yield _statement("Verdict of the evaluation", f"{result.verdict_line}.")
+    yield _statement(phrase("Verdict of the evaluation"), phrase("{0}.", result.verdict_line))
     if result.warnings:
-        yield _statement("Remarks", *result.warnings)
+        yield _statement(phrase("Remarks"), *result.warnings)
 
 
 def _statement(name: str, *paragraphs: str) -> list[Any]:

@@ -36,9 +36,10 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rotcal_ros.compensation.secret import Secret
 from rotcal_ros.extensions.page.settings import LOOPBACK, PageSettings
-from rotcal_ros.extensions.page.state import Board, PageState, changes
+from rotcal_ros.extensions.page.state import Board, PageState, changes, plain
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.escapes import printable_data
+from rotcal_ros.foundation.language import codes, language, phrase
 
 STATIC: Final = Path(__file__).with_name("static")
 LOOK_PERIOD_S: Final = 0.2
@@ -79,10 +80,15 @@ def make_app(board: Board, actions: Actions, host: str, password: Secret | None 
     async def events(_request: Request) -> Response:
         return EventSourceResponse(_events(board, guard.token), ping=15, send_timeout=30, sep="\n")
 
+    async def words(_request: Request) -> Response:
+        return JSONResponse({code: language(code).texts for code in codes()[1:]})
+
     async def resume(request: Request) -> Response:
         asked = await _asked(request, "instruction")
         if asked is None:
-            return _response(Answer(False, "expected the instruction that was carried out"), 400)
+            return _response(
+                Answer(False, phrase("expected the instruction that was carried out")), 400
+            )
         return await _answered(actions.resume(*asked))
 
     async def stop(_request: Request) -> Response:
@@ -91,7 +97,7 @@ def make_app(board: Board, actions: Actions, host: str, password: Secret | None 
     async def apply(request: Request) -> Response:
         asked = await _asked(request, "confirmation", "secret")
         if asked is None:
-            return _response(Answer(False, "expected a confirmation and a secret"), 400)
+            return _response(Answer(False, phrase("expected a confirmation and a secret")), 400)
         return await _answered(actions.apply(*asked))
 
     guard = Guard(
@@ -99,6 +105,7 @@ def make_app(board: Board, actions: Actions, host: str, password: Secret | None 
             routes=[
                 Route("/", index),
                 Route("/events", events),
+                Route("/words", words),
                 Route("/resume", resume, methods=["POST"]),
                 Route("/stop", stop, methods=["POST"]),
                 Route("/apply", apply, methods=["POST"]),
@@ -152,13 +159,13 @@ async def _answered(future: Future[Answer]) -> Response:
         waiting = asyncio.shield(asyncio.wrap_future(future))
         answer = await asyncio.wait_for(waiting, ANSWER_TIMEOUT_S)
     except asyncio.TimeoutError:
-        waited = f"the cell has not answered for {ANSWER_TIMEOUT_S:g} s"
+        waited = phrase("the cell has not answered for {0} s", f"{ANSWER_TIMEOUT_S:g}")
         return _response(Answer(False, waited), 504)
     return _response(answer, 200 if answer.success else 409)
 
 
 def _response(answer: Answer, status: int) -> Response:
-    return JSONResponse({"success": answer.success, "message": answer.message}, status)
+    return JSONResponse({"success": answer.success, "message": plain(answer.message)}, status)
 
 
 TOKEN_HEADER: Final = "x-rotcal-token"

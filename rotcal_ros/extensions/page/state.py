@@ -12,9 +12,11 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from math import isfinite
 from typing import Any, Final, Literal
 
+from rotcal_ros.foundation.language import Phrase, noted, phrase
 from rotcal_ros.foundation.node_state import RELEASED, STOPS, UNHEARD, NodeState, State, Why
 
 Points = tuple[tuple[float, float], ...]
+Point = tuple[float, float, float]
 Kind = Literal[
     "waiting", "ready", "measuring", "person", "confirm", "emergency", "stopping", "done",
     "stopped", "failed",
@@ -39,15 +41,17 @@ class Cell:
 class Now:
     """What happens now, large; ``resume`` and ``stop`` are what a person may do.
 
-    ``instruction`` is the work whose end ``resume`` reports.
+    ``instruction`` is the work whose end ``resume`` reports, ``command`` the command line that
+    goes on with a session that has no result.
     """
 
     kind: Kind = "waiting"
-    headline: str = "Waiting for the planner"
+    headline: str = phrase("Waiting for the planner")
     detail: str = ""
     resume: bool = False
     stop: bool = False
     instruction: str = ""
+    command: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +139,24 @@ class Pointing:
     target: tuple[float, float]
     stand: tuple[float, float] | None
     visited_deg: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What a person brings where: ``what`` to place ``number`` of ``count``, both from 1.
+
+    ``station`` is its number in the data. ``at`` is where it shall stand, m, x y z: on the table
+    at angle 0 if it ``rides`` there, else in the machine frame; None where the plan does not say.
+    ``again``: it was done before, and not well.
+    """
+
+    what: str
+    number: int
+    count: int
+    station: int
+    at: Point | None = None
+    rides: bool = False
+    again: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,7 +261,8 @@ class ShownOffer:
 class PageState:
     """All that the page shows; ``ended`` says that the cell has been switched off in order.
 
-    ``length_course`` holds the lengths of the last minute, mm.
+    ``task`` is what a pause is for, ``table_deg`` where the table stands. ``length_course`` holds
+    the lengths of the last minute, mm.
     """
 
     cell: Cell = Cell()
@@ -249,6 +272,8 @@ class PageState:
     standing: ShownUncertainty = ShownUncertainty()
     view: PlanView | None = None
     pointing: Pointing | None = None
+    task: Task | None = None
+    table_deg: float | None = None
     lengths: LiveReading | None = None
     length_course: Points = ()
     temperatures: tuple[Temperature, ...] = ()
@@ -267,18 +292,20 @@ NAMES: Final = tuple(field.name for field in fields(PageState))
 def changes(seen: PageState | None, state: PageState) -> Mapping[str, Any]:
     """Return what has to be sent to a viewer who has ``seen`` a state; all of it for None."""
     return {
-        name: _plain(getattr(state, name))
+        name: plain(getattr(state, name))
         for name in NAMES
         if seen is None or getattr(seen, name) != getattr(state, name)
     }
 
 
-def _plain(value: Any) -> Any:
-    """Return what JSON can hold; NaN and infinity become None."""
+def plain(value: Any) -> Any:
+    """Return what JSON can hold: of a phrase its parts; NaN and infinity become None."""
+    if isinstance(value, Phrase):
+        return [value.template, *map(plain, value.parts)]
     if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     return None if isinstance(value, float) and not isfinite(value) else value
 
 
@@ -326,12 +353,31 @@ class Course:
 _HEADLINES: Final = {
     **dict.fromkeys(
         (Why.PREFLIGHT, Why.PREFLIGHT_NODES, Why.PREFLIGHT_CLOCKS, Why.PREFLIGHT_TOPICS),
-        "Checking the cell",
+        phrase("Checking the cell"),
     ),
-    Why.OPENING_BAG: "Starting the recording",
-    Why.SOLVING: "Computing the deviations",
-    Why.CLOSING_BAG: "Closing the recording",
+    Why.OPENING_BAG: phrase("Starting the recording"),
+    Why.SOLVING: phrase("Computing the deviations"),
+    Why.CLOSING_BAG: phrase("Closing the recording"),
 }
+
+
+PRESS: Final = phrase("Press Continue when it is done.")
+_STOPS: Final = {
+    Why.STOPPED: (
+        noted("Emergency stop: {0}."),
+        noted("Nothing is ordered, and the present step does not count. The recording goes on and "
+             "the bag is safe. Release the stop, then press Continue."),
+    ),
+    Why.RELEASED: (
+        noted("Emergency stop: released, it was: {0}."),
+        noted("Nothing moves before you press Continue: make sure that the cell may move."),
+    ),
+    Why.RELEASED_AND_WORK: (
+        noted("Emergency stop: released, it was: {0}."),
+        noted("Nothing moves before you press Continue: make sure that the cell may move ({1})."),
+    ),
+}  # fmt: skip
+"""Headline and detail of a stop, to be filled with the arguments of its reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -340,8 +386,8 @@ class HeardPlanner:
 
     ``planner`` is its state, UNKNOWN if it is not there; ``silent``: it was there and fell silent.
     ``calibrating``: a goal runs; ``doing`` and ``activity`` say what it does, as a code and in
-    words, ``instruction`` what it waits for. ``ended``: the last goal has ended, with a verdict or
-    an error.
+    words, ``instruction`` what it waits for, ``task`` the same as data. ``ended``: the last goal
+    has ended, with a verdict or an error, and may go on with ``command``.
     """
 
     planner: NodeState = UNHEARD
@@ -350,62 +396,86 @@ class HeardPlanner:
     doing: Why = Why.UNKNOWN
     activity: str = ""
     instruction: str = ""
+    task: Task | None = None
     stopping: bool = False
     ended: bool = False
     canceled: bool = False
     verdict: str = ""
     error: str = ""
+    command: str = ""
 
 
 def now(heard: HeardPlanner, offer: ShownOffer | None = None) -> Now:
     """Return the large line; ``offer`` is a table that waits for a person."""
     if heard.silent:
-        return Now("failed", "The planner fell silent", _sentence(heard.error or "nothing moves"))
+        detail = _sentence(heard.error) or phrase("Nothing moves.")
+        return Now("failed", phrase("The planner fell silent"), detail)
     here = heard.planner.state is not State.UNKNOWN
     if here and heard.calibrating:
         return _calibrating(heard)
     if offer is not None and not (offer.why_not or offer.applied):
-        return Now("confirm", "A table waits for your confirmation",
-                   "See below what it changes.")  # fmt: skip
+        return Now("confirm", phrase("A table waits for your confirmation"),
+                   phrase("See below what it changes."))  # fmt: skip
     return _after_the_end(heard) or (_ready(heard.planner) if here else Now())
 
 
 def _ready(planner: NodeState) -> Now:
-    words = f"the planner is {planner.in_words()}: no calibration runs"
-    return Now("ready", "Ready", _sentence(words))
+    words = phrase("The planner is {0}: no calibration runs.", planner.in_words())
+    return Now("ready", phrase("Ready"), words)
 
 
 def _calibrating(heard: HeardPlanner) -> Now:
     if heard.stopping:
-        return Now("stopping", "Stopping", "The bag is being closed.")
+        return Now("stopping", phrase("Stopping"), phrase("The bag is being closed."))
     if heard.instruction:
-        what, _, more = heard.instruction.partition("; ")
-        if heard.doing in STOPS:
-            released = heard.doing in RELEASED
-            return Now("emergency", _sentence(what), _sentence(more), resume=released, stop=True,
-                       instruction=heard.instruction)  # fmt: skip
-        detail = f"{_sentence(more)} Press Continue when it is done."
-        return Now("person", _sentence(what), detail.strip(), resume=True, stop=True,
+        headline, detail = _asked(heard)
+        stopped = heard.doing in STOPS
+        return Now("emergency" if stopped else "person", headline, detail,
+                   resume=not stopped or heard.doing in RELEASED, stop=True,
                    instruction=heard.instruction)  # fmt: skip
     if heard.doing in _HEADLINES:
         return Now("measuring", _HEADLINES[heard.doing], stop=True)
-    headline = "Measuring" if heard.activity else "Starting"
+    headline = phrase("Measuring") if heard.activity else phrase("Starting")
     return Now("measuring", headline, _sentence(heard.activity), stop=True)
+
+
+def _asked(heard: HeardPlanner) -> tuple[str, str]:
+    """Return what a person has to do: its headline, and more about it."""
+    task = heard.task
+    if task is not None and heard.doing is Why.WORK:
+        place = (phrase(task.what), task.number, task.count)
+        if task.again:
+            return phrase("Not right yet: {0} at place {1} of {2}", *place), heard.instruction
+        put = phrase("Fix the {0} at place {1} of {2} on the table", *place)
+        return (
+            put if task.rides else phrase("Put the {0} at place {1} of {2}", *place),
+            PRESS,
+        )
+    for reason in heard.planner.reasons:
+        if reason.code in _STOPS and reason.code is heard.doing:
+            headline, detail = _STOPS[reason.code]
+            return phrase(headline, *reason.arguments), phrase(detail, *reason.arguments)
+    what, _, more = heard.instruction.partition("; ")
+    if heard.doing in STOPS:
+        return _sentence(what), _sentence(more)
+    return _sentence(what), phrase("{0} {1}", _sentence(more), PRESS) if more else PRESS
 
 
 def _after_the_end(heard: HeardPlanner) -> Now | None:
     if not heard.ended:
         return None
     if heard.canceled:
-        return Now("stopped", "Stopped", _sentence(heard.error))
+        return Now("stopped", phrase("Stopped"), _sentence(heard.error), command=heard.command)
     if heard.error:
-        return Now("failed", "The calibration ended without a result", _sentence(heard.error))
-    return Now("done", f"Finished, measurement {heard.verdict}",
-               "The result and its bag are on disk.")  # fmt: skip
+        headline = phrase("The calibration ended without a result")
+        return Now("failed", headline, _sentence(heard.error), command=heard.command)
+    return Now("done", phrase("Finished, measurement {0}", phrase(heard.verdict)),
+               phrase("The result and its bag are on disk."))  # fmt: skip
 
 
 def _sentence(words: str) -> str:
-    words = words.strip()
-    if not words:
-        return ""
+    """Return words as a sentence; a phrase is one already where it is shown as one."""
+    words = words if isinstance(words, Phrase) else words.strip()
+    if isinstance(words, Phrase) or not words:
+        return words
     return words[0].upper() + words[1:] + ("" if words[-1] in ".!?" else ".")

@@ -272,8 +272,8 @@ def _instruction(
     first, last = angles[stand.visit[0]] / DEGREE, angles[stand.visit[-1]] / DEGREE
     nests = f"nests 1 to {n_nests} and " if n_nests else ""
     return (
-        f"put the tracker at station {stand.number} (of 0 to {len(stands) - 1}), near x {x:.2f}, "
-        f"y {y:.2f}, z {z:.2f} m, {np.hypot(x, y):.2f} m from the table axis at "
-        f"{stand.azimuth / DEGREE % 360.0:.0f} deg; it will measure {nests}table positions "
-        f"{first:g} to {last:g} deg"
+        f"put the tracker at place {stand.number + 1} of {len(stands)} (number {stand.number} in "
+        f"the data), near x {x:.2f}, y {y:.2f}, z {z:.2f} m, {np.hypot(x, y):.2f} m from the "
+        f"table axis at {stand.azimuth / DEGREE % 360.0:.0f} deg; it will measure {nests}table "
+        f"positions {first:g} to {last:g} deg"
     )

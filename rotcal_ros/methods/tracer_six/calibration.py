@@ -185,8 +185,8 @@ def check(
     if away <= allowed:
         return ()
     return (
-        f"place {number}: the tracer stands {away / MILLIMETRE:.1f} mm from its place, allowed "
-        f"{allowed / MILLIMETRE:g}: its centre is {described(_point(found))}, planned "
+        f"place {number + 1}: the tracer stands {away / MILLIMETRE:.1f} mm from its place, "
+        f"allowed {allowed / MILLIMETRE:g}: its centre is {described(_point(found))}, planned "
         f"{described(_point(planned))}",
     )
 

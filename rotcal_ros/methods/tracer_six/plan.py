@@ -153,8 +153,8 @@ def _located(steps: Sequence[Step], order: str) -> int:
 
 def _instruction(number: int, places: tuple[Point, ...], n_targets: int, n_angles: int) -> str:
     return (
-        f"fix the tracer at place {number} (of 0 to {len(places) - 1}) on the table, "
-        f"{described(places[number])}; it will measure {n_targets} targets at "
+        f"fix the tracer at place {number + 1} of {len(places)} (number {number} in the data) on "
+        f"the table, {described(places[number])}; it will measure {n_targets} targets at "
         f"{n_angles} table angles, and must not move on the table meanwhile"
     )
 

@@ -16,6 +16,7 @@ from rotcal_ros.foundation import machine_load
 from rotcal_ros.foundation.machine_load import AwakeClock, Patience
 from rotcal_ros.foundation.node_names import PREFLIGHT_NODES
 from rotcal_ros.foundation.node_state import Reason, State, Why
+from rotcal_ros.foundation.session_folder import SessionFolder, resume_command
 from rotcal_ros.nodes.planner.cell_links import CellLinks, Pauses
 from rotcal_ros.nodes.planner.progress import GoalProgress
 from rotcal_ros.nodes.runtime.beat_values import HOPELESS, SILENT, SLOW, show
@@ -175,14 +176,14 @@ class GoalWatch:
         self.progress.doing = doing
         self.show(self.progress)
 
-    def how_to_go_on(self, code: int) -> str:
+    def how_to_go_on(self, code: int, folder: SessionFolder | None) -> str:
         """Return how to continue after an error that ends the goal half-way."""
         if code not in (
             Codes.NODE_LOST, Codes.RECORDER_FAILED, Codes.CANCELED, Codes.TOPIC_MISSING,
         ):  # fmt: skip
             return ""
         if self.settings.policy != AS_LISTED:
-            return "; continue with rotcal run --resume"
+            return f"; continue with: {resume_command(folder.path)}" if folder else ""
         again = "restart what is lost, then " if code == Codes.NODE_LOST else ""
         step = max(0, min(self.progress.step, self.progress.total - 1))
         return f"; {again}continue with start_index {step}"

@@ -126,3 +126,18 @@ def test_everything_that_is_missing_is_listed_by_its_setting():
 def test_no_certificate_of_a_result_that_the_data_contradict(verdict):
     with pytest.raises(DataError, match=verdict):
         document(replace(certified(), verdict=verdict))
+
+
+def test_what_is_ours_is_said_in_german_too_and_what_is_the_users_is_not():
+    root = ElementTree.fromstring(
+        certificate(certified(), "Laser tracer, multi-station", date(2026, 3, 4))
+    )
+    said = {"en": set(), "de": set()}
+    for content in root.iter("{https://ptb.de/dcc}content"):
+        said[content.get("lang")].add(content.text)
+    assert {"serial number", "Traceability", "Commanded angle"} <= said["en"]
+    assert {"Seriennummer", "Rückführung", "Sollwinkel"} <= said["de"]
+    assert IDENTITY["place"] in said["en"] - said["de"]
+    used = [e.text for e in root.iter("{https://ptb.de/dcc}usedLangCodeISO639_1")]
+    mandatory = [e.text for e in root.iter("{https://ptb.de/dcc}mandatoryLangCodeISO639_1")]
+    assert (used, mandatory) == (["en", "de"], ["en"])

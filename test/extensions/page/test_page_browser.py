@@ -75,7 +75,7 @@ def test_a_whole_calibration_with_its_pauses(six, opened):
     client = six.client()
     button = page.get_by_role("button", name="Continue")
     for place in range(3):
-        expect(page.locator("#headline")).to_contain_text(f"Fix the tracer at place {place}")
+        expect(page.locator("#headline")).to_contain_text(f"Fix the tracer at place {place + 1}")
         expect(page.locator("#now")).to_have_attribute("data-kind", "person")
         assert page.title().startswith("▶")
         if place == 1:

@@ -74,3 +74,40 @@ def test_before_the_end_no_verdict_counts():
 def test_an_uncertainty_that_is_not_known_is_not_shown_as_zero():
     assert shown(solution(ecc_std=[0.0, math.nan])).curves[0].expanded == (0.0, None)
     assert shown(solution(ecc_std=[0.0, math.inf])).curves[0].expanded == (0.0, None)
+
+
+def test_a_pause_is_a_task_that_counts_from_one():
+    from pathlib import Path
+
+    from rotcal_msgs.msg import Pause
+
+    from rotcal_ros.extensions.page.node import sections as page_sections
+    from rotcal_ros.methods.calibration import prepare
+    from rotcal_ros.methods.configuration import read_configuration
+
+    config = Path(__file__).parents[3] / "config" / "tracer_six_demo.yaml"
+    calibration = prepare(read_configuration(config))
+    planned = calibration.plan.pauses[1]
+    pause = Pause(waiting=True, kind=Pause.KIND_MOVE, what="tracer", station=1, step=planned.first,
+                  position=planned.move.position, instruction=planned.instruction)  # fmt: skip
+    pause.header.frame_id = "table"
+    task = page_sections.task(calibration, pause)
+    assert (task.what, task.number, task.count, task.station) == ("tracer", 2, 3, 1)
+    assert task.at == pytest.approx(planned.move.position)
+    assert (task.rides, task.again) == (True, False)
+    pause.instruction = f"not right yet: it moved; correct it ({planned.instruction})"
+    assert page_sections.task(calibration, pause).again
+    pause.waiting = False
+    assert page_sections.task(calibration, pause) is None
+
+
+def test_the_command_names_the_session_of_a_bag_that_is_here(tmp_path):
+    from rotcal_ros.extensions.page.node import sections as page_sections
+
+    (tmp_path / "table" / "bag").mkdir(parents=True)
+    assert page_sections.command(str(tmp_path / "table" / "bag")) == ""
+    (tmp_path / "table" / "configuration.yaml").write_text("method: tracer_multistation\n")
+    assert page_sections.command(str(tmp_path / "table" / "bag")).endswith(
+        f"--resume {tmp_path / 'table'}"
+    )
+    assert page_sections.command("") == ""

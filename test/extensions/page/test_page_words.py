@@ -3,85 +3,54 @@
 import re
 
 import pytest
-from browser import launched
 
-from rotcal_ros.extensions.page.app import Answer, PageServer
-from rotcal_ros.extensions.page.settings import PageSettings
+from rotcal_ros.evaluation.marks import measurement
 from rotcal_ros.extensions.page.state import (
-    Board,
     Curve,
     Deviations,
-    Now,
+    HeardPlanner,
     PageMark,
     PlanView,
     Pointing,
     RejectedAttempt,
     ShownUncertainty,
     StepProgress,
+    now,
 )
+from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.node_state import NodeState, State, Why
+from rotcal_ros.foundation.observations import place_in_words
 
-playwright = pytest.importorskip("playwright.sync_api")
+pytest.importorskip("playwright.sync_api")
 
 pytestmark = pytest.mark.slow
 
+HERE = NodeState(State.CALIBRATING)
+PLACE = place_in_words(5, 34)
 # What a policy tells in its 67th step of 105 expected ones; the plan holds 2344 pairs.
 MEASURING = {
-    "now": Now("measuring", "Measuring", "Table position 5, target 34.", stop=True),
+    "now": now(HeardPlanner(HERE, calibrating=True, doing=Why.MEASURING, activity=PLACE)),
     "steps": StepProgress(step=66, total=105, accepted=64, rejected=6, left=39, end_s=None),
     "view": PlanView((0.0, 30.0, 60.0), ((0.5, 0.0), (0.0, 0.5)), ((0.1, 0.1),)),
-    "pointing": Pointing(
-        "table position 5, target 34", 150.0, (0.5, 0.0), (0.1, 0.1), (0.0, 30.0)
-    ),
-    "rejections": (
-        RejectedAttempt(1.7e9, "table position 2, target 21 (attempt 2)", "beam broken"),
-    ),
+    "pointing": Pointing(PLACE, 150.0, (0.5, 0.0), (0.1, 0.1), (0.0, 30.0)),
+    "rejections": (RejectedAttempt(1.7e9, place_in_words(2, 21, 1), "beam broken"),),
     "standing": ShownUncertainty(
         largest_arcsec=0.96, rms_arcsec=0.6, goal_arcsec=0.79, course=((10.0, 1.5), (64.0, 0.96))
     ),
 }
 CURVE = Curve("ECC", "arcsec", (0.0, -3.0), (0.0, 0.96))
 MARKS = (
-    PageMark("measurement", "partly", "measurement: ok"),
-    PageMark("tolerance", "beyond", "tolerance: beyond ±2 arcsec (ECC)"),
+    PageMark("measurement", "partly", measurement("ok", phrase("ok"), covered=False).line),
+    PageMark(
+        "tolerance",
+        "beyond",
+        phrase("{0}: {1} {2}", phrase("tolerance"), phrase("beyond"), "±2 arcsec (ECC)"),
+    ),
 )
 DONE = MEASURING | {
-    "now": Now("done", "Finished, measurement ok", "The result and its bag are on disk."),
+    "now": now(HeardPlanner(HERE, ended=True, verdict="ok")),
     "deviations": Deviations((0.0, 180.0), (CURVE,), 104, True, MARKS, ()),
 }
-
-
-class Nobody:
-    """Asks for nothing and gets nothing."""
-
-    def __getattr__(self, _name):
-        return lambda *_arguments: Answer(False, "nobody")
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    with playwright.sync_playwright() as running:
-        browser = launched(running)
-        yield browser
-        browser.close()
-
-
-@pytest.fixture
-def shown(chromium):
-    """Return what opens a page that shows sections."""
-    board = Board()
-    server = PageServer(PageSettings(), board, Nobody())
-    page = chromium.new_page(viewport={"width": 1280, "height": 1500})
-
-    def open_page(sections, scheme="light"):
-        board.show(**sections)
-        page.emulate_media(color_scheme=scheme)
-        page.goto(server.address)
-        playwright.expect(page.locator("#headline")).to_have_text(sections["now"].headline)
-        return page
-
-    yield open_page
-    page.close()
-    server.close()
 
 
 def test_there_is_one_count_of_steps_and_places_have_no_numbers_that_look_like_one(shown):

@@ -26,7 +26,7 @@ from rcl_interfaces.msg import Log
 from rclpy.logging import LoggingSeverity
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_action_status_default
 from rotcal_msgs.action import Calibrate
-from rotcal_msgs.msg import CalibrationPlan, DeviationArray
+from rotcal_msgs.msg import CalibrationPlan, DeviationArray, Pause
 from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
 from rotcal_msgs.msg import Observation as ObservationMsg
 from rotcal_msgs.srv import ApplyTable, GetCorrection
@@ -57,6 +57,7 @@ from rotcal_ros.extensions.page.state import (
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.errors import RotcalError
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.node_state import LOADING, NodeState, Reason, State, Why
 from rotcal_ros.foundation.observations import Approach, Command, LengthStatus, place_in_words
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
@@ -159,6 +160,7 @@ class OperatorPage(CellNode):
             now=now(self._heard(), offer),
             steps=goal.steps(),
             standing=self._standing(),
+            table_deg=self._streams.table_deg(),
             lengths=self._streams.lengths(),
             length_course=self._streams.length_course(),
             temperatures=self._streams.temperatures(),
@@ -178,14 +180,25 @@ class OperatorPage(CellNode):
             silent=PLANNER in health.lost,
             calibrating=goal.running or (outcome is None and health.is_calibrating()),
             doing=feedback.doing if feedback else Why.UNKNOWN,
-            activity=feedback.activity if feedback else "",
+            activity=self._activity(feedback) if feedback else "",
             instruction=feedback.instruction if feedback else "",
+            task=self.board.state.task,
             stopping=goal.stopping,
             ended=outcome is not None,
             canceled=outcome is not None and outcome.canceled,
             verdict=outcome.verdict if outcome else "",
             error=outcome.error_msg if outcome else "",
+            command=page_sections.command(outcome.bag_folder) if outcome else "",
         )
+
+    def _activity(self, feedback: Feedback) -> str:
+        """Return what a goal does: from what its planner and its orders say, as data."""
+        pointing = self.board.state.pointing
+        if feedback.doing is Why.MEASURING and pointing is not None:
+            return pointing.place
+        reasons = self.health.node_state(PLANNER).reasons
+        words = (reason.in_words() for reason in reasons if reason.code == feedback.doing)
+        return next(words, feedback.activity)
 
     def _standing(self) -> ShownUncertainty:
         """Return U of the curve, and if there is a goal the policy's figure beside it."""
@@ -264,11 +277,11 @@ class FollowedGoal:
         """Tell the planner that the work of this instruction is done, once."""
         asked = self.feedback
         if asked is None or not asked.instruction:
-            return Answer(False, "nothing waits for resume")
+            return Answer(False, phrase("nothing waits for resume"))
         if instruction != asked.instruction:
-            return Answer(False, "the instruction has changed: read the new one first")
+            return Answer(False, phrase("the instruction has changed: read the new one first"))
         if not self._resume.service_is_ready():
-            return Answer(False, "the planner does not answer")
+            return Answer(False, phrase("the planner does not answer"))
         # Until the planner's next feedback, a second click finds that nothing is asked for.
         going_on = Reason(Why.GOING_ON)
         self.feedback = continuing = replace(
@@ -277,17 +290,18 @@ class FollowedGoal:
         answer = await self._resume.call_async(Trigger.Request())
         if not answer.success and self.feedback is continuing:
             self.feedback = asked
-        return Answer(answer.success, answer.message or "the calibration goes on")
+        return Answer(answer.success, answer.message or phrase("the calibration goes on"))
 
     async def stop(self) -> Answer:
         """Cancel the goal that is followed, and no other."""
         if self._id is None or not self.running:
-            return Answer(False, "no calibration runs")
+            return Answer(False, phrase("no calibration runs"))
         request = CancelGoal.Request()
         request.goal_info.goal_id = self._id
         answer = await self._cancel.call_async(request)
         self.stopping = answer.return_code == CancelGoal.Response.ERROR_NONE
-        return Answer(self.stopping, "stopping" if self.stopping else "it has ended already")
+        words = phrase("stopping") if self.stopping else phrase("it has ended already")
+        return Answer(self.stopping, words)
 
     def _look(self, message: GoalStatusArray) -> None:
         goals = sorted(message.status_list, key=lambda s: _time(s.goal_info.stamp))
@@ -336,6 +350,7 @@ class PageTopics:
     def __init__(self, node: CellNode, board: Board) -> None:
         self._node, self._board = node, board
         self._calibration: Calibration | None = None
+        self._pause = Pause()
         self._rejections: deque[RejectedAttempt] = deque(maxlen=REJECTIONS)
         self._log: deque[LogLine] = deque(maxlen=LOG_LINES)
         self._visited: dict[float, None] = {}
@@ -345,6 +360,7 @@ class PageTopics:
         node.listen(DeviationArray, "deviations", self._take_deviations, LATCHED)
         # There are few, and a person has to see all of them, however busy the machine is.
         node.listen(ObservationMsg, names.OBSERVATION, self._take_observation, EVENT)
+        node.listen(Pause, names.PAUSE, self._take_pause, LATCHED)
         node.listen(Log, "/rosout", self._take_log, ROSOUT)
         node.take_orders(self._point)
 
@@ -371,6 +387,7 @@ class PageTopics:
             cell=page_sections.cell(self._calibration, self._node.get_namespace()),
             view=page_sections.plan_view(self._calibration),
         )
+        self._show_task()
 
     def _take_deviations(self, message: DeviationArray) -> None:
         if self._calibration and message.plan_id == self._calibration.configuration.plan_id:
@@ -388,6 +405,16 @@ class PageTopics:
             row = RejectedAttempt(time.time(), place, message.reason)
             self._rejections.appendleft(row)
             self._board.show(rejections=tuple(self._rejections))
+
+    def _take_pause(self, message: Pause) -> None:
+        self._pause = message
+        self._show_task()
+
+    def _show_task(self) -> None:
+        """Show what the latest pause is for, once its plan has come too."""
+        known, pause = self._calibration, self._pause
+        ours = known is not None and known.configuration.plan_id == pause.plan_id
+        self._board.show(task=page_sections.task(known, pause) if known and ours else None)
 
     def _take_log(self, message: Log) -> None:
         if message.level >= LoggingSeverity.WARN:
@@ -421,9 +448,9 @@ LENGTH_POINTS: Final = 400
 TEMPERATURE_PERIOD_S: Final = 5.0
 VALID: Final = "valid."
 WORDS: Final = {
-    LengthStatus.BEAM_BROKEN.name: "beam broken",
-    LengthStatus.UNSTABLE.name: "unstable",
-    LengthStatus.UNKNOWN.name: "state unknown",
+    LengthStatus.BEAM_BROKEN.name: phrase("beam broken"),
+    LengthStatus.UNSTABLE.name: phrase("unstable"),
+    LengthStatus.UNKNOWN.name: phrase("state unknown"),
 }
 HOUR_S: Final = 3600.0
 
@@ -472,11 +499,16 @@ class CapturedValues:
         if words := self._reading(names.TRACER_LENGTH):
             length = float(words[0]) * 1e3
             shown = f"{length:.4f} mm" if math.isfinite(length) else "–"
-            return LiveReading("Length", shown, WORDS.get(words[1], ""))
+            return LiveReading(phrase("Length"), shown, WORDS.get(words[1], ""))
         if words := self._reading(names.PROBE_POINT):
             at = "  ".join(f"{float(x) * 1e3:.3f}" for x in words)
-            return LiveReading("Probe x y z", f"{at} mm", "")
+            return LiveReading(phrase("Probe x y z"), f"{at} mm", "")
         return None
+
+    def table_deg(self) -> float | None:
+        """Return where the table stands, to 0.1 deg; None before its first reading."""
+        words = self._reading(names.JOINT_STATES)
+        return round(float(words[0]) / DEGREE, 1) % 360.0 if words else None
 
     def length_course(self) -> Points:
         """Return the lengths of the last minute, in whole seconds between two changes."""
@@ -524,7 +556,7 @@ BRIDGE: Final = "bridge"
 MOST_ANGLES: Final = 120
 SILENCE_S: Final = 10.0
 """After this long without an answer the bridge is asked for the drawing again."""
-UNDRAWN: Final = "it is not drawn yet"
+UNDRAWN: Final = phrase("it is not drawn yet")
 
 
 class WaitingTable:
@@ -554,7 +586,8 @@ class WaitingTable:
         confirmation, why_not = values.get("confirmation", ""), ""
         if OFFERED not in values:
             withheld = values.get(WITHHELD)
-            why_not = f"not offered: {withheld}" if withheld else "the bridge does not offer it"
+            refused = phrase("the bridge does not offer it")
+            why_not = phrase("not offered: {0}", withheld) if withheld else refused
         if not confirmation:
             why_not = health.in_words(BRIDGE)
         elif never := values.get(NEVER):
@@ -565,7 +598,7 @@ class WaitingTable:
         return ShownOffer(
             confirmation=confirmation,
             table_hash=values["table_hash"],
-            verdict=values.get("verdict", ""),
+            verdict=phrase(values.get("verdict", "")),
             in_force=values.get("in_force", ""),
             residual=values.get("residual", ""),
             bridge=health.in_words(BRIDGE),
@@ -580,7 +613,7 @@ class WaitingTable:
     async def apply(self, confirmation: str, secret: str) -> Answer:
         """Have the bridge feed the table with this hash to the controller."""
         if not self._apply.service_is_ready():
-            return Answer(False, "the bridge does not offer to apply a table")
+            return Answer(False, phrase("the bridge does not offer to apply a table"))
         request = ApplyTable.Request(confirmation=confirmation, secret=secret)
         answer = await self._apply.call_async(request)
         if answer.success:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from rotcal_msgs.msg import DeviationArray
+from rotcal_msgs.msg import DeviationArray, Pause
 
 from rotcal_ros.evaluation.marks import measurement, tolerance, withheld_by
 from rotcal_ros.extensions.page.state import (
@@ -20,13 +20,16 @@ from rotcal_ros.extensions.page.state import (
     PlanView,
     RecorderState,
     ShownNode,
+    Task,
 )
 from rotcal_ros.foundation.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.identity import Identity
+from rotcal_ros.foundation.language import listed, noted, phrase
+from rotcal_ros.foundation.session_folder import resume_command, unfinished
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods import Calibration
 from rotcal_ros.nodes.runtime.health import Health
-from rotcal_ros.planning.plan import Point
+from rotcal_ros.planning.plan import TABLE_FRAME, Point
 
 SILENT: Final = 3
 MOST_TARGETS: Final = 400
@@ -38,7 +41,7 @@ def cell(calibration: Calibration, namespace: str) -> Cell:
     configuration = calibration.configuration
     return Cell(
         namespace=namespace,
-        method=calibration.method.title,
+        method=phrase(calibration.method.title),
         axis=configuration.cell.axis,
         simulated=configuration.simulated,
         item=configuration.identity.item,
@@ -60,6 +63,25 @@ def plan_view(calibration: Calibration) -> PlanView:
         ),
         targets=tuple(targets)[::every],
         stands=tuple(stands),
+    )
+
+
+def task(calibration: Calibration, pause: Pause) -> Task | None:
+    """Return what a pause asks a person to move; None if it moves nothing, or is over."""
+    if not pause.waiting or pause.kind != Pause.KIND_MOVE:
+        return None
+    plan = calibration.plan
+    moves = [p.move for p in plan.pauses if p.move is not None and p.move.what == pause.what]
+    stations = sorted({move.station for move in moves} | {pause.station})
+    x, y, z = map(float, pause.position)
+    return Task(
+        what=pause.what,
+        number=1 + stations.index(pause.station),
+        count=len(stations),
+        station=pause.station,
+        at=None if math.isnan(x) else (x, y, z),
+        rides=pause.header.frame_id == TABLE_FRAME,
+        again=all(planned.instruction != pause.instruction for planned in plan.pauses),
     )
 
 
@@ -99,7 +121,9 @@ def _marks(message: DeviationArray, identity: Identity, why: str | None) -> tupl
     )
     line = message.verdict_line or message.verdict
     covered = bool(message.verdict_line) and "," not in line  # what is not covered follows
-    about = measurement(message.verdict, line, covered=covered)
+    verdict, _, rest = line.partition(", ")
+    words = phrase("{0}, {1}", phrase(verdict), rest) if rest else phrase(verdict)
+    about = measurement(message.verdict, words, covered=covered)
     against = tolerance(values, std, identity, why)
     return tuple(PageMark(m.name, m.kind, m.line) for m in (about, against) if m is not None)
 
@@ -113,9 +137,9 @@ def nodes(health: Health) -> tuple[ShownNode, ...]:
     found = []
     for name, beat in sorted(health.others.items()):
         level = SILENT if name in health.lost else beat.level
-        words = "silent" if level == SILENT else _words(health, name)
+        words = phrase("silent") if level == SILENT else _words(health, name)
         if (seconds := health.slow.get(name)) is not None:
-            words = f"slow: no sign of life for {seconds:.0f} s; {words}"
+            words = phrase("slow: no sign of life for {0} s; {1}", f"{seconds:.0f}", words)
             level = max(level, 1)
         found.append(ShownNode(name, words, level))
     return tuple(found)
@@ -124,9 +148,9 @@ def nodes(health: Health) -> tuple[ShownNode, ...]:
 def _words(health: Health, name: str) -> str:
     """Return the state of a node with what troubles it."""
     values = health.values(name)
-    forms = {"lost_nodes": "without {}", "unfinished": "{}"}
-    trouble = [form.format(values[key]) for key, form in forms.items() if key in values]
-    return "; ".join([health.in_words(name), *trouble])
+    forms = {"lost_nodes": noted("without {0}"), "unfinished": "{0}"}
+    trouble = [phrase(form, values[key]) for key, form in forms.items() if key in values]
+    return listed([health.in_words(name), *trouble])
 
 
 def recording(values: Mapping[str, str]) -> RecorderState | None:
@@ -141,6 +165,15 @@ def recording(values: Mapping[str, str]) -> RecorderState | None:
         losses=tuple(f"{name}: {n}" for name, n in losses.items()),
         free_gb=_free_gb(Path(values["file"]).parent),
     )
+
+
+def command(bag_folder: str) -> str:
+    """Return the command line that goes on with a session on this machine; empty: there is none.
+
+    ``bag_folder`` is empty where nothing was recorded.
+    """
+    session = Path(bag_folder).parent
+    return resume_command(session) if bag_folder and unfinished(session) else ""
 
 
 def _free_gb(folder: Path) -> float | None:

@@ -1,5 +1,5 @@
 // What a person asks for: continue, stop, confirm a table.
-import { number, text } from "./words.js";
+import { language, languages, number, remember, say, sentence, t, text } from "./words.js";
 
 let token = "";
 let answering = false; // a Continue has been sent and not been answered
@@ -25,31 +25,42 @@ async function ask(what, values = {}) {
     });
     const words = await response.text();
     const answer = response.headers.get("content-type")?.includes("json") ? JSON.parse(words) : { message: words };
-    text("answer", sentence(answer.message));
+    text("answer", sentence(say(answer.message)));
     setTimeout(() => text("answer", ""), answer.success ? 6000 : 30000);
+    return Boolean(answer.success);
   } catch {
-    text("answer", "The server of this page does not answer: it is not known whether the request arrived.");
+    text("answer", t("The server of this page does not answer: it is not known whether the request arrived."));
+    return false;
   }
 }
-
-const sentence = (words) => (words ? words[0].toUpperCase() + words.slice(1) : "");
 
 async function resume(instruction) { // what is looked at is what is done
   if (answering) return;
   answering = true;
   disable(dead);
-  await ask("resume", { instruction });
+  const done = await ask("resume", { instruction });
   answering = false;
   disable(dead);
+  if (done) by("headline").focus(); // the button is gone
+}
+
+function offerLanguages() {
+  for (const code of languages) {
+    const name = new Intl.DisplayNames([code], { type: "language" }).of(code);
+    by("language").append(new Option(name, code, false, code === language));
+  }
+  by("language").addEventListener("change", () => { remember("language", by("language").value); location.reload(); });
 }
 
 export function prepare(state) {
+  offerLanguages();
   by("resume").addEventListener("click", () => resume(state.now.instruction));
   by("stop").addEventListener("click", () => by("stop_dialog").showModal());
   by("stop_dialog").addEventListener("close", () => {
     if (by("stop_dialog").returnValue === "yes") ask("stop");
     by("stop_dialog").returnValue = "no";
   });
+  by("copy").addEventListener("click", copy);
   let confirmation = "";
   by("review").addEventListener("click", () => {
     confirmation = state.offer.confirmation; // what is looked at is what is confirmed
@@ -68,9 +79,19 @@ export function prepare(state) {
   });
 }
 
+async function copy() {
+  getSelection().selectAllChildren(by("command")); // what a browser refuses to copy is ready for Ctrl-C
+  try {
+    await navigator.clipboard.writeText(by("command").textContent);
+    text("copied", t("Copied"));
+  } catch { // only for pages of this machine, or encrypted ones
+    text("copied", document.execCommand("copy") ? t("Copied") : t("Press Ctrl+C"));
+  }
+}
+
 export function change(offer) {
   if (!offer.angles_deg.length) return "";
   const changes = ["", "_reverse"].flatMap((side) => offer[`after${side}_arcsec`]
     .map((after, i) => Math.abs(after - offer[`before${side}_arcsec`][i])));
-  return `Largest change of the correction: ${number(Math.max(...changes))}″.`;
+  return t("Largest change of the correction: {0}″.", number(Math.max(...changes)));
 }

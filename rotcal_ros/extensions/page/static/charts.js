@@ -1,4 +1,6 @@
 // Charts with uPlot; each place keeps what it shows, so that it can be drawn anew.
+import { number } from "./words.js";
+
 const places = new Map();
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 const rem = () => parseFloat(getComputedStyle(document.documentElement).fontSize);
@@ -57,7 +59,7 @@ function make(place, data, series, bands, unit, zero, x) {
 function plain(value, splits) {
   const step = splits.length > 1 ? Math.abs(splits[1] - splits[0]) : 1;
   const digits = Math.max(0, Math.min(5, Math.ceil(-Math.log10(step) - 1e-9)));
-  return value.toFixed(digits).replace("-", "−");
+  return number(value, digits);
 }
 
 function range(low, high, zero) {

@@ -1,8 +1,9 @@
 // The connection: one stream of events. What it brings is shown, and so is its silence.
 import { show } from "./sections.js";
 import { redraw } from "./charts.js";
-import { clock, text } from "./words.js";
+import { clock, t, text, translatePage } from "./words.js";
 import * as actions from "./actions.js";
+import * as alerts from "./alerts.js";
 
 const SILENCE_MS = 4000; // the page hears something every second
 const RETRY_MS = 2000;
@@ -35,12 +36,13 @@ function take(event) {
   Object.assign(state, sections);
   ended = Boolean(state.ended);
   document.body.className = ended ? "ended" : "live";
-  text("alive", `Live ${clock(time_s, true)}`);
+  text("alive", t("Live {0}", clock(time_s, true)));
   show(sections, state, Boolean(token));
+  alerts.tell(state.now);
   if (ended) {
     source.close();
-    banner(`Switched off at ${clock(time_s)}`, "Below is the last state. Nothing here is live any more.");
-    text("alive", `Ended ${clock(time_s)}`);
+    banner(t("Switched off at {0}", clock(time_s)), t("Below is the last state. Nothing here is live any more."));
+    text("alive", t("Ended {0}", clock(time_s)));
     actions.disable(true);
   } else {
     document.getElementById("lost").hidden = true;
@@ -61,10 +63,10 @@ function banner(large, small) {
 function watch() {
   if (ended || heard === null || Date.now() - heard < SILENCE_MS) return;
   document.body.className = "dead";
-  text("alive", "No contact");
-  document.title = "No contact – rotcal";
-  banner(`Connection lost at ${clock(heard / 1000, true)}`,
-    "What you see below is old. The calibration may still be running; this page keeps trying to reconnect.");
+  text("alive", t("No contact"));
+  document.title = `${t("No contact")} – rotcal`;
+  banner(t("Connection lost at {0}", clock(heard / 1000, true)),
+    t("What you see below is old. The calibration may still be running; this page keeps trying to reconnect."));
   actions.disable(true);
   if (Date.now() - tried < SILENCE_MS) return; // an attempt gets the time to be answered
   if (source.readyState === EventSource.CLOSED || Date.now() - heard > 5 * SILENCE_MS) connect();
@@ -74,5 +76,7 @@ setInterval(watch, 500);
 let resizing = 0;
 addEventListener("resize", () => { clearTimeout(resizing); resizing = setTimeout(redraw, 150); });
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
+translatePage();
 actions.prepare(state);
+alerts.prepare();
 connect();
