@@ -32,7 +32,8 @@ ROSDEP_KEYS = {
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
     "uvicorn": "python3-uvicorn",
-    "threadpoolctl": "mcap-ros2-support",  # there is no key: docs/install.md
+    "python_calamine": "mcap-ros2-support",  # there is no key: docs/install.md
+    "threadpoolctl": "mcap-ros2-support",  # nor here
     "yaml": "python3-yaml",
     "zstandard": "mcap-ros2-support",  # comes with mcap
 }

@@ -167,7 +167,9 @@ class _Asked:
         from rotcal_ros.recordings.result_sources import read_source
 
         changes = tuple(filter(_is_of_configuration, self.settings))
-        return read_source(path, Input(path, self.setup, self.targets, changes, told=understood))
+        return read_source(
+            path, Input(path, self.setup, self.targets, changes, announce=understood)
+        )
 
     def controller_options(self) -> tuple[str, ...]:
         """Return the ``--set`` options of the controller."""

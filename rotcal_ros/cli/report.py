@@ -104,7 +104,7 @@ def command(
 
         write: Callable[..., int] = extension(CERTIFICATES, "dcc", "a certificate")
         return write(
-            Input(source, setup, targets, changes, told=understood), output, sign, certificate
+            Input(source, setup, targets, changes, announce=understood), output, sign, certificate
         )
     if sign or certificate:
         raise click.UsageError("--sign and --certificate belong to --dcc")
@@ -125,7 +125,7 @@ def command(
         raise BagError(f"{output} exists and is not overwritten; name another file with -o")
     _require_empty(tables, source)
     injected = None if truth is None else _truth(truth)
-    given = Input(source, setup, targets, changes, told=understood)
+    given = Input(source, setup, targets, changes, announce=understood)
     begun = source.is_dir() and unfinished(source.parent)
     go_on = resume_command(source.parent) if begun else ""
     with speaking(language):

@@ -88,11 +88,11 @@ def command(
     """
     from rotcal_ros.recordings.inputs import Input
 
-    def told(reading: Reading) -> None:
+    def announce(reading: Reading) -> None:
         tell(*reading.lines()) if explain else understood(reading)
 
     with progress("reading") as shown:
-        data = Input(source, setup, targets, changes, taken_from, namespace, told).read(shown)
+        data = Input(source, setup, targets, changes, taken_from, namespace, announce).read(shown)
     if explain:
         return 0
     if not (balls or coarser or groups):

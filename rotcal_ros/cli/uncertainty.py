@@ -60,7 +60,7 @@ def command(
     from rotcal_ros.foundation.machine_load import cores
     from rotcal_ros.recordings.inputs import Input
 
-    measured = _read(Input(source, setup, targets, changes, told=understood))
+    measured = _read(Input(source, setup, targets, changes, announce=understood))
     with progress("trials") as shown:
         both = propagated(
             measured,

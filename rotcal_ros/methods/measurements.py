@@ -73,13 +73,13 @@ def read_measurements(
     source: Path | Table,
     configuration: Configuration,
     targets: Path | Table | None = None,
-    told: Callable[[Reading], object] = str,
+    announce: Callable[[Reading], object] = str,
 ) -> Measurements:
     """Read a table, of any form, as the method of the configuration understands it.
 
     ``targets`` are target positions, for methods that have targets; without them they are taken
-    from the file ``targets`` beside the table, or from a sheet of its workbook. ``told`` is given
-    how the table was understood. Raises BagError when a file cannot be read or has other columns,
+    from the file ``targets`` beside the table, or from a sheet of its workbook. ``announce`` is
+    given how the table was understood. Raises BagError when a file cannot be read or has other columns,
     ConfigurationError for a set-up without plan, DataError when the content cannot be what it
     should be or can be read in two ways.
     """
@@ -108,7 +108,7 @@ def read_measurements(
             f"{configuration.source} has no group 'plan': it has to say which table angles the "
             f"positions in {path} stand for"
         )
-    told(reading)
+    announce(reading)
     aimed_at = aim.table if aim is not None and "target" in reading.table.header else None
     if targets is not None and aimed_at is None:
         raise DataError(f"{path} has no column of targets: leave out the table of targets")

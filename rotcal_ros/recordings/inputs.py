@@ -31,7 +31,7 @@ class Input:
     ``setup`` is the file of its configuration, which for a bag replaces the one in it; ``targets``
     that of a tracer's targets; ``changes`` are ``group.name=value``, for a bag
     ``reading.name=value`` too. ``taken_from`` and ``namespace`` say what part of a bag is solved.
-    ``told`` is given how a table was understood.
+    ``announce`` is given how a table was understood.
     """
 
     path: Path
@@ -40,7 +40,7 @@ class Input:
     changes: tuple[str, ...] = ()
     taken_from: Source = "streams"
     namespace: str = ""
-    told: Callable[[Reading], object] = field(default=str, compare=False)
+    announce: Callable[[Reading], object] = field(default=str, compare=False)
 
     @property
     def plain(self) -> bool:
@@ -62,7 +62,7 @@ class Input:
             if of_reading:
                 raise ConfigurationError(f"--set {of_reading[0]}: {self.path} is not a bag")
             stated = changed(read_configuration(self.setup), self.changes)
-            return read_measurements(self.path, stated, self.targets, self.told)
+            return read_measurements(self.path, stated, self.targets, self.announce)
         if self.targets is not None:
             raise ConfigurationError(f"{self.path} is not a table: only a table takes --targets")
         limits = changed_limits(of_reading)

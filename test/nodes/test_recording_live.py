@@ -142,7 +142,9 @@ def test_a_step_that_a_loss_touches_is_measured_again(cell):
         live.processes.signal("late_publisher", signal.SIGUSR1)
         live.wait_for_log("late_publisher", "here")
         # on a busy machine the recorder hears of it only after the last step
-        wait_until(lambda: check_files(bag_files(live.bag))[0].losses_recorded, "the loss is noted")
+        wait_until(
+            lambda: check_files(bag_files(live.bag))[0].losses_recorded, "the loss is noted"
+        )
     outcome = client.result()
     assert outcome["error_code"] == 0, outcome["error_msg"]
     recording = read_recording(live.bag)

@@ -31,7 +31,7 @@ SEPARATORS: Final[dict[str, str]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Grid:
+class Sheet:
     """The cells of a sheet or of a text: ``rows`` with their line numbers.
 
     ``form`` says in words what it is, "sheet Lengths" or "text in utf-8, semicolons"; ``name`` is
@@ -43,7 +43,7 @@ class Grid:
     name: str = ""
 
 
-def grids(path: Path) -> list[Grid]:
+def sheets(path: Path) -> list[Sheet]:
     """Return what the file at ``path`` may hold: a grid per sheet, or per way to read a text.
 
     Raises BagError for a file that cannot be read.
@@ -54,7 +54,7 @@ def grids(path: Path) -> list[Grid]:
         raise BagError(f"cannot read the table {path}: {why(error)}") from error
     if data.startswith(WORKBOOKS):
         return _sheets(path, data)
-    found = [grid for encoding, text in _texts(data) for grid in _ways(text, encoding)]
+    found = [sheet for encoding, text in _texts(data) for sheet in _ways(text, encoding)]
     if not found:
         raise BagError(
             f"cannot read the table {path}: it is neither text nor a workbook (.xlsx, .xls, .ods)"
@@ -62,7 +62,7 @@ def grids(path: Path) -> list[Grid]:
     return found
 
 
-def _sheets(path: Path, data: bytes) -> list[Grid]:
+def _sheets(path: Path, data: bytes) -> list[Sheet]:
     try:
         from python_calamine import CalamineError, CalamineWorkbook
     except ImportError as error:
@@ -74,7 +74,7 @@ def _sheets(path: Path, data: bytes) -> list[Grid]:
         _require_bounded(data)
         book = CalamineWorkbook.from_filelike(io.BytesIO(data))
         read = [(name, book.get_sheet_by_name(name)) for name in book.sheet_names]
-        return [Grid(f"sheet {name}", _cells(sheet), name) for name, sheet in read]
+        return [Sheet(f"sheet {name}", _cells(sheet), name) for name, sheet in read]
     except (CalamineError, zipfile.BadZipFile, OSError, ValueError) as error:
         raise BagError(
             f"cannot read the workbook {path}: {error}: save it again, or save it as CSV and name "
@@ -137,7 +137,7 @@ def _wide(data: bytes) -> str | None:
     return "utf-16-be" if even > odd else "utf-16-le"
 
 
-def _ways(text: str, encoding: str) -> Iterator[Grid]:
+def _ways(text: str, encoding: str) -> Iterator[Sheet]:
     """Yield the grids that a text may be, one for each separator that occurs in it."""
     if "\0" in text:
         return
@@ -149,7 +149,7 @@ def _ways(text: str, encoding: str) -> Iterator[Grid]:
         if rows is not None:
             rows = rows[1:] if stated else rows
             name = SEPARATORS.get(separator, repr(separator))
-            yield Grid(f"text in {encoding}, {name} between the columns", tuple(rows))
+            yield Sheet(f"text in {encoding}, {name} between the columns", tuple(rows))
 
 
 def _rows(text: str, separator: str) -> list[tuple[int, tuple[Cell, ...]]] | None:

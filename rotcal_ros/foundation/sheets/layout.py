@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.sheets.files import Cell, Grid
+from rotcal_ros.foundation.sheets.files import Cell, Sheet
 from rotcal_ros.foundation.sheets.words import (
     ANGLE,
     LENGTH,
@@ -36,7 +36,7 @@ _ALL_IN: Final = re.compile(
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class TableColumn:
     """A column of ours: ``name`` without unit, what it measures; empty: a number or a text."""
 
     header: str
@@ -44,7 +44,7 @@ class Column:
     quantity: str
 
     @classmethod
-    def of(cls, header: str) -> Column:
+    def of(cls, header: str) -> TableColumn:
         """Return the column with the name ``header``, as length_m."""
         suffix = next((suffix for suffix in _SUFFIXES if header.endswith(suffix)), "")
         return cls(header, header.removesuffix(suffix), _SUFFIXES.get(suffix, ""))
@@ -78,7 +78,7 @@ class Layout:
     values. ``length_unit``: stated above the table.
     """
 
-    grid: Grid
+    sheet: Sheet
     header: Header
     uses: Mapping[str, Use]
     matrix: tuple[Cells, ...] = ()
@@ -97,14 +97,16 @@ class Layout:
 
 
 def best_layout(
-    found: Iterable[Grid], headers: Sequence[Header], named: Mapping[str, str], where: str
+    found: Iterable[Sheet], headers: Sequence[Header], named: Mapping[str, str], where: str
 ) -> Layout | None:
     """Return how the grids are understood best; None where no column is known in any.
 
     ``named`` maps columns to the headings that a person has given them. Raises DataError where two
     sheets are understood as well as each other, or two headings mean the same column.
     """
-    layouts = [layout for grid in found for layout in [_of_grid(grid, headers, named)] if layout]
+    layouts = [
+        layout for sheet in found for layout in [_of_sheet(sheet, headers, named)] if layout
+    ]
     if not layouts:
         return None
     best = max(layouts, key=lambda layout: layout.rank)
@@ -114,40 +116,40 @@ def best_layout(
             f"{where}: {one!r} and {other!r} may both be the column {name}: say which: "
             f"--set 'sheet.columns=[{name}={other}]'"
         )
-    equal = [layout for layout in layouts if layout.rank == best.rank and layout.grid.name]
+    equal = [layout for layout in layouts if layout.rank == best.rank and layout.sheet.name]
     if len(equal) > 1 and not best.missing:
-        sheets = " and ".join(layout.grid.name for layout in equal)
+        sheets = " and ".join(layout.sheet.name for layout in equal)
         raise DataError(
             f"{where}: the sheets {sheets} have the same columns: say which to read: "
-            f"--set sheet.name={equal[0].grid.name}"
+            f"--set sheet.name={equal[0].sheet.name}"
         )
     return best
 
 
-def _of_grid(grid: Grid, headers: Sequence[Header], named: Mapping[str, str]) -> Layout | None:
+def _of_sheet(sheet: Sheet, headers: Sequence[Header], named: Mapping[str, str]) -> Layout | None:
     """Return the layout of the row that has most of the columns, the first of such rows."""
     best: Layout | None = None
-    for row in range(min(len(grid.rows), _LOOKED_AT)):
-        for heads, below in _heads(grid, row):
+    for row in range(min(len(sheet.rows), _LOOKED_AT)):
+        for heads, below in _heads(sheet, row):
             if len(heads) < 2:
                 continue
             for header in headers:
-                layout = _of_heads(grid, header, heads, named)
+                layout = _of_heads(sheet, header, heads, named)
                 if layout and (best is None or layout.rank > best.rank):
                     best = replace(layout, first=row + below)
     if best is None:
         return None
-    return replace(best, length_unit=_stated_unit(grid, best.first))
+    return replace(best, length_unit=_stated_unit(sheet, best.first))
 
 
-def _heads(grid: Grid, row: int) -> Iterator[tuple[dict[int, Heading], int]]:
+def _heads(sheet: Sheet, row: int) -> Iterator[tuple[dict[int, Heading], int]]:
     """Yield the headings of a row by place, with the number of rows that they take.
 
     Alone, with the units of the row below, and as the second of two rows, as in merged cells.
     """
-    cells = grid.rows[row][1]
+    cells = sheet.rows[row][1]
     heads = {place: Heading.of(_text(cell)) for place, cell in enumerate(cells) if cell != ""}
-    below = grid.rows[row + 1][1] if row + 1 < len(grid.rows) else ()
+    below = sheet.rows[row + 1][1] if row + 1 < len(sheet.rows) else ()
     units = {place: units_of(cell.strip("[]() ")) for place, cell in enumerate(below)
              if isinstance(cell, str) and cell}  # fmt: skip
     if units and all(units.values()):
@@ -167,12 +169,12 @@ def _heads(grid: Grid, row: int) -> Iterator[tuple[dict[int, Heading], int]]:
 
 
 def _of_heads(
-    grid: Grid,
+    sheet: Sheet,
     header: Header,
     heads: Mapping[int, Heading],
     named: Mapping[str, str],
 ) -> Layout | None:
-    columns = [Column.of(name) for name in header]
+    columns = [TableColumn.of(name) for name in header]
     wanted = {column.name: column for column in columns}
     uses, doubled = dict[str, Use](), None
     for place, head in heads.items():
@@ -197,7 +199,7 @@ def _of_heads(
         taken = {use.place for cells in matrix for use in cells.uses.values()}
         left = {place: head for place, head in left.items() if place not in taken}
     return Layout(
-        grid,
+        sheet,
         header,
         uses,
         tuple(matrix),
@@ -208,11 +210,13 @@ def _of_heads(
     )
 
 
-def _by_angle(column: Column, uses: Mapping[str, Use]) -> bool:
+def _by_angle(column: TableColumn, uses: Mapping[str, Use]) -> bool:
     return column.name == "position" and TABLE_ANGLE in uses
 
 
-def _meant(head: Heading, wanted: Mapping[str, Column], named: Mapping[str, str]) -> list[str]:
+def _meant(
+    head: Heading, wanted: Mapping[str, TableColumn], named: Mapping[str, str]
+) -> list[str]:
     """Return which of the wanted columns, or the table angle, a heading means."""
     chosen = [name for name, text in named.items() if folded(text) == folded(head.text)]
     if chosen:
@@ -226,7 +230,7 @@ def _meant(head: Heading, wanted: Mapping[str, Column], named: Mapping[str, str]
 
 
 def _corner(
-    heads: Mapping[int, Heading], wanted: Mapping[str, Column], named: Mapping[str, str]
+    heads: Mapping[int, Heading], wanted: Mapping[str, TableColumn], named: Mapping[str, str]
 ) -> Heading | None:
     """Return what the rows of a matrix are, where its first cell names rows and columns.
 
@@ -242,9 +246,9 @@ def _corner(
 
 
 def _matrix(
-    missing: Sequence[Column],
+    missing: Sequence[TableColumn],
     left: Mapping[int, Heading],
-    columns: Sequence[Column],
+    columns: Sequence[TableColumn],
     label_units: tuple[str, ...],
 ) -> list[Cells]:
     """Return the cells of a matrix: one key and all values are missing, their heads are labels.
@@ -274,7 +278,7 @@ def _matrix(
     )
 
 
-def _value_of(head: Heading, values: Sequence[Column]) -> tuple[str, str]:
+def _value_of(head: Heading, values: Sequence[TableColumn]) -> tuple[str, str]:
     """Return which of the values the head of a matrix's column names, and the label beside it."""
     if len(values) == 1:
         return values[0].name, head.name
@@ -284,7 +288,7 @@ def _value_of(head: Heading, values: Sequence[Column]) -> tuple[str, str]:
     return (folded(found[0]), rest) if len(found) == 1 else ("", "")
 
 
-def _label(text: str, key: str, values: Sequence[Column]) -> Cell | None:
+def _label(text: str, key: str, values: Sequence[TableColumn]) -> Cell | None:
     """Return the label of a target, ball or position at the head of a matrix's column.
 
     A number, alone or behind a word for it; a table angle is a text with its unit.
@@ -301,9 +305,9 @@ def _label(text: str, key: str, values: Sequence[Column]) -> Cell | None:
     return None
 
 
-def _stated_unit(grid: Grid, before: int) -> str:
+def _stated_unit(sheet: Sheet, before: int) -> str:
     """Return the unit of length that a line above the table states for all of it."""
-    for _, cells in grid.rows[:before]:
+    for _, cells in sheet.rows[:before]:
         texts = [cell for cell in cells if isinstance(cell, str) and cell]
         found = _ALL_IN.search(" ".join(texts)) if len(texts) <= 2 else None
         units = units_of((found[1] or found[2]).strip("[]().,;")) if found else ()

@@ -15,8 +15,8 @@ from typing import Final
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.settings import setting
-from rotcal_ros.foundation.sheets.files import Cell, Grid, grids
-from rotcal_ros.foundation.sheets.layout import TEXTS, Column, Layout, Use, best_layout
+from rotcal_ros.foundation.sheets.files import Cell, Sheet, sheets
+from rotcal_ros.foundation.sheets.layout import TEXTS, Layout, TableColumn, Use, best_layout
 from rotcal_ros.foundation.sheets.numerals import Measure, decimal_marks, in_si, parse
 from rotcal_ros.foundation.sheets.words import (
     ANGLE,
@@ -153,9 +153,9 @@ def read_any(
         return Reading(own)
     named = dict(_named(entry) for entry in settings.columns)
     if isinstance(source, Table):
-        path, found = source.path, [Grid("DataFrame", ((0, source.header), *source.lines))]
+        path, found = source.path, [Sheet("DataFrame", ((0, source.header), *source.lines))]
     else:
-        path, found = source, [g for g in grids(source) if settings.name in ("", g.name)]
+        path, found = source, [g for g in sheets(source) if settings.name in ("", g.name)]
     if not found:
         raise ConfigurationError(f"{path}: there is no sheet {settings.name!r} (sheet.name)")
     layout = best_layout(found, headers, named, str(path))
@@ -168,7 +168,7 @@ def _named(entry: str) -> tuple[str, str]:
     name, equals, text = entry.partition("=")
     if not (name.strip() and equals and text.strip()):
         raise ConfigurationError(f"sheet.columns: {entry!r}: expected COLUMN=TEXT, as length=Weg")
-    return Column.of(name.strip()).name, text.strip()
+    return TableColumn.of(name.strip()).name, text.strip()
 
 
 def _not_understood(path: Path, headers: Sequence[Header], layout: Layout | None) -> str:
@@ -190,7 +190,7 @@ class _Rows:
         self, path: Path, layout: Layout, settings: SheetSettings, known: Mapping[str, Known]
     ) -> None:
         self._path, self._layout, self._settings, self._known = path, layout, settings, known
-        self._columns = [Column.of(name) for name in layout.header]
+        self._columns = [TableColumn.of(name) for name in layout.header]
         self._left_out: list[tuple[int, str]] = []
         self._remarks: list[str] = []
         self._labels: dict[str, int] = {}
@@ -213,7 +213,7 @@ class _Rows:
         theirs = {column.header: self._theirs(column) for column in self._columns}
         return Reading(
             Table(self._path, layout.header, lines),
-            layout.grid.form,
+            layout.sheet.form,
             theirs,
             layout.aside,
             tuple(self._left_out),
@@ -226,7 +226,7 @@ class _Rows:
     def _kept(self) -> Iterator[tuple[int, tuple[Cell, ...]]]:
         """Yield the rows of values; note those that are left out, and why."""
         width = max(use.place for use in self._all_uses()) + 1
-        for number, row in self._layout.grid.rows[self._layout.first :]:
+        for number, row in self._layout.sheet.rows[self._layout.first :]:
             cells = (*row, *[""] * (width - len(row)))
             if why := self._no_values(cells):
                 self._left_out.append((number, why))
@@ -302,7 +302,7 @@ class _Rows:
 
     def _column(
         self,
-        column: Column,
+        column: TableColumn,
         rows: Sequence[tuple[int, Mapping[str, tuple[Cell, Use]]]],
         mark: str,
     ) -> list[str]:
@@ -419,7 +419,7 @@ class _Rows:
             self._remarks.append(f"{name} counts from 1")
         return [able.get(chosen, {}).get(n, n) for n in numbers]
 
-    def _theirs(self, column: Column) -> str:
+    def _theirs(self, column: TableColumn) -> str:
         """Return in words what of theirs a column of ours is."""
         use = self._layout.uses.get(column.name)
         if use is None and column.name == "position" and TABLE_ANGLE in self._layout.uses:

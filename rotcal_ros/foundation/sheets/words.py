@@ -39,7 +39,7 @@ _QUANTITIES: Final = {
     TABLE_ANGLE: ANGLE,
     "time": TIME,
 }
-"""Column -> what it measures; all others are numbers from 0, or words."""
+"""TableColumn -> what it measures; all others are numbers from 0, or words."""
 _APART: Final = re.compile(r"[\W_]+")
 _IN_BRACKETS: Final = re.compile(r"(.*\S)\s*[\[({【]\s*([^\[\](){}【】]+?)\s*[\])}】]", re.S)
 _BEHIND: Final = re.compile(r"(.*\S)(?:\s+in\s+|\s*[/,]\s*|[_\s]+)(\S+)", re.DOTALL)

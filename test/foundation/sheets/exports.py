@@ -159,7 +159,7 @@ def labels(path: Path) -> None:
     path.write_text(lines(("Position", "Reflector", "Distance [mm]"), rows, "|"))
 
 
-def _workbook(path: Path, sheets: dict[str, list[Sequence[object]]]) -> None:
+def workbook(path: Path, sheets: dict[str, list[Sequence[object]]]) -> None:
     book = openpyxl.Workbook()
     book.remove(book.active)
     for name, rows in sheets.items():
@@ -171,7 +171,7 @@ def _workbook(path: Path, sheets: dict[str, list[Sequence[object]]]) -> None:
 
 def excel(path: Path) -> None:
     rows = [(p, t, float(n)) for p, t, n in MM]
-    _workbook(path, {"Notes": [("made by hand",)], "Lengths": [
+    workbook(path, {"Notes": [("made by hand",)], "Lengths": [
         ("Calibration of a rotary table",), (), ("Position", "Target", "Length [mm]"), *rows,
         ("Mean", None, 512.5)]})  # fmt: skip
 
@@ -181,14 +181,14 @@ def excel_with_targets(path: Path) -> None:
         places = [(r["target"], r["x_m"], r["y_m"], r["z_m"]) for r in csv.DictReader(file)]
     targets = [(f"R{int(n) + 1}", *(float(in_mm(c)) for c in p)) for n, *p in places]
     rows = [(p, f"R{t + 1}", float(n)) for p, t, n in MM]
-    _workbook(path, {
+    workbook(path, {
         "Messung": [("Position", "Reflektor", "Länge [mm]"), *rows],
         "Ziele": [("Reflektor", "X [mm]", "Y [mm]", "Z [mm]"), *targets],
     })  # fmt: skip
 
 
 def excel_of_texts(path: Path) -> None:
-    _workbook(path, {"Blatt1": [("Position", "Ziel", "Länge [mm]"), *comma(MM)]})
+    workbook(path, {"Blatt1": [("Position", "Ziel", "Länge [mm]"), *comma(MM)]})
 
 
 def open_document(path: Path) -> None:
