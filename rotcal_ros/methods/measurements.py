@@ -79,9 +79,9 @@ def read_measurements(
 
     ``targets`` are target positions, for methods that have targets; without them they are taken
     from the file ``targets`` beside the table, or from a sheet of its workbook. ``announce`` is
-    given how the table was understood. Raises BagError when a file cannot be read or has other columns,
-    ConfigurationError for a set-up without plan, DataError when the content cannot be what it
-    should be or can be read in two ways.
+    given how the table was understood. Raises BagError when a file cannot be read or has other
+    columns, ConfigurationError for a set-up without plan, DataError when the content cannot be
+    what it should be or can be read in two ways.
     """
     path, method = source.path if isinstance(source, Table) else source, configuration.method
     if method.table is None:

@@ -81,7 +81,8 @@ def fully_identified(result):
     of_one = {name: name for name in InstrumentIdentity.__dataclass_fields__}
     one = InstrumentIdentity(**{**of_one, "calibrated": "2026-03-31"})
     texts = {name: name for name in Identity.__dataclass_fields__}
-    texts |= {"laboratory_country": "DE", "received": "2026-03-31", "tolerance_um": 1.0}
+    texts |= {"laboratory_country": "DE", "tolerance_um": 1.0}
+    texts |= dict.fromkeys(("received", "measured"), "2026-03-31")
     names = Instruments.__dataclass_fields__
     given = {
         **texts,

@@ -30,7 +30,7 @@ def test_a_tracer_far_from_its_place_is_found_from_the_first_lengths(order):
     for pause in calibration.plan.pauses:
         here = seen[: pause.last + 1]
         (text,) = calibration.check(here)
-        assert text.startswith(f"place {here[-1].station}: the tracer stands 20.0 mm from its")
+        assert text.startswith(f"place {here[-1].station + 1}: the tracer stands 20.0 mm from its")
         assert "170 mm from the table axis" in text
         assert "planned 150 mm" in text
         assert moved.check(here) == ()

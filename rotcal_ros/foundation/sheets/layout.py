@@ -111,9 +111,9 @@ def best_layout(
         return None
     best = max(layouts, key=lambda layout: layout.rank)
     if best.doubled:
-        name, one, other = best.doubled
+        name, text, other = best.doubled
         raise DataError(
-            f"{where}: {one!r} and {other!r} may both be the column {name}: say which: "
+            f"{where}: {text!r} and {other!r} may both be the column {name}: say which: "
             f"--set 'sheet.columns=[{name}={other}]'"
         )
     equal = [layout for layout in layouts if layout.rank == best.rank and layout.sheet.name]
