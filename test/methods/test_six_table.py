@@ -62,7 +62,7 @@ def test_what_cannot_be_names_row_and_place(configuration, tmp_path):
     wrong = [good[0], replace(good[1], mean=(good[1].mean[0] + 40.0,))]
     with pytest.raises(DataError, match="row 4: implausible: length changed by"):
         read_measurements(table_of(wrong, path), configuration)
-    with pytest.raises(BagError, match="no column target.*place,position,target,length_m"):
+    with pytest.raises(BagError, match=r"no column target.*place,position,target,length_m"):
         read_measurements(table_of(good, path, "place,position,goal,length_m"), configuration)
 
 

@@ -75,7 +75,7 @@ def test_an_angle_that_comes_again_has_to_agree():
 
 def test_a_table_of_stations_has_no_targets(tmp_path):
     setup = rc.read_configuration(DATA / "paper/stations.yaml")
-    with pytest.raises(DataError, match="stations.csv has no column of targets: leave out"):
+    with pytest.raises(DataError, match="has no column of targets: leave out"):
         rc.read_table(DATA / "paper/stations.csv", setup, targets=DATA / "targets.csv")
 
 
