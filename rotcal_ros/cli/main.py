@@ -32,7 +32,7 @@ OWN_VERBS: Final[Mapping[str, str]] = {
     "attach": "Show a calibration that runs in the background.",
     "cell": "Examine a live cell: what is there, what is missing?",
     "verify": "Measure the simulated cell, compensate it, and measure again.",
-    "solve": "Solve a recorded bag or a plain table, without ROS.",
+    "solve": "Solve a recorded bag or a table of numbers, without ROS.",
     "export": "Write the correction table of a calibration for a controller.",
     "plan": "Plan what to measure, in what order, and what it could hide.",
     "report": "Write the self-contained HTML report of a calibration.",
@@ -46,6 +46,13 @@ OWN_VERBS: Final[Mapping[str, str]] = {
     "doctor": "Check this machine and say what to do.",
 }
 """Verb -> one line of help. The verb lives in ``rotcal_ros/cli/<verb>.py`` as ``command``."""
+SECTIONS: Final[Mapping[str, tuple[str, ...]]] = {
+    "Most used": ("run", "solve", "report", "export", "check", "plan", "doctor"),
+    "Measure": ("attach", "cell", "verify"),
+    "Evaluate": ("compare", "combine", "iso230", "uncertainty"),
+    "Set-ups and recordings": ("new", "settings", "bag"),
+}
+"""Heading of the help -> its verbs; those of extensions stand under a heading of their own."""
 
 
 @cache
@@ -113,8 +120,16 @@ class LazyGroup(click.Group):
 
     def format_commands(self, _context: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the list of verbs, without importing any of them."""
-        with formatter.section("Verbs"):
-            formatter.write_dl([(name, verb.help) for name, verb in verbs().items()])
+        others = dict(verbs())
+        listed = {
+            heading: [(name, others.pop(name).help) for name in names]
+            for heading, names in SECTIONS.items()
+        }
+        listed["More"] = [(name, verb.help) for name, verb in others.items()]
+        for heading, lines in listed.items():
+            if lines:
+                with formatter.section(heading):
+                    formatter.write_dl(lines)
 
     def invoke(self, context: click.Context) -> None:
         """Run a verb; an error becomes one red line and an exit code, not a traceback.

@@ -197,3 +197,11 @@ def test_a_verb_that_cannot_be_loaded_harms_no_other(foreign):
     assert result.exit_code == 2
     assert result.stderr.startswith("rotcal: the verb 'broken'")
     assert "No module named 'gone'" in result.stderr
+
+
+def test_every_verb_of_ours_stands_once_in_the_help():
+    listed = [name for names in main.SECTIONS.values() for name in names]
+    assert sorted(listed) == sorted(main.OWN_VERBS)
+    assert listed[:7] == ["run", "solve", "report", "export", "check", "plan", "doctor"]
+    help_text = CliRunner().invoke(main.rotcal, ["--help"]).output
+    assert help_text.index("  plan ") < help_text.index("  attach ") < help_text.index("  new ")
