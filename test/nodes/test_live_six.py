@@ -49,7 +49,7 @@ def test_the_planner_waits_for_the_tracer_at_every_place_and_sees_a_wrong_one(
     finally:
         live.processes.end()
     assert event["error_code"] == 0, event["error_msg"]
-    assert [text.split(" on the table")[0] for text in asked if text.startswith("fix")] == [
+    assert [text.split(" (number")[0] for text in asked if text.startswith("fix")] == [
         f"fix the tracer at place {number + 1} of 3" for number in range(3)
     ]
     assert len(asked) == 4

@@ -11,6 +11,11 @@ from live_cell import wait_until
 from rotcal_ros.foundation.machine_load import patient
 
 
+def english(sent):
+    """Return the text of what the page is sent: a text, or a template and what stands in it."""
+    return sent if isinstance(sent, str) else sent[0].format(*map(english, sent[1:]))
+
+
 def address(live, name="operator_page"):
     """Return where a page is served, once it is."""
     wait_until(lambda: re.search(r"page: (\S+)", live.log(name)), "the page is served")
