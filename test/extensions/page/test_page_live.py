@@ -36,7 +36,7 @@ def test_a_whole_calibration_is_shown_and_a_late_viewer_sees_the_same(cell):
     shown = viewer.wait(lambda s: s["deviations"]["final"], "the final deviations")
     (ecc,) = shown["deviations"]["curves"]
     assert (ecc["name"], ecc["unit"], len(ecc["values"])) == ("ECC", "arcsec", 5)
-    rejected = [(r["place"], r["reason"]) for r in reversed(shown["rejections"])]
+    rejected = [(english(r["place"]), english(r["reason"])) for r in reversed(shown["rejections"])]
     recorded = [
         (place_in_words(o.table_position, o.target, o.attempt), o.reason)
         for o in read_recording(live.bag).recorded
