@@ -117,6 +117,8 @@ class Reading:
             return ""
         columns = ", ".join(f"{ours} = {theirs}" for ours, theirs in self.columns.items())
         parts = [f"{self.table.path} ({self.form}): {columns}", *self.remarks]
+        if self.aside:
+            parts.append(f"not needed: {', '.join(self.aside)}")
         if self.left_out:
             parts.append(f"{len(self.left_out)} rows left out (--explain)")
         return "; ".join(parts)
@@ -316,7 +318,31 @@ class _Rows:
         if name in TEXTS:
             return [kind_of(_text(c)) if name == "kind" else _text(c)
                     for _, c, _ in cells]  # fmt: skip
-        return self._numbers(name, [(number, _text(cell)) for number, cell, _ in cells])
+        numbers = self._numbers(name, [(number, _text(cell)) for number, cell, _ in cells])
+        if name == "position" and TABLE_ANGLE in rows[0][1]:
+            beside = [(number, *row[TABLE_ANGLE]) for number, row in rows]
+            self._require_angles(numbers, beside, mark)
+        return numbers
+
+    def _require_angles(
+        self, numbers: Sequence[str], cells: Sequence[tuple[int, Cell, Use]], mark: str
+    ) -> None:
+        """Raise DataError where the table angle beside a position is not the planned one."""
+        planned = dict(enumerate(self._known.get("position", Known()).angles))
+        if not planned:
+            return
+        near = _NEAR * _smallest_step(tuple(planned.values()))
+        for text, (number, cell, use) in zip(numbers, cells, strict=True):
+            expected = planned.get(int(text or -1))
+            if expected is None or _is_nothing(cell):
+                continue
+            angle = float(self._in_si((number, cell, use), "table angle", ANGLE, mark))
+            if abs(remainder(angle - expected, 2.0 * pi)) > near:
+                raise DataError(
+                    f"{self._path}, row {number}: position {text} is planned at "
+                    f"{expected / DEGREE:g} degrees, and the table says {_text(cell)}: does the "
+                    "set-up belong to this table?"
+                )
 
     def _in_si(self, cell: tuple[int, Cell, Use], name: str, quantity: str, mark: str) -> str:
         number, value, use = cell

@@ -140,6 +140,11 @@ def test_grad_is_degrees_in_german_and_gons_elsewhere() -> None:
         ("pos,target,length [m]\n0,zero,1.5\n", {}, "row 2: target must be a number, or a name"),
         ("pos,target,length [m]\n0,0,x1\n", {}, "row 2: length must be a number, found 'x1'"),
         ("angle [deg],target,length [m]\n45,0,1.5\n", {}, "45 is not in the plan; the nearest"),
+        (
+            "pos,C [deg],target,length [m]\n1,45,0,1.5\n",
+            {"counted_from": "0"},
+            "1 is planned at 90",
+        ),
         ("pos;target;length [m]\n0;0;1,5\n0;1;2.5\n", {}, "some decimal commas"),
     ],
 )
@@ -161,6 +166,7 @@ def test_what_can_be_read_in_two_ways_is_asked(
         ("pos,target,Wert\n0,0,1.5\n", {"columns": ("length=Wert",), "length_unit": "m"},
          ("0", "0", "1.5")),
         ("angle,target,length [m]\n90,0,1.5\n", {"angle_unit": "deg"}, ("1", "0", "1.5")),
+        ("pos,C [deg],target,length [m]\n0,360,0,1.5\n", {}, ("0", "0", "1.5")),
         ("angle [deg],target,length [m]\n-270,0,1.5\n", {}, ("1", "0", "1.5")),
     ],
 )  # fmt: skip
