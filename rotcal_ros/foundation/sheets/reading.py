@@ -120,7 +120,8 @@ class Reading:
         if self.aside:
             parts.append(f"not needed: {', '.join(self.aside)}")
         if self.left_out:
-            parts.append(f"{len(self.left_out)} rows left out (--explain)")
+            rows = "row" if len(self.left_out) == 1 else "rows"
+            parts.append(f"{len(self.left_out)} {rows} left out (--explain)")
         return "; ".join(parts)
 
     def lines(self) -> list[str]:
@@ -356,20 +357,15 @@ class _Rows:
 
     def _unit(self, use: Use, quantity: str, measure: Measure, name: str) -> str:
         """Return the unit of a column; DataError, with all readings, if none is told."""
-        stated = getattr(self._settings, _DEFAULTS[quantity])
-        above = self._layout.length_unit if quantity == LENGTH else ""
-        units = use.units if len(use.units) != 1 else (use.units[0],)
+        units = use.units
         if len(units) == 1:
             return units[0]
-        if stated or above:
-            return str(stated or above)
-        able = units or tuple(UNITS[quantity])
-        common = {LENGTH: ("m", "mm", "um", "in"), ANGLE: ("deg", "rad", "gon")}.get(
-            quantity, able
-        )
+        if stated := self._unit_elsewhere(use, quantity):
+            return stated
+        usual = {LENGTH: ("m", "mm", "um", "in"), ANGLE: ("deg", "rad", "gon")}
         read = ", ".join(
             f"{measure.value} {unit} = {float(in_si(measure, unit)):.6g} {_si(quantity)}"
-            for unit in (units or common)
+            for unit in units or usual.get(quantity, tuple(UNITS[quantity]))
         )
         raise DataError(
             f"{self._path}: the column {use.text!r} ({name}) states no unit: its first value can "
@@ -447,19 +443,22 @@ class _Rows:
 
     def _theirs(self, column: TableColumn) -> str:
         """Return in words what of theirs a column of ours is."""
-        use = self._layout.uses.get(column.name)
+        quantity, use = column.quantity, self._layout.uses.get(column.name)
         if use is None and column.name == "position" and TABLE_ANGLE in self._layout.uses:
-            use = self._layout.uses[TABLE_ANGLE]
+            quantity, use = ANGLE, self._layout.uses[TABLE_ANGLE]
         if use is None:
-            heads = [u.text for c in self._layout.matrix for n, u in c.uses.items()
-                     if n == column.name or c.column == column.name]  # fmt: skip
-            return f"the matrix {heads[0]!r} to {heads[-1]!r}"
-        quantity = column.quantity or (ANGLE if use is self._layout.uses.get(TABLE_ANGLE) else "")
-        unit = "" if len(use.units) == 1 or not quantity else getattr(
-            self._settings, _DEFAULTS[quantity]
-        )  # fmt: skip
-        unit = unit or (self._layout.length_unit if quantity == LENGTH and not use.units else "")
-        return repr(use.text) + (f" in {unit}" if unit else "")
+            groups = self._layout.matrix
+            uses = [g.uses.get(column.name) or next(iter(g.uses.values())) for g in groups]
+            text, use = f"the matrix {uses[0].text!r} to {uses[-1].text!r}", uses[0]
+        else:
+            text = repr(use.text)
+        unit = self._unit_elsewhere(use, quantity) if quantity and len(use.units) != 1 else ""
+        return f"{text} in {unit}" if unit else text
+
+    def _unit_elsewhere(self, use: Use, quantity: str) -> str:
+        """Return the unit that settings, or a line above the table, state for a column."""
+        above = self._layout.length_unit if quantity == LENGTH and not use.units else ""
+        return str(getattr(self._settings, _DEFAULTS[quantity]) or above)
 
 
 def _distinct(angles: Sequence[float]) -> tuple[float, ...]:
