@@ -129,9 +129,7 @@ def is_table(path: Path) -> bool:
         return False
     with open_plain(path) as file:
         begin = file.read(_LOOK)
-    if begin.startswith(WORKBOOKS):
-        return ending in _TEXTS
-    if begin.startswith((b"\xff\xfe", b"\xfe\xff")):
+    if begin.startswith((*WORKBOOKS, b"\xff\xfe", b"\xfe\xff")):  # the last two: UTF-16
         return ending in _TEXTS
     text = begin.decode("utf-8-sig", errors="replace")
     return "\0" not in text and _SEPARATED.search(text) is not None

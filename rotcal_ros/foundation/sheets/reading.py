@@ -244,18 +244,15 @@ class _Rows:
         first = next((cell for cell in texts if isinstance(cell, str)), "")
         if first and first is texts[0] and is_summary(first):
             return f"a line about others ({first})"
-        keys = [cells[use.place] for use in self._layout.uses.values()]
-        used = {use.place for use in self._all_uses()}
-        values = [cells[place] for place in used]
         if len(texts) == 1 and isinstance(texts[0], str) and not self._number(texts[0]):
             return f"a line of text ({texts[0]:.40})"
-        quantities = [c for c in self._columns if c.quantity not in ("", TIME)]
-        named = [c.name for c in quantities if c.name in self._layout.uses]
-        measured = [cells[self._layout.uses[name].place] for name in named]
-        if any(_is_nothing(cell) for cell in measured):
-            return "nothing was measured" if not all(map(_is_nothing, values)) else "empty"
-        others = [cell for cell in keys if cell not in measured]
-        if measured and others and all(map(_is_nothing, others)):
+        values = {c.name for c in self._columns if c.quantity not in ("", TIME)}
+        uses = self._layout.uses.items()
+        measured = [cells[use.place] for name, use in uses if name in values]
+        if any(map(_is_nothing, measured)):
+            return "nothing was measured"
+        keys = [cells[use.place] for name, use in uses if name not in values]
+        if measured and keys and all(map(_is_nothing, keys)):
             return "values that belong to nothing"
         return ""
 
@@ -379,11 +376,11 @@ class _Rows:
         if not planned:
             planned = _distinct(angles)
             self._angles_deg = tuple(round(angle / DEGREE, 12) for angle in planned)
-        found = []
+        found, near = [], _NEAR * _smallest_step(planned)
         for (number, cell, _), angle in zip(cells, angles, strict=True):
             off = [abs(remainder(angle - other, 2.0 * pi)) for other in planned]
             nearest = min(range(len(off)), key=off.__getitem__)
-            if off[nearest] > _NEAR * _smallest_step(planned):
+            if off[nearest] > near:
                 raise DataError(
                     f"{self._path}, row {number}: the table angle {_text(cell)} is not in the "
                     f"plan; the nearest there is {planned[nearest] / DEGREE:g} degrees"
@@ -482,8 +479,8 @@ def _listed(texts: Sequence[str]) -> list[int]:
     if all(text.isascii() and text.isdigit() and len(text) < 10 for text in texts):
         first = 1 if min(map(int, texts)) == 1 else 0
         return [int(text) - first for text in texts]
-    order = list(dict.fromkeys(map(folded, texts)))
-    return [order.index(folded(text)) for text in texts]
+    numbers = {label: n for n, label in enumerate(dict.fromkeys(map(folded, texts)))}
+    return [numbers[folded(text)] for text in texts]
 
 
 def _text(cell: Cell) -> str:

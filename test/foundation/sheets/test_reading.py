@@ -194,6 +194,13 @@ def test_rows_that_hold_no_measurement_are_left_out_with_why(tmp_path: Path) -> 
     }
 
 
+def test_a_row_whose_length_looks_like_its_position_is_not_left_out(tmp_path: Path) -> None:
+    """Its missing target is for the method's reader to refuse."""
+    reading = read(tmp_path, "pos,target,length [m]\n0,0,1.5\n1,,1\n")
+    assert rows(reading) == [("0", "0", "1.5"), ("1", "", "1")]
+    assert reading.left_out == ()
+
+
 def test_balls_in_merged_cells(tmp_path: Path) -> None:
     text = "Pos,Ball 1,,,Ball 2,,\n,X,Y,Z,X,Y,Z\n0,1,2,3,4,5,6\n1,7,8,9,10,11,12\n"
     known = {"position": Known((0, 1)), "ball_step": Known((0, 5))}
