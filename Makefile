@@ -28,7 +28,7 @@ resume: setup  ## continue a demo that was interrupted
 test: setup  ## run the quick tests, minutes; PYTEST_ARGS="-k plane" runs some, quick or slow
 	@VENV=$(VENV) scripts/test.sh $(or $(PYTEST_ARGS),--quick)
 
-test-all: setup  ## run the slow ones, too, as CI does
+test-all: setup  ## run the slow ones, too, as CI does once a week
 	@VENV=$(VENV) scripts/test.sh
 
 test-aids: setup  ## fetch what some tests run: packages of Node.js, NIST's suite for I++ DME

@@ -32,7 +32,8 @@ def noise_of(place):
 class OwnTracer(own_cell.OwnCell):
     def __init__(self):
         super().__init__()
-        self.create_subscription(JointState, "table_actual", self.read, 1000)
+        # On a busy machine it reads less often; a long queue would make it read ever later.
+        self.create_subscription(JointState, "table_actual", self.read, 5)
 
     def turn_table(self, order):
         """Leave the table alone."""
