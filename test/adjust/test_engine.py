@@ -170,6 +170,7 @@ def test_single_wrong_observations_are_found_however_large():
         assert np.abs(found.value - truth).max() < 5.0 * found.std.max()
 
 
+@pytest.mark.slow
 def test_two_fifths_of_one_station_are_found_and_left_out():
     for seed in range(5):
         rng = np.random.default_rng(seed)
@@ -498,6 +499,7 @@ def test_exact_readings_with_one_redundant_one_are_no_matter():
     assert adjust(replace(model, effects=(drift,))).value == pytest.approx(0.0)
 
 
+@pytest.mark.slow
 def test_few_residuals_widen_the_uncertainty_as_students_t_does():
     inside = []
     for seed in range(150):

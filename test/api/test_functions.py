@@ -111,6 +111,7 @@ def test_a_plot_shows_every_component_with_its_band(plate):
     assert figure._repr_png_().startswith(b"\x89PNG")  # a notebook asks so, without pyplot
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("source", ["bag", "table", "result"])
 def test_a_report_is_written_of_a_bag_a_table_and_a_result(source, tmp_path):
     made = {

@@ -87,6 +87,7 @@ def test_sound_file_is_complete(sample: Sample, tmp_path: Path) -> None:
     }
 
 
+@pytest.mark.slow
 def test_truncated_at_every_record_boundary(sample: Sample, tmp_path: Path) -> None:
     path = tmp_path / "cut.mcap"
     seen = 0
@@ -127,6 +128,7 @@ def _stream(data: bytes) -> object:
     return BytesIO(data)
 
 
+@pytest.mark.slow
 def test_random_bit_flips_are_noticed_and_counted(sample: Sample, tmp_path: Path) -> None:
     path = tmp_path / "flipped.mcap"
     chance = random.Random(20)
@@ -141,6 +143,7 @@ def test_random_bit_flips_are_noticed_and_counted(sample: Sample, tmp_path: Path
         assert len(read) >= N_MESSAGES - 60, f"byte {place} cost {N_MESSAGES - len(read)}"
 
 
+@pytest.mark.slow
 def test_bursts_of_garbage(sample: Sample, tmp_path: Path) -> None:
     path = tmp_path / "burst.mcap"
     chance = random.Random(21)

@@ -39,6 +39,7 @@ def in_one_chunk(bit: int) -> int:
     return 16 if PLACES[place][0] == CHUNK else 0
 
 
+@pytest.mark.slow
 def test_every_flip_is_told_and_costs_what_it_covers(tmp_path: Path) -> None:
     path = tmp_path / "flipped.mcap"
     for bit in flips(10**9 if LONG else 400, seed=1):

@@ -72,6 +72,7 @@ def read_by_others(path: Path) -> int:
     return counts[0]
 
 
+@pytest.mark.slow
 def test_wherever_it_was_cut(tmp_path: Path) -> None:
     whole = fill(tmp_path / "bag")
     records = record_ends(whole)

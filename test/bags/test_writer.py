@@ -122,6 +122,7 @@ def test_metadata_is_there_from_the_start_and_complete_at_the_end(tmp_path: Path
     assert not list((tmp_path / "bag").glob("*.tmp"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "limits", [{"split_bytes": 10_000}, {"split_duration_s": 0.05}], ids=["size", "time"]
 )

@@ -157,6 +157,7 @@ def test_one_stream_after_the_other_gives_the_same_bits(order):
     assert replay(PLAN, records) == EXPECTED
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), burst=st.sampled_from([1.0, 20.0, 500.0]))
 def test_any_interleaving_gives_the_same_bits(seed, burst):

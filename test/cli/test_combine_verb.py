@@ -88,6 +88,7 @@ def test_sessions_bags_and_references_are_inputs(tmp_path):
     assert methods == ["tracer_multistation", "ball_plate", "reference"]
 
 
+@pytest.mark.slow
 def test_the_folder_of_a_session_stands_for_what_is_in_it(tmp_path):
     session = tmp_path / "session"
     session.mkdir()

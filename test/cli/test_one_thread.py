@@ -32,11 +32,13 @@ def solve(**more):
     return ran.stdout.splitlines()[-1].split()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs /proc")
 def test_a_solver_in_a_fresh_process_has_one_thread():
     assert solve() == ["1", "1", "1", "1"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs /proc")
 def test_what_the_user_has_set_stays():
     assert solve(OPENBLAS_NUM_THREADS="2")[1:] == ["1", "2", "1"]

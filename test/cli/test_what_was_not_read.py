@@ -77,6 +77,7 @@ def test_a_damaged_bag(verb: str, place: Path, tmp_path: Path) -> None:
     assert found.exit_code == VERBS[verb], found.output
 
 
+@pytest.mark.slow
 def test_the_same_verbs_are_silent_about_a_sound_bag(place: Path, tmp_path: Path) -> None:
     sound = place / "sound.mcap"
     for verb in ("solve {}", "bag info {}", "bag parquet {} -o {}/parquet", "bag choices {}"):
@@ -85,6 +86,7 @@ def test_the_same_verbs_are_silent_about_a_sound_bag(place: Path, tmp_path: Path
         assert "not read completely" not in found.output
 
 
+@pytest.mark.slow
 def test_what_is_known_already_is_told_again(place: Path, tmp_path: Path) -> None:
     verb = ("reprocess", place / "bad", "--setup", place / "setup.yaml", "-o", tmp_path)
     for _ in range(2):

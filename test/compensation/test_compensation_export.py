@@ -141,6 +141,7 @@ def test_names_do_not_leave_the_folder(name, tmp_path):
         prepare_export(table_of(), "csv", now=NOW, stem=name or "/")
 
 
+@pytest.mark.slow
 @given(st.text(max_size=20))
 def test_any_accepted_name_is_a_plain_one(text):
     try:

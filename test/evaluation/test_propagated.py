@@ -32,6 +32,7 @@ def both(request):
     return Propagated(result, propagate(trials, seed=4, max_trials=4000, block=1000), 4)
 
 
+@pytest.mark.slow
 def test_trials_confirm_the_solver(both):
     assert both.warnings == ()
     assert list(both.components) == list(both.result.deviations)
@@ -60,6 +61,7 @@ def test_plain_form_holds_everything(both):
         assert inside.all()
 
 
+@pytest.mark.slow
 def test_trials_do_not_hide_an_offset_that_none_of_them_tells():
     problem = plate_problem()
     told = Propagated(

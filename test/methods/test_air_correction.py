@@ -50,6 +50,7 @@ def test_corrected_lengths_give_the_truth_and_raw_ones_do_not(measured):
     assert raw.verdict == "failed"
 
 
+@pytest.mark.slow
 def test_corrected_lengths_are_those_of_a_cell_without_air():
     """The same cell, once in air and once with an instrument that needs no correction."""
     air = configured("tracer", CIDDOR)
@@ -64,6 +65,7 @@ def test_corrected_lengths_are_those_of_a_cell_without_air():
     assert np.ptp(untouched) > 50e-6
 
 
+@pytest.mark.slow
 def test_the_circumstances_say_either_way(measured):
     name, observations = measured
     said = rc.solve(observations, configured(name, CIDDOR)).circumstances

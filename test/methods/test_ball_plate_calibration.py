@@ -33,6 +33,7 @@ def errors_in_std(calibration, result):
     return {n: (result.deviations[n] - truth[n]) / result.std[n] for n in COMPONENTS}
 
 
+@pytest.mark.slow
 def test_six_curves_are_true_within_their_uncertainties(measured):
     calibration, observations = measured
     assert all(o.accepted for o in observations), [o.reason for o in observations]
@@ -85,6 +86,7 @@ def test_surface_and_centre_measurements_agree():
         assert np.abs(error).max() < 4.5, name
 
 
+@pytest.mark.slow
 def test_attempts_and_order_do_not_change_a_bit(measured):
     calibration, observations = measured
     first = calibration.solve(observations)
@@ -196,6 +198,7 @@ def test_an_impossible_plan_is_refused(change, text):
         small(change)
 
 
+@pytest.mark.slow
 def test_the_solver_estimates_a_drift_in_the_time_of_the_centres():
     """A cell without drift: its centres are shifted by a drift in time, with a long pause."""
     changes = ("plan.order=interleaved", "plan.rounds=3", "solver.drift=linear")
@@ -226,6 +229,7 @@ def test_the_solver_estimates_a_drift_in_the_time_of_the_centres():
         small("solver.drift=cubic")
 
 
+@pytest.mark.slow
 def test_a_stated_drift_is_in_the_budget():
     hidden = ("plan.order=table_once", "plan.closing=false")
     plain = small(*hidden)

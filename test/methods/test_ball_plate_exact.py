@@ -86,6 +86,7 @@ def test_weak_and_good_layouts_settle(balls):
     assert max(worst(solve(plate.problem(sigma=SIGMA)), plate).values()) < 1e-3
 
 
+@pytest.mark.slow
 def test_stated_uncertainties_hold_far_from_the_axis():
     plate = ExactPlate(24, SIX, **FAR, **REAL, seed=9)
     exact = plate.problem(sigma=SIGMA)

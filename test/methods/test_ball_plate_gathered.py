@@ -42,6 +42,7 @@ def test_a_minority_at_one_position_is_left_out_and_named(which, size, stated):
         assert {(11, b) for b in which} == gone(result, problem)
 
 
+@pytest.mark.slow
 def test_no_good_ball_is_rejected_for_two_that_are_probably_displaced():
     """Not proved, for the noise is estimated: ball 3, a good one beside them, fits worst."""
     problem, truth = world(24, (31, 0), 5e-7, at=20, stated=False)
@@ -61,6 +62,7 @@ def test_half_of_a_position_against_the_other_is_ambiguous_and_inside_u():
         assert "nearly as well" in " ".join(result.warnings)
 
 
+@pytest.mark.slow
 def test_a_half_that_is_far_off_together_is_inside_u_whatever_noise_prefers():
     """Which half of a position is off nothing tells, however far."""
     for seed in range(100, 112 if LONG else 104):

@@ -45,6 +45,7 @@ def test_one_bad_centre_is_never_called_a_knock(exact, order, size):
         assert int(problem.rows[row]) in {r.index for r in result.rejected}
 
 
+@pytest.mark.slow
 def test_two_bad_centres_at_one_table_position_are_no_knock(exact):
     problem = numbered(exact, "table_once")
     rng = np.random.default_rng(4)
@@ -78,6 +79,7 @@ def found(exact, order, moments, size):
     return count / len(moments)
 
 
+@pytest.mark.slow
 def test_a_knock_between_cmm_positions_is_found_as_before(exact):
     moments = range(30, 260, 9 if LONG else 23)
     assert found(exact, "probe_rests", moments, 3e-7) > 0.9

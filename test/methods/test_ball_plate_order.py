@@ -172,6 +172,7 @@ def test_drift_and_knocks_are_effects_of_the_engine(drift):
     assert 1e-6 < mine.p_value < 0.1
 
 
+@pytest.mark.slow
 def test_a_drift_of_the_predicted_size_is_found_in_95_percent():
     n, hits, runs = 144, 0, 120 if LONG else 20
     problem, _ = measured(12, list(range(12)), 0, {"closing": False})
@@ -274,6 +275,7 @@ def test_the_tables_repeatability_is_estimated_from_its_stops(size):
     assert (0.9 if LONG else 0.86) < inside / total < (0.99 if LONG else 1.0)
 
 
+@pytest.mark.slow
 def test_groups_close_and_are_protected_each_for_itself():
     """Even steps only: two groups of table positions, each with its own zero."""
     balls = [0, 2, 6, 10, 14, 20]

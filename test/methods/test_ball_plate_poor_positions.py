@@ -97,6 +97,7 @@ def test_groups_leave_out_positions_too():
         assert np.sqrt(np.mean((result.deviations[name] / result.std[name]) ** 2)) < 1.5
 
 
+@pytest.mark.slow
 def test_trials_know_the_angles_that_are_left():
     plate = ExactPlate(72, PAPER_PLATE, **REAL, seed=2)
     problem = two_balls_at(plate.problem(noise=SIGMA, sigma=SIGMA), [40])

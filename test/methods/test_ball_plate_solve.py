@@ -53,6 +53,7 @@ def test_result_has_six_curves_with_covariance_and_survives_json():
     assert result.details["residual_rows"]["vector"].shape == (144, 3)
 
 
+@pytest.mark.slow
 def test_stated_intervals_contain_the_truth_in_95_percent_of_1000_runs():
     inside = {name: [] for name in COMPONENTS}
     variance = []
@@ -70,6 +71,7 @@ def test_stated_intervals_contain_the_truth_in_95_percent_of_1000_runs():
     assert np.mean(variance) == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.slow
 def test_whole_solver_keeps_its_intervals_with_the_paper_plate():
     inside, rejected = [], 0
     for run in range(40 if LONG else 4):
@@ -150,6 +152,7 @@ def test_dirt_is_rejected_and_the_result_stays_right():
     assert np.abs(error / result.std["ECC"]).max() < 4.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [1e-3])
 def test_a_gross_error_costs_no_other_centre(size):
     problem, _ = simulated(72, PAPER_PLATE, seed=6)
@@ -258,6 +261,7 @@ def test_good_data_are_not_called_knocked():
         assert solve(in_cmm_order(problem)).verdict != "failed"
 
 
+@pytest.mark.slow
 def test_contradictory_data_are_refused_not_trimmed():
     problem = at(lambda b: b, grid=36, balls=[0, 3, 4, 9, 14, 20], noise=1e-8)
     rng = np.random.default_rng(0)

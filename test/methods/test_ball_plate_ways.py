@@ -229,6 +229,7 @@ def test_closed_form_equals_least_squares():
         np.testing.assert_allclose(exact.unit_std.component(name), found.unit_std[at], rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("balls", [range(12), range(0, 12, 2)], ids=["whole", "two groups"])
 def test_the_closed_form_solves_a_whole_calibration(balls):
     problem, _ = simulated(12, balls, seed=6)
@@ -246,6 +247,7 @@ def test_the_closed_form_solves_a_whole_calibration(balls):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spoiled", ["a wrong centre", "a gap", "weights", "a noisier axis"])
 def test_where_the_closed_form_does_not_exist_the_least_squares_take_its_place(spoiled):
     problem, _ = simulated(12, range(12), seed=6, noise=5e-8)
@@ -313,6 +315,7 @@ def test_spectral_takes_thousands_of_positions_within_little_memory():
     assert np.sqrt(np.mean((error / expected) ** 2)) == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_whole_result_of_thousands_of_positions_holds_no_matrix_of_them():
     problem, _ = simulated(3600, [50 * b + b % 7 for b in PAPER_PLATE], seed=3)
     tracemalloc.start()

@@ -117,6 +117,7 @@ def reversal_of_play(result):
     assert result.directions["ECC"].reversal_std.max() < 0.02 * PLAY
 
 
+@pytest.mark.slow
 def test_the_plate_shows_the_play_of_the_simulated_table(touched):
     calibration, observations = touched
     result = Result.from_dict(calibration.solve(observations).to_dict())

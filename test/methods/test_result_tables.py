@@ -74,6 +74,7 @@ def test_small_numbers_are_shown_with_their_digits(stations):
     assert float(shown["largest algorithm error (Eq. 36)"]) == pytest.approx(3e-5, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("entry", ["axial", "radial", "tilt", "station_ids"])
 def test_details_that_were_cut_cost_the_tables_and_not_the_report(tmp_path, entry):
     data = json.loads((DATA / "result_tracer.json").read_text())
@@ -115,6 +116,7 @@ def test_heads_of_a_page_are_words_with_a_unit(head, words):
     assert ResultTable("t", "t", (head,), ()).heads() == [words]
 
 
+@pytest.mark.slow
 def test_the_verb_writes_files_and_overwrites_none(tmp_path):
     result, folder = DATA / "result_tracer.json", tmp_path / "tables"
 

@@ -104,6 +104,7 @@ def test_offline_rejects_what_live_rejected_and_nothing_else(
     assert recording.same_as_recorded
 
 
+@pytest.mark.slow
 def test_where_nothing_was_recorded_the_bag_tells(tmp_path: Path, simulated_run: Run) -> None:
     record_live(tmp_path / "bag", simulated_run, Live(1.5, 1.5), recorded=False)
     recording = read_recording(tmp_path / "bag")

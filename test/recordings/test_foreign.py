@@ -85,6 +85,7 @@ def test_bare_numbers_give_the_observations_of_the_full_messages(run, foreign):
         assert accepted[step].probe_position == o.probe_position
 
 
+@pytest.mark.slow
 def test_stamps_are_the_log_times(foreign):
     first = read_recording(foreign, configuration=SETUP).observations[0]
     assert first.window_start_ns > START_NS

@@ -113,6 +113,7 @@ def test_what_is_announced_of_another_axis_does_not_count(
     )
 
 
+@pytest.mark.slow
 def test_the_setting_none_is_no_match_for_a_bridge_that_cannot_tell(tmp_path, simulated_run):
     recording = announcing_bag(tmp_path / "bag", simulated_run, ("unknown",))
     configuration = recording.configuration

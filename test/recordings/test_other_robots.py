@@ -68,6 +68,7 @@ def test_the_cell_with_a_plan_is_meant(attached, order, expected, tmp_path):
     assert Input(path, changes=("solver.max_rejected_share=0.3",)).read().observations == expected
 
 
+@pytest.mark.slow
 def test_where_the_plan_is_an_attachment_the_cell_with_messages_of_ours_is_meant(tmp_path):
     alone = read_recording(write_mcap(tmp_path / "a.mcap", run_messages())).observations
     both = write_mcap(tmp_path / "b.mcap", mixed(run_messages(), robot(500)))
@@ -82,6 +83,7 @@ def test_where_the_plan_is_an_attachment_the_cell_with_messages_of_ours_is_meant
         read_recording(write_mcap(tmp_path / "c.mcap", mixed(run_messages(), second)))
 
 
+@pytest.mark.slow
 def test_in_sqlite_too(expected, tmp_path):
     path = write_sqlite(tmp_path / "a.db3", mixed(ours(), robot(50)))
     assert read_recording(path).observations == expected

@@ -51,6 +51,7 @@ def test_a_conflict_in_a_bag_is_a_warning_of_its_result(tmp_path, simulated_run)
     assert again.frames == recording.frames
 
 
+@pytest.mark.slow
 def test_frames_that_agree_leave_the_result_as_it_is_to_the_last_bit(
     tmp_path, simulated_run, run_bag
 ):

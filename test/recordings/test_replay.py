@@ -102,6 +102,7 @@ def test_truncated_bag_gives_the_first_observations(
     assert "truncated at byte" in recording.warnings()[0]
 
 
+@pytest.mark.slow
 def test_split_session_is_one(simulated_run: Run, tmp_path: Path) -> None:
     settings = WriterSettings(min_free_bytes=0, split_bytes=200_000, chunk_bytes=20_000)
     write_run(tmp_path / "split", simulated_run, settings, tick_every=100)
@@ -236,6 +237,7 @@ def test_counters_of_a_split_session_count_once_and_those_of_a_later_run_besides
     assert losses_in_words(losses) == ("5 lost live (gap /a)", "/b fell silent (1 times)")
 
 
+@pytest.mark.slow
 def test_an_observation_that_nobody_lived_to_record_is_no_difference(
     simulated_run: Run, tmp_path: Path
 ) -> None:

@@ -119,6 +119,7 @@ def test_every_warning_on_standard_error_is_in_the_json(part: Path, tmp_path: Pa
         assert [plain.count(text) for text in kept] == [1] * len(kept)
 
 
+@pytest.mark.slow
 def test_files_of_another_table_are_refused_by_name(
     split: Path, simulated_run: Run, tmp_path: Path
 ) -> None:

@@ -122,6 +122,7 @@ def test_a_simulation_is_never_taken_for_a_calibration():
 DOUBTFUL = ("the stations leave their circle by 7 times what is expected",)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verdict", ["suspect", "failed"])
 def test_a_result_in_doubt_shows_it_in_the_number_itself(whole, verdict):
     doubtful = result(verdict=verdict, warnings=DOUBTFUL)

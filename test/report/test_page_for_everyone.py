@@ -37,6 +37,7 @@ def page():
     return render_report(report(result(runs=runs)))
 
 
+@pytest.mark.slow
 def test_every_figure_has_a_name_and_none_twice_the_same(page):
     figures = Elements(page).named("svg")
     names = [figure["aria-label"] for figure in figures]

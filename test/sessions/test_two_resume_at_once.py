@@ -45,6 +45,7 @@ def test_the_second_one_is_refused_when_the_first_one_has_solved_it(folder):
     assert (folder / "result.json").read_bytes() == result
 
 
+@pytest.mark.slow
 def test_the_second_one_starts_no_node_when_the_first_one_has_recorded(folder):
     second = resumed(folder)
     (folder / "bag" / "out_1.mcap").write_bytes(b"")  # a run went on, and was interrupted again

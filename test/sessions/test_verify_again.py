@@ -207,6 +207,7 @@ def test_a_table_that_a_control_uses_wrongly_is_named_and_not_added_to(real, gai
     assert not (folder / "compensation_added").exists()
 
 
+@pytest.mark.slow
 def test_the_word_counts_once_for_each_table(real):
     folder = begun(real, again=True)
     assert verification.verify(folder) is None

@@ -83,6 +83,7 @@ def measured(folder, deviation, seed):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("size", "verdict", "code"), [(0.0, "still valid", 0), (5.0, "changed", 1)]
 )
@@ -119,6 +120,7 @@ def test_plans_that_cannot_be_are_refused(change, text):
     assert text in ran.stderr
 
 
+@pytest.mark.slow
 def test_people_are_shown_what_is_not_covered():
     ran = run(*PLAN, "--within", "4", "--every", "2", "--least-redundancy", "0")
     assert ran.exit_code == 0, ran.output

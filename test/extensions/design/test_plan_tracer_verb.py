@@ -137,12 +137,14 @@ def test_what_protection_costs_is_told(tmp_path, monkeypatch):
     assert f"{found['time_s'] - found['quickest_s']:.0f} s more than the quickest order" in words
 
 
+@pytest.mark.slow
 def test_a_goal_that_only_an_estimate_misses_says_what_would_help():
     result = run("--need", "ECC=1.0", *SMALL)
     assert result.exit_code == 2
     assert "state error_motion_std_m, which the solver would else estimate" in result.stderr
 
 
+@pytest.mark.slow
 def test_a_pattern_tells_what_its_solver_will_do(tmp_path):
     pattern = tmp_path / "like.yaml"
     pattern.write_text(
@@ -165,6 +167,7 @@ def test_a_pattern_tells_what_its_solver_will_do(tmp_path):
     assert "circle_std_m" not in solver
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wanted", ["30"])
 def test_a_loose_goal_has_a_plan_that_checks_itself(wanted):
     # whatever reaches 6 arcsec reaches 30 as well
@@ -177,6 +180,7 @@ def test_a_loose_goal_has_a_plan_that_checks_itself(wanted):
     assert found["lengths"] < 100
 
 
+@pytest.mark.slow
 def test_the_plain_minimum_warns():
     result = run("--need", "ECC=2.5", *SMALL, "--plain")
     assert result.exit_code == 0, result.stderr

@@ -123,6 +123,7 @@ def test_the_same_seed_promises_the_same():
     assert promised(blind, scene, NEVER, 0.5, looks=(3,)).runs == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("goal", "runs"), [(1.0, 20), (1e-9, 100)], ids=["met by all", "met by none"]
 )

@@ -49,6 +49,7 @@ def test_more_noise_takes_more_lengths_and_a_larger_circle_fewer():
     assert loud.bound == pytest.approx(4.0 * quiet.bound, rel=0.02)
 
 
+@pytest.mark.slow
 def test_all_scaled_alike_takes_the_same():
     once, half = (
         tracer_trade(

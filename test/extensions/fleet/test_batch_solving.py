@@ -87,6 +87,7 @@ def test_each_outcome_equals_the_bag_solved_alone_and_one_bad_bag_stops_nobody(j
         )
 
 
+@pytest.mark.slow
 def test_work_that_is_done_is_not_repeated_until_bag_or_configuration_change(jobs, tmp_path):
     first = [solve_bag(job) for job in jobs]
     again = [solve_bag(job) for job in jobs]

@@ -72,6 +72,7 @@ def test_a_broken_entry_is_computed_again_and_mended(tmp_path, harm):
     assert (third.healed, third.cached, third.result) == (False, True, first.result)
 
 
+@pytest.mark.slow
 def test_a_copy_and_a_repaired_twin_are_the_same_session_and_another_day_is_not(tmp_path):
     from rotcal_ros.bags.repair import repair
 

@@ -94,6 +94,7 @@ def gets_after(log, seen, within_s=20.0):
     return found
 
 
+@pytest.mark.slow
 def test_a_remote_session_is_fetched_once_and_equals_the_local_one(server, tmp_path):
     log = server
     bag = write_bag(tmp_path / "table" / "run", 3)
@@ -125,6 +126,7 @@ def test_a_remote_session_of_several_files_is_solved_whole(tmp_path):
     assert remote.result == local.result
 
 
+@pytest.mark.slow
 def test_a_place_that_does_not_answer_is_one_sentence(tmp_path, monkeypatch):
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
     monkeypatch.setenv("AWS_ACCESS_KEY_ID", "nobody")

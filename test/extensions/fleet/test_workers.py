@@ -37,6 +37,7 @@ def test_each_bag_that_kills_its_worker_is_set_aside_and_costs_nobody_else(tmp_p
     assert not any(errors.values())
 
 
+@pytest.mark.slow
 def test_no_process_is_left_behind_when_the_reader_stops_early(tmp_path):
     others = psutil.Process().children()  # of earlier tests, such as a server of forks
     running = on_all_cores(jobs(tmp_path, "good", "hang_1", "hang_2"), 2, 60.0, deadly_work.work)

@@ -78,6 +78,7 @@ class Session:
         return observations[0], point
 
 
+@pytest.mark.slow
 def test_reflector_positions_through_tcp_find_the_truth(own):
     calibration = prepare(changed(read_configuration(OWN / "own_cell.yaml"), CHANGES))
     with serving(DmeServer(simulated_cell(small()), "127.0.0.1", 0)) as server:

@@ -290,6 +290,7 @@ def test_a_channel_without_encryption_is_not_tried(machine):
         assert word not in talk
 
 
+@pytest.mark.slow
 def test_a_server_that_does_not_answer(machine):
     """Nothing listens, or something that never answers: an error in time, nothing changed."""
     machine.server.stop()

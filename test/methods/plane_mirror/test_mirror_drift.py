@@ -79,6 +79,7 @@ def test_95_percent_intervals_hold_the_truth_while_the_tracker_drifts(creep, way
     assert ABOUT[0] <= coverage(*runs(CREEPS[creep], way)) <= ABOUT[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every", [1, 2])
 def test_95_percent_intervals_hold_with_nests_in_between(every):
     assert ABOUT[0] <= coverage(*runs(CREEPS["azimuth"], every=every)) <= ABOUT[1]
@@ -114,6 +115,7 @@ def test_a_station_left_without_closing_nests_is_named():
     assert "left station 3," in drift.why
 
 
+@pytest.mark.slow
 def test_a_large_drift_makes_the_result_suspect_unless_nests_show_its_course():
     found = campaign(CREEPS["azimuth"])
     result = solve(found.problem(found.noisy(np.random.default_rng(2), 1)[0]))
@@ -126,6 +128,7 @@ def test_a_large_drift_makes_the_result_suspect_unless_nests_show_its_course():
     assert "drift" not in result.unprotected
 
 
+@pytest.mark.slow
 def test_without_drift_false_alarms_are_as_rare_as_stated():
     found = campaign()
     points = found.noisy(np.random.default_rng(11), 150 if LONG else 30)

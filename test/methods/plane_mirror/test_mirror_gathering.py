@@ -109,6 +109,7 @@ def test_reflectors_on_the_table_that_are_off_together_are_named(pattern):
     assert any(f"position {position} (" in text for text in result.warnings)
 
 
+@pytest.mark.slow
 def test_sound_reflectors_on_the_table_stay_ok():
     for seed in range(2):
         world = carried_world(seed)
@@ -137,6 +138,7 @@ def test_the_linear_view_of_reflectors_is_that_of_the_way():
         assert error < 0.1 * np.abs(response).max()
 
 
+@pytest.mark.slow
 def test_small_ones_are_seldom_ok_and_wrong():
     """The figures for 100 worlds of each size are in docs/evidence_methods.md."""
     missed = 0
@@ -147,6 +149,7 @@ def test_small_ones_are_seldom_ok_and_wrong():
     assert missed <= 1
 
 
+@pytest.mark.slow
 def test_sound_points_stay_ok_and_keep_their_uncertainty():
     added = 0
     for seed in range(12 if LONG else 3):
@@ -189,6 +192,7 @@ def test_u_holds_a_swing_of_an_arcsecond_between_two_looks_at_the_nests(cycles):
         assert "0.5 arcsec" in told.why
 
 
+@pytest.mark.slow
 def test_the_statement_changes_u_alone_and_more_looks_at_the_nests_make_it_small():
     grown = []
     for rounds in ((), (1, 2, 3)):

@@ -150,6 +150,7 @@ def test_other_kinds_are_measured_with_the_table_at_rest():
     assert sample.stamp_ns > 5 * SECOND + 0.2 / np.deg2rad(1.0) * SECOND
 
 
+@pytest.mark.slow
 def test_probe_errors():
     """The reflector misses the reported place: the same at each visit, and a little anew."""
     cell_settings = replace(

@@ -112,6 +112,7 @@ def test_true_reports_of_a_machine_that_moves_are_believed_wholly(move, variant)
         np.testing.assert_allclose(found.std["ECC"][1:], std[1:], rtol=0.5)
 
 
+@pytest.mark.slow
 def test_half_true_reports_are_half_believed():
     """Moves and noise of equal size: the weight is 1/2, and S/2 of the move stays unknown."""
     size = 4e-7
@@ -150,6 +151,7 @@ def test_the_stated_uncertainty_holds_and_sound_cells_are_not_suspect(move, nois
     assert suspect <= most(0.1 if move and noise else 1 / 60, cells)
 
 
+@pytest.mark.slow
 def test_reports_that_spoil_the_fit_are_named():
     """0.2 um of noise in reports of 0.5 um moves: too little to tell the slope from 1."""
     believed = 0

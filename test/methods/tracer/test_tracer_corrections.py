@@ -94,6 +94,7 @@ def test_the_table_has_micrometres_and_says_what_they_count_from():
     assert "less a shift and a turn" in table.title
 
 
+@pytest.mark.slow
 def test_lengths_from_three_places_correct_their_targets_too():
     squares = []
     for seed in range(10):

@@ -81,6 +81,7 @@ def test_order_of_rows_does_not_change_a_bit(options):
     assert (first.residuals.redundancy[order] == second.residuals.redundancy).all()
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(st.floats(-3, 3), st.floats(-2, 2), st.floats(-2, 2), st.sampled_from(VARIANTS))
 def test_place_and_heading_of_the_machine_do_not_matter(turn, x, y, options):

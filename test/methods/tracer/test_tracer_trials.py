@@ -27,6 +27,7 @@ def problem(options, **more):
     return scene.problem(target_std=2e-6, settings=AS_STATED, **options, **more)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", VARIANTS, ids=lambda o: "-".join(o.values()))
 def test_every_trial_is_what_the_solver_finds_for_the_same_numbers(options):
     task = problem(options)
@@ -40,6 +41,7 @@ def test_every_trial_is_what_the_solver_finds_for_the_same_numbers(options):
         np.testing.assert_allclose(deviation, answer.deviations["ECC"], atol=exact)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", VARIANTS, ids=lambda o: "-".join(o.values()))
 def test_trials_scatter_as_the_solver_states(options):
     task = problem(options, error_motion_std=1e-7)

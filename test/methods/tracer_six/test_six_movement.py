@@ -4,6 +4,7 @@ The moves are put on simulated lengths by plain geometry; the table scatters as 
 """
 
 import numpy as np
+import pytest
 from chances import LONG
 from six_scene import good_targets, scene
 
@@ -56,6 +57,7 @@ def move_of(result, kind):
     return next((test for test in result.details["moves"] if test["kind"] == kind), None)
 
 
+@pytest.mark.slow
 def test_probabilities_are_uniform_where_nothing_moves():
     """Over scatter that is estimated: at most every thousandth cell at rest is suspect."""
     found = [measured(seed, solved=adjust).moves for seed in range(24)]
@@ -106,6 +108,7 @@ def test_a_tracer_that_slips_sideways_deforms_the_triangle_and_needs_no_return()
     assert any("the tracer slipped on the table" in text for text in result.warnings)
 
 
+@pytest.mark.slow
 def test_what_is_said_of_drift_is_what_the_test_finds():
     """From the size on that the protection names, POWER of the drifts turn the verdict."""
     protections = {p.effect: p for p in measured(6).protections}

@@ -16,12 +16,14 @@ LEAST = 0.92 if LONG else 0.9
 NONE = {"scatter_translation_std": 0.0, "scatter_rotation_std": 0.0}
 
 
+@pytest.mark.slow
 def test_intervals_hold_without_scatter():
     found = coverage(60 if LONG else 20, (0.0, 0.0), seed=1, slip=0.0, **NONE)
     assert (found.share > LEAST).all()
     assert (found.share < (0.975 if LONG else 0.99)).all()
 
 
+@pytest.mark.slow
 def test_intervals_hold_with_scatter_that_is_estimated():
     found = coverage(40 if LONG else 12, (1e-7, 5e-7), seed=2, slip=0.0)
     assert (found.share > LEAST).all()

@@ -122,6 +122,7 @@ def competing():
     return calibration, position, costs, ways
 
 
+@pytest.mark.slow
 def test_every_order_measures_every_length(competing):
     _, _, costs, ways = competing
     assert [way.name for way in ways] == [

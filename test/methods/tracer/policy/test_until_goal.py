@@ -71,6 +71,7 @@ def test_what_is_stated_holds_at_any_true_noise_and_costs_little_at_the_planned(
             assert np.mean([run.inside for run in fixed]) < 0.85
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.0, 2.0])
 def test_goal_reached_is_what_the_result_states(of, factor):
     """The U of the end is the result's own, to the last bit, and its doubt is told with it."""
@@ -119,6 +120,7 @@ def test_allowances_are_undone():
     assert Allowance.of(1.0, np.inf, 0.5) == Allowance(0.5)  # nothing is planned that could grow
 
 
+@pytest.mark.slow
 def test_a_blocked_sector_is_planned_around(of):
     away = -of.directions
     azimuth = np.arctan2(away[:, 1], away[:, 0])
