@@ -39,8 +39,6 @@ test-jazzy:  ## a live cell with known truth on ROS 2 Jazzy, in .venv-jazzy
 		PYTEST_ARGS="$(JAZZY_TESTS)"
 
 docs: setup  ## build the site of the pages strictly; open out/site/index.html
-	@$(BIN)/python -c 'import material, mkdocs_click' 2>/dev/null || $(BIN)/pip install -q \
-		--disable-pip-version-check --no-build-isolation -c constraints.txt -e '.[docs]'
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 	@echo "open out/site/index.html"
 

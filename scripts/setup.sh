@@ -18,7 +18,7 @@ SUFFIX=-$DISTRO
 VENV=$PWD/.venv$SUFFIX
 BUILD=$PWD/build/setup$SUFFIX
 LOG=$BUILD/setup.log
-EXTRAS=${ROTCAL_EXTRAS:-ros,many,opcua,ads,dcc,notebook,page,test},build,build-$DISTRO
+EXTRAS=${ROTCAL_EXTRAS:-ros,many,opcua,ads,dcc,notebook,page,docs,test},build,build-$DISTRO
 PINS=(constraints.txt "constraints-$DISTRO.txt")
 # Settings of a sourced ROS installation or of another environment would leak into this one.
 unset AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
@@ -143,7 +143,7 @@ flock 9 # two terminals, one set-up
 # An environment can neither be moved nor serve another Python.
 environment=$({ python_says 'print(sys.version, sys.base_prefix)' && pwd; } | hash_of)
 packages=$({
-    echo "$environment" && cat "${PINS[@]}" setup.* rotcal_ros/{__init__,foundation/node_names}.py
+    echo "$environment" && cat "${PINS[@]}" setup.* scripts/setup.sh rotcal_ros/{__init__,foundation/node_names}.py
     find config launch -type f | sort
 } | hash_of)
 messages=$({
