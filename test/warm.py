@@ -14,6 +14,7 @@ from __future__ import annotations
 import atexit
 import ctypes
 import fcntl
+import gc
 import json
 import os
 import re
@@ -344,6 +345,9 @@ def import_all(ros: bool) -> None:
             continue
         with suppress(ImportError):
             import_module(module.name)
+    if ros:
+        import_module("rosidl_generator_py")  # each node asks for it when it first publishes
+    gc.freeze()  # or the collector would touch, and so copy, all of that in each copy
 
 
 def main() -> None:
