@@ -83,38 +83,33 @@ def _sections(method: str, groups: Sequence[str]) -> tuple[Section, ...]:
 
 def _first_lines(method: str, width: int) -> Iterator[str]:
     """Yield what to state first for a method, then the names of what else can be set."""
-    from rotcal_ros.methods.settings_reference import (
-        first_settings,
-        method_sections,
-        unit_and_meaning,
-    )
+    from rotcal_ros.methods.settings_reference import first_settings, unit_and_meaning
 
-    sections = method_sections(method)
-    first = dict(first_settings(sections))
-    others = {
-        section.group: [name for name, _ in section.rows(expert=False) if name not in first]
-        for section in sections
-    }
-    experts = sum(len(section.rows(expert=True)) for section in sections)
+    sections = _sections(method, ())
     yield click.style(f"{method}: to measure a real table, state first", bold=True)
     yield ""
-    rows = []
-    for name, declared in first.items():
+    rows = [_HEADINGS]
+    for name, declared in first_settings(sections):
         unit, meaning = unit_and_meaning(declared)
         rows.append((name, unit, _default(declared), meaning))
-    yield from _table([_HEADINGS, *rows], width)
-    yield ""
-    yield f"and {sum(map(len, others.values()))} more: rotcal settings {method} GROUP"
-    yield ""
-    rows = [
-        (group, ", ".join(name.removeprefix(f"{group}.") for name in names))
-        for group, names in others.items()
-        if names
-    ]
     yield from _table(rows, width)
     yield ""
+    names = {section.group: _other_names(section) for section in sections}
+    yield f"and {sum(map(len, names.values()))} more: rotcal settings {method} GROUP"
+    yield ""
+    yield from _table(
+        [(group, ", ".join(found)) for group, found in names.items() if found], width
+    )
+    yield ""
+    experts = sum(len(section.rows(expert=True)) for section in sections)
     yield from _wrapped(f"and {experts} for experts: rotcal settings {method} --expert", width, 0)
     yield ""
+
+
+def _other_names(section: Section) -> list[str]:
+    """Return the names in a group of what need not be stated first and is not for experts."""
+    rows = section.rows(expert=False)
+    return [name.removeprefix(f"{section.group}.") for name, one in rows if not one.info.first]
 
 
 def _table(rows: Sequence[tuple[str, ...]], width: int) -> Iterator[str]:
