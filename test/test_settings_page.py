@@ -105,6 +105,13 @@ def test_what_several_places_have_alike_is_one_row_that_names_them():
 
 
 @pytest.mark.parametrize("name", REAL)
+def test_a_real_cell_is_configured_without_what_is_for_experts(name):
+    configuration = read_configuration(ROOT / "config" / f"{name}.yaml")
+    declared = (pair for s in method_sections(configuration.method.name) for pair in s.settings())
+    assert not configuration.given.intersection(n for n, one in declared if one.info.expert)
+
+
+@pytest.mark.parametrize("name", REAL)
 def test_a_file_may_have_every_setting_for_experts(name):
     """Each is read: nonsense in its place is refused by its name."""
     method, given = raw_groups((ROOT / "config" / f"{name}.yaml").read_text(), name)

@@ -23,7 +23,7 @@ class CaptureSettings:
         minimum=0.01,
         maximum=36_000.0,
     )
-    velocity_tolerance_deg_s: float = expert(
+    velocity_tolerance_deg_s: float = setting(
         0.02,
         doc="deg/s, largest speed at which the table counts as at rest",
         minimum=1e-6,
@@ -50,7 +50,7 @@ class CaptureSettings:
     max_std_m: float = setting(
         2e-6, doc="m, largest standard deviation of the readings of a window", minimum=0.0
     )
-    max_drift_m: float = expert(
+    max_drift_m: float = setting(
         2e-6, doc="m, largest change over a window of the line fitted to its readings", minimum=0.0
     )
     min_used_share: float = expert(
@@ -93,7 +93,7 @@ class CaptureSettings:
         minimum=1e-9,
         maximum=1e-2,
     )
-    step_timeout_s: float = expert(
+    step_timeout_s: float = setting(
         30.0,
         doc="s, longest time from the probe at its target to the end of the window; "
         "planner.step_timeout_s must be longer",

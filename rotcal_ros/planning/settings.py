@@ -160,7 +160,7 @@ class PlannerSettings:
         maximum=3600.0,
     )
 
-    max_attempts: int = setting(
+    max_attempts: int = expert(
         3, doc="attempts at one step before it is skipped", minimum=1, maximum=100
     )
     max_failed_steps: int = expert(
@@ -176,7 +176,7 @@ class PlannerSettings:
         minimum=0.1,
         maximum=3600.0,
     )
-    step_timeout_s: float = expert(
+    step_timeout_s: float = setting(
         60.0, doc="s, longest time from an order to its observation", minimum=0.1, maximum=86_400.0
     )
     receipt_timeout_s: float = expert(

@@ -20,7 +20,7 @@ class DmeSettings:
 
     host: str = setting("127.0.0.1", doc="host name or IP address of the DME server")
     port: int = setting(PORT, doc="TCP port of the DME server", minimum=1, maximum=65_535)
-    tool: str = setting("", doc="tool to change to at the start; empty: the one that is active")
+    tool: str = expert("", doc="tool to change to at the start; empty: the one that is active")
     home: bool = setting(
         False,
         doc="home the machine at the start if it is not homed; it then moves, so somebody must "

@@ -267,7 +267,7 @@ class BallPlatePlanSettings:
         doc="deg, table angle of table position 0, at which ball step 0 lies on the +x side",
         first=True,
     )
-    cmm_positions: tuple[int, ...] = setting(
+    cmm_positions: tuple[int, ...] = expert(
         (), doc="grid steps at which balls are measured; empty: all", minimum=0
     )
     order: str = setting(

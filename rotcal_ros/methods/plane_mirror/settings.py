@@ -132,11 +132,11 @@ class TrackerSettings:
     reflectors_on_table: bool = expert(
         False, doc="the reflectors ride on the table instead of standing before a mirror"
     )
-    range_std_um: float = setting(2.5, doc="um, noise along the beam at distance 0", minimum=0.0)
+    range_std_um: float = expert(2.5, doc="um, noise along the beam at distance 0", minimum=0.0)
     range_std_um_per_m: float = expert(
         0.25, doc="um/m, growth of the noise along the beam with the distance", minimum=0.0
     )
-    transverse_std_um: float = setting(
+    transverse_std_um: float = expert(
         3.75, doc="um, noise across the beam at distance 0", minimum=0.0
     )
     transverse_std_um_per_m: float = expert(
@@ -220,12 +220,12 @@ class MirrorPlanSettings(TableAngleSettings):
         maximum=30.0,
         first=True,
     )
-    closing_nests: bool = expert(
+    closing_nests: bool = setting(
         True,
         doc="measure the nests again before the tracker leaves a station; without that, its "
         "drift is in the deviations unnoticed",
     )
-    nests_every: int = expert(
+    nests_every: int = setting(
         0,
         doc="table positions between two rounds of nests at a station; 0: only before and after "
         "its positions",

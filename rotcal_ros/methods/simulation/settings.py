@@ -65,7 +65,7 @@ class TableSettings:
     external: bool = expert(
         False, doc="another program moves the table and tells its actual angle on table_actual"
     )
-    backlash_arcsec: float = setting(
+    backlash_arcsec: float = expert(
         0.0, doc="arcsec, by which the angle stays larger when approached from above"
     )
     repeatability_arcsec: float = expert(

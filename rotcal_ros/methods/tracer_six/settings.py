@@ -133,7 +133,7 @@ class SixPlanSettings(TableAngleSettings):
         minimum=1,
         maximum=20,
     )
-    closes: bool = expert(
+    closes: bool = setting(
         False, doc="measure the first angle again at the end of every place, or of every target"
     )
 
