@@ -108,8 +108,9 @@ def _first_lines(method: str, width: int) -> Iterator[str]:
 
 def _other_names(section: Section) -> list[str]:
     """Return the names in a group of what need not be stated first and is not for experts."""
+    prefix = f"{section.group}."
     rows = section.rows(expert=False)
-    return [name.removeprefix(f"{section.group}.") for name, one in rows if not one.info.first]
+    return [name.removeprefix(prefix) for name, declared in rows if not declared.info.first]
 
 
 def _table(rows: Sequence[tuple[str, ...]], width: int) -> Iterator[str]:
