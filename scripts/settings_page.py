@@ -6,7 +6,7 @@ usage: python scripts/settings_page.py [check]     check: only see whether the p
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import MISSING
 from pathlib import Path
 
@@ -30,15 +30,17 @@ BAR = "\\|"
 PAGE = Path(__file__).parents[1] / "docs" / "settings.md"
 HEAD = """# Settings
 
-A configuration is a ROS 2 parameter file: `/**: ros__parameters:` with the name of a `method` and
-groups of settings. It is checked whole before anything moves. A setting that is not given keeps
-its default; one in **bold** has to be given. The unit stands in the name and before the comma.
-Lists hold values of the kind that is named. A default *none* is a setting that is not given, in
-YAML `null`.
+A configuration is a YAML file: the name of a `method` and groups of settings, at the top or, as in
+a ROS 2 parameter file, below `/**: ros__parameters:`. It is checked whole before anything moves. A
+setting that is not given keeps its default; one in **bold** has to be given. The unit stands in
+the name and before the comma. Lists hold values of the kind that is named. A default *none* is a
+setting that is not given, in YAML `null`. In the place of a `*` in a name stands one of the words
+with which the meaning ends.
 
-On the command line: `--set GROUP.NAME=VALUE`; `rotcal settings METHOD` prints what to state first,
-`--all` every setting of the method, and the name of a group those of that group. This page is
-written by `python scripts/settings_page.py` from the declarations.
+On the command line: `--set GROUP.NAME=VALUE`; `rotcal settings METHOD` prints what to state first
+and the names of the others, `rotcal settings METHOD GROUP` what those of a group mean, `--expert`
+those [for experts](#for-experts) too. This page is written by `python scripts/settings_page.py`
+from the declarations.
 """
 FIRST = """## What to state first
 
@@ -56,10 +58,15 @@ READING = """## The limits of reading
 Of `rotcal bag info`, `check` and `repair`, and of whatever else is given a bag and takes `--set`
 (`solve`, `report`, `uncertainty`), on the command line alone. See
 [recording](recording.md#checking-and-repairing)."""
+EXPERTS = """## For experts
+
+Nobody has to touch these in ordinary use: thresholds, waits and rates, what a simulated machine is
+like and what goes wrong in it. In a file they stand in their groups, like all others.
+"""
 
 
 def page() -> str:
-    """Return the text of the page: what comes first, what all methods share, each method."""
+    """Return the text: what comes first, what all methods share, each method, for experts."""
     parts = [HEAD, FIRST, *(_first(name) for name in method_names())]
     parts += [_section(f"## {shared.group}", shared) for shared in shared_sections()]
     for name in method_names():
@@ -68,8 +75,12 @@ def page() -> str:
                      f"({method.page}.md).\n")  # fmt: skip
         parts += [_section(f"### {own.group} of {name}", own) for own in own_sections(name)]
     parts += [_section(GOAL, goal) for goal in goal_sections()]
-    parts.append(_section(READING, reading_section()))
-    return "\n".join(parts)
+    parts += [_section(READING, reading_section()), EXPERTS]
+    parts += [_experts(section) for section in (*shared_sections(), *goal_sections())]
+    for name in method_names():
+        parts.append(f"## For experts: `method: {name}`\n")
+        parts += map(_experts, own_sections(name))
+    return "\n".join(filter(None, parts))
 
 
 def _first(method: str) -> str:
@@ -81,14 +92,25 @@ def _first(method: str) -> str:
     return "\n".join([f"### First of {method}", "", *rows, ""])
 
 
-def _section(heading: str, section: Section) -> str:
-    """Return heading, first line of the docstring, and one row for every setting."""
+def _section(heading: str, section: Section, *, expert: bool = False) -> str:
+    """Return heading, summary and a row for every setting, those for experts or all others.
+
+    Empty where there are none.
+    """
+    rows = section.rows(expert=expert)
     table = ["| setting | kind | default | range | meaning |", "| --- | --- | --- | --- | --- |"]
-    return "\n".join([heading, "", section.summary, "", *table, *_rows(section), ""])
+    whole = "\n".join([heading, "", section.summary, "", *table, *_rows(rows), ""])
+    return whole if rows else ""
 
 
-def _rows(section: Section) -> Iterator[str]:
-    for name, declared in section.settings():
+def _experts(section: Section) -> str:
+    of = f" of {section.method}" if section.method else ""
+    name = section.group or "goal of a plan"
+    return _section(f"### {name}{of}, for experts", section, expert=True)
+
+
+def _rows(rows: Iterable[tuple[str, Declaration]]) -> Iterator[str]:
+    for name, declared in rows:
         yield _row(
             _name(name, declared),
             kind_in_words(declared),

@@ -30,7 +30,8 @@ class Row:
 def rows(method: str = "") -> dict[str, Row]:
     """Return the rows of the groups that all methods share, or those of one method, by name.
 
-    The short tables at the beginning repeat some of them, in other columns, and are left out.
+    The short tables at the beginning repeat some of them, in other columns, and are left out. One
+    row with a ``*`` in its name is that of each place with which its meaning ends.
     """
     found: dict[str, Row] = {}
     section = ""
@@ -39,8 +40,10 @@ def rows(method: str = "") -> dict[str, Row]:
             section = "first" if line == FIRST else line.partition("`method: ")[2].rstrip("`")
         if section == method and line.lstrip("| *").startswith("`") and line.startswith("| "):
             name, kind, default, limits = [cell.strip() for cell in line.split(" | ")[:4]]
-            bold = name.removeprefix("| ").startswith("**")
-            found[name.strip("| *`")] = Row(bold, kind, default, limits)
+            row = Row(name.removeprefix("| ").startswith("**"), kind, default, limits)
+            places = line.rpartition("; *: ")[2].rstrip(" |").split(", ")
+            for place in places if ".*." in name else ("",):
+                found[name.strip("| *`").replace("*", place)] = row
     return found
 
 

@@ -2,24 +2,29 @@
 
 import re
 import runpy
-from dataclasses import MISSING
+from copy import deepcopy
+from dataclasses import MISSING, dataclass
 from pathlib import Path
 
 import pytest
+from settings_page import rows
 
-from rotcal_ros.foundation import plugins
-from rotcal_ros.foundation.settings import declarations
+from rotcal_ros.foundation import plugins, settings
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.settings import declarations, load
 from rotcal_ros.methods import find_method, method_names
 from rotcal_ros.methods.calibration import prepare_to_measure
 from rotcal_ros.methods.configuration import (
     GROUPS,
     dump_configuration,
     parse_configuration,
+    raw_groups,
     read_configuration,
     settings_classes,
 )
 from rotcal_ros.methods.method import own_settings
 from rotcal_ros.methods.settings_reference import (
+    Section,
     all_sections,
     first_settings,
     goal_sections,
@@ -28,6 +33,7 @@ from rotcal_ros.methods.settings_reference import (
 )
 
 ROOT = Path(__file__).parents[1]
+BUILT_IN = ("ball_plate", "plane_mirror", "tracer_multistation", "tracer_six")
 REAL = ("ball_plate", "plane_mirror", "tracer", "tracer_six")
 """The configurations of real cells in ``config``, one of each method."""
 UNITS = {
@@ -43,15 +49,83 @@ def test_the_page_is_current():
 
 
 def test_every_setting_of_every_method_stands_there_with_its_meaning():
-    text = (ROOT / "docs" / "settings.md").read_text()
     for name in ("ball_plate", "plane_mirror", "tracer_multistation"):
         assert name in method_names()
         classes = settings_classes(find_method(name))
         assert tuple(classes) == GROUPS
+        page = rows() | rows(name)
         for group, cls in classes.items():
             for declared in declarations(cls):
-                assert f"`{group}.{declared.name}`" in text
+                assert f"{group}.{declared.name}" in page
                 assert declared.info.description
+
+
+def test_what_is_for_experts_stands_at_the_end_of_the_page_and_nothing_else_does():
+    text = (ROOT / "docs" / "settings.md").read_text()
+    begin, end = text.split("\n## For experts\n")
+    for name in ("capture.window_samples", "solver.way", "simulation.seed", "need_arcsec"):
+        assert f"`{name}`" in begin
+        assert f"`{name}`" not in end
+    for name in ("capture.spike_limit", "solver.significance", "simulation.hold_s", "exchanges"):
+        assert f"`{name}`" not in begin
+        assert f"`{name}`" in end
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_a_method_asks_for_no_more_than_people_can_answer(name):
+    sections = method_sections(name)
+    assert sections[-1].group == "simulation"
+    assert sum(len(section.rows(expert=False)) for section in sections) <= 120
+    assert not [n for n, declared in first_settings(sections) if declared.info.expert]
+
+
+def test_what_several_places_have_alike_is_one_row_that_names_them():
+    @dataclass(frozen=True)
+    class Place:
+        """A place."""
+
+        maker: str = settings.setting("", doc="manufacturer")
+
+    @dataclass(frozen=True)
+    class Group:
+        """Three places, one of which is for experts."""
+
+        serial: str = settings.setting("", doc="serial number")
+        tracer: Place = settings.group(Place)
+        mirror: Place = settings.group(Place)
+        clock: Place = settings.group(Place, expert=True)
+
+    section = Section("identity", "", Group)
+    told = {name: declared.info.description for name, declared in section.rows(expert=False)}
+    assert told == {
+        "identity.serial": "serial number",
+        "identity.*.maker": "manufacturer; *: tracer, mirror",
+    }
+    assert [name for name, _ in section.rows(expert=True)] == ["identity.clock.maker"]
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_a_real_cell_is_configured_without_what_is_for_experts(name):
+    configuration = read_configuration(ROOT / "config" / f"{name}.yaml")
+    declared = (pair for s in method_sections(configuration.method.name) for pair in s.settings())
+    assert not configuration.given.intersection(n for n, one in declared if one.info.expert)
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_a_file_may_have_every_setting_for_experts(name):
+    """Each is read: nonsense in its place is refused by its name."""
+    method, given = raw_groups((ROOT / "config" / f"{name}.yaml").read_text(), name)
+    for section in method_sections(method):
+        for setting_name, declared in section.settings():
+            if declared.info.expert:
+                values = deepcopy(given.get(section.group, {}))
+                *above, last = declared.name.split(".")
+                place = values
+                for part in above:
+                    place = place.setdefault(part, {})
+                place[last] = {"no": "value"}
+                with pytest.raises(ConfigurationError, match=f"^{setting_name}: expected"):
+                    load(section.cls, values, section.group)
 
 
 def test_every_setting_of_a_goal_stands_there_without_a_group():

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.settings import check_ros_name, group, load, setting
+from rotcal_ros.foundation.settings import check_ros_name, expert, group, load, setting
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICRORADIAN
 from rotcal_ros.foundation.untrusted import load_yaml
 
@@ -43,30 +43,30 @@ class RecorderSettings:
     folder: str = setting(
         "~/.ros/rotcal", doc="folder below which every calibration gets its session folder"
     )
-    session: str = setting(
+    session: str = expert(
         "", doc="name of the session folder; empty: UTC time and the start of the plan's hash"
     )
-    run: int = setting(
+    run: int = expert(
         0,
         doc="number of this run of an interrupted session; 0 begins a session, later runs "
         "continue its bag in a new file",
         minimum=0,
         maximum=1_000_000,
     )
-    queue_bytes: int = setting(
+    queue_bytes: int = expert(
         67_108_864,
         doc="bytes, largest amount that waits for the disk; beyond that messages are lost and "
         "counted",
         minimum=65_536,
     )
-    silence_s: float = setting(
+    silence_s: float = expert(
         30.0,
         doc="s, time without a message after which tracer_length, joint_states or a topic of the "
         "air counts as silent",
         minimum=0.1,
         maximum=3600.0,
     )
-    writer: WriterSettings = group(WriterSettings)
+    writer: WriterSettings = group(WriterSettings, expert=True)
 
 
 LENGTH_UNITS: Final = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}
@@ -106,7 +106,7 @@ class TopicSettings:
         "", doc="topic of the humidity; empty: the one called relative_humidity"
     )
     length_unit: Length = setting("m", doc="unit of the lengths")
-    length_unit_m: float = setting(
+    length_unit_m: float = expert(
         1.0,
         doc="m, unit of the lengths where it has no name; negative where a length shrinks with "
         "distance",
@@ -114,12 +114,12 @@ class TopicSettings:
     angle_unit: Literal["rad", "deg", "arcsec", "urad"] = setting(
         "rad", doc="unit of the table's angles; its velocities are in this unit per second"
     )
-    angle_unit_rad: float = setting(
+    angle_unit_rad: float = expert(
         1.0,
         doc="rad, unit of the angles where it has no name; negative where the table counts "
         "clockwise",
     )
-    angle_span_s: float = setting(
+    angle_span_s: float = expert(
         0.1,
         doc="s, time over which the speed is taken from angles that come without a velocity; "
         "longer: rest is seen that much later; shorter: noise looks like motion",
@@ -127,19 +127,17 @@ class TopicSettings:
         maximum=10.0,
     )
     position_unit: Length = setting("m", doc="unit of the probe's positions")
-    temperature_unit: Literal["degC", "K", "degF"] = setting(
-        "degC", doc="unit of the temperatures"
-    )
-    pressure_unit: Literal["Pa", "hPa", "kPa"] = setting("Pa", doc="unit of the air pressure")
-    humidity_unit: Literal["share", "percent"] = setting(
+    temperature_unit: Literal["degC", "K", "degF"] = expert("degC", doc="unit of the temperatures")
+    pressure_unit: Literal["Pa", "hPa", "kPa"] = expert("Pa", doc="unit of the air pressure")
+    humidity_unit: Literal["share", "percent"] = expert(
         "share", doc="unit of the relative humidity"
     )
-    length_single_shot: bool = setting(
+    length_single_shot: bool = expert(
         False,
         doc="lengths come one by one or in bursts, only when the instrument is asked: its "
         "silence is no loss",
     )
-    probe_single_shot: bool = setting(
+    probe_single_shot: bool = expert(
         False,
         doc="the probe publishes a point only on arrival: the preflight does not wait for one",
     )
@@ -151,28 +149,28 @@ class TopicSettings:
     tip_radius_m: float = setting(
         0.0, doc="m, radius of the probe tip, where the touch points do not state it", minimum=0.0
     )
-    length_clock: Clock = setting("stamp", doc=_CLOCK_DOC.format("a length"))
-    table_clock: Clock = setting("stamp", doc=_CLOCK_DOC.format("an angle"))
-    probe_clock: Clock = setting("stamp", doc=_CLOCK_DOC.format("a point"))
-    length_clock_offset_s: float = setting(
+    length_clock: Clock = expert("stamp", doc=_CLOCK_DOC.format("a length"))
+    table_clock: Clock = expert("stamp", doc=_CLOCK_DOC.format("an angle"))
+    probe_clock: Clock = expert("stamp", doc=_CLOCK_DOC.format("a point"))
+    length_clock_offset_s: float = expert(
         0.0,
         doc=f"s, {_OFFSET_DOC.format('the lengths')}",
         minimum=-_MAX_OFFSET_S,
         maximum=_MAX_OFFSET_S,
     )
-    table_clock_offset_s: float = setting(
+    table_clock_offset_s: float = expert(
         0.0,
         doc=f"s, {_OFFSET_DOC.format('the table')}",
         minimum=-_MAX_OFFSET_S,
         maximum=_MAX_OFFSET_S,
     )
-    probe_clock_offset_s: float = setting(
+    probe_clock_offset_s: float = expert(
         0.0,
         doc=f"s, {_OFFSET_DOC.format('the probe')}",
         minimum=-_MAX_OFFSET_S,
         maximum=_MAX_OFFSET_S,
     )
-    clock_bound_s: float = setting(
+    clock_bound_s: float = expert(
         0.0,
         doc="s, by which the clocks of table, probe and instrument may differ all the same; "
         "multiplied by the creep of a table at rest (capture.velocity_tolerance_deg_s) it is "

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.settings import setting
+from rotcal_ros.foundation.settings import expert, setting
 
 MAX_WINDOW_SAMPLES = 50_000
 
@@ -29,7 +29,7 @@ class CaptureSettings:
         minimum=1e-6,
         maximum=10.0,
     )
-    table_silence_s: float = setting(
+    table_silence_s: float = expert(
         1.0,
         doc="s, longest gap in the table feedback while the table is at rest",
         minimum=1e-3,
@@ -53,29 +53,29 @@ class CaptureSettings:
     max_drift_m: float = setting(
         2e-6, doc="m, largest change over a window of the line fitted to its readings", minimum=0.0
     )
-    min_used_share: float = setting(
+    min_used_share: float = expert(
         0.8, doc="smallest share of usable readings in a window", minimum=0.01, maximum=1.0
     )
-    spike_limit: float = setting(
+    spike_limit: float = expert(
         6.0,
         doc="a reading is a spike beyond this many robust standard deviations from the median",
         minimum=2.0,
         maximum=1000.0,
     )
-    spike_floor_m: float = setting(
+    spike_floor_m: float = expert(
         0.1e-6, doc="m, a reading this close to the median is never a spike", minimum=0.0
     )
-    max_length_m: float = setting(
+    max_length_m: float = expert(
         20.0, doc="m, largest plausible reading, of either sign", minimum=1e-3, maximum=1000.0
     )
-    max_length_speed_m_s: float = setting(
+    max_length_speed_m_s: float = expert(
         10.0,
         doc="m/s, largest plausible change of the length with time; a faster one means that the "
         "tracer has lost its zero: a new segment begins",
         minimum=1e-3,
         maximum=1e6,
     )
-    max_silence_s: float = setting(
+    max_silence_s: float = expert(
         1.0,
         doc="s, longest gap in the tracer readings; after a longer one a new segment begins",
         minimum=1e-3,
@@ -100,13 +100,13 @@ class CaptureSettings:
         minimum=0.01,
         maximum=86_400.0,
     )
-    clock_tolerance_s: float = setting(
+    clock_tolerance_s: float = expert(
         10.0,
         doc="s, largest difference between the stamps of two streams, delays on arrival included",
         minimum=0.01,
         maximum=86_400.0,
     )
-    stamp_offset_s: float = setting(
+    stamp_offset_s: float = expert(
         2.0,
         doc="s, largest constant delay of a stream, from its stamps to its arrival, beyond that "
         "of the table's feedback; more means two clocks, and nothing measured meanwhile is "
@@ -124,7 +124,7 @@ class CaptureSettings:
     humidity_expected: bool = setting(
         False, doc="an observation carries the humidity of the air and waits for it"
     )
-    temperature_lag_s: float = setting(
+    temperature_lag_s: float = expert(
         3.0,
         doc="s, by which temperature, pressure and humidity must have been read before the probe "
         "reached its target; so only the first observation waits for a slow sensor",

@@ -24,7 +24,6 @@ WIDEST: Final = 99
 NARROWEST: Final = 24
 """If fewer columns are left for a meaning, it goes below its setting."""
 _HEADINGS: Final = ("setting", "unit", "default", "meaning")
-_TIE: Final = "\N{NO-BREAK SPACE}"
 
 
 @click.command()
@@ -34,15 +33,19 @@ _TIE: Final = "\N{NO-BREAK SPACE}"
     metavar="[METHOD] [GROUP]...",
     shell_complete=installed(plugins.METHODS),
 )
-@click.option("--all", "everything", is_flag=True, help="Every setting, its kind and range.")
+@click.option(
+    "--all", "--expert", "everything", is_flag=True, help="Every setting, those for experts too."
+)
 @json_option
 def command(names: tuple[str, ...], everything: bool, as_json: bool) -> int:
-    """Print what to state first to measure with METHOD; with --all, every setting.
+    """Print what to state first to measure with METHOD, and the names of what else can be set.
 
-    With a GROUP (plan, solver, topics, ...), every setting of that group; the unit stands before
-    the comma of the meaning. Without METHOD, those of all methods. --json always has every
-    setting, and marks the ones to state first. docs/settings.md has the same content: both come
-    from the declarations that configurations are checked against.
+    With a GROUP (plan, solver, topics, ...), what its settings mean; the unit stands before the
+    comma. Without METHOD, those of all methods. Settings for experts, such as thresholds and
+    waits, which nobody has to touch in ordinary use, are left out without --expert or --all.
+    --json has every setting, and marks the ones to state first and those for experts.
+    docs/settings.md has the same content: both come from the declarations that configurations
+    are checked against.
     """
     methods = plugins.names(plugins.METHODS)
     method = names[0] if names and names[0] in methods else ""
@@ -52,7 +55,7 @@ def command(names: tuple[str, ...], everything: bool, as_json: bool) -> int:
         print_json({"groups": [_data(section) for section in _sections(method, groups)]})
         return 0
     if everything or groups:
-        parts = [_lines(section, width) for section in _sections(method, groups)]
+        parts = [_lines(section, width, everything) for section in _sections(method, groups)]
     else:
         parts = [_first_lines(name, width) for name in ([method] if method else methods)]
     click.echo("\n".join(chain.from_iterable(parts)))
@@ -79,32 +82,35 @@ def _sections(method: str, groups: Sequence[str]) -> tuple[Section, ...]:
 
 
 def _first_lines(method: str, width: int) -> Iterator[str]:
-    """Yield what to state first for a method, then what else can be set."""
-    from rotcal_ros.methods.settings_reference import (
-        first_settings,
-        method_sections,
-        unit_and_meaning,
-    )
+    """Yield what to state first for a method, then the names of what else can be set."""
+    from rotcal_ros.methods.settings_reference import first_settings, unit_and_meaning
 
-    sections = method_sections(method)
-    first = dict(first_settings(sections))
+    sections = _sections(method, ())
     yield click.style(f"{method}: to measure a real table, state first", bold=True)
     yield ""
-    rows = []
-    for name, declared in first.items():
+    rows = [_HEADINGS]
+    for name, declared in first_settings(sections):
         unit, meaning = unit_and_meaning(declared)
         rows.append((name, unit, _default(declared), meaning))
-    yield from _table([_HEADINGS, *rows], width)
+    yield from _table(rows, width)
     yield ""
-    others = {
-        section.group: sum(name not in first for name, _ in section.settings())
-        for section in sections
-    }
-    yield f"and {sum(others.values())} more: rotcal settings {method} --all"
-    yield f"those of a group: rotcal settings {method} GROUP"
-    counts = ", ".join(f"{group}{_TIE}{count}" for group, count in others.items() if count)
-    yield from (line.replace(_TIE, " ") for line in _wrapped(counts, width, 2))
+    names = {section.group: _other_names(section) for section in sections}
+    yield f"and {sum(map(len, names.values()))} more: rotcal settings {method} GROUP"
     yield ""
+    yield from _table(
+        [(group, ", ".join(found)) for group, found in names.items() if found], width
+    )
+    yield ""
+    experts = sum(len(section.rows(expert=True)) for section in sections)
+    yield from _wrapped(f"and {experts} for experts: rotcal settings {method} --expert", width, 0)
+    yield ""
+
+
+def _other_names(section: Section) -> list[str]:
+    """Return the names in a group of what need not be stated first and is not for experts."""
+    prefix = f"{section.group}."
+    rows = section.rows(expert=False)
+    return [name.removeprefix(prefix) for name, declared in rows if not declared.info.first]
 
 
 def _table(rows: Sequence[tuple[str, ...]], width: int) -> Iterator[str]:
@@ -122,15 +128,29 @@ def _table(rows: Sequence[tuple[str, ...]], width: int) -> Iterator[str]:
             yield from (" " * len(begin) + line for line in others)
 
 
-def _lines(section: Section, width: int) -> Iterator[str]:
+def _lines(section: Section, width: int, everything: bool) -> Iterator[str]:
     """Yield heading, summary and settings of a group, no line wider than ``width``."""
-    from rotcal_ros.methods.settings_reference import kind_in_words, range_in_words
-
     of = f" of {section.method}" if section.method else ""
+    experts = section.rows(expert=True)
     yield click.style(f"{section.group or 'goal of a plan'}{of}", bold=True)
     yield from _wrapped(section.summary, width, 0)
     yield ""
-    for name, declared in section.settings():
+    yield from _described(section.rows(expert=False), width)
+    if experts and everything:
+        yield "for experts"
+        yield ""
+        yield from _described(experts, width)
+    elif experts:
+        place = f"{section.method} {section.group}".strip()
+        yield f"and {len(experts)} for experts: rotcal settings {place} --expert"
+        yield ""
+
+
+def _described(rows: Sequence[tuple[str, Declaration]], width: int) -> Iterator[str]:
+    """Yield name, kind, default, range and meaning of settings, and a blank line after them."""
+    from rotcal_ros.methods.settings_reference import kind_in_words, range_in_words
+
+    for name, declared in rows:
         limits = range_in_words(declared)
         default = _default(declared)
         if declared.default is not MISSING:
@@ -139,7 +159,8 @@ def _lines(section: Section, width: int) -> Iterator[str]:
         yield f"  {click.style(name, bold=True)}"
         for text in ("; ".join(facts), declared.info.description):
             yield from _wrapped(text, width, 6)
-    yield ""
+    if rows:
+        yield ""
 
 
 def _wrapped(text: str, width: int, indent: int) -> list[str]:
@@ -172,6 +193,7 @@ def _setting(name: str, declared: Declaration) -> dict[str, Any]:
     return {
         "name": name,
         "first": declared.info.first,
+        "expert": declared.info.expert,
         "kind": kind_in_words(declared),
         "unit": unit_and_meaning(declared)[0],
         "required": required,

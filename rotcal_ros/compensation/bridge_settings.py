@@ -9,7 +9,7 @@ from rotcal_ros.compensation.agreement import LARGEST_AGE_DAYS, Accepted
 from rotcal_ros.compensation.controllers import make_controller, parse_options
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.settings import setting, with_groups
+from rotcal_ros.foundation.settings import expert, setting, with_groups
 
 DEFAULT: Final = "csv"
 FOLDER: Final = "folder"
@@ -36,14 +36,14 @@ class BridgeSettings:
         DEFAULT, doc="kind of controller", choices=plugins.names(plugins.CONTROLLERS)
     )
     options: tuple[str, ...] = setting((), doc="controller settings, each as NAME=VALUE")
-    spacing_deg: float = setting(
+    spacing_deg: float = expert(
         0.0,
         doc="deg, distance between the rows; 0: the widest that leaves less than a third of U "
         "between them",
         minimum=0.0,
         maximum=180.0,
     )
-    reference_deg: float | None = setting(
+    reference_deg: float | None = expert(
         None, doc="deg, angle at which the correction is zero; none: that of the table"
     )
     output_folder: str = setting(
@@ -60,7 +60,7 @@ class BridgeSettings:
     secret_file: str = setting(
         "", doc="file with the secret that a request must carry; empty: nothing can be applied"
     )
-    busy_command: tuple[str, ...] = setting(
+    busy_command: tuple[str, ...] = expert(
         (),
         doc="command that tells whether the table may be changed: exit code 0: yes, 1: no, with "
         "the reason as output; empty: the controller's own settings decide",
@@ -71,31 +71,31 @@ class BridgeSettings:
         minimum=0.0,
         maximum=36_000.0,
     )
-    accept_unverified: bool = setting(
+    accept_unverified: bool = expert(
         False, doc="write files even where something about the controller is not verified"
     )
-    accept_simulated: bool = setting(
+    accept_simulated: bool = expert(
         False,
         doc="apply tables that no instrument measured; not needed in a configuration with a group "
         "simulation",
     )
-    combine: str = setting(
+    combine: str = expert(
         "as_measured",
         doc="whether a table replaces the one in force or adds to it, if it is not known which "
         "one was in force during the measurement",
         choices=("as_measured", "replace", "add"),
     )
-    accept: tuple[str, ...] = setting(
+    accept: tuple[str, ...] = expert(
         (),
         doc="contradictions between a table and this cell that are accepted: axis, serial "
         "(number of the item), age (of the measurement)",
     )
-    max_age_days: float = setting(
+    max_age_days: float = expert(
         LARGEST_AGE_DAYS,
         doc="days, largest age of the measurement that a table comes from",
         minimum=1e-3,
     )
-    answer_timeout_s: float = setting(
+    answer_timeout_s: float = expert(
         5.0,
         doc="s, time without an answer after which the controller counts as silent",
         minimum=0.01,

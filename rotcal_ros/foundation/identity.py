@@ -13,7 +13,7 @@ from datetime import date, datetime
 from typing import Any, Final
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.settings import group, load, setting, to_mapping
+from rotcal_ros.foundation.settings import expert, group, load, setting, to_mapping
 
 _OF_THE_ITEM: Final = ("item", "maker", "model", "serial")
 
@@ -73,14 +73,14 @@ class Identity:
     place: str = setting("", doc="where it was calibrated")
     operator: str = setting("", doc="who measured")
     laboratory: str = setting("", doc="who is responsible for the calibration")
-    laboratory_address: str = setting("", doc="address of the laboratory")
-    laboratory_email: str = setting("", doc="email address of the laboratory")
-    laboratory_country: str = setting("", doc="country of the laboratory, two letters of ISO 3166")
+    laboratory_address: str = expert("", doc="address of the laboratory")
+    laboratory_email: str = expert("", doc="email address of the laboratory")
+    laboratory_country: str = expert("", doc="country of the laboratory, two letters of ISO 3166")
     customer: str = setting("", doc="for whom it was calibrated")
-    customer_address: str = setting("", doc="address of the customer")
+    customer_address: str = expert("", doc="address of the customer")
     customer_number: str = setting("", doc="number of the order, or of the item at the customer's")
-    certificate_number: str = setting("", doc="number of the certificate, in quotes")
-    received: str = setting("", doc="date on which the item was received, as 2026-03-31")
+    certificate_number: str = expert("", doc="number of the certificate, in quotes")
+    received: str = expert("", doc="date on which the item was received, as 2026-03-31")
     measured: str = setting(
         "",
         doc="day or local time of the measurement, where the data tell no date: 2026-03-31 or "

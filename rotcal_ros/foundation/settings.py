@@ -13,7 +13,8 @@ import types
 import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass
-from typing import Any, TypeVar
+from functools import partial
+from typing import Any, Final, TypeVar
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.plugins import nearest
@@ -33,6 +34,7 @@ class SettingInfo:
     """What a setting means: ``description`` with the unit, and its inclusive range.
 
     ``first``: to measure a real table, somebody has to state it or at least look at it.
+    ``expert``: in ordinary use nobody touches it.
     """
 
     description: str
@@ -40,6 +42,7 @@ class SettingInfo:
     maximum: float | None = None
     choices: tuple[str, ...] = ()
     first: bool = False
+    expert: bool = False
 
     @property
     def named_choices(self) -> tuple[str, ...]:
@@ -72,30 +75,42 @@ def setting(
     maximum: float | None = None,
     choices: Sequence[str] = (),
     first: bool = False,
+    expert: bool = False,
 ) -> Any:
     """Declare a field of a settings dataclass.
 
     ``doc`` is one sentence; the unit stands before its first comma. Without a default the setting
     is required. A list setting is a tuple; its range holds for every element. The choices of a
     Literal are those of its type. ``first`` marks the few settings of a method that have to be
-    stated to measure a real table: they are shown before all others.
+    stated to measure a real table: they are shown before all others. ``expert`` marks what nobody
+    has to touch in ordinary use, such as thresholds, waits and rates: it is shown to who asks.
     """
-    metadata = {"setting": SettingInfo(doc, minimum, maximum, tuple(choices), first)}
+    metadata = {"setting": SettingInfo(doc, minimum, maximum, tuple(choices), first, expert)}
     if default is MISSING:
         return dataclasses.field(metadata=metadata, kw_only=True)
     return dataclasses.field(default=default, metadata=metadata, kw_only=True)
 
 
-def group(cls: type[Any]) -> Any:
-    """Declare a nested group of settings, all with their defaults unless given."""
-    return dataclasses.field(default_factory=cls, kw_only=True)
+expert: Final = partial(setting, expert=True)
+"""Declare a setting that nobody has to touch in ordinary use."""
+
+
+def group(cls: type[Any], *, expert: bool = False) -> Any:
+    """Declare a nested group of settings, all with their defaults unless given.
+
+    ``expert``: all of them are for experts.
+    """
+    return dataclasses.field(default_factory=cls, kw_only=True, metadata={"expert": expert})
 
 
 def with_groups(classes: Mapping[str, type[Any]]) -> Callable[[type[T]], type[T]]:
-    """Give a settings dataclass nested groups that are known only when it is loaded, by name."""
+    """Give a settings dataclass nested groups that are known only when it is loaded, by name.
+
+    They are for experts.
+    """
 
     def extended(cls: type[T]) -> type[T]:
-        fields = [(name, nested, group(nested)) for name, nested in classes.items()]
+        fields = [(name, nested, group(nested, expert=True)) for name, nested in classes.items()]
         found = dataclasses.make_dataclass(cls.__name__, fields, bases=(cls,), frozen=True)
         found.__module__, found.__doc__ = cls.__module__, cls.__doc__
         return found
@@ -151,7 +166,8 @@ def declarations(cls: type[Any], prefix: str = "") -> Iterator[Declaration]:
     hints = typing.get_type_hints(cls)
     for field in dataclasses.fields(cls):
         if dataclasses.is_dataclass(hints[field.name]):
-            yield from declarations(hints[field.name], f"{prefix}{field.name}.")
+            nested = declarations(hints[field.name], f"{prefix}{field.name}.")
+            yield from map(_for_experts, nested) if field.metadata.get("expert") else nested
         else:
             yield _declaration(field, hints[field.name], prefix)
 
@@ -170,6 +186,10 @@ def _declaration(field: dataclasses.Field[Any], hint: Any, prefix: str = "") -> 
         info = dataclasses.replace(info, choices=typing.get_args(hint))
         hint = str
     return Declaration(prefix + field.name, hint, is_list, length, optional, field.default, info)
+
+
+def _for_experts(declared: Declaration) -> Declaration:
+    return dataclasses.replace(declared, info=dataclasses.replace(declared.info, expert=True))
 
 
 def _plain(value: Any) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from rotcal_ros.foundation.settings import setting
+from rotcal_ros.foundation.settings import expert, setting
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class AirSettings:
     vacuum_wavelength_nm: float = setting(
         632.991, doc="nm, wavelength of the light in vacuum", minimum=300.0, maximum=1700.0
     )
-    co2_ppm: float = setting(
+    co2_ppm: float = expert(
         450.0, doc="umol/mol, carbon dioxide in the air", minimum=0.0, maximum=2000.0
     )
     dead_path_m: float = setting(
@@ -51,12 +51,12 @@ class AirSettings:
         minimum=0.0,
         maximum=1.0,
     )
-    temperature_std_k: float = setting(
+    temperature_std_k: float = expert(
         0.1, doc="K, standard uncertainty of the temperature along the beam", minimum=0.0
     )
-    pressure_std_pa: float = setting(
+    pressure_std_pa: float = expert(
         20.0, doc="Pa, standard uncertainty of the pressure", minimum=0.0
     )
-    humidity_std: float = setting(
+    humidity_std: float = expert(
         0.03, doc="standard uncertainty of the relative humidity, of 0 to 1", minimum=0.0
     )

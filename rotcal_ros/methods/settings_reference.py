@@ -6,8 +6,8 @@ Both are written from the declarations, so that neither can say anything else th
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import MISSING, dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import MISSING, dataclass, replace
 from typing import Any, Final
 
 from rotcal_ros.bags.settings import ReadingLimits
@@ -52,6 +52,20 @@ class Section:
         for declared in declarations(self.cls):
             yield f"{prefix}{declared.name}", declared
 
+    def rows(self, *, expert: bool) -> tuple[tuple[str, Declaration], ...]:
+        """Return the settings for experts, or all others, as somebody reads them.
+
+        What several places have alike is one row: ``table.*.phases_deg``, and its meaning ends
+        with the names of the places.
+        """
+        alike: dict[tuple[str, Declaration], list[str]] = {}
+        for name, declared in self.settings():
+            if declared.info.expert == expert:
+                place, _, last = name.rpartition(".")
+                pattern = f"{place.rpartition('.')[0]}.*.{last}"
+                alike.setdefault((pattern, replace(declared, name=last)), []).append(name)
+        return tuple(_one_row(names, *same) for same, names in alike.items())
+
 
 def shared_sections() -> tuple[Section, ...]:
     """Return the groups that are the same for all methods."""
@@ -68,12 +82,11 @@ def own_sections(name: str) -> tuple[Section, ...]:
 
 
 def method_sections(name: str) -> tuple[Section, ...]:
-    """Return all groups of a method, in the order in which a configuration is written.
+    """Return all groups of a method: the shared ones, its own, and the simulation last.
 
     Raises ConfigurationError, with the nearest name, when there is no such method.
     """
-    sections = {s.group: s for s in (*shared_sections(), *own_sections(name))}
-    return tuple(sections[group] for group in GROUPS)
+    return (*shared_sections(), *own_sections(name))
 
 
 def goal_sections() -> tuple[Section, ...]:
@@ -97,6 +110,15 @@ def first_settings(sections: Iterable[Section]) -> tuple[tuple[str, Declaration]
     """Return (``group.name``, declaration) of what has to be stated to measure a real table."""
     declared = (pair for section in sections for pair in section.settings())
     return tuple((name, setting) for name, setting in declared if setting.info.first)
+
+
+def _one_row(names: Sequence[str], pattern: str, declared: Declaration) -> tuple[str, Declaration]:
+    """Return a setting with its name, or ``names`` as one ``pattern`` and what ``*`` may be."""
+    if len(names) == 1:
+        return names[0], declared
+    places = ", ".join(name.split(".")[-2] for name in names)
+    info = replace(declared.info, description=f"{declared.info.description}; *: {places}")
+    return pattern, replace(declared, info=info)
 
 
 def unit_and_meaning(declared: Declaration) -> tuple[str, str]:

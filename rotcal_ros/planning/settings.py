@@ -8,7 +8,7 @@ from typing import Literal
 from rotcal_ros.foundation.components import check_axis
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.in_force import UNKNOWN, check_in_force
-from rotcal_ros.foundation.settings import check_ros_name, setting
+from rotcal_ros.foundation.settings import check_ros_name, expert, setting
 from rotcal_ros.planning.choices import AS_LISTED, UNTIL_GOAL
 
 
@@ -26,21 +26,21 @@ class CellSettings:
         doc="compensation table that the controller applies during the measurement: SHA-256 of "
         "its files, none, or unknown; a bridge announces it itself",
     )
-    machine_frame: str = setting(
+    machine_frame: str = expert(
         "machine", doc="frame of targets and probe points in headers and tf"
     )
-    table_frame: str = setting(
+    table_frame: str = expert(
         "table_base", doc="fixed frame of the table in tf: its origin on the axis, z along it"
     )
-    tracer_frame: str = setting(
+    tracer_frame: str = expert(
         "tracer", doc="frame of the tracer in tf, with the table at angle 0"
     )
-    frame_tolerance_m: float = setting(
+    frame_tolerance_m: float = expert(
         0.01,
         doc="m, largest difference between places in tf and in the solution without a warning",
         minimum=1e-9,
     )
-    frame_tolerance_deg: float = setting(
+    frame_tolerance_deg: float = expert(
         1.0,
         doc="deg, largest angle between the axis in tf and in the solution without a warning",
         minimum=1e-9,
@@ -75,14 +75,14 @@ def _check_volume(low: tuple[float, ...], high: tuple[float, ...]) -> None:
 class HealthSettings:
     """How late a sign of life may be; a process that is gone is lost at once."""
 
-    slow_after_s: float = setting(
+    slow_after_s: float = expert(
         1.5,
         doc="s, time without a sign of life after which a node counts as slow: the measurement "
         "waits at the next safe place and continues by itself",
         minimum=0.6,
         maximum=3600.0,
     )
-    lost_after_s: float = setting(
+    lost_after_s: float = expert(
         300.0,
         doc="s, time after which a node that is slow, or an instrument that is silent, is given "
         "up: the session ends and can be resumed",
@@ -139,38 +139,38 @@ class PlannerSettings:
         minimum=0.0,
         maximum=3600.0,
     )
-    expected_std_m: float = setting(
+    expected_std_m: float = expert(
         0.0,
         doc="m, standard deviation of a length that until_goal assumes for its first sweep; 0: "
         "that of the solver",
         minimum=0.0,
         maximum=1e-2,
     )
-    step_s: float = setting(
+    step_s: float = expert(
         5.0,
         doc="s, expected duration of a step, for predicted times and for the choices of "
         "until_goal",
         minimum=0.001,
         maximum=3600.0,
     )
-    turn_s: float = setting(
+    turn_s: float = expert(
         10.0,
         doc="s, expected duration of a turn of the table from one angle to the next",
         minimum=0.0,
         maximum=3600.0,
     )
 
-    max_attempts: int = setting(
+    max_attempts: int = expert(
         3, doc="attempts at one step before it is skipped", minimum=1, maximum=100
     )
-    max_failed_steps: int = setting(
+    max_failed_steps: int = expert(
         3,
         doc="consecutive steps that may fail, with all their attempts, before the planner gives "
         "up; ten times as many if something stood in the beam; 0: it never gives up",
         minimum=0,
         maximum=100_000,
     )
-    preflight_timeout_s: float = setting(
+    preflight_timeout_s: float = expert(
         15.0,
         doc="s, time within which all nodes and topics must appear",
         minimum=0.1,
@@ -179,27 +179,27 @@ class PlannerSettings:
     step_timeout_s: float = setting(
         60.0, doc="s, longest time from an order to its observation", minimum=0.1, maximum=86_400.0
     )
-    receipt_timeout_s: float = setting(
+    receipt_timeout_s: float = expert(
         10.0,
         doc="s, longest time from an observation to the recorder's receipt that it is on disk",
         minimum=0.1,
         maximum=3600.0,
     )
-    stream_timeout_s: float = setting(
+    stream_timeout_s: float = expert(
         2.0,
         doc="s, silence of an instrument after which the planner waits for it; it is lost when "
         "nobody publishes its topic any more, or after health.lost_after_s",
         minimum=0.1,
         maximum=3600.0,
     )
-    join_steps: int = setting(
+    join_steps: int = expert(
         8,
         doc="finished steps that a resumed plan measures again, to find the new zero of the "
         "lengths",
         minimum=1,
         maximum=1000,
     )
-    solve_timeout_s: float = setting(
+    solve_timeout_s: float = expert(
         120.0, doc="s, longest time for the final solution", minimum=1.0, maximum=86_400.0
     )
 
@@ -231,7 +231,7 @@ class TableAdapterSettings:
     acceleration_deg_s2: float = setting(
         20.0, doc="deg/s^2, largest acceleration", minimum=1e-3, maximum=1e6
     )
-    overshoot_deg: float = setting(
+    overshoot_deg: float = expert(
         2.0,
         doc="deg, shortest final motion to an angle, so that it is reached from the ordered "
         "side; a table that is nearer, or beyond the angle, first moves back by this much",
@@ -240,16 +240,16 @@ class TableAdapterSettings:
     )
     lower_deg: float | None = setting(None, doc="deg, end of the travel; none: it turns endlessly")
     upper_deg: float | None = setting(None, doc="deg, end of the travel; none: it turns endlessly")
-    many_turns: bool = setting(
+    many_turns: bool = expert(
         False, doc="the joint may be more than two turns away from its zero at the start"
     )
-    tolerance_arcsec: float = setting(
+    tolerance_arcsec: float = expert(
         5.0,
         doc="arcsec, distance from the ordered angle within which the joint has arrived",
         minimum=1e-3,
         maximum=36_000.0,
     )
-    silence_s: float = setting(
+    silence_s: float = expert(
         2.0,
         doc="s, time without feedback, or without motion, after which an error is reported",
         minimum=0.1,

@@ -1,5 +1,6 @@
 """``rotcal settings`` prints what configurations are checked against."""
 
+import fnmatch
 import json
 import re
 
@@ -37,17 +38,52 @@ def test_a_range_a_default_and_a_unit_by_hand():
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_method_begins_with_what_has_to_be_stated_and_counts_the_others(method):
+def test_a_method_begins_with_what_has_to_be_stated_and_names_the_others(method):
+    """All but those for experts, which it counts; alike ones have one name with a ``*``."""
     groups = json.loads(run(method, "--json").stdout)["groups"]
     first = [s["name"] for group in groups for s in group["settings"] if s["first"]]
-    text = run(method).stdout
-    table, _, end = text.partition("\nand ")
+    table, more, end = run(method, COLUMNS="1000").stdout.split("\nand ")
     assert re.findall(r"^  (\w+\.\S+)", table, re.MULTILINE) == first
     assert 0 < len(first) <= 12
-    others = {g["group"]: sum(not s["first"] for s in g["settings"]) for g in groups}
-    assert end.startswith(f"{sum(others.values())} more: rotcal settings {method} --all\n")
-    counts = dict(re.findall(r"(\w+) (\d+)(?:,|$)", end.split("GROUP\n")[1], re.MULTILINE))
-    assert counts == {group: str(count) for group, count in others.items() if count}
+    head, *lines = filter(None, re.sub(r",\n +", ", ", more).splitlines())
+    named = [f"{group}.{n}" for group, *names in map(words, lines) for n in names]
+    assert head == f"{len(named)} more: rotcal settings {method} GROUP"
+    assert len(first) + len(named) <= 120
+    assert lines[-1].startswith("  simulation ")
+    others = {s["name"] for g in groups for s in g["settings"] if not (s["first"] or s["expert"])}
+    for name in named:
+        alike = fnmatch.filter(others, name)
+        assert len(alike) > 1 if "*" in name else alike == [name]
+        others.difference_update(alike)
+    assert not others
+    experts = sum(s["expert"] for group in groups for s in group["settings"])
+    assert re.fullmatch(rf"(\d+) for experts: rotcal settings {method} --expert\n\n?", end)
+    assert experts - 2 <= int(end.split()[0]) <= experts
+
+
+def words(line):
+    """Return the words of a line of names with commas."""
+    return re.findall(r"[^\s,]+", line)
+
+
+def test_those_for_experts_are_told_to_who_asks():
+    told = run("capture").stdout
+    assert "capture.window_samples" in told
+    assert "capture.spike_limit" not in told
+    assert told.endswith("\nand 10 for experts: rotcal settings capture --expert\n\n")
+    whole = run("capture", "--expert").stdout
+    usual, experts = whole.split("\nfor experts\n")
+    assert "capture.window_samples" in usual
+    assert "capture.window_samples" not in experts
+    assert "capture.spike_limit" in experts
+    assert len(re.findall(r"^  capture\.", experts, re.MULTILINE)) == 10
+    assert run("capture", "--all").stdout == whole
+    solver = run("plane_mirror", "solver").stdout
+    assert "for experts: rotcal settings plane_mirror solver --expert\n" in solver
+    (group,) = json.loads(run("capture", "--json").stdout)["groups"]
+    marked = {s["name"]: s["expert"] for s in group["settings"]}
+    assert marked["capture.spike_limit"] is True
+    assert marked["capture.window_samples"] is False
 
 
 def test_a_row_has_the_unit_the_default_and_what_must_be_given():

@@ -7,7 +7,14 @@ from hypothesis import strategies as st
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.plugins import nearest
-from rotcal_ros.foundation.settings import declarations, group, load, setting, to_mapping
+from rotcal_ros.foundation.settings import (
+    declarations,
+    expert,
+    group,
+    load,
+    setting,
+    to_mapping,
+)
 
 
 @dataclass(frozen=True)
@@ -34,6 +41,24 @@ def test_a_setting_that_comes_first_is_marked_where_it_is_declared() -> None:
         axis: str = setting("C", doc="axis")
 
     assert [one.info.first for one in declarations(Marked)] == [True, False]
+
+
+def test_a_setting_for_experts_is_marked_by_itself_or_with_its_group() -> None:
+    @dataclass(frozen=True)
+    class Marked:
+        axis: str = setting("C", doc="axis")
+        wait_s: float = expert(2.0, doc="s, wait", minimum=0.0)
+        usual: Inner = group(Inner)
+        faults: Inner = group(Inner, expert=True)
+
+    marked = {one.name: one.info.expert for one in declarations(Marked)}
+    assert marked == {
+        "axis": False, "wait_s": True, "usual.rate_hz": False, "faults.rate_hz": True,
+    }  # fmt: skip
+    loaded = load(Marked, {"wait_s": 3, "faults": {"rate_hz": 7}}, "here")
+    assert (loaded.wait_s, loaded.usual.rate_hz, loaded.faults.rate_hz) == (3.0, 10.0, 7.0)
+    with pytest.raises(ConfigurationError, match=r"here.wait_s: -1.0 is out of range 0.0 to inf"):
+        load(Marked, {"wait_s": -1}, "here")
 
 
 def test_defaults_and_whole_numbers_for_floats() -> None:

@@ -7,7 +7,7 @@ from typing import Final
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.protection import TOLERABLE
-from rotcal_ros.foundation.settings import setting
+from rotcal_ros.foundation.settings import expert, setting
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.methods.tracer.solver_settings import TracerLimits, TracerSolverSettings
 from rotcal_ros.planning.table_angles import TableAngleSettings
@@ -120,14 +120,14 @@ class TracerDesignSettings(TableAngleSettings):
         doc="m, standard deviation of the stations from one circle; none: no circle is assumed",
         minimum=1e-9,
     )
-    slip_m: float = setting(
+    slip_m: float = expert(
         TracerSolverSettings().slip_m,
         doc="m, if zero is one: a fringe that may slip unseen and is part of U, as solver.slip_m; "
         "0: none slips",
         minimum=0.0,
         maximum=1e-5,
     )
-    confidence: float = setting(
+    confidence: float = expert(
         0.95,
         doc="probability with which the result's own U meets the goal",
         minimum=0.5,
@@ -139,36 +139,36 @@ class TracerDesignSettings(TableAngleSettings):
         minimum=1,
         maximum=1000,
     )
-    min_redundancy: float = setting(
+    min_redundancy: float = expert(
         LEAST_REDUNDANCY,
         doc="least redundancy that every length must have",
         minimum=0.0,
         maximum=0.9,
     )
-    max_undetected: float = setting(
+    max_undetected: float = expert(
         1.0, doc="largest effect of an undetected error of one length, in U of ECC", minimum=0.01
     )
-    rejection_significance: float = setting(
+    rejection_significance: float = expert(
         0.01,
         doc="probability of rejecting any length at all when all are good, as "
         "solver.rejection_significance",
         minimum=1e-9,
         maximum=0.5,
     )
-    power: float = setting(
+    power: float = expert(
         0.8, doc="probability that an error is detected", minimum=0.5, maximum=0.9999
     )
     checked: bool = setting(
         True, doc="every length is checked by others; false: the fewest lengths, unchecked"
     )
-    exchanges: int = setting(
+    exchanges: int = expert(
         600, doc="exchanges of lengths in each search for a plan with fewer", minimum=1
     )
-    starts: int = setting(
+    starts: int = expert(
         3, doc="number of searches, of which the best counts", minimum=1, maximum=100
     )
-    seed: int = setting(0, doc="seed of the random numbers of the search", minimum=0)
-    max_unseen: float = setting(
+    seed: int = expert(0, doc="seed of the random numbers of the search", minimum=0)
+    max_unseen: float = expert(
         TOLERABLE,
         doc="largest error of an unseen drift or knock in the order, in standard uncertainties",
         minimum=0.01,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.settings import setting
+from rotcal_ros.foundation.settings import expert, setting
 
 
 @dataclass(frozen=True)
@@ -17,16 +17,16 @@ class InstrumentSettings:
         "", doc="address of the instrument, in the form of its plug-in, such as 192.168.0.1:700"
     )
     options: tuple[str, ...] = setting((), doc="options of the plug-in, each name=value")
-    silence_s: float = setting(
+    silence_s: float = expert(
         2.0,
         doc="s, time without a length after which the connection counts as lost",
         minimum=0.05,
         maximum=3600.0,
     )
-    measure_timeout_s: float = setting(
+    measure_timeout_s: float = expert(
         30.0, doc="s, longest measurement of one place", minimum=0.1, maximum=3600.0
     )
-    reconnect_s: float = setting(
+    reconnect_s: float = expert(
         2.0, doc="s, wait from a lost connection to the next attempt", minimum=0.05, maximum=3600.0
     )
 

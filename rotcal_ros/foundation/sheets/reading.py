@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
-from rotcal_ros.foundation.settings import setting
+from rotcal_ros.foundation.settings import expert, setting
 from rotcal_ros.foundation.sheets.files import Cell, Sheet, sheets
 from rotcal_ros.foundation.sheets.layout import TEXTS, Layout, TableColumn, Use, best_layout
 from rotcal_ros.foundation.sheets.numerals import Measure, decimal_marks, in_si, parse
@@ -53,21 +53,21 @@ class SheetSettings:
     angle_unit: str = setting(
         "", doc="unit of angles whose column states none", choices=("", *UNITS[ANGLE])
     )
-    time_unit: str = setting(
+    time_unit: str = expert(
         "", doc="unit of times whose column states none", choices=("", *UNITS[TIME])
     )
-    decimal: str = setting(
+    decimal: str = expert(
         "", doc="decimal mark, a point or a comma; empty: as the numbers tell",
         choices=("", ".", ","),
     )  # fmt: skip
-    counted_from: str = setting(
+    counted_from: str = expert(
         "", doc="number of the first position and of the first target; empty: as the numbers tell",
         choices=("", "0", "1"),
     )  # fmt: skip
     columns: tuple[str, ...] = setting(
         (), doc="columns by the text at their head where that tells nothing, as length=Messwert"
     )
-    name: str = setting("", doc="sheet of a workbook that is read; empty: the one that fits")
+    name: str = expert("", doc="sheet of a workbook that is read; empty: the one that fits")
 
 
 AS_IT_STANDS: Final = SheetSettings()

@@ -13,7 +13,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.settings import group, setting
+from rotcal_ros.foundation.settings import expert, group, setting
 from rotcal_ros.methods.ball_plate.materials import MATERIALS, NOT_STATED
 from rotcal_ros.methods.ball_plate.measuring_order import DEFAULT_ORDER, Order
 from rotcal_ros.methods.simulation.settings import SimulationSettings
@@ -54,7 +54,7 @@ class Plate:
         doc="material of the plate, which turns its growth into kelvin; empty: another one",
         choices=MATERIALS,
     )
-    separate_groups: bool = setting(
+    separate_groups: bool = expert(
         False, doc="accept a plate whose table positions fall into groups that no ball connects"
     )
 
@@ -138,29 +138,29 @@ class BallPlateSolverSettings:
         minimum=0.0,
         maximum=1e-3,
     )
-    group_allowance_m: float = setting(
+    group_allowance_m: float = expert(
         0.0,
         doc="m, on the circle of the balls: largest difference between the zeros of groups of "
         "table positions (plan.plate.separate_groups); 0: none stated, the difference is unknown",
         minimum=0.0,
         maximum=1e-3,
     )
-    sigma_axes_m: tuple[float, ...] = setting(
+    sigma_axes_m: tuple[float, ...] = expert(
         (),
         doc="m, known standard deviations of a ball centre in x, y, z; empty: the same in all",
         minimum=0.0,
         maximum=1e-2,
     )
-    own_std: bool = setting(
+    own_std: bool = expert(
         False, doc="weight every centre by the standard deviation that the machine states for it"
     )
-    balls: tuple[int, ...] = setting(
+    balls: tuple[int, ...] = expert(
         (), doc="ball steps to evaluate, on the grid of the plate; empty: all", minimum=0
     )
-    cmm_positions: tuple[int, ...] = setting(
+    cmm_positions: tuple[int, ...] = expert(
         (), doc="CMM positions to evaluate, on the grid of the plate; empty: all", minimum=0
     )
-    coarser: int = setting(
+    coarser: int = expert(
         1, doc="evaluate only every n-th step of the grid", minimum=1, maximum=1000
     )
 
@@ -190,16 +190,16 @@ class SimulatedPlateSettings:
     )
     circle_radius_m: float = setting(0.185, doc="m, radius of the ball circle", minimum=1e-3)
     ball_diameter_m: float = setting(0.025, doc="m, diameter of the balls", minimum=1e-4)
-    azimuth_deg: float = setting(
+    azimuth_deg: float = expert(
         0.0, doc="deg, direction of ball step 0 from the table's x axis at angle 0"
     )
-    manufacture_um: float = setting(
+    manufacture_um: float = expert(
         5.0, doc="um, standard deviation of a ball's place along each axis", minimum=0.0
     )
-    clamping_shift_um: tuple[float, float, float] = setting(
+    clamping_shift_um: tuple[float, float, float] = expert(
         (0.0, 0.0, 0.0), doc="um, shift of the plate on the table"
     )
-    clamping_turn_arcsec: tuple[float, float, float] = setting(
+    clamping_turn_arcsec: tuple[float, float, float] = expert(
         (0.0, 0.0, 0.0), doc="arcsec, turn of the plate on the table about x, y and z"
     )
 
@@ -208,40 +208,40 @@ class SimulatedPlateSettings:
 class TouchProbeSettings:
     """The coordinate measuring machine that touches the balls."""
 
-    initial_position_m: tuple[float, float, float] = setting(
+    initial_position_m: tuple[float, float, float] = expert(
         (0.3, 0.0, 0.2), doc="m, place of the tip at the start"
     )
     points_per_ball: int = points_setting()
-    tip_radius_m: float = setting(0.0015, doc="m, radius of the probe tip", minimum=0.0)
+    tip_radius_m: float = expert(0.0015, doc="m, radius of the probe tip", minimum=0.0)
     systematic_um: float = setting(
         1.0, doc="um, standard deviation of the machine's error along each axis", minimum=0.0
     )
-    wavelength_m: float = setting(
+    wavelength_m: float = expert(
         0.25, doc="m, distance over which the machine's error changes", minimum=1e-3
     )
     noise_um: float = setting(
         0.2, doc="um, standard deviation of a touch point along each axis", minimum=0.0
     )
-    dirt_probability: float = setting(
+    dirt_probability: float = expert(
         0.0, doc="probability that dirt lies under a touch", minimum=0.0, maximum=1.0
     )
-    dirt_um: float = setting(8.0, doc="um, thickness of the dirt", minimum=0.0)
-    speed_m_s: float = setting(0.1, doc="m/s, largest speed", minimum=1e-6)
-    acceleration_m_s2: float = setting(0.5, doc="m/s^2, acceleration", minimum=1e-6)
-    clearance_m: float = setting(
+    dirt_um: float = expert(8.0, doc="um, thickness of the dirt", minimum=0.0)
+    speed_m_s: float = expert(0.1, doc="m/s, largest speed", minimum=1e-6)
+    acceleration_m_s2: float = expert(0.5, doc="m/s^2, acceleration", minimum=1e-6)
+    clearance_m: float = expert(
         0.05, doc="m, height above the balls at which the tip travels", minimum=0.0
     )
-    settling_time_s: float = setting(
+    settling_time_s: float = expert(
         1.0, doc="s, wait after the last motion before the first touch", minimum=0.0
     )
-    touch_time_s: float = setting(1.5, doc="s, from one touch to the next", minimum=1e-3)
+    touch_time_s: float = expert(1.5, doc="s, from one touch to the next", minimum=1e-3)
 
 
 @dataclass(frozen=True)
 class PlateSimulationSettings(SimulationSettings):
     """The simulated cell of the ball plate method."""
 
-    instrument: str = setting(
+    instrument: str = expert(
         TOUCH_PROBE, doc="a machine that touches the balls of a plate", choices=(TOUCH_PROBE,)
     )
     plate: SimulatedPlateSettings = group(SimulatedPlateSettings)
@@ -267,7 +267,7 @@ class BallPlatePlanSettings:
         doc="deg, table angle of table position 0, at which ball step 0 lies on the +x side",
         first=True,
     )
-    cmm_positions: tuple[int, ...] = setting(
+    cmm_positions: tuple[int, ...] = expert(
         (), doc="grid steps at which balls are measured; empty: all", minimum=0
     )
     order: str = setting(

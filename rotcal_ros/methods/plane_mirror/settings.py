@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal, get_args
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.settings import group, setting
+from rotcal_ros.foundation.settings import expert, group, setting
 from rotcal_ros.methods.simulation.settings import SimulationSettings
 from rotcal_ros.planning.table_angles import TableAngleSettings
 
@@ -64,20 +64,20 @@ class MirrorSolverSettings:
         maximum=3600.0,
         first=True,
     )
-    tilt_std_arcsec: float = setting(
+    tilt_std_arcsec: float = expert(
         1.0,
         doc="arcsec, standard deviation of the table's tilts (EAC, EBC) that is assumed",
         minimum=1e-6,
         maximum=3600.0,
     )
-    uneven_drift_std_arcsec: float = setting(
+    uneven_drift_std_arcsec: float = expert(
         0.5,
         doc="arcsec, standard deviation (k = 1) of the tracker's azimuth about the straight line "
         "between two rounds of nests that are a station apart; it is part of the uncertainty",
         minimum=0.0,
         maximum=3600.0,
     )
-    significance: float = setting(
+    significance: float = expert(
         1e-3, doc="probability of a false alarm of each test", minimum=1e-9, maximum=0.5
     )
 
@@ -115,59 +115,57 @@ class SimulatedMirrorSettings:
 class TrackerSettings:
     """The laser tracker, and the person who moves it and puts up its reflectors."""
 
-    station_azimuths_deg: tuple[float, ...] = setting(
+    station_azimuths_deg: tuple[float, ...] = expert(
         (0.0,), doc="deg, direction of each station from the table axis"
     )
-    station_radius_m: float = setting(2.0, doc="m, distance from the axis", minimum=0.1)
-    station_height_m: float = setting(0.35, doc="m, height of the tracker's head")
-    station_placing_mm: float = setting(
+    station_radius_m: float = expert(2.0, doc="m, distance from the axis", minimum=0.1)
+    station_height_m: float = expert(0.35, doc="m, height of the tracker's head")
+    station_placing_mm: float = expert(
         30.0, doc="mm, by which the person misses the place of a station", minimum=0.0
     )
-    nest_placing_mm: float = setting(
+    nest_placing_mm: float = expert(
         5.0, doc="mm, by which a nest stands beside its planned place", minimum=0.0
     )
-    reflector_placing_mm: float = setting(
+    reflector_placing_mm: float = expert(
         2.0, doc="mm, by which a reflector is put up beside its place", minimum=0.0
     )
-    reflectors_on_table: bool = setting(
+    reflectors_on_table: bool = expert(
         False, doc="the reflectors ride on the table instead of standing before a mirror"
     )
-    range_std_um: float = setting(2.5, doc="um, noise along the beam at distance 0", minimum=0.0)
-    range_std_um_per_m: float = setting(
+    range_std_um: float = expert(2.5, doc="um, noise along the beam at distance 0", minimum=0.0)
+    range_std_um_per_m: float = expert(
         0.25, doc="um/m, growth of the noise along the beam with the distance", minimum=0.0
     )
-    transverse_std_um: float = setting(
+    transverse_std_um: float = expert(
         3.75, doc="um, noise across the beam at distance 0", minimum=0.0
     )
-    transverse_std_um_per_m: float = setting(
+    transverse_std_um_per_m: float = expert(
         1.5, doc="um/m, growth of the noise across the beam with the distance", minimum=0.0
     )
-    measure_time_s: float = setting(
-        1.0, doc="s, from the table at rest to the point", minimum=1e-3
-    )
-    azimuth_drift_arcsec_per_h: float = setting(
+    measure_time_s: float = expert(1.0, doc="s, from the table at rest to the point", minimum=1e-3)
+    azimuth_drift_arcsec_per_h: float = expert(
         0.0, doc="arcsec/h, drift of the tracker's azimuth, at all stations"
     )
-    range_drift_um_per_h: float = setting(0.0, doc="um/h, drift of the tracker's range")
-    displaced_nest: int = setting(
+    range_drift_um_per_h: float = expert(0.0, doc="um/h, drift of the tracker's range")
+    displaced_nest: int = expert(
         0, doc="number of a nest that is displaced or badly seated; 0: none", minimum=0
     )
-    displaced_at_stations: tuple[int, ...] = setting(
+    displaced_at_stations: tuple[int, ...] = expert(
         (0,), doc="stations at which that nest is displaced", minimum=0
     )
-    displaced_attempts: int = setting(
+    displaced_attempts: int = expert(
         1, doc="so many attempts at that nest find it displaced", minimum=1
     )
-    displaced_mm: float = setting(1.0, doc="mm, by which that nest is displaced")
+    displaced_mm: float = expert(1.0, doc="mm, by which that nest is displaced")
 
 
 @dataclass(frozen=True)
 class MirrorSimulationSettings(SimulationSettings):
     """The simulated cell of the plane-mirror method."""
 
-    instrument: str = setting(TRACKER, doc="a laser tracker with a mirror", choices=(TRACKER,))
+    instrument: str = expert(TRACKER, doc="a laser tracker with a mirror", choices=(TRACKER,))
     tracker: TrackerSettings = group(TrackerSettings)
-    mirror: SimulatedMirrorSettings = group(SimulatedMirrorSettings)
+    mirror: SimulatedMirrorSettings = group(SimulatedMirrorSettings, expert=True)
 
 
 MIRROR: Final = "mirror"
@@ -205,10 +203,10 @@ class MirrorPlanSettings(TableAngleSettings):
     station_height_m: float = setting(
         0.35, doc="m, height of the tracker's head above the table", minimum=-10.0, maximum=10.0
     )
-    station_azimuths_deg: tuple[float, ...] = setting(
+    station_azimuths_deg: tuple[float, ...] = expert(
         (), doc="deg, direction of each station from the axis; empty: each faces its positions"
     )
-    incidence_limit_deg: float = setting(
+    incidence_limit_deg: float = expert(
         INCIDENCE_LIMIT_DEG,
         doc="deg, largest angle between beam and mirror normal",
         minimum=1.0,
@@ -234,7 +232,7 @@ class MirrorPlanSettings(TableAngleSettings):
         minimum=0,
         maximum=3600,
     )
-    drift_limit_arcsec: float = setting(
+    drift_limit_arcsec: float = expert(
         5.0,
         doc="arcsec, turn of the tracker between two rounds of nests beyond which its station is "
         "measured again",
@@ -251,7 +249,7 @@ class MirrorPlanSettings(TableAngleSettings):
         minimum=1,
         maximum=20,
     )
-    reflector_reach_m: float = setting(
+    reflector_reach_m: float = expert(
         1.5, doc="m, distance of these reflectors from the mirror", minimum=0.05, maximum=30.0
     )
     table_reflectors_m: tuple[float, ...] = setting(

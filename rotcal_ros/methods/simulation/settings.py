@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.settings import group, setting
+from rotcal_ros.foundation.settings import expert, group, setting
 
 
 @dataclass(frozen=True)
@@ -61,49 +61,49 @@ class TableSettings:
     eac: AngularHarmonics = group(AngularHarmonics)
     ebc: AngularHarmonics = group(AngularHarmonics)
     ecc: AngularHarmonics = group(AngularHarmonics)
-    compensation: CompensationSettings = group(CompensationSettings)
-    external: bool = setting(
+    compensation: CompensationSettings = group(CompensationSettings, expert=True)
+    external: bool = expert(
         False, doc="another program moves the table and tells its actual angle on table_actual"
     )
-    backlash_arcsec: float = setting(
+    backlash_arcsec: float = expert(
         0.0, doc="arcsec, by which the angle stays larger when approached from above"
     )
-    repeatability_arcsec: float = setting(
+    repeatability_arcsec: float = expert(
         0.0,
         doc="arcsec, standard deviation of the angle from one arrival to the next",
         minimum=0.0,
     )
-    repeatability_um: float = setting(
+    repeatability_um: float = expert(
         0.0,
         doc="um, standard deviation of the shifts along x, y and z from one arrival to the next",
         minimum=0.0,
     )
-    repeatability_tilt_arcsec: float = setting(
+    repeatability_tilt_arcsec: float = expert(
         0.0,
         doc="arcsec, standard deviation of the tilts about x and y from one arrival to the next",
         minimum=0.0,
     )
-    axis_offset_m: tuple[float, float, float] = setting(
+    axis_offset_m: tuple[float, float, float] = expert(
         (0.0, 0.0, 0.0), doc="m, origin of the table axis in the machine frame"
     )
-    axis_tilt_arcsec: tuple[float, float] = setting(
+    axis_tilt_arcsec: tuple[float, float] = expert(
         (0.0, 0.0), doc="arcsec, rotation of the table axis about x, then y of the machine"
     )
-    initial_angle_deg: float = setting(0.0, doc="deg, angle at the start")
-    speed_deg_s: float = setting(20.0, doc="deg/s, largest speed", minimum=1e-3)
-    acceleration_deg_s2: float = setting(40.0, doc="deg/s^2, acceleration", minimum=1e-3)
-    overshoot_deg: float = setting(
+    initial_angle_deg: float = expert(0.0, doc="deg, angle at the start")
+    speed_deg_s: float = expert(20.0, doc="deg/s, largest speed", minimum=1e-3)
+    acceleration_deg_s2: float = expert(40.0, doc="deg/s^2, acceleration", minimum=1e-3)
+    overshoot_deg: float = expert(
         2.0, doc="deg, by which the table passes an angle to approach it from the other side",
         minimum=1e-3,
     )  # fmt: skip
-    settling_arcsec: float = setting(5.0, doc="arcsec, lag at the end of a motion", minimum=0.0)
-    settling_time_s: float = setting(
+    settling_arcsec: float = expert(5.0, doc="arcsec, lag at the end of a motion", minimum=0.0)
+    settling_time_s: float = expert(
         0.05, doc="s, time constant with which the lag decays", minimum=1e-6
     )
-    feedback_rate_hz: float = setting(
+    feedback_rate_hz: float = expert(
         100.0, doc="Hz, rate of the table feedback", minimum=0.1, maximum=10_000.0
     )
-    feedback_noise_arcsec: float = setting(
+    feedback_noise_arcsec: float = expert(
         0.02, doc="arcsec, noise of one table feedback", minimum=0.0
     )
 
@@ -166,7 +166,7 @@ class SimulationSettings:
     """The simulated cell: a table, a temperature, and the instrument of a method."""
 
     seed: int = setting(1, doc="seed of all random numbers", minimum=0, maximum=2**31 - 1)
-    run: int = setting(
+    run: int = expert(
         0,
         doc="another number: the same machine measured again, with other noise",
         minimum=0,
@@ -179,12 +179,12 @@ class SimulationSettings:
         minimum=0.01,
         maximum=1000.0,
     )
-    hold_s: float = setting(
+    hold_s: float = expert(
         2.0, doc="s, machine time after the last motion that still counts as busy", minimum=0.0
     )
     table: TableSettings = group(TableSettings)
-    temperature: TemperatureSettings = group(TemperatureSettings)
-    air: SimulatedAirSettings = group(SimulatedAirSettings)
+    temperature: TemperatureSettings = group(TemperatureSettings, expert=True)
+    air: SimulatedAirSettings = group(SimulatedAirSettings, expert=True)
 
     @property
     def noise_seed(self) -> int:

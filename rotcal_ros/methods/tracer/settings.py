@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.settings import group, setting
+from rotcal_ros.foundation.settings import expert, group, setting
 from rotcal_ros.methods.simulation.settings import SimulationSettings
 from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
 from rotcal_ros.planning.table_angles import TableAngleSettings
@@ -21,16 +21,16 @@ TARGETS_PER_STATION = "targets_per_station"
 class SimulatedReadingsSettings:
     """How the simulated laser tracer reads."""
 
-    dead_distance_m: float = setting(
+    dead_distance_m: float = expert(
         1.0, doc="m, distance at which the tracer reads zero", minimum=0.0
     )
-    zero_shift_um: float = setting(
+    zero_shift_um: float = expert(
         0.0, doc="um, standard deviation of the zero from one start of the tracer to the next",
         minimum=0.0,
     )  # fmt: skip
-    rate_hz: float = setting(1000.0, doc="Hz, rate of readings", minimum=0.1, maximum=10_000.0)
+    rate_hz: float = expert(1000.0, doc="Hz, rate of readings", minimum=0.1, maximum=10_000.0)
     noise_um: float = setting(0.2, doc="um, noise of one reading at distance 0", minimum=0.0)
-    noise_um_per_m: float = setting(
+    noise_um_per_m: float = expert(
         0.2, doc="um/m, growth of the noise with the distance", minimum=0.0
     )
 
@@ -39,7 +39,7 @@ class SimulatedReadingsSettings:
 class SimulatedTracerSettings(SimulatedReadingsSettings):
     """The simulated laser tracer on the table."""
 
-    mount_m: tuple[float, float, float] = setting(
+    mount_m: tuple[float, float, float] = expert(
         (0.0569, -0.0318, 0.1225), doc="m, centre of the tracer in the table frame at angle 0"
     )
 
@@ -48,26 +48,26 @@ class SimulatedTracerSettings(SimulatedReadingsSettings):
 class SimulatedProbeSettings:
     """The coordinate measuring machine whose probe carries the reflector."""
 
-    initial_position_m: tuple[float, float, float] = setting(
+    initial_position_m: tuple[float, float, float] = expert(
         (0.0, 0.0, 1.0), doc="m, position of the probe at the start"
     )
     systematic_um: float = setting(
         1.0, doc="um, standard deviation of the error of a target, the same at each visit",
         minimum=0.0,
     )  # fmt: skip
-    repeatability_um: float = setting(
+    repeatability_um: float = expert(
         0.1, doc="um, standard deviation of a coordinate from one arrival to the next", minimum=0.0
     )
-    following_um: float = setting(
+    following_um: float = expert(
         0.5, doc="um, standard deviation of the reported from the commanded position", minimum=0.0
     )
-    speed_m_s: float = setting(0.1, doc="m/s, largest speed", minimum=1e-6)
-    acceleration_m_s2: float = setting(0.5, doc="m/s^2, acceleration", minimum=1e-6)
-    settling_um: float = setting(2.0, doc="um, lag at the end of a motion", minimum=0.0)
-    settling_time_s: float = setting(
+    speed_m_s: float = expert(0.1, doc="m/s, largest speed", minimum=1e-6)
+    acceleration_m_s2: float = expert(0.5, doc="m/s^2, acceleration", minimum=1e-6)
+    settling_um: float = expert(2.0, doc="um, lag at the end of a motion", minimum=0.0)
+    settling_time_s: float = expert(
         0.05, doc="s, time constant with which the lag decays", minimum=1e-6
     )
-    report_delay_s: float = setting(
+    report_delay_s: float = expert(
         0.05, doc="s, from the end of a motion to the report of the point", minimum=1e-3
     )
 
@@ -117,12 +117,12 @@ class FaultSettings:
 class LengthsSimulationSettings(SimulationSettings):
     """A simulated cell with a tracer on the table and a reflector on a machine."""
 
-    instrument: str = setting(
+    instrument: str = expert(
         TRACER, doc="a laser tracer, with a machine for its reflector", choices=(TRACER,)
     )
     tracer: SimulatedReadingsSettings = group(SimulatedReadingsSettings)
     probe: SimulatedProbeSettings = group(SimulatedProbeSettings)
-    faults: FaultSettings = group(FaultSettings)
+    faults: FaultSettings = group(FaultSettings, expert=True)
 
 
 @dataclass(frozen=True)
@@ -176,13 +176,13 @@ class TracerPlanSettings(TableAngleSettings):
         doc="CSV file beside the configuration with the explicit targets: target,x_m,y_m,z_m; "
         "read into targets_m",
     )
-    pairs: tuple[int, ...] = setting(
+    pairs: tuple[int, ...] = expert(
         (),
         doc="explicit steps in their order: table position and target of the first, of the "
         "second, ...; replaces the order",
         minimum=0,
     )
-    pairs_file: str = setting(
+    pairs_file: str = expert(
         "",
         doc="CSV file beside the configuration with the explicit steps: "
         "step,table_position,target; read into pairs",

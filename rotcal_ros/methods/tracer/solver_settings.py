@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 from typing import Literal
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.settings import setting
+from rotcal_ros.foundation.settings import expert, setting
 
 Variant = Literal["station", "joint"]
 Datum = Literal["prior", "free"]
@@ -21,31 +21,31 @@ class TracerLimits:
     |test value| > 4.3 at 704 lengths.
     """
 
-    rejection_significance: float = setting(
+    rejection_significance: float = expert(
         0.01,
         doc="probability of rejecting any length at all when all are good",
         minimum=1e-9,
         maximum=0.5,
     )
-    noise_significance: float = setting(
+    noise_significance: float = expert(
         0.01,
         doc="probability of estimating the noise from the residuals although it is as stated",
         minimum=1e-9,
         maximum=0.5,
     )
-    test_significance: float = setting(
+    test_significance: float = expert(
         0.001,
         doc="probability of a false alarm of each global test (chi-squared, closure, motion)",
         minimum=1e-9,
         maximum=0.5,
     )
-    max_rejected_share: float = setting(
+    max_rejected_share: float = expert(
         0.03,
         doc="share of rejected lengths beyond which the verdict is suspect",
         minimum=0.001,
         maximum=0.5,
     )
-    max_station_std: float = setting(
+    max_station_std: float = expert(
         0.01,
         doc="largest standard deviation of a station's position, as a share of the radius of the "
         "stations' circle; beyond it the geometry is refused",
@@ -107,14 +107,14 @@ class TracerSolverSettings(LengthNoiseSettings):
         "beam, which measures better and needs the variant joint; auto: per segment for a table "
         "with the column segment, else per station",
     )
-    zero_walk_std_m: float | None = setting(
+    zero_walk_std_m: float | None = expert(
         0.0,
         doc="m, with a zero per_segment: standard deviation of its change from one length to the "
         "next, as by temperature; 0: it does not change; none (null): estimated from the lengths",
         minimum=0.0,
         maximum=1e-4,
     )
-    position_std_m: float = setting(
+    position_std_m: float = expert(
         1e-7,
         doc="m, standard deviation of each coordinate of the reflector from one arrival to the "
         "next, besides target_std_m, which stays the same: what a resumed plan measures again "
@@ -122,14 +122,14 @@ class TracerSolverSettings(LengthNoiseSettings):
         minimum=0.0,
         maximum=1e-3,
     )
-    circle_std_m: float | None = setting(
+    circle_std_m: float | None = expert(
         None,
         doc="m, standard deviation of the stations from one circle about the table's axis, "
         "radially and along it; none: no circle is assumed, and every station is found by itself",
         minimum=1e-9,
         maximum=1e-2,
     )
-    slip_m: float = setting(
+    slip_m: float = expert(
         0.3164e-6,
         doc="m, with a zero per_segment: a fringe by which the counter may slip unnoticed; what "
         "the residuals would not show of it is part of the uncertainty; 0: the counter does not "

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
-from rotcal_ros.foundation.settings import group, setting
+from rotcal_ros.foundation.settings import expert, group, setting
 from rotcal_ros.methods.tracer.settings import (
     STATIONS_PER_TARGET,
     TARGETS_PER_STATION,
@@ -21,22 +21,22 @@ from rotcal_ros.planning.table_angles import TableAngleSettings
 class CarriedTracerSettings(SimulatedReadingsSettings):
     """The simulated laser tracer, and the person who fixes it at its places."""
 
-    places_m: tuple[float, ...] = setting(
+    places_m: tuple[float, ...] = expert(
         (0.15, 0.0, 0.12, -0.075, 0.1299, 0.12, -0.075, -0.1299, 0.12),
         doc="m, x y z of place 0, then of place 1 and so on, in the table frame at angle 0",
         minimum=-10.0,
         maximum=10.0,
     )
-    placing_mm: float = setting(
+    placing_mm: float = expert(
         0.5, doc="mm, by which the person misses each coordinate of a place", minimum=0.0
     )
-    mounting_zero_um: float = setting(
+    mounting_zero_um: float = expert(
         0.0, doc="um, standard deviation of the zero from one mounting to the next", minimum=0.0
     )
-    misplaced_place: int = setting(
+    misplaced_place: int = expert(
         -1, doc="number of a place that the person mistakes; -1: none", minimum=-1
     )
-    misplaced_mm: float = setting(
+    misplaced_mm: float = expert(
         50.0, doc="mm, by which the first mounting there is wrong, along x"
     )
 
@@ -69,7 +69,7 @@ class SixPlanSettings(TableAngleSettings):
         maximum=10.0,
         first=True,
     )
-    place_azimuth_deg: float = setting(
+    place_azimuth_deg: float = expert(
         0.0, doc="deg, direction of the first place with the table at angle 0"
     )
     place_height_m: float = setting(
@@ -93,7 +93,7 @@ class SixPlanSettings(TableAngleSettings):
         minimum=-10.0,
         maximum=10.0,
     )
-    place_tolerance_m: float = setting(
+    place_tolerance_m: float = expert(
         0.01,
         doc="m, by which the tracer may miss its place before the person is asked again",
         minimum=1e-5,
@@ -157,7 +157,7 @@ class TracerSixSolverSettings(LengthNoiseSettings):
         "unbroken beam (per_segment); auto: per segment where the measurement tells the "
         "segments, else per run",
     )
-    slip_m: float = setting(
+    slip_m: float = expert(
         0.3164e-6,
         doc="m, a fringe by which the counter may slip unnoticed where lengths share zeros; what "
         "the residuals would not show of it is part of the uncertainty; 0: the counter does not "
@@ -165,14 +165,14 @@ class TracerSixSolverSettings(LengthNoiseSettings):
         minimum=0.0,
         maximum=1e-5,
     )
-    scatter_translation_std_m: float | None = setting(
+    scatter_translation_std_m: float | None = expert(
         None,
         doc="m, standard deviation of the table's place from one arrival to the next, along each "
         "axis; 0: known to repeat; none: estimated from the distances between the places",
         minimum=0.0,
         maximum=1e-2,
     )
-    scatter_rotation_std_rad: float | None = setting(
+    scatter_rotation_std_rad: float | None = expert(
         None,
         doc="rad, standard deviation of the table's attitude from one arrival to the next, about "
         "each axis; 0: known to repeat; none: estimated from the distances between the places",
