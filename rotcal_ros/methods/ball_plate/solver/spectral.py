@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -65,6 +65,11 @@ class Harmonics:
     mean: Complexes
     inverse: Complexes
     amplification: float
+
+    @cached_property
+    def fitted(self) -> Complexes:
+        """What the table takes of the noise of each ball, (R, 2, 2, 2), at lag 0."""
+        return np.array([_fitted_at_ball(self, ball) for ball in range(len(self.balls))])
 
 
 def phases(grid: int, balls: Ints) -> Complexes:
@@ -362,8 +367,7 @@ class SpectralFit(LinearFit):
         system = self._system
         n_balls, grid = len(system.balls), system.grid
         # of noise 1 an observation keeps 1, less 1/R for the CMM's mean, less what the table fits
-        fitted = np.array([_fitted_at_ball(system, ball) for ball in range(n_balls)])
-        kept: Complexes = (1.0 - 1.0 / n_balls) * (grid - 1) / grid * np.eye(2) - fitted
+        kept: Complexes = (1.0 - 1.0 / n_balls) * (grid - 1) / grid * np.eye(2) - system.fitted
         turn = self._turn[self.problem.cmm_index].reshape(n_balls, grid)
         return _turned(kept[:, PLANE], kept[:, AXIS, 0, 0].real, turn**2).reshape(-1, 3, 3)
 
