@@ -32,6 +32,8 @@ LONGEST_SIM_TURN_NS: Final = 500_000_000
 """The same for ``/clock``, which may come rarely."""
 UNASKED_PERIOD_S: Final = 0.5
 ANNOUNCING_PERIOD_S: Final = 0.5
+FOLLOWED_DEPTH: Final = 5
+"""How many places of an external table may wait."""
 AIR: Final = {
     PressureSample: (FluidPressure, names.AIR_PRESSURE),
     HumiditySample: (RelativeHumidity, names.RELATIVE_HUMIDITY),
@@ -63,7 +65,9 @@ class SimulatedCellNode(CellNode):
             self._tracer = self._instrument(msg.TracerLength, names.TRACER_LENGTH, STREAM)
         self._probe_frame = self._cell.instrument.frame
         if settings.table.external:
-            self.listen(JointState, "table_actual", self._follow, STREAM)
+            # A busy machine costs it places in between, which it fills in: a long queue would
+            # make its stamps ever later.
+            self.listen(JointState, "table_actual", self._follow, FOLLOWED_DEPTH)
         else:
             self._table = self._instrument(JointState, names.JOINT_STATES, STREAM)
             self.every(PERIOD_S, self._turn)
