@@ -68,8 +68,6 @@ def command(
         values = {**_turn(known, positions), **values}
     if not yes:
         _ask(method, known, values)
-    if missing := new_setup.missing_settings(known, values):
-        raise click.UsageError(f"{method} needs more: --set {'=... --set '.join(missing)}=...")
     write_durably(output, new_setup.setup_text(method, known, values))
     say(f"set-up: {output.absolute()}")
     try:

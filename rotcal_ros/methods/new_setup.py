@@ -62,13 +62,14 @@ def first_asked(known: Known, values: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def missing_settings(known: Known, values: Mapping[str, Any]) -> list[str]:
-    """Return what has no default and no value."""
-    return [n for n, d in known.items() if d.default is MISSING and n not in values]
-
-
 def setup_text(method: str, known: Known, values: Mapping[str, Any]) -> str:
-    """Return the text of a set-up, with the meaning of every setting above it."""
+    """Return the text of a set-up, with the meaning of every setting above it.
+
+    Raises ConfigurationError that lists the settings without default and value.
+    """
+    missing = [n for n, d in known.items() if d.default is MISSING and n not in values]
+    if missing:
+        raise ConfigurationError(f"{method} needs more: --set {'=... --set '.join(missing)}=...")
     return "\n".join(_lines(method, known, values)) + "\n"
 
 
