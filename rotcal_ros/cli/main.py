@@ -202,19 +202,21 @@ def _compute_in_one_thread() -> None:
 
 def _explain(error: Exception) -> int:
     """Print one red line for ``error`` and return its exit code."""
+    _complain(*in_lines(error))
+    return error.exit_code if isinstance(error, RotcalError) else UNREADABLE
+
+
+def in_lines(error: Exception) -> tuple[str, ...]:
+    """Return an error in one line for people, and further lines if it has any."""
     if isinstance(error, RotcalError):
-        _complain(str(error), *error.log.splitlines())
-        return error.exit_code
+        return str(error), *error.log.splitlines()
     if isinstance(error, ModuleNotFoundError) and error.name in OF_PIP_ALONE:
-        _complain(f"{error.name} is missing: pip install {' '.join(OF_PIP_ALONE)}")
-        return UNREADABLE
+        return (f"{error.name} is missing: pip install {' '.join(OF_PIP_ALONE)}",)
     from rotcal_ros.foundation.plugins import culprit, in_words
 
     if isinstance(error, OSError) and error.strerror and not culprit(error):
-        _complain(f"{error.strerror}: {error.filename}" if error.filename else error.strerror)
-    else:
-        _complain(f"unexpected {in_words(error)} ('rotcal --debug ...' shows where)")
-    return UNREADABLE
+        return (f"{error.strerror}: {error.filename}" if error.filename else error.strerror,)
+    return (f"unexpected {in_words(error)} ('rotcal --debug ...' shows where)",)
 
 
 def _complain(text: str, *log: str) -> None:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError, Question
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.settings import setting
 from rotcal_ros.foundation.sheets.files import Cell, Sheet, sheets
 from rotcal_ros.foundation.sheets.layout import TEXTS, Layout, TableColumn, Use, best_layout
@@ -35,7 +36,8 @@ from rotcal_ros.foundation.sheets.words import (
 from rotcal_ros.foundation.tables import Header, Table, own_table
 from rotcal_ros.foundation.units import DEGREE
 
-_DEFAULTS: Final = {LENGTH: "length_unit", ANGLE: "angle_unit", TIME: "time_unit"}
+UNIT_SETTINGS: Final = {LENGTH: "length_unit", ANGLE: "angle_unit", TIME: "time_unit"}
+"""Quantity -> the setting of its unit, for columns that state none."""
 _LOOKED_AT: Final = 100
 """Rows among which the head of a table that cannot be understood is guessed."""
 _LABEL: Final = re.compile(r"(?:\D*[^\W\d_]\W*)?([0-9]{1,9})")
@@ -249,7 +251,7 @@ class _Rows:
             theirs,
             layout.aside,
             tuple(self._left_out),
-            (*self._remarks, *(["decimal comma"] if mark == "," else [])),
+            (*self._remarks, *([phrase("decimal comma")] if mark == "," else [])),
             self._labels,
             self._angles_deg,
             tuple(known.source for known in self._known.values() if known.source),
@@ -271,20 +273,20 @@ class _Rows:
         """Return why a row holds no values; empty if it does."""
         texts = [cell for cell in cells if cell != ""]
         if tuple(map(str, texts)) == self._layout.head:
-            return "the head of the table again"
+            return phrase("the head of the table again")
         first = next((cell for cell in texts if isinstance(cell, str)), "")
         if first and first is texts[0] and is_summary(first):
-            return f"a line about others ({first})"
+            return phrase("a line about others ({0})", first)
         if len(texts) == 1 and not _is_number(texts[0]):
-            return f"a line of text ({texts[0]:.40})"
+            return phrase("a line of text ({0})", str(texts[0])[:40])
         values = {c.name for c in self._columns if c.quantity not in ("", TIME)}
         uses = self._layout.uses.items()
         measured = [cells[use.place] for name, use in uses if name in values]
         if any(map(_is_nothing, measured)):
-            return "nothing was measured"
+            return phrase("nothing was measured")
         keys = [cells[use.place] for name, use in uses if name not in values]
         if measured and keys and all(map(_is_nothing, keys)):
-            return "values that belong to nothing"
+            return phrase("values that belong to nothing")
         return ""
 
     def _all_uses(self) -> list[Use]:
@@ -393,7 +395,7 @@ class _Rows:
             (unit, f"{measure.value} {unit} = {float(in_si(measure, unit)):.6g} {_si(quantity)}")
             for unit in units or usual.get(quantity, tuple(UNITS[quantity]))
         )
-        setting = f"sheet.{_DEFAULTS[quantity]}"
+        setting = f"sheet.{UNIT_SETTINGS[quantity]}"
         raise DataError(
             f"{self._path}: the column {use.text!r} ({name}) states no unit: its first value can "
             f"be {', '.join(words for _, words in read)}. Say which: --set {setting}=UNIT",
@@ -417,7 +419,7 @@ class _Rows:
                     f"plan; the nearest there is {planned[nearest] / DEGREE:g} degrees"
                 )
             found.append(nearest)
-        self._remarks.append("positions by their angles")
+        self._remarks.append(phrase("positions by their angles"))
         return [str(index) for index in found]
 
     def _numbers(self, name: str, cells: Sequence[tuple[int, str]]) -> list[str]:
@@ -468,7 +470,7 @@ class _Rows:
                 question=Question("sheet.counted_from", tuple(zip("01", readings, strict=True))),
             )
         if chosen == "1" and "1" in able:
-            self._remarks.append(f"{name} counts from 1")
+            self._remarks.append(phrase("{0} counts from 1", name))
         return [able.get(chosen, {}).get(n, n) for n in numbers]
 
     def _theirs(self, column: TableColumn) -> str:
@@ -479,16 +481,17 @@ class _Rows:
         if use is None:
             groups = self._layout.matrix
             uses = [g.uses.get(column.name) or next(iter(g.uses.values())) for g in groups]
-            text, use = f"the matrix {uses[0].text!r} to {uses[-1].text!r}", uses[0]
+            use, last = uses[0], uses[-1]
+            text: str = phrase("the matrix {0} to {1}", repr(use.text), repr(last.text))
         else:
             text = repr(use.text)
         unit = self._unit_elsewhere(use, quantity) if quantity and len(use.units) != 1 else ""
-        return f"{text} in {unit}" if unit else text
+        return phrase("{0} in {1}", text, unit) if unit else text
 
     def _unit_elsewhere(self, use: Use, quantity: str) -> str:
         """Return the unit that settings, or a line above the table, state for a column."""
         above = self._layout.length_unit if quantity == LENGTH and not use.units else ""
-        return str(getattr(self._settings, _DEFAULTS[quantity]) or above)
+        return str(getattr(self._settings, UNIT_SETTINGS[quantity]) or above)
 
 
 def _decimal_mark(point: str, comma: str) -> Question:
