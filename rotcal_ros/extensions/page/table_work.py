@@ -19,7 +19,7 @@ from signal import SIG_IGN, SIGINT, signal
 from typing import Any, Final
 
 from rotcal_ros.api.compensating import make_table, write_controller_files
-from rotcal_ros.cli.main import in_lines
+from rotcal_ros.cli.console import in_lines
 from rotcal_ros.compensation.controllers import parse_options
 from rotcal_ros.compensation.writing import PROVENANCE
 from rotcal_ros.evaluation.marks import marks, withheld

@@ -49,9 +49,10 @@ from rotcal_ros.extensions.page.table_work import (
 )
 from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.escapes import printable
-from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.untrusted import LARGEST_FILE
 from rotcal_ros.methods import find_method, method_names
+from rotcal_ros.methods.method import DEFAULT
 from rotcal_ros.methods.new_setup import (
     AIR,
     OF_THE_ITEM,
@@ -66,6 +67,16 @@ WORK_S: Final = 600.0
 MOST_ASKED: Final = 1_000_000
 """Most bytes of a request that is no file."""
 LONGEST_NAME: Final = 120
+LABELS: Final = {
+    "identity.item": phrase("Item"),
+    "identity.serial": phrase("Serial number"),
+    "identity.place": phrase("Place"),
+    "identity.operator": phrase("Measured by"),
+    "identity.measured": phrase("Day of the measurement"),
+    "air.temperature_c": phrase("Temperature of the air"),
+    "air.pressure_pa": phrase("Pressure of the air"),
+}
+"""Shorter than what these settings say of themselves."""
 REPORT_POLICY: Final = (
     "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'; sandbox allow-popups"
@@ -124,7 +135,7 @@ class Desk:
         """Answer with what the page needs once."""
         methods = [(name, plain(phrase(find_method(name).title))) for name in method_names()]
         return JSONResponse({
-            "token": self.token, "names": self._names, "methods": methods,
+            "token": self.token, "names": self._names, "methods": methods, "method": DEFAULT,
             "controllers": controller_names(),
         })  # fmt: skip
 
@@ -224,10 +235,10 @@ async def _refused(_request: Request, error: Exception) -> Response:
 
 
 async def _settings(request: Request) -> Response:
-    return JSONResponse(list(_asked(request.path_params["method"])))
+    return JSONResponse(list(asked_settings(request.path_params["method"])))
 
 
-def _asked(method: str) -> Iterator[Told]:
+def asked_settings(method: str) -> Iterator[Told]:
     """Yield what the page asks for, as ``rotcal new`` does, and what certificates need besides."""
     known, stated = known_settings(method), values_of_tables(method)
     first = [name for name in first_asked(known, stated) if name not in stated]
@@ -237,7 +248,7 @@ def _asked(method: str) -> Iterator[Told]:
         unit, meaning = unit_and_meaning(declared)
         yield {
             "name": name,
-            "meaning": meaning,
+            "meaning": plain(label_of(name, meaning)),
             "unit": unit,
             "kind": declared.kind.__name__,
             "list": declared.is_list,
@@ -245,6 +256,11 @@ def _asked(method: str) -> Iterator[Told]:
             "default": default_in_words(declared),
             "asked": name not in identity,
         }
+
+
+def label_of(name: str, meaning: str) -> Phrase:
+    """Return what stands beside the field of a setting."""
+    return LABELS.get(name) or phrase(meaning.replace(", in quotes", ""))
 
 
 class OneVisitor(Guard):

@@ -1,15 +1,16 @@
 // The page of rotcal web: a table is dropped, looked at, corrected, solved and taken along.
 import { redraw } from "./charts.js";
 import { showDeviations } from "./deviations.js";
-import { element, language, number, offerLanguages, say, t, text, translatePage } from "./words.js";
+import { element, language, number, offerLanguages, say, sentence, t, text, translatePage } from "./words.js";
 
 const by = (id) => document.getElementById(id);
-const ROLES = { table: t("Measurements"), targets: t("Targets"), setup: t("Set-up") };
+const ROLES = { table: t("Measurements"), targets: t("Targets"), setup: t("Set-up file") };
 const OURS = { position: t("table position"), angle: t("table angle"), target: t("target"), length: t("length"), place: t("place of the tracer") };
 const READING = { // settings of the group sheet that hold for all columns
   "sheet.decimal": [t("decimal mark"), [["", t("as the numbers tell")], [".", t("point")], [",", t("comma")]]],
   "sheet.counted_from": [t("first number of positions and targets"), [["", t("as the numbers tell")], ["0", "0"], ["1", "1"]]],
 };
+const UNITS = { deg: "°", degC: "°C", arcsec: "″", um: "µm" };
 const MICRO = /_std_m$/; // shown in micrometres
 const stated = new Map(); // settings of the group sheet that were corrected
 const columns = new Map(); // our column -> the head of theirs
@@ -76,8 +77,7 @@ function setting({ name, meaning, unit, kind, list, choices, default: usual }, v
     input.required = usual === "-";
   }
   if (name.endsWith(".measured")) input.type = "date";
-  const words = t(meaning);
-  return field(`set.${name}`, words.charAt(0).toUpperCase() + words.slice(1), input, micro ? "µm" : unit);
+  return field(`set.${name}`, sentence(say(meaning)), input, micro ? "µm" : UNITS[unit] ?? unit);
 }
 const inputs = () => [...document.querySelectorAll("#form [data-name]")];
 function oneInstrument() {
@@ -193,22 +193,22 @@ function shown(table, main) {
   if (table.columns.length) box.append(grid(t("Columns of {0}", table.name), [t("means"), t("column of the table"), t("unit")],
     table.columns.map((column) => [ours(column, main), theirs(column, table, main), unitOf(column, main)])));
   box.append(grid(t("First rows as they are solved: metres, numbers from 0"), [t("row"), ...table.header], table.first.map(([row, cells]) => [row, ...cells]), true));
-  for (const remark of table.remarks) box.append(element("p", say(remark), "small"));
+  if (table.remarks.length) box.append(element("p", table.remarks.map(say).join("; "), "small"));
   if (table.aside.length) box.append(element("p", t("not needed: {0}", table.aside.join(", ")), "small"));
   if (table.left_out.length) {
     const more = element("details"), list = element("ul", "", "lines");
     list.append(...table.left_out.map(([row, why]) => { const line = element("li"); line.append(element("span", t("row {0}", row)), element("span", say(why))); return line; }));
-    more.append(element("summary", t("{0} rows left out", table.left_out.length)), list);
+    more.append(element("summary", table.left_out.length === 1 ? t("1 row left out") : t("{0} rows left out", table.left_out.length)), list);
     box.append(more);
   }
   return box;
 }
 function grid(caption, head, rows, numbers = false) {
-  const box = element("div", "", "sheet"), made = element("table"), top = element("tr"), body = element("tbody"), above = element("thead");
+  const box = element("div", "", numbers ? "sheet numbers" : "sheet"), made = element("table"), top = element("tr"), body = element("tbody"), above = element("thead");
   box.tabIndex = 0;
   box.setAttribute("role", "region");
   box.setAttribute("aria-label", caption);
-  top.append(...head.map((words) => { const cell = element("th", words); cell.scope = "col"; return cell; }));
+  top.append(...head.map((words) => { const cell = element("th", words, numbers ? "number" : ""); cell.scope = "col"; return cell; }));
   above.append(top);
   body.append(...rows.map((cells) => {
     const line = element("tr");
@@ -322,8 +322,10 @@ offerLanguages();
 const begin = await ask("/start", undefined, "GET");
 token = begin.token;
 names = begin.names;
-by("method").append(...select(begin.methods.map(([name, title]) => [name, say(title)]), "tracer_multistation").children);
-by("controller").append(...select(begin.controllers.map((name) => [name, name])).children);
+by("method").append(...select(begin.methods.map(([name, title]) => [name, say(title)])).children);
+by("method").value = begin.method;
+by("controller").append(...select([["", t("choose …")], ...begin.controllers.map((name) => [name, name])]).children);
+by("controller").value = "";
 by("reading").append(...Object.entries(READING).map(([name, [words, options]]) => {
   const choice = select(options);
   choice.addEventListener("change", () => correct(name, choice.value));
