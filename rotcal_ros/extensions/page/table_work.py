@@ -28,6 +28,7 @@ from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.files import replace_atomically, write_atomically, write_durably
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.sheets.layout import TableColumn, Use
 from rotcal_ros.foundation.sheets.reading import UNIT_SETTINGS, Reading
@@ -41,7 +42,7 @@ from rotcal_ros.methods.configuration import (
     read_configuration,
 )
 from rotcal_ros.methods.measurements import read_measurements
-from rotcal_ros.methods.method import Measurements
+from rotcal_ros.methods.method import Measurements, find_method, method_names
 from rotcal_ros.methods.new_setup import given_value, known_settings, setup_text, values_of_tables
 from rotcal_ros.recordings.inputs import Input
 from rotcal_ros.recordings.result_sources import read_source
@@ -56,6 +57,8 @@ RESULT, OWN_SETUP, REPORT, PDF, DCC = (
     "result.json", "setup.yaml", "report.html", "report.pdf", "certificate.xml",
 )  # fmt: skip
 SHOWN_ROWS: Final = 6
+TITLES: Final = {name: phrase(find_method(name).title) for name in method_names()}
+"""Of all methods, which are loaded here: the processes are copies of one that has done so."""
 Told = dict[str, Any]
 """What JSON can hold."""
 

@@ -43,6 +43,7 @@ from rotcal_ros.extensions.page.table_work import (
     PLACES,
     REPORT,
     TABLE,
+    TITLES,
     WORK,
     Asked,
     Told,
@@ -51,7 +52,6 @@ from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.escapes import printable
 from rotcal_ros.foundation.language import Phrase, phrase
 from rotcal_ros.foundation.untrusted import LARGEST_FILE
-from rotcal_ros.methods import find_method, method_names
 from rotcal_ros.methods.method import DEFAULT
 from rotcal_ros.methods.new_setup import (
     AIR,
@@ -133,7 +133,7 @@ class Desk:
 
     async def start(self, _request: Request) -> Response:
         """Answer with what the page needs once."""
-        methods = [(name, plain(phrase(find_method(name).title))) for name in method_names()]
+        methods = [(name, plain(title)) for name, title in TITLES.items()]
         return JSONResponse({
             "token": self.token, "names": self._names, "methods": methods, "method": DEFAULT,
             "controllers": controller_names(),
