@@ -302,7 +302,7 @@ def test_a_controller_gets_its_files_once_it_is_said_what_was_in_force(visitor):
     told = visitor.work("controller", in_force="replace", **options)
     assert told["files"] == ["c_csv.csv", "c_csv.provenance.json"]
     assert told["words"][0].startswith("replaces the table in force")
-    # The same measurement cannot have been made with this table in force: what was dropped is read.
+    # What was dropped is read: this was not measured with its own table in force.
     for name in told["files"]:
         assert visitor.drop("in_force", name, visitor.made(name).content).status_code == 200
     error = visitor.work("controller", in_force="add", **options)["error"]
