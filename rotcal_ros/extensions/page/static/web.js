@@ -160,11 +160,16 @@ function trouble(error) {
     button.addEventListener("click", () => correct(error.question.setting, value));
     return button;
   }));
+  atFields(error);
+}
+function atFields(error) { // what an error says of a setting stands at its field, too
   for (const input of inputs()) {
-    const named = Boolean(error && error.text.includes(input.dataset.name));
-    input.setAttribute("aria-invalid", String(named));
+    const named = new RegExp(`${input.dataset.name.replaceAll(".", "\\.")}(?![\\w.])`);
+    const words = error ? [error.text, ...error.log].find((line) => named.test(line)) : undefined;
+    input.setAttribute("aria-invalid", String(words !== undefined));
     input.setAttribute("aria-describedby", `${input.id}_trouble`);
-    text(`${input.id}_trouble`, named ? error.text : "");
+    text(`${input.id}_trouble`, words ?? "");
+    if (words !== undefined && input.closest("details")) input.closest("details").open = true;
   }
 }
 function correct(name, value) {
@@ -190,9 +195,11 @@ function corrections() {
 function shown(table, main) {
   const box = element("div", "", "table_of");
   box.append(element("h3", table.name), element("p", table.form ? t("{0}, {1} rows", say(table.form), table.rows) : t("a table of our own form, read as it stands: {0}", table.header.join(", "))));
-  if (table.columns.length) box.append(grid(t("Columns of {0}", table.name), [t("means"), t("column of the table"), t("unit")],
+  const grids = element("div", "", "sheets");
+  if (table.columns.length) grids.append(grid(t("Columns of {0}", table.name), [t("means"), t("column of the table"), t("unit")],
     table.columns.map((column) => [ours(column, main), theirs(column, table, main), unitOf(column, main)])));
-  box.append(grid(t("First rows as they are solved: metres, numbers from 0"), [t("row"), ...table.header], table.first.map(([row, cells]) => [row, ...cells]), true));
+  grids.append(grid(t("First rows as they are solved: metres, numbers from 0"), [t("row"), ...table.header], table.first.map(([row, cells]) => [row, ...cells]), true));
+  box.append(grids);
   if (table.remarks.length) box.append(element("p", table.remarks.map(say).join("; "), "small"));
   if (table.aside.length) box.append(element("p", t("not needed: {0}", table.aside.join(", ")), "small"));
   if (table.left_out.length) {
@@ -293,6 +300,7 @@ function order(words, what) {
   return button;
 }
 function failed(id, error) {
+  atFields(error);
   const log = element("ul", "", "small");
   log.append(...error.log.map((line) => element("li", line)));
   by(id).replaceChildren(element("p", error.text), log);
