@@ -144,8 +144,8 @@ def _event(name: str, data: dict[str, Any]) -> dict[str, str]:
 async def _asked(request: Request, *names: str) -> tuple[str, ...] | None:
     """Return the texts that a request carries as JSON, None for any other request."""
     found = await json_of(request, MOST_BYTES)
-    texts = tuple(found.get(name) for name in names)
-    return texts if all(isinstance(text, str) for text in texts) else None
+    texts = tuple(text for name in names if isinstance(text := found.get(name), str))
+    return texts if len(texts) == len(names) else None
 
 
 async def json_of(request: Request, most_bytes: int) -> dict[str, Any]:

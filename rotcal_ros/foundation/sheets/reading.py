@@ -183,13 +183,13 @@ def _named(entry: str) -> tuple[str, str]:
 
 
 def _not_understood(
-    path: Path, headers: Sequence[Header], layout: Layout | None, found: Sequence[Sheet]
+    path: Path, headers: Sequence[Header], layout: Layout | None, grids: Sequence[Sheet]
 ) -> BagError:
     expected = " or ".join(f"'{','.join(header)}'" for header in headers)
     if layout is None:
         return BagError(
             f"{path}: no row names the columns: expected {expected}, in any form and language",
-            question=_which_column(headers[0][0], _likely_head(found)),
+            question=_which_column(headers[0][0], _likely_head(grids)),
         )
     found = ", ".join(f"{name} ({use.text})" for name, use in layout.uses.items())
     others = f"; not known: {', '.join(map(repr, layout.aside))}" if layout.aside else ""
@@ -206,11 +206,11 @@ def _which_column(header: str, texts: Sequence[str]) -> Question | None:
     return Question("sheet.columns", tuple((f"{name}={t}", t) for t in texts)) if texts else None
 
 
-def _likely_head(found: Sequence[Sheet]) -> Sequence[str]:
+def _likely_head(grids: Sequence[Sheet]) -> Sequence[str]:
     """Return the longest row of words that stands over a row of numbers."""
     rows = [
         [cell for cell in cells if isinstance(cell, str) and cell]
-        for sheet in found
+        for sheet in grids
         for (_, cells), (_, below) in pairwise(sheet.rows[:_LOOKED_AT])
         if not any(map(_is_number, cells)) and sum(map(_is_number, below)) > 1
     ]
