@@ -11,7 +11,7 @@ import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import redirect_stderr
-from dataclasses import dataclass, field, is_dataclass, replace
+from dataclasses import asdict, dataclass, field, is_dataclass, replace
 from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -59,8 +59,8 @@ RESULT, OWN_SETUP, REPORT, PDF, DCC = (
 SHOWN_ROWS: Final = 6
 TITLES: Final = {name: phrase(find_method(name).title) for name in method_names()}
 """Of all methods, which are loaded here: the processes are copies of one that has done so."""
-Told = dict[str, Any]
-"""What JSON can hold."""
+Reply = dict[str, Any]
+"""What the page is told: all that JSON can hold."""
 
 
 @dataclass(frozen=True)
@@ -102,38 +102,35 @@ class Asked:
         return re.sub(found, lambda place: known[place[1]], text) if known else text
 
 
-def answer(sender: Connection, work: Callable[[Asked], Told], asked: Asked) -> None:
+def answer(sender: Connection, work: Callable[[Asked], Reply], asked: Asked) -> None:
     """Do some work in a process of its own and send what it brings, or the error."""
     signal(SIGINT, SIG_IGN)  # the page ends this process itself
     try:
-        told = work(asked)
+        reply = work(asked)
     except Exception as error:
-        told = {"error": told_error(error, asked)}
-    sender.send(told)
+        reply = {"error": error_reply(error, asked)}
+    sender.send(reply)
 
 
-def told_error(error: Exception, asked: Asked) -> Told:
+def error_reply(error: Exception, asked: Asked) -> Reply:
     """Return an error as the command line says it, with its question, if it asks one."""
     text, *log = map(asked.in_words, in_lines(error))
     question = error.question if isinstance(error, RotcalError) else None
-    told = None if question is None else {
-        "setting": question.setting, "answers": question.answers
-    }  # fmt: skip
-    return {"text": text, "log": log, "question": told}
+    return {"text": text, "log": log, "question": None if question is None else asdict(question)}
 
 
-def explained(asked: Asked) -> Told:
+def explained(asked: Asked) -> Reply:
     """Return how the tables are understood, as far as they are, and what stands against it."""
     readings, error = list[Reading](), None
     try:
         asked.read(readings.append)
     except Exception as stopped:
-        error = told_error(stopped, asked)
-    tables = [_table(each, asked) for one in readings for each in (one, *one.beside)]
+        error = error_reply(stopped, asked)
+    tables = [_table(each, asked) for read in readings for each in (read, *read.beside)]
     return {"tables": tables, "error": error}
 
 
-def _table(reading: Reading, asked: Asked) -> Told:
+def _table(reading: Reading, asked: Asked) -> Reply:
     return {
         "name": asked.in_words(reading.table.path.name),
         "form": plain(reading.form),
@@ -148,7 +145,7 @@ def _table(reading: Reading, asked: Asked) -> Told:
     }
 
 
-def _columns(reading: Reading) -> Iterator[Told]:
+def _columns(reading: Reading) -> Iterator[Reply]:
     """Yield our columns: what of theirs each is, and how that could be understood otherwise."""
     for header, theirs in reading.columns.items():
         column = TableColumn.of(header)
@@ -164,14 +161,14 @@ def _columns(reading: Reading) -> Iterator[Told]:
         }
 
 
-def _unit(use: Use | None, quantity: str) -> Told:
+def _unit(use: Use | None, quantity: str) -> Reply:
     """Return the setting of a unit that the head of a column does not state, and its choices."""
     if quantity not in UNIT_SETTINGS or (use is not None and len(use.units) == 1):
         return {"setting": None, "units": () if use is None else use.units}
     return {"setting": f"sheet.{UNIT_SETTINGS[quantity]}", "units": tuple(UNITS[quantity])}
 
 
-def solved(asked: Asked) -> Told:
+def solved(asked: Asked) -> Reply:
     """Solve the table; keep the result, and the set-up with which the command line repeats it."""
     result = asked.read().solve()
     write_atomically(asked.folder / RESULT, result.to_json())
@@ -207,21 +204,21 @@ def shown(result: Result) -> Deviations:
     )
 
 
-def reported(asked: Asked) -> Told:
+def reported(asked: Asked) -> Reply:
     """Write the report."""
     with speaking(str(asked.options["language"])):
         write_measured(asked.read(), asked.folder / REPORT)
     return {"files": [REPORT]}
 
 
-def as_pdf(asked: Asked) -> Told:
+def as_pdf(asked: Asked) -> Reply:
     """Print the report."""
     data = printed(read_text(asked.folder / REPORT))
     replace_atomically(asked.folder / PDF, partial(write_durably, content=data))
     return {"files": [PDF]}
 
 
-def certified(asked: Asked) -> Told:
+def certified(asked: Asked) -> Reply:
     """Write the digital calibration certificate."""
     (asked.folder / DCC).unlink(missing_ok=True)
     write = plugins.extension(plugins.CERTIFICATES, "dcc", "a certificate")
@@ -230,7 +227,7 @@ def certified(asked: Asked) -> Told:
     return {"files": [DCC]}
 
 
-def for_controller(asked: Asked) -> Told:
+def for_controller(asked: Asked) -> Reply:
     """Write the files for a controller, as ``rotcal export`` does."""
     folder, earlier, options = asked.folder / "controller", asked.folder / IN_FORCE, asked.options
     shutil.rmtree(folder, ignore_errors=True)
@@ -249,7 +246,7 @@ def for_controller(asked: Asked) -> Told:
     return {"files": [f"{folder.name}/{file.name}" for file in files], "words": words}
 
 
-WORK: Final[Mapping[str, Callable[[Asked], Told]]] = {
+WORK: Final[Mapping[str, Callable[[Asked], Reply]]] = {
     "explain": explained,
     "solve": solved,
     "report": reported,

@@ -46,7 +46,7 @@ from rotcal_ros.extensions.page.table_work import (
     TITLES,
     WORK,
     Asked,
-    Told,
+    Reply,
 )
 from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.escapes import printable
@@ -90,11 +90,11 @@ class Worker:
     def __init__(self) -> None:
         self._context = multiprocessing.get_context("forkserver")
         self._context.set_forkserver_preload([table_work.__name__])
-        self._one = asyncio.Lock()
+        self._lock = asyncio.Lock()
 
-    async def __call__(self, work: Callable[[Asked], Told], asked: Asked) -> Told:
+    async def __call__(self, work: Callable[[Asked], Reply], asked: Asked) -> Reply:
         """Return what the work brings; its errors are told too."""
-        async with self._one:
+        async with self._lock:
             receiver, sender = self._context.Pipe(duplex=False)
             process = self._context.Process(
                 target=table_work.answer, args=(sender, work, asked), daemon=True
@@ -102,7 +102,7 @@ class Worker:
             process.start()
             sender.close()
             try:
-                told: Told = await asyncio.wait_for(asyncio.to_thread(receiver.recv), WORK_S)
+                reply: Reply = await asyncio.wait_for(asyncio.to_thread(receiver.recv), WORK_S)
             except asyncio.TimeoutError:
                 return _error(f"this takes longer than {WORK_S:g} s and was ended")
             except EOFError:
@@ -110,10 +110,10 @@ class Worker:
             finally:
                 process.kill()
                 process.join()
-            return told
+            return reply
 
 
-def _error(text: str) -> Told:
+def _error(text: str) -> Reply:
     return {"error": {"text": text, "log": [], "question": None}}
 
 
@@ -185,14 +185,14 @@ class Desk:
             raise ConfigurationError("there is no table yet: drop one on the page")
         changes = tuple(map(str, options.get("changes", ())))
         method = str(options.get("method", ""))
-        told = await self._work(
+        reply = await self._work(
             WORK[what], Asked(self._folder, dict(self._names), method, changes, options)
         )
-        made = {Path(name).name: self._folder / name for name in told.get("files", ())}
-        self._files |= made
-        return JSONResponse({**told, "files": list(made)}, 422 if told.get("error") else 200)
+        files = {Path(name).name: self._folder / name for name in reply.get("files", ())}
+        self._files |= files
+        return JSONResponse({**reply, "files": list(files)}, 422 if reply.get("error") else 200)
 
-    async def made(self, request: Request) -> Response:
+    async def download(self, request: Request) -> Response:
         """Answer with a file that was made; a report is shown, all else is kept."""
         name = request.path_params["name"]
         if name not in self._files:
@@ -219,7 +219,7 @@ def make_app(folder: Path, port: int) -> OneVisitor:
                 Route("/settings/{method}", _settings),
                 Route("/files/{role}", desk.take, methods=["POST", "DELETE"]),
                 Route("/work/{what}", desk.work, methods=["POST"]),
-                Route("/made/{name}", desk.made),
+                Route("/made/{name}", desk.download),
                 Mount("/static", StaticFiles(directory=STATIC)),
             ],
             exception_handlers={RotcalError: _refused},
@@ -238,7 +238,7 @@ async def _settings(request: Request) -> Response:
     return JSONResponse(list(asked_settings(request.path_params["method"])))
 
 
-def asked_settings(method: str) -> Iterator[Told]:
+def asked_settings(method: str) -> Iterator[Reply]:
     """Yield what the page asks for, as ``rotcal new`` does, and what certificates need besides."""
     known, stated = known_settings(method), values_of_tables(method)
     first = [name for name in first_asked(known, stated) if name not in stated]
