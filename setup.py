@@ -28,6 +28,7 @@ VERBS_OF_EXTENSIONS = {
     "replay": "replay",
     "reprocess": "fleet",
     "reproduce": "papers",
+    "web": "page",
 }
 PLANS = {
     "check": "check",

@@ -1,4 +1,4 @@
-"""Takes the pictures of the operator's page in docs/figures, with Debian's Chromium.
+"""Takes the pictures of the pages in docs/figures, with Debian's Chromium.
 
 usage: python scripts/page_screenshots.py [NAME ...]     all of them, or those that are named
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import os
 import shutil
+import signal
 import sys
 import tempfile
 import time
@@ -16,6 +17,7 @@ from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import Empty
+from subprocess import PIPE, Popen
 from typing import Any
 
 from PIL import Image
@@ -30,6 +32,8 @@ FIGURES = ROOT / "docs" / "figures"
 TIMEOUT_MS = 120_000
 COLOURS = 200
 DESK, PHONE, WALL = (1280, 860), (360, 780), (3840, 2160)
+WEB = "page_web"
+"""The page of rotcal web, for which nothing is calibrated."""
 SIX = ("plan.table_positions=12",)
 
 
@@ -128,6 +132,31 @@ SHOTS = {
 }
 
 
+def take_web(browser: Browser, folder: Path) -> None:
+    """Drop the sample lengths, as a German program exports them, and write the picture."""
+    metres = (ROOT / "examples" / "data" / "lengths.csv").read_text().splitlines()[1:]
+    rows = [line.replace(",", ";").replace(".", ",") for line in metres]
+    table = folder / "laengen.csv"
+    table.write_text("\n".join(("Tischposition;Ziel;Länge", *rows)) + "\n", encoding="utf-8")
+    command = (sys.executable, "-m", "rotcal_ros.cli.main", "web", "--no-browser")
+    with Popen(command, stdout=PIPE, text=True) as serving:
+        assert serving.stdout is not None
+        page = browser.new_page(viewport={"width": DESK[0], "height": DESK[1]}, locale="en-GB")
+        page.set_default_timeout(TIMEOUT_MS)
+        page.goto(serving.stdout.readline().strip())
+        for place, path in enumerate((table, ROOT / "examples" / "data" / "targets.csv")):
+            page.locator("#files li").nth(place).locator("input").set_input_files(path)
+            expect(page.locator("#files .there")).to_have_count(place + 1)
+        page.get_by_role("button", name="0.3131669079 m =").click()
+        expect(page.get_by_label("unit of length")).to_have_value("m")
+        page.locator("#solve").click()
+        expect(page.locator("#links a[href*=report]")).to_be_visible()
+        page.evaluate("document.querySelector('#understood').scrollIntoView()")
+        _keep(page.screenshot(), FIGURES / f"{WEB}.png", DESK[0])
+        page.close()
+        serving.send_signal(signal.SIGINT)
+
+
 def take(browser: Browser, name: str, shot: Shot, folder: Path) -> None:
     """Run a calibration until it is as the picture wants it, and write the picture."""
     changes = (*shot.changes, *(bridge(folder) if shot.until is confirm else ()))
@@ -177,9 +206,12 @@ def main() -> None:
     arguments = ["--no-sandbox"] if os.geteuid() == 0 else []
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=arguments)
-        for name in sys.argv[1:] or SHOTS:
+        for name in sys.argv[1:] or (*SHOTS, WEB):
             with tempfile.TemporaryDirectory() as folder:
-                take(browser, name, SHOTS[name], Path(folder))
+                if name == WEB:
+                    take_web(browser, Path(folder))
+                else:
+                    take(browser, name, SHOTS[name], Path(folder))
         browser.close()
 
 

@@ -16,19 +16,21 @@ from babel.messages.extract import extract_from_dir
 from babel.messages.pofile import read_po, write_po
 
 from rotcal_ros.evaluation.budget import WHOLE
+from rotcal_ros.extensions.page.web import asked_settings
 from rotcal_ros.foundation.language import FOLDER
 from rotcal_ros.foundation.node_state import INSTRUCTIONS, REASONS, STATES
 from rotcal_ros.foundation.protection import ALL_EFFECTS, Treatment
 from rotcal_ros.methods import find_method, method_names
 
 PACKAGE = Path(__file__).parents[1] / "rotcal_ros"
-INDEX = PACKAGE / "extensions" / "page" / "static" / "index.html"
+PAGES = PACKAGE / "extensions" / "page" / "static"
 READ = [("**/templates/**.j2", "jinja2"), ("**/static/*.js", "javascript"), ("**.py", "python")]
 OPTIONS = {"**/static/*.js": {"template_string": False}}
 MARKS = {"phrase": None, "noted": None, "t": None}
 DATA = (
     "ok", "suspect", "failed", "measurement", "tolerance", "within", "beyond", "undecided",
-    "tracker", "tracer", "laser", "mirror", "plate", "cmm", "rotary table",
+    "tracker", "tracer", "laser", "mirror", "plate", "cmm", "rotary table", "machine",
+    "ball plate", "thermometer", "barometer", "hygrometer",
 )  # fmt: skip
 """Words that come as data."""
 
@@ -55,12 +57,14 @@ def used() -> dict[str, str]:
     for name, _, message, _, _ in extract_from_dir(PACKAGE, READ, OPTIONS, keywords=MARKS):
         found.setdefault(message if isinstance(message, str) else message[0], name)
     page = Shown()
-    page.feed(INDEX.read_text(encoding="utf-8"))
+    for path in sorted(PAGES.glob("*.html")):
+        page.feed(path.read_text(encoding="utf-8"))
     shown = [text for text in page.texts if any(map(str.isalpha, text)) and text != "rotcal"]
+    fields = (s["meaning"][0] for name in method_names() for s in asked_settings(name))
     titles = [find_method(name).title for name in method_names()]
-    data = (*DATA, WHOLE, *ALL_EFFECTS, *get_args(Treatment), *titles, *REASONS.values(),
+    data = (*DATA, *fields, WHOLE, *ALL_EFFECTS, *get_args(Treatment), *titles, *REASONS.values(),
             *STATES.values(), *INSTRUCTIONS.values())  # fmt: skip
-    for where, texts in (("static/index.html", shown), ("data", data)):
+    for where, texts in (("static/*.html", shown), ("data", data)):
         for text in texts:
             found.setdefault(text, where)
     return {text: where for text, where in found.items() if any(map(str.isalpha, text))}

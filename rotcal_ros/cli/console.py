@@ -9,6 +9,7 @@ from typing import Any, Final, TypeVar
 
 import click
 
+from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.files import write_atomically
 from rotcal_ros.report.terminal.console import say, tell
 
@@ -105,3 +106,20 @@ def print_marks(marks: Sequence[Mapping[str, str]], text: str) -> None:
     tell(f"{about.line}: {text}", colour=about.colour)
     for mark in against:
         tell(mark.line, colour=mark.colour)
+
+
+OF_PIP_ALONE: Final = ("mcap", "rosbags", "threadpoolctl")
+"""Packages that only pip has: package.xml leaves them to the user."""
+
+
+def in_lines(error: Exception) -> tuple[str, ...]:
+    """Return an error in one line for people, and further lines if it has any."""
+    if isinstance(error, RotcalError):
+        return str(error), *error.log.splitlines()
+    if isinstance(error, ModuleNotFoundError) and error.name in OF_PIP_ALONE:
+        return (f"{error.name} is missing: pip install {' '.join(OF_PIP_ALONE)}",)
+    from rotcal_ros.foundation.plugins import culprit, in_words
+
+    if isinstance(error, OSError) and error.strerror and not culprit(error):
+        return (f"{error.strerror}: {error.filename}" if error.filename else error.strerror,)
+    return (f"unexpected {in_words(error)} ('rotcal --debug ...' shows where)",)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import click
 
 from rotcal_ros import __version__
-from rotcal_ros.cli.console import INTERRUPTED
+from rotcal_ros.cli.console import INTERRUPTED, in_lines
 from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.escapes import printable
 
@@ -22,9 +22,6 @@ if TYPE_CHECKING:
 UNREADABLE: Final = 2
 BROKEN_PIPE: Final = 141
 """The exit code that a shell reports for a program ended by SIGPIPE."""
-
-OF_PIP_ALONE: Final = ("mcap", "rosbags", "threadpoolctl")
-"""Packages that only pip has: package.xml leaves them to the user."""
 
 OWN_VERBS: Final[Mapping[str, str]] = {
     "new": "Write a set-up for measurements of your own.",
@@ -202,19 +199,8 @@ def _compute_in_one_thread() -> None:
 
 def _explain(error: Exception) -> int:
     """Print one red line for ``error`` and return its exit code."""
-    if isinstance(error, RotcalError):
-        _complain(str(error), *error.log.splitlines())
-        return error.exit_code
-    if isinstance(error, ModuleNotFoundError) and error.name in OF_PIP_ALONE:
-        _complain(f"{error.name} is missing: pip install {' '.join(OF_PIP_ALONE)}")
-        return UNREADABLE
-    from rotcal_ros.foundation.plugins import culprit, in_words
-
-    if isinstance(error, OSError) and error.strerror and not culprit(error):
-        _complain(f"{error.strerror}: {error.filename}" if error.filename else error.strerror)
-    else:
-        _complain(f"unexpected {in_words(error)} ('rotcal --debug ...' shows where)")
-    return UNREADABLE
+    _complain(*in_lines(error))
+    return error.exit_code if isinstance(error, RotcalError) else UNREADABLE
 
 
 def _complain(text: str, *log: str) -> None:

@@ -6,12 +6,24 @@ expected, and what to do.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 from rotcal_ros.foundation.escapes import printable, shortened
 
 LONGEST: Final = 2000
 """Longest error in characters; a longer one loses its middle."""
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What only a person can decide: a ``setting`` and its values, each with what it would mean.
+
+    Where a value is a unit, ``answers`` are the likely ones.
+    """
+
+    setting: str
+    answers: tuple[tuple[str, str], ...]
 
 
 class RotcalError(Exception):
@@ -29,13 +41,15 @@ class RotcalError(Exception):
 
     exit_code = 2
 
-    def __init__(self, text: str = "", log: str = "") -> None:
+    def __init__(self, text: str = "", log: str = "", question: Question | None = None) -> None:
         """Set ``text``; ``log`` has further lines, such as a list or what another process said.
 
         Whatever names from elsewhere are in it, the text is one line of visible characters.
+        ``question``: an answer to it would mend the error.
         """
         super().__init__(shortened(printable(text), LONGEST))
         self.log = log
+        self.question = question
 
 
 class ConfigurationError(RotcalError):

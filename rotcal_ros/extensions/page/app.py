@@ -40,6 +40,7 @@ from rotcal_ros.extensions.page.state import Board, PageState, changes, plain
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.escapes import printable_data
 from rotcal_ros.foundation.language import codes, language, phrase
+from rotcal_ros.foundation.untrusted import load_json
 
 STATIC: Final = Path(__file__).with_name("static")
 LOOK_PERIOD_S: Final = 0.2
@@ -80,9 +81,6 @@ def make_app(board: Board, actions: Actions, host: str, password: Secret | None 
     async def events(_request: Request) -> Response:
         return EventSourceResponse(_events(board, guard.token), ping=15, send_timeout=30, sep="\n")
 
-    async def words(_request: Request) -> Response:
-        return JSONResponse({code: language(code).texts for code in codes()[1:]})
-
     async def resume(request: Request) -> Response:
         asked = await _asked(request, "instruction")
         if asked is None:
@@ -118,6 +116,11 @@ def make_app(board: Board, actions: Actions, host: str, password: Secret | None 
     return guard
 
 
+async def words(_request: Request) -> Response:
+    """Answer with the catalogues of all languages but English."""
+    return JSONResponse({code: language(code).texts for code in codes()[1:]})
+
+
 async def _events(board: Board, token: str) -> AsyncIterator[dict[str, str]]:
     """Yield the whole state, then what changes; a tick where nothing does."""
     seen: PageState | None = None
@@ -140,17 +143,23 @@ def _event(name: str, data: dict[str, Any]) -> dict[str, str]:
 
 async def _asked(request: Request, *names: str) -> tuple[str, ...] | None:
     """Return the texts that a request carries as JSON, None for any other request."""
+    found = await json_of(request, MOST_BYTES)
+    texts = tuple(text for name in names if isinstance(text := found.get(name), str))
+    return texts if len(texts) == len(names) else None
+
+
+async def json_of(request: Request, most_bytes: int) -> dict[str, Any]:
+    """Return the group of values that a request carries as JSON, empty for any other request."""
     body = b""
     async for part in request.stream():
         body += part
-        if len(body) > MOST_BYTES:
-            return None
+        if len(body) > most_bytes:
+            return {}
     try:
-        found = json.loads(body)
-        texts = tuple(found[name] for name in names)
-    except (ValueError, TypeError, KeyError):
-        return None
-    return texts if all(isinstance(text, str) for text in texts) else None
+        found = load_json(body)
+    except ValueError:
+        return {}
+    return found if isinstance(found, dict) else {}
 
 
 async def _answered(future: Future[Answer]) -> Response:
@@ -203,14 +212,14 @@ class Guard:
 
         async def send_guarded(message: Message) -> None:
             if message["type"] == "http.response.start":
-                MutableHeaders(scope=message).update(HEADERS)
+                given = MutableHeaders(scope=message)
+                given.update({name: text for name, text in HEADERS.items() if name not in given})
             await send(message)
 
-        headers = Headers(scope=scope)
-        refusal = self._refusal(scope["method"], headers)
+        refusal = self._refusal(scope, Headers(scope=scope))
         await (refusal or self._app)(scope, receive, send_guarded)
 
-    def _refusal(self, method: str, headers: Headers) -> PlainTextResponse | None:
+    def _refusal(self, scope: Scope, headers: Headers) -> Response | None:
         """Return the answer to a request that is not let through."""
         host = headers.get("host", "")
         if not _is_ours(host, self._names):
@@ -218,7 +227,7 @@ class Guard:
         if self._password is not None and not _carries(headers, self._password):
             challenge = {"WWW-Authenticate": 'Basic realm="rotcal", charset="UTF-8"'}
             return PlainTextResponse("this page needs the password", 401, challenge)
-        if method in SAFE:
+        if scope["method"] in SAFE:
             return None
         if headers.get("origin", "") != f"http://{host}":
             return PlainTextResponse("the request comes from another page", 403)
@@ -265,7 +274,7 @@ class PageServer:
     def __init__(self, settings: PageSettings, board: Board, actions: Actions) -> None:
         password = Secret(Path(settings.password_file)) if settings.password_file else None
         host = LOOPBACK if settings.host == "localhost" else settings.host
-        listening = _listen(host, settings.port)
+        listening = listen(host, settings.port)
         port = listening.getsockname()[1]
         self.address = f"http://{_name(host)}:{port}"
         self._board = board
@@ -302,7 +311,8 @@ def _name(host: str) -> str:
     return f"[{host}]" if ":" in host else host
 
 
-def _listen(host: str, port: int) -> socket.socket:
+def listen(host: str, port: int) -> socket.socket:
+    """Return a socket that listens; ConfigurationError when the port is taken."""
     family = socket.AF_INET6 if isinstance(ip_address(host), IPv6Address) else socket.AF_INET
     listening = socket.socket(family, socket.SOCK_STREAM)
     try:

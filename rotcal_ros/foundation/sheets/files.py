@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 from rotcal_ros.foundation.errors import BagError
+from rotcal_ros.foundation.language import noted, phrase
 from rotcal_ros.foundation.untrusted import LARGEST_FILE, WORKBOOKS, read_bytes, why
 
 Cell: TypeAlias = "str | float"
@@ -25,8 +26,8 @@ _OLDER: Final = ("cp1252", "gb18030", "cp932")
 _GAP: Final = re.compile(r"\s{2,}|\t")
 _STATED: Final = re.compile(r'^"?sep=(.)"?[;,\t]*$', re.IGNORECASE)
 SEPARATORS: Final[dict[str, str]] = {
-    ",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", "  ": "two spaces or more",
-    " ": "spaces",
+    ",": noted("commas"), ";": noted("semicolons"), "\t": noted("tabs"), "|": noted("bars"),
+    "  ": noted("two spaces or more"), " ": noted("spaces"),
 }  # fmt: skip
 
 
@@ -74,7 +75,7 @@ def _sheets(path: Path, data: bytes) -> list[Sheet]:
         _require_bounded(data)
         book = CalamineWorkbook.from_filelike(io.BytesIO(data))
         read = [(name, book.get_sheet_by_name(name)) for name in book.sheet_names]
-        return [Sheet(f"sheet {name}", _cells(sheet), name) for name, sheet in read]
+        return [Sheet(phrase("sheet {0}", name), _cells(sheet), name) for name, sheet in read]
     except (CalamineError, zipfile.BadZipFile, OSError, ValueError) as error:
         raise BagError(
             f"cannot read the workbook {path}: {error}: save it again, or save it as CSV and name "
@@ -149,7 +150,8 @@ def _ways(text: str, encoding: str) -> Iterator[Sheet]:
         if rows is not None:
             rows = rows[1:] if stated else rows
             name = SEPARATORS.get(separator, repr(separator))
-            yield Sheet(f"text in {encoding}, {name} between the columns", tuple(rows))
+            form = phrase("text in {0}, {1} between the columns", encoding, phrase(name))
+            yield Sheet(form, tuple(rows))
 
 
 def _rows(text: str, separator: str) -> list[tuple[int, tuple[Cell, ...]]] | None:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-from rotcal_ros.foundation.errors import DataError
+from rotcal_ros.foundation.errors import DataError, Question
 from rotcal_ros.foundation.sheets.files import Cell, Sheet
 from rotcal_ros.foundation.sheets.words import (
     ANGLE,
@@ -111,17 +111,19 @@ def best_layout(
         return None
     best = max(layouts, key=lambda layout: layout.rank)
     if best.doubled:
-        name, text, other = best.doubled
+        name, *texts = best.doubled
         raise DataError(
-            f"{where}: {text!r} and {other!r} may both be the column {name}: say which: "
-            f"--set 'sheet.columns=[{name}={other}]'"
+            f"{where}: {texts[0]!r} and {texts[1]!r} may both be the column {name}: say which: "
+            f"--set 'sheet.columns=[{name}={texts[1]}]'",
+            question=Question("sheet.columns", tuple((f"{name}={t}", t) for t in texts)),
         )
     equal = [layout for layout in layouts if layout.rank == best.rank and layout.sheet.name]
     if len(equal) > 1 and not best.missing:
         sheets = " and ".join(layout.sheet.name for layout in equal)
         raise DataError(
             f"{where}: the sheets {sheets} have the same columns: say which to read: "
-            f"--set sheet.name={equal[0].sheet.name}"
+            f"--set sheet.name={equal[0].sheet.name}",
+            question=Question("sheet.name", tuple((n.sheet.name, n.sheet.name) for n in equal)),
         )
     return best
 

@@ -9,11 +9,13 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from math import pi, remainder
 from pathlib import Path
 from typing import Final
 
-from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
+from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError, Question
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.settings import expert, setting
 from rotcal_ros.foundation.sheets.files import Cell, Sheet, sheets
 from rotcal_ros.foundation.sheets.layout import TEXTS, Layout, TableColumn, Use, best_layout
@@ -34,7 +36,10 @@ from rotcal_ros.foundation.sheets.words import (
 from rotcal_ros.foundation.tables import Header, Table, own_table
 from rotcal_ros.foundation.units import DEGREE
 
-_DEFAULTS: Final = {LENGTH: "length_unit", ANGLE: "angle_unit", TIME: "time_unit"}
+UNIT_SETTINGS: Final = {LENGTH: "length_unit", ANGLE: "angle_unit", TIME: "time_unit"}
+"""Quantity -> the setting of its unit, for columns that state none."""
+_LOOKED_AT: Final = 100
+"""Rows among which the head of a table that cannot be understood is guessed."""
 _LABEL: Final = re.compile(r"(?:\D*[^\W\d_]\W*)?([0-9]{1,9})")
 """A number, or a word and a number."""
 _NEAR: Final = 0.25
@@ -98,7 +103,8 @@ class Reading:
     ``remarks`` say what was counted or turned. ``labels`` maps the labels of the first column to
     their numbers. ``angles_deg`` are the table's own, ascending, where no plan had any. ``form``
     is empty for a table of our own form, which is read as it stands. ``beside``: other tables that
-    were read for it.
+    were read for it. ``uses`` maps our columns without their units, or TABLE_ANGLE, to where they
+    are, unless that is a matrix; ``head`` are the texts at the head of the table.
     """
 
     table: Table
@@ -110,6 +116,8 @@ class Reading:
     labels: Mapping[str, int] = field(default_factory=dict)
     angles_deg: tuple[float, ...] = ()
     beside: tuple[Reading, ...] = ()
+    uses: Mapping[str, Use] = field(default_factory=dict)
+    head: tuple[str, ...] = ()
 
     def line(self) -> str:
         """Return it in one line; empty for a table of our own form."""
@@ -163,7 +171,7 @@ def read_any(
         raise ConfigurationError(f"{path}: there is no sheet {settings.name!r} (sheet.name)")
     layout = best_layout(found, headers, named, str(path))
     if layout is None or layout.missing:
-        raise BagError(_not_understood(path, headers, layout))
+        raise _not_understood(path, headers, layout, found)
     return _Rows(path, layout, settings, known()).read()
 
 
@@ -174,16 +182,39 @@ def _named(entry: str) -> tuple[str, str]:
     return TableColumn.of(name.strip()).name, text.strip()
 
 
-def _not_understood(path: Path, headers: Sequence[Header], layout: Layout | None) -> str:
+def _not_understood(
+    path: Path, headers: Sequence[Header], layout: Layout | None, grids: Sequence[Sheet]
+) -> BagError:
     expected = " or ".join(f"'{','.join(header)}'" for header in headers)
     if layout is None:
-        return f"{path}: no row names the columns: expected {expected}, in any form and language"
+        return BagError(
+            f"{path}: no row names the columns: expected {expected}, in any form and language",
+            question=_which_column(headers[0][0], _likely_head(grids)),
+        )
     found = ", ".join(f"{name} ({use.text})" for name, use in layout.uses.items())
     others = f"; not known: {', '.join(map(repr, layout.aside))}" if layout.aside else ""
-    return (
+    return BagError(
         f"{path}: no column {', '.join(layout.missing)}: found {found}{others}. Expected "
-        f"{expected}. Tell a column with another name by --set 'sheet.columns=[length=ITS NAME]'"
+        f"{expected}. Tell a column with another name by --set 'sheet.columns=[length=ITS NAME]'",
+        question=_which_column(layout.missing[0], layout.aside),
     )
+
+
+def _which_column(header: str, texts: Sequence[str]) -> Question | None:
+    """Return the question which of these texts stands at the head of a column of ours."""
+    name = TableColumn.of(header).name
+    return Question("sheet.columns", tuple((f"{name}={t}", t) for t in texts)) if texts else None
+
+
+def _likely_head(grids: Sequence[Sheet]) -> Sequence[str]:
+    """Return the longest row of words that stands over a row of numbers."""
+    rows = [
+        [cell for cell in cells if isinstance(cell, str) and cell]
+        for sheet in grids
+        for (_, cells), (_, below) in pairwise(sheet.rows[:_LOOKED_AT])
+        if not any(map(_is_number, cells)) and sum(map(_is_number, below)) > 1
+    ]
+    return max(rows, key=len, default=())
 
 
 class _Rows:
@@ -220,10 +251,12 @@ class _Rows:
             theirs,
             layout.aside,
             tuple(self._left_out),
-            (*self._remarks, *(["decimal comma"] if mark == "," else [])),
+            (*self._remarks, *([phrase("decimal comma")] if mark == "," else [])),
             self._labels,
             self._angles_deg,
             tuple(known.source for known in self._known.values() if known.source),
+            layout.uses,
+            layout.head,
         )
 
     def _kept(self) -> Iterator[tuple[int, tuple[Cell, ...]]]:
@@ -240,25 +273,21 @@ class _Rows:
         """Return why a row holds no values; empty if it does."""
         texts = [cell for cell in cells if cell != ""]
         if tuple(map(str, texts)) == self._layout.head:
-            return "the head of the table again"
+            return phrase("the head of the table again")
         first = next((cell for cell in texts if isinstance(cell, str)), "")
         if first and first is texts[0] and is_summary(first):
-            return f"a line about others ({first})"
-        if len(texts) == 1 and isinstance(texts[0], str) and not self._number(texts[0]):
-            return f"a line of text ({texts[0]:.40})"
+            return phrase("a line about others ({0})", first)
+        if len(texts) == 1 and not _is_number(texts[0]):
+            return phrase("a line of text ({0})", str(texts[0])[:40])
         values = {c.name for c in self._columns if c.quantity not in ("", TIME)}
         uses = self._layout.uses.items()
         measured = [cells[use.place] for name, use in uses if name in values]
         if any(map(_is_nothing, measured)):
-            return "nothing was measured"
+            return phrase("nothing was measured")
         keys = [cells[use.place] for name, use in uses if name not in values]
         if measured and keys and all(map(_is_nothing, keys)):
-            return "values that belong to nothing"
+            return phrase("values that belong to nothing")
         return ""
-
-    @staticmethod
-    def _number(text: str) -> bool:
-        return any(parse(text, mark) for mark in (".", ","))
 
     def _all_uses(self) -> list[Use]:
         in_matrix = [use for cells in self._layout.matrix for use in cells.uses.values()]
@@ -289,15 +318,17 @@ class _Rows:
         if not marks:
             raise DataError(
                 f"{self._path}: some numbers have decimal points and some decimal commas: say "
-                "which it is: --set sheet.decimal=. or --set sheet.decimal=,"
+                "which it is: --set sheet.decimal=. or --set sheet.decimal=,",
+                question=_decimal_mark(".", ","),
             )
         if with_comma is None:
             return "."
-        point, comma = (parse(with_comma, mark) for mark in (".", ","))
+        read = (parse(with_comma, mark) for mark in (".", ","))
+        point, comma = (str(measure and measure.value) for measure in read)
         raise DataError(
-            f"{self._path}: {with_comma} is {point and point.value} with a decimal point, and "
-            f"{comma and comma.value} with a decimal comma: say which: --set sheet.decimal=. or "
-            "--set sheet.decimal=,"
+            f"{self._path}: {with_comma} is {point} with a decimal point, and {comma} with a "
+            "decimal comma: say which: --set sheet.decimal=. or --set sheet.decimal=,",
+            question=_decimal_mark(f"{with_comma} = {point}", f"{with_comma} = {comma}"),
         )
 
     def _column(
@@ -360,13 +391,15 @@ class _Rows:
         if stated := self._unit_elsewhere(use, quantity):
             return stated
         usual = {LENGTH: ("m", "mm", "um", "in"), ANGLE: ("deg", "rad", "gon")}
-        read = ", ".join(
-            f"{measure.value} {unit} = {float(in_si(measure, unit)):.6g} {_si(quantity)}"
+        read = tuple(
+            (unit, f"{measure.value} {unit} = {float(in_si(measure, unit)):.6g} {_si(quantity)}")
             for unit in units or usual.get(quantity, tuple(UNITS[quantity]))
         )
+        setting = f"sheet.{UNIT_SETTINGS[quantity]}"
         raise DataError(
             f"{self._path}: the column {use.text!r} ({name}) states no unit: its first value can "
-            f"be {read}. Say which: --set sheet.{_DEFAULTS[quantity]}=UNIT"
+            f"be {', '.join(words for _, words in read)}. Say which: --set {setting}=UNIT",
+            question=Question(setting, read),
         )
 
     def _positions(self, cells: Sequence[tuple[int, Cell, Use]], mark: str) -> list[str]:
@@ -386,7 +419,7 @@ class _Rows:
                     f"plan; the nearest there is {planned[nearest] / DEGREE:g} degrees"
                 )
             found.append(nearest)
-        self._remarks.append("positions by their angles")
+        self._remarks.append(phrase("positions by their angles"))
         return [str(index) for index in found]
 
     def _numbers(self, name: str, cells: Sequence[tuple[int, str]]) -> list[str]:
@@ -429,13 +462,15 @@ class _Rows:
         able = {first: way for first, way in ways.items() if way.keys() >= set(numbers)}
         chosen = self._settings.counted_from or next(iter(able), "0")
         if len(able) > 1 and not self._settings.counted_from:
+            readings = (f"counted from 0, {planned[0]} was not measured",
+                        "counted from 1, the last was not")  # fmt: skip
             raise DataError(
-                f"{self._path}: {name} {min(numbers)} to {max(numbers)}: counted from 0, "
-                f"{planned[0]} was not measured; counted from 1, the last was not. Say which: "
-                "--set sheet.counted_from=0 or --set sheet.counted_from=1"
+                f"{self._path}: {name} {min(numbers)} to {max(numbers)}: {'; '.join(readings)}. "
+                "Say which: --set sheet.counted_from=0 or --set sheet.counted_from=1",
+                question=Question("sheet.counted_from", tuple(zip("01", readings, strict=True))),
             )
         if chosen == "1" and "1" in able:
-            self._remarks.append(f"{name} counts from 1")
+            self._remarks.append(phrase("{0} counts from 1", name))
         return [able.get(chosen, {}).get(n, n) for n in numbers]
 
     def _theirs(self, column: TableColumn) -> str:
@@ -446,16 +481,22 @@ class _Rows:
         if use is None:
             groups = self._layout.matrix
             uses = [g.uses.get(column.name) or next(iter(g.uses.values())) for g in groups]
-            text, use = f"the matrix {uses[0].text!r} to {uses[-1].text!r}", uses[0]
+            use, last = uses[0], uses[-1]
+            text: str = phrase("the matrix {0} to {1}", repr(use.text), repr(last.text))
         else:
             text = repr(use.text)
         unit = self._unit_elsewhere(use, quantity) if quantity and len(use.units) != 1 else ""
-        return f"{text} in {unit}" if unit else text
+        return phrase("{0} in {1}", text, unit) if unit else text
 
     def _unit_elsewhere(self, use: Use, quantity: str) -> str:
         """Return the unit that settings, or a line above the table, state for a column."""
         above = self._layout.length_unit if quantity == LENGTH and not use.units else ""
-        return str(getattr(self._settings, _DEFAULTS[quantity]) or above)
+        return str(getattr(self._settings, UNIT_SETTINGS[quantity]) or above)
+
+
+def _decimal_mark(point: str, comma: str) -> Question:
+    """Return the question for the decimal mark, with what either would mean."""
+    return Question("sheet.decimal", ((".", point), (",", comma)))
 
 
 def _distinct(angles: Sequence[float]) -> tuple[float, ...]:
@@ -488,6 +529,10 @@ def _text(cell: Cell) -> str:
     if isinstance(cell, str):
         return cell
     return str(int(cell)) if cell.is_integer() else repr(cell)
+
+
+def _is_number(cell: Cell) -> bool:
+    return any(parse(cell, mark) for mark in (".", ","))
 
 
 def _is_nothing(cell: Cell) -> bool:

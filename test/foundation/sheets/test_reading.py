@@ -156,6 +156,35 @@ def test_what_can_be_read_in_two_ways_is_asked(
 
 
 @pytest.mark.parametrize(
+    ("text", "readings"),
+    [
+        (
+            "position,target,length\n0,0,312.5\n",
+            [("0", "0", "312.5"), ("0", "0", "0.3125"), ("0", "0", "0.0003125"),
+             ("0", "0", "7.93750")],
+        ),
+        (
+            "position;target;length [um]\n0;0;1,234\n",
+            [("0", "0", "0.001234"), ("0", "0", "0.000001234")],
+        ),
+        ("pos,target,length [m]\n1,1,1.5\n", [("1", "1", "1.5"), ("0", "0", "1.5")]),
+        ("pos,target,length [m],L [mm]\n0,0,1.5,2\n", [("0", "0", "1.5"), ("0", "0", "0.002")]),
+    ],
+)  # fmt: skip
+def test_every_answer_to_a_question_decides_it(
+    tmp_path: Path, text: str, readings: list[tuple[str, ...]]
+) -> None:
+    with pytest.raises(DataError) as asked:
+        read(tmp_path, text)
+    question = asked.value.question
+    assert question is not None
+    name = question.setting.removeprefix("sheet.")
+    values = [(value,) if name == "columns" else value for value, _ in question.answers]
+    found = [rows(read(tmp_path, text, **{name: value})) for value in values]
+    assert found == [[reading] for reading in readings]
+
+
+@pytest.mark.parametrize(
     ("text", "settings", "expected"),
     [
         ("position,target,length\n0,0,312.5\n", {"length_unit": "mm"}, ("0", "0", "0.3125")),

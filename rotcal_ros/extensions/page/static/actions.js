@@ -1,5 +1,5 @@
 // What a person asks for: continue, stop, confirm a table.
-import { language, languages, number, remember, say, sentence, t, text } from "./words.js";
+import { number, offerLanguages, say, sentence, t, text } from "./words.js";
 
 let token = "";
 let answering = false; // a Continue has been sent and not been answered
@@ -42,14 +42,6 @@ async function resume(instruction) { // what is looked at is what is done
   answering = false;
   disable(dead);
   if (done) by("headline").focus(); // the button is gone
-}
-
-function offerLanguages() {
-  for (const code of languages) {
-    const name = new Intl.DisplayNames([code], { type: "language" }).of(code);
-    by("language").append(new Option(name, code, false, code === language));
-  }
-  by("language").addEventListener("change", () => { remember("language", by("language").value); location.reload(); });
 }
 
 export function prepare(state) {

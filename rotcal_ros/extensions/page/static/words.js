@@ -26,6 +26,15 @@ export function translatePage() {
   for (const named of document.querySelectorAll("[aria-label]")) named.ariaLabel = t(named.ariaLabel);
 }
 
+export function offerLanguages() {
+  const choice = document.getElementById("language");
+  for (const code of languages) {
+    const name = new Intl.DisplayNames([code], { type: "language" }).of(code);
+    choice.append(new Option(name, code, false, code === language));
+  }
+  choice.addEventListener("change", () => { remember("language", choice.value); location.reload(); });
+}
+
 // What this browser keeps for the next visit; some are told to keep nothing.
 export function recall(name) { try { return localStorage.getItem(`rotcal.${name}`); } catch { return null; } }
 export function remember(name, value) { try { localStorage.setItem(`rotcal.${name}`, value); } catch { /* until it is closed */ } }

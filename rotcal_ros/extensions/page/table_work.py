@@ -1,0 +1,257 @@
+"""What is done with a table that was dropped on the page: it is explained, solved, written about.
+
+All of it is work for a process of its own. The page names no file: the folder has one place for
+each, and errors tell the names that people know.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import redirect_stderr
+from dataclasses import asdict, dataclass, field, is_dataclass, replace
+from functools import partial
+from multiprocessing.connection import Connection
+from pathlib import Path
+from signal import SIG_IGN, SIGINT, signal
+from typing import Any, Final
+
+from rotcal_ros.api.compensating import make_table, write_controller_files
+from rotcal_ros.cli.console import in_lines
+from rotcal_ros.compensation.controllers import parse_options
+from rotcal_ros.compensation.writing import PROVENANCE
+from rotcal_ros.evaluation.marks import marks, withheld
+from rotcal_ros.extensions.page.state import Curve, Deviations, PageMark, plain
+from rotcal_ros.foundation import plugins
+from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
+from rotcal_ros.foundation.errors import RotcalError
+from rotcal_ros.foundation.files import replace_atomically, write_atomically, write_durably
+from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.results import Result
+from rotcal_ros.foundation.sheets.layout import TableColumn, Use
+from rotcal_ros.foundation.sheets.reading import UNIT_SETTINGS, Reading
+from rotcal_ros.foundation.sheets.words import TABLE_ANGLE, UNITS
+from rotcal_ros.foundation.units import DEGREE
+from rotcal_ros.foundation.untrusted import load_json, read_text
+from rotcal_ros.methods.configuration import (
+    Configuration,
+    changed,
+    parse_configuration,
+    read_configuration,
+)
+from rotcal_ros.methods.measurements import read_measurements
+from rotcal_ros.methods.method import Measurements, find_method, method_names
+from rotcal_ros.methods.new_setup import given_value, known_settings, setup_text, values_of_tables
+from rotcal_ros.recordings.inputs import Input
+from rotcal_ros.recordings.result_sources import read_source
+from rotcal_ros.report.page import write_measured
+from rotcal_ros.report.printing import printed
+from rotcal_ros.report.template import speaking
+
+TABLE, TARGETS, SETUP, IN_FORCE = "table", "targets", "setup", "in_force"
+PLACES: Final = {TABLE: "table.txt", TARGETS: "targets.txt", SETUP: "given.yaml"}
+"""What was dropped -> its place in the folder; targets are found beside the table."""
+RESULT, OWN_SETUP, REPORT, PDF, DCC = (
+    "result.json", "setup.yaml", "report.html", "report.pdf", "certificate.xml",
+)  # fmt: skip
+SHOWN_ROWS: Final = 6
+TITLES: Final = {name: phrase(find_method(name).title) for name in method_names()}
+"""Of all methods, which are loaded here: the processes are copies of one that has done so."""
+Reply = dict[str, Any]
+"""What the page is told: all that JSON can hold."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The files in ``folder``, what people call them, and what a person has stated.
+
+    ``names`` maps what was dropped to names of files; ``changes`` are ``group.name=value``. The
+    ``method`` counts where no set-up was dropped. ``options`` say how something is made.
+    """
+
+    folder: Path
+    names: Mapping[str, str]
+    method: str
+    changes: tuple[str, ...] = ()
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    def configuration(self) -> Configuration:
+        """Return the set-up that was dropped, with the changes, or one that is made of these."""
+        if SETUP in self.names:
+            return changed(read_configuration(self.folder / PLACES[SETUP]), self.changes)
+        known = known_settings(self.method)
+        given = (given_value(self.method, known, change) for change in self.changes)
+        values = values_of_tables(self.method) | dict(given)
+        return parse_configuration(setup_text(self.method, known, values), OWN_SETUP)
+
+    def read(self, announce: Callable[[Reading], object] = str) -> Measurements:
+        """Return what was measured, with the names that people know."""
+        configuration = self.configuration()
+        measured = read_measurements(self.folder / PLACES[TABLE], configuration, announce=announce)
+        known = {self.in_words(name): digest for name, digest in measured.sha256.items()}
+        assert is_dataclass(measured)
+        return replace(measured, sha256=known)
+
+    def in_words(self, text: str) -> str:
+        """Return a text with the names of files as people know them."""
+        known = {PLACES[role]: name for role, name in self.names.items() if role in PLACES}
+        places = "|".join(map(re.escape, known))
+        found = f"(?:{re.escape(str(self.folder))}/)?({places})"
+        return re.sub(found, lambda place: known[place[1]], text) if known else text
+
+
+def answer(sender: Connection, work: Callable[[Asked], Reply], asked: Asked) -> None:
+    """Do some work in a process of its own and send what it brings, or the error."""
+    signal(SIGINT, SIG_IGN)  # the page ends this process itself
+    try:
+        reply = work(asked)
+    except Exception as error:
+        reply = {"error": error_reply(error, asked)}
+    sender.send(reply)
+
+
+def error_reply(error: Exception, asked: Asked) -> Reply:
+    """Return an error as the command line says it, with its question, if it asks one."""
+    text, *log = map(asked.in_words, in_lines(error))
+    question = error.question if isinstance(error, RotcalError) else None
+    return {"text": text, "log": log, "question": None if question is None else asdict(question)}
+
+
+def explained(asked: Asked) -> Reply:
+    """Return how the tables are understood, as far as they are, and what stands against it."""
+    readings, error = list[Reading](), None
+    try:
+        asked.read(readings.append)
+    except Exception as stopped:
+        error = error_reply(stopped, asked)
+    tables = [_table(each, asked) for read in readings for each in (read, *read.beside)]
+    return {"tables": tables, "error": error}
+
+
+def _table(reading: Reading, asked: Asked) -> Reply:
+    return {
+        "name": asked.in_words(reading.table.path.name),
+        "form": plain(reading.form),
+        "rows": len(reading.table.lines),
+        "columns": list(_columns(reading)),
+        "head": reading.head,
+        "aside": reading.aside,
+        "remarks": plain(reading.remarks),
+        "left_out": plain(reading.left_out),
+        "header": reading.table.header,
+        "first": reading.table.lines[:SHOWN_ROWS],
+    }
+
+
+def _columns(reading: Reading) -> Iterator[Reply]:
+    """Yield our columns: what of theirs each is, and how that could be understood otherwise."""
+    for header, theirs in reading.columns.items():
+        column = TableColumn.of(header)
+        angle = column.name == "position" and TABLE_ANGLE in reading.uses
+        use = reading.uses.get(TABLE_ANGLE if angle else column.name)
+        quantity = TABLE_ANGLE if angle else column.quantity
+        yield {
+            "header": header,
+            "name": TABLE_ANGLE if angle else column.name,
+            "theirs": plain(theirs),
+            "text": None if use is None else use.text,
+            **_unit(use, quantity),
+        }
+
+
+def _unit(use: Use | None, quantity: str) -> Reply:
+    """Return the setting of a unit that the head of a column does not state, and its choices."""
+    if quantity not in UNIT_SETTINGS or (use is not None and len(use.units) == 1):
+        return {"setting": None, "units": () if use is None else use.units}
+    return {"setting": f"sheet.{UNIT_SETTINGS[quantity]}", "units": tuple(UNITS[quantity])}
+
+
+def solved(asked: Asked) -> Reply:
+    """Solve the table; keep the result, and the set-up with which the command line repeats it."""
+    result = asked.read().solve()
+    write_atomically(asked.folder / RESULT, result.to_json())
+    write_atomically(asked.folder / OWN_SETUP, asked.configuration().text)
+    return {
+        "deviations": plain(shown(result)),
+        "verdict": result.verdict,
+        "simulated": result.circumstances.simulated,
+        "warnings": plain(result.warnings),
+        "rejected": len(result.rejected),
+        "dof": result.dof,
+        "sigma0": result.sigma0,
+        "files": [RESULT, OWN_SETUP],
+    }
+
+
+def shown(result: Result) -> Deviations:
+    """Return a result as the operator's page shows it; without U if that is withheld."""
+    why = withheld(result)
+    curves = []
+    for name in result.components:
+        size, label = unit_of(name)
+        expanded = () if why else tuple(COVERAGE_FACTOR * result.std[name] / size)
+        curves.append(Curve(name, label, tuple(result.deviations[name] / size), expanded))
+    return Deviations(
+        angles_deg=tuple(result.angles / DEGREE),
+        curves=tuple(curves),
+        observations=result.n_observations,
+        final=True,
+        marks=tuple(PageMark(mark.name, mark.kind, mark.line) for mark in marks(result)),
+        warnings=result.warnings,
+        withheld=why or "",
+    )
+
+
+def reported(asked: Asked) -> Reply:
+    """Write the report."""
+    with speaking(str(asked.options["language"])):
+        write_measured(asked.read(), asked.folder / REPORT)
+    return {"files": [REPORT]}
+
+
+def as_pdf(asked: Asked) -> Reply:
+    """Print the report."""
+    data = printed(read_text(asked.folder / REPORT))
+    replace_atomically(asked.folder / PDF, partial(write_durably, content=data))
+    return {"files": [PDF]}
+
+
+def certified(asked: Asked) -> Reply:
+    """Write the digital calibration certificate."""
+    (asked.folder / DCC).unlink(missing_ok=True)
+    write = plugins.extension(plugins.CERTIFICATES, "dcc", "a certificate")
+    with redirect_stderr(io.StringIO()):
+        write(Input(asked.folder / RESULT), asked.folder / DCC, None, None)
+    return {"files": [DCC]}
+
+
+def for_controller(asked: Asked) -> Reply:
+    """Write the files for a controller, as ``rotcal export`` does."""
+    folder, earlier, options = asked.folder / "controller", asked.folder / IN_FORCE, asked.options
+    shutil.rmtree(folder, ignore_errors=True)
+    files = write_controller_files(
+        make_table(read_source(asked.folder / RESULT).result),
+        str(options["controller"]),
+        folder,
+        settings=parse_options(filter(None, str(options["settings"]).splitlines())),
+        accept_unverified=options["accept_unverified"] is True,
+        replaces=options["in_force"] == "replace",
+        add_to=earlier if options["in_force"] == "add" else None,
+        accept=("age",) if options["accept_age"] is True else (),
+    )
+    (side,) = (load_json(read_text(file)) for file in files if file.name.endswith(PROVENANCE))
+    words = [side["in_force"], side["residual"], *side["warnings"]]
+    return {"files": [f"{folder.name}/{file.name}" for file in files], "words": words}
+
+
+WORK: Final[Mapping[str, Callable[[Asked], Reply]]] = {
+    "explain": explained,
+    "solve": solved,
+    "report": reported,
+    "pdf": as_pdf,
+    "dcc": certified,
+    "controller": for_controller,
+}
+"""What the page may ask for."""

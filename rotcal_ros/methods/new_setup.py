@@ -1,0 +1,113 @@
+"""A set-up for measurements of one's own: what it has to be told, and its text with comments."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, fields
+from typing import Any, Final, TypeAlias
+
+import yaml
+
+from rotcal_ros.foundation import plugins
+from rotcal_ros.foundation.errors import ConfigurationError
+from rotcal_ros.foundation.identity import Instruments
+from rotcal_ros.foundation.settings import Declaration, checked_value
+from rotcal_ros.methods.configuration import SIMULATION, parsed_change, short_names
+from rotcal_ros.methods.method import find_method
+from rotcal_ros.methods.settings_reference import method_sections
+
+Known: TypeAlias = Mapping[str, Declaration]
+"""All that a set-up can state, by its name."""
+
+WIDEST: Final = 98
+START, STEP, POSITIONS = "plan.table_start_deg", "plan.table_step_deg", "plan.table_positions"
+_ANGLES: Final = "plan.table_angles_deg"
+"""Replaces the three above."""
+AIR: Final = ("air.temperature_c", "air.pressure_pa", "air.humidity")
+OF_THE_ITEM: Final = tuple(
+    f"identity.{name}" for name in ("item", "serial", "place", "operator", "measured")
+)
+"""Asked for besides what a method has to be told first."""
+
+
+def known_settings(method: str) -> Known:
+    """Return all that a set-up of a method can state; ConfigurationError for no method."""
+    sections = (s for s in method_sections(method) if s.group != SIMULATION)
+    return {name: declared for section in sections for name, declared in section.settings()}
+
+
+def values_of_tables(method: str) -> dict[str, Any]:
+    """Return what a method has to be told because it is given a table."""
+    names = short_names(find_method(method))
+    return {names[name]: value for name, value in find_method(method).short_setup({}).items()}
+
+
+def given_value(method: str, known: Known, change: str) -> tuple[str, Any]:
+    """Return name and value of a ``group.name=value``; ConfigurationError where it cannot be."""
+    name, value = parsed_change(method, change)
+    if name not in known:
+        hint = plugins.nearest(name, known)
+        raise ConfigurationError(f"--set {change}: a set-up has no setting {name!r:.80}{hint}")
+    return name, checked_value(value, known[name], name)
+
+
+def first_asked(known: Known, values: Mapping[str, Any]) -> list[str]:
+    """Return the settings that a plain table cannot be solved without having looked at."""
+    replaced = (START, STEP, POSITIONS) if _ANGLES in values else ()
+    return [
+        name
+        for name, declared in known.items()
+        if declared.info.first and name.startswith(("plan.", "solver.")) and name not in replaced
+    ]
+
+
+def setup_text(method: str, known: Known, values: Mapping[str, Any]) -> str:
+    """Return the text of a set-up, with the meaning of every setting above it.
+
+    Raises ConfigurationError that lists the settings without default and value.
+    """
+    missing = [n for n, d in known.items() if d.default is MISSING and n not in values]
+    if missing:
+        raise ConfigurationError(f"{method} needs more: --set {'=... --set '.join(missing)}=...")
+    return "\n".join(_lines(method, known, values)) + "\n"
+
+
+def _lines(method: str, known: Known, values: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the lines of the set-up: plan and solver in short, then groups, identity last."""
+    found = find_method(method)
+    short = {full: last for last, full in short_names(found).items()}
+    tree: dict[str, Any] = {}
+    written = {*values, *first_asked(known, values), *AIR}
+    for name in sorted(known, key=lambda n: (n not in short, n.startswith("identity."))):
+        of_the_item = name.startswith("identity.") and name.count(".") == 1
+        if name in written or of_the_item:
+            place, (*groups, last) = tree, short.get(name, name).split(".")
+            for part in groups:
+                place = place.setdefault(part, {})
+            place[last] = known[name].info.description, values.get(name, known[name].default)
+    yield f"# {found.title}: a set-up for measurements of your own."
+    yield f"# Units stand before the comma. All settings: rotcal settings {method} --all"
+    yield f"method: {method}"
+    yield from _branch(tree, "")
+    if "instruments" not in tree["identity"]:
+        yield "  # A certificate names the instruments, each with its last calibration:"
+        yield f"  # {', '.join(field.name for field in fields(Instruments))}."
+        yield "  # instruments:"
+        yield "  #   machine: {maker: '', model: '', serial: '', calibrated: '', certificate: ''}"
+
+
+def _branch(tree: Mapping[str, Any], indent: str) -> Iterator[str]:
+    """Yield settings with their meaning above them, and groups of them."""
+    for name, node in tree.items():
+        if isinstance(node, Mapping):
+            yield from ("", f"{indent}{name}:") if not indent else (f"{indent}{name}:",)
+            yield from _branch(node, f"{indent}  ")
+            continue
+        meaning, value = node
+        mark = f"{indent}# "
+        yield from textwrap.wrap(
+            meaning, WIDEST, initial_indent=mark, subsequent_indent=mark, break_on_hyphens=False
+        )
+        in_a_list = yaml.safe_dump([value], default_flow_style=True, width=float("inf"))
+        yield f"{indent}{name}: {in_a_list.strip()[1:-1]}"
