@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.plugins import nearest
+from rotcal_ros.foundation.untrusted import load_yaml
 
 T = TypeVar("T")
 
@@ -135,6 +136,23 @@ def load(cls: type[T], values: Mapping[str, Any] | None, where: str) -> T:
         return cls(**loaded)
     except ConfigurationError as error:  # settings that do not go together
         raise ConfigurationError(f"{where}: {error}") from error
+
+
+def of_changes(cls: type[T], group: str, changes: Sequence[str]) -> T:
+    """Return the settings of a ``group`` with ``group.name=value`` changes and nothing else.
+
+    A value is YAML; of a setting that is a text it is that text. Raises ConfigurationError for
+    changes of other groups.
+    """
+    texts = {d.name for d in declarations(cls) if d.kind is str and not d.is_list}
+    values: dict[str, Any] = {}
+    for change in changes:
+        place, equals, value = change.partition("=")
+        first, dot, name = place.partition(".")
+        if first != group or not dot or not equals:
+            raise ConfigurationError(f"--set {change}: expected {group}.NAME=VALUE")
+        values[name] = value if name in texts else load_yaml(value, f"--set {change}")
+    return load(cls, values, f"--set: {group}")
 
 
 def to_mapping(settings: Any) -> dict[str, Any]:

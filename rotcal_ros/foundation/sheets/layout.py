@@ -11,10 +11,13 @@ from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.sheets.files import Cell, Sheet
 from rotcal_ros.foundation.sheets.words import (
     ANGLE,
+    DIRECTION,
     LENGTH,
+    RUN,
     TABLE_ANGLE,
     TIME,
     Heading,
+    answer,
     columns_of,
     folded,
     quantity_of,
@@ -25,6 +28,8 @@ from rotcal_ros.foundation.tables import Header
 _SUFFIXES: Final = {"_m": LENGTH, "_rad": ANGLE, "_s": TIME}
 TEXTS: Final = frozenset({"kind", "tracker_station"})
 """Columns that hold words."""
+_BESIDE: Final = frozenset({TABLE_ANGLE, DIRECTION, RUN})
+"""What may stand for a position, or beside it."""
 _LOOKED_AT: Final = 100
 """Rows in which the head of a table is looked for."""
 _LABEL: Final = re.compile(r"(.*?)\s*[-_#.]?\s*(\d{1,6})(?:\.0)?")
@@ -72,9 +77,9 @@ class Cells:
 class Layout:
     """How a grid is understood: the ``header`` of ours that its columns fill, and from where.
 
-    ``uses`` maps names of columns, or TABLE_ANGLE, to their places; ``matrix`` are the cells of a
-    matrix, empty for a list. ``aside``: headings that nobody needs; ``missing``: columns without
-    any; ``doubled``: a column and two headings that mean it. ``first``: index of the first row of
+    ``uses`` maps names of columns, or TABLE_ANGLE, DIRECTION, RUN, to their places; ``matrix`` are
+    the cells of a matrix, empty for a list. ``aside``: headings that nobody needs; ``missing``:
+    columns without any; ``doubled``: a column and two headings that mean it. ``first``: index of the first row of
     values. ``length_unit``: stated above the table.
     """
 
@@ -114,7 +119,7 @@ def best_layout(
         name, text, other = best.doubled
         raise DataError(
             f"{where}: {text!r} and {other!r} may both be the column {name}: say which: "
-            f"--set 'sheet.columns=[{name}={other}]'"
+            f"{answer(name, text)} or {answer(name, other)}"
         )
     equal = [layout for layout in layouts if layout.rank == best.rank and layout.sheet.name]
     if len(equal) > 1 and not best.missing:
@@ -182,7 +187,7 @@ def _of_heads(
         name = next((name for name in meant if name not in uses), "")
         if name:
             uses[name] = Use(place, head.text, head.units)
-        elif meant:
+        elif meant and meant[0] not in (DIRECTION, RUN):
             doubled = doubled or (meant[0], uses[meant[0]].text, head.text)
     corner = None if uses else _corner(heads, wanted, named)
     if corner:
@@ -217,16 +222,16 @@ def _by_angle(column: TableColumn, uses: Mapping[str, Use]) -> bool:
 def _meant(
     head: Heading, wanted: Mapping[str, TableColumn], named: Mapping[str, str]
 ) -> list[str]:
-    """Return which of the wanted columns, or the table angle, a heading means."""
+    """Return which of the wanted columns, or of those beside a position, a heading means."""
     chosen = [name for name, text in named.items() if folded(text) == folded(head.text)]
     if chosen:
-        return [name for name in chosen if name in wanted or name == TABLE_ANGLE]
+        return [name for name in chosen if name in wanted or name in _BESIDE]
     own = [name for name in wanted if folded(name) == folded(head.name)]
     known = [name for name in (*own, *columns_of(head)) if name not in named]
     if "ball" in known:
         known.append("ball_step")
-    angle = {TABLE_ANGLE} if "position" in wanted else set()
-    return [name for name in known if name in wanted or name in angle]
+    beside = _BESIDE if "position" in wanted else ()
+    return [name for name in known if name in wanted or name in beside]
 
 
 def _corner(
@@ -261,7 +266,7 @@ def _matrix(
         return []
     if {c.name for c in values} != {c.name for c in columns if c.quantity not in ("", TIME)}:
         return []
-    key, groups = keys[0], dict[Cell, dict[str, Use]]()
+    key, groups = keys[0], dict[tuple[Cell, int], dict[str, Use]]()
     for place, head in left.items():
         name, text = _value_of(head, values)
         units = label_units or tuple(u for u in head.units if quantity_of(u) == ANGLE)
@@ -271,11 +276,10 @@ def _matrix(
             label = _label(text, key.name, values) if name else None
         if label is not None:
             of_value = () if units else head.units
-            groups.setdefault(label, {}).setdefault(name, Use(place, head.text, of_value))
-    whole = {label: uses for label, uses in groups.items() if len(uses) == len(values)}
-    return (
-        [Cells(key.name, label, uses) for label, uses in whole.items()] if len(whole) > 1 else []
-    )
+            time = sum(name in uses for (other, _), uses in groups.items() if other == label)
+            groups.setdefault((label, time), {})[name] = Use(place, head.text, of_value)
+    whole = [(label, uses) for (label, _), uses in groups.items() if len(uses) == len(values)]
+    return [Cells(key.name, label, uses) for label, uses in whole] if len(whole) > 1 else []
 
 
 def _value_of(head: Heading, values: Sequence[TableColumn]) -> tuple[str, str]:

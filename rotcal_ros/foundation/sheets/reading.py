@@ -7,26 +7,31 @@ method then checks it as one of our own tables.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import pi, remainder
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeAlias
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.settings import setting
 from rotcal_ros.foundation.sheets.files import Cell, Sheet, sheets
 from rotcal_ros.foundation.sheets.layout import TEXTS, Layout, TableColumn, Use, best_layout
 from rotcal_ros.foundation.sheets.numerals import Measure, decimal_marks, in_si, parse
+from rotcal_ros.foundation.sheets.passes import Halt, closed, is_repeated, passes
 from rotcal_ros.foundation.sheets.words import (
     ANGLE,
+    DIRECTION,
     LENGTH,
+    RUN,
     TABLE_ANGLE,
     TIME,
     UNITS,
     Heading,
     columns_of,
     folded,
+    is_down,
     is_nothing,
     is_summary,
     kind_of,
@@ -34,6 +39,10 @@ from rotcal_ros.foundation.sheets.words import (
 from rotcal_ros.foundation.tables import Header, Table, own_table
 from rotcal_ros.foundation.units import DEGREE
 
+_Row: TypeAlias = "tuple[int, Mapping[str, tuple[Cell, Use]]]"
+"""Its number, and its cells by column."""
+_NO_KEYS: Final = frozenset({"position", "segment"})
+"""Columns of numbers that do not tell what was measured."""
 _DEFAULTS: Final = {LENGTH: "length_unit", ANGLE: "angle_unit", TIME: "time_unit"}
 _LABEL: Final = re.compile(r"(?:\D*[^\W\d_]\W*)?([0-9]{1,9})")
 """A number, or a word and a number."""
@@ -78,7 +87,8 @@ AS_IT_STANDS: Final = SheetSettings()
 class Known:
     """What a number in a table may be: ``numbers`` of the plan, ascending, perhaps with gaps.
 
-    ``labels`` maps other names to them; ``angles`` (rad) are those of the positions. ``listed``:
+    ``labels`` maps other names to them; ``angles`` (rad) are those of the positions, ``downward``
+    those of them that are reached from above, ``order`` all in the order of the plan. ``listed``:
     no plan knows them, the table lists them all, as one of targets does. ``source`` is the table
     that the labels are from.
     """
@@ -86,6 +96,8 @@ class Known:
     numbers: tuple[int, ...] = ()
     labels: Mapping[str, int] = field(default_factory=dict)
     angles: tuple[float, ...] = ()
+    downward: frozenset[int] = frozenset()
+    order: tuple[int, ...] = ()
     listed: bool = False
     source: Reading | None = None
 
@@ -96,9 +108,9 @@ class Reading:
 
     ``columns`` maps our columns to theirs; ``left_out`` are the numbers of rows with why;
     ``remarks`` say what was counted or turned. ``labels`` maps the labels of the first column to
-    their numbers. ``angles_deg`` are the table's own, ascending, where no plan had any. ``form``
-    is empty for a table of our own form, which is read as it stands. ``beside``: other tables that
-    were read for it.
+    their numbers. ``angles_deg`` are the table's own, ascending, where no plan had any, with how
+    many ``runs`` go through them, in ``both_directions`` or in one. ``form`` is empty for a table
+    of our own form, which is read as it stands. ``beside``: other tables that were read for it.
     """
 
     table: Table
@@ -109,6 +121,8 @@ class Reading:
     remarks: tuple[str, ...] = ()
     labels: Mapping[str, int] = field(default_factory=dict)
     angles_deg: tuple[float, ...] = ()
+    runs: int = 1
+    both_directions: bool = False
     beside: tuple[Reading, ...] = ()
 
     def line(self) -> str:
@@ -198,6 +212,7 @@ class _Rows:
         self._remarks: list[str] = []
         self._labels: dict[str, int] = {}
         self._angles_deg: tuple[float, ...] = ()
+        self._runs, self._both_directions = 1, False
 
     def read(self) -> Reading:
         """Return the table."""
@@ -223,6 +238,8 @@ class _Rows:
             (*self._remarks, *(["decimal comma"] if mark == "," else [])),
             self._labels,
             self._angles_deg,
+            self._runs,
+            self._both_directions,
             tuple(known.source for known in self._known.values() if known.source),
         )
 
@@ -303,13 +320,13 @@ class _Rows:
     def _column(
         self,
         column: TableColumn,
-        rows: Sequence[tuple[int, Mapping[str, tuple[Cell, Use]]]],
+        rows: Sequence[_Row],
         mark: str,
     ) -> list[str]:
         """Return our cells of a column."""
         name = column.name
         if name not in rows[0][1]:
-            return self._positions([(number, *row[TABLE_ANGLE]) for number, row in rows], mark)
+            return self._positions(rows, mark)
         cells = [(number, *row[name]) for number, row in rows]
         if column.quantity:
             return [self._in_si(place, name, column.quantity, mark) for place in cells]
@@ -369,25 +386,87 @@ class _Rows:
             f"be {read}. Say which: --set sheet.{_DEFAULTS[quantity]}=UNIT"
         )
 
-    def _positions(self, cells: Sequence[tuple[int, Cell, Use]], mark: str) -> list[str]:
-        """Return the numbers of positions by table angles, whole turns aside."""
-        angles = [float(self._in_si(cell, "table angle", ANGLE, mark)) for cell in cells]
-        planned = self._known.get("position", Known()).angles
-        if not planned:
-            planned = _distinct(angles)
-            self._angles_deg = tuple(round(angle / DEGREE, 12) for angle in planned)
-        found, near = [], _NEAR * _smallest_step(planned)
-        for (number, cell, _), angle in zip(cells, angles, strict=True):
-            off = [abs(remainder(angle - other, 2.0 * pi)) for other in planned]
-            nearest = min(range(len(off)), key=off.__getitem__)
-            if off[nearest] > near:
-                raise DataError(
-                    f"{self._path}, row {number}: the table angle {_text(cell)} is not in the "
-                    f"plan; the nearest there is {planned[nearest] / DEGREE:g} degrees"
-                )
-            found.append(nearest)
+    def _positions(self, rows: Sequence[_Row], mark: str) -> list[str]:
+        """Return the numbers of positions by table angles, whole turns aside.
+
+        They are empty for points of nests, which belong to none.
+        """
+        known = self._known.get("position", Known())
+        at = [k for k, (_, row) in enumerate(rows) if not _is_nest(row)]
+        halts = closed([self._halt(*rows[k], mark) for k in at])
+        angles = _distinct(known.angles or [halt.angle for halt in halts])
+        if not known.angles:
+            self._angles_deg = tuple(round(angle / DEGREE, 12) for angle in angles)
+        near = _NEAR * _smallest_step(angles)
+        halts = [replace(halt, number=self._nearest(halt, angles, near)) for halt in halts]
+        found = self._visits(halts, angles, known)
         self._remarks.append("positions by their angles")
-        return [str(index) for index in found]
+        numbers = dict(zip(at, found, strict=True))
+        return [str(numbers.get(k, "")) for k in range(len(rows))]
+
+    def _halt(self, number: int, row: Mapping[str, tuple[Cell, Use]], mark: str) -> Halt:
+        """Return where the table stood for a row; its number is still to be found."""
+        keys = [c.name for c in self._columns if not c.quantity and c.name not in _NO_KEYS]
+        texts = {name: _text(cell) for name, (cell, _) in row.items()}
+        down = is_down(texts.get(DIRECTION, ""))
+        if down is None and texts.get(DIRECTION):
+            raise DataError(
+                f"{self._path}, row {number}: the direction must be up or down, found "
+                f"{texts[DIRECTION]!r}"
+            )
+        angle = self._in_si((number, *row[TABLE_ANGLE]), "table angle", ANGLE, mark)
+        what = tuple(folded(texts[name]) for name in keys)
+        return Halt(number, float(angle), 0, what, texts.get(RUN, ""), down)
+
+    def _nearest(self, halt: Halt, angles: Sequence[float], near: float) -> int:
+        """Return which of the angles a halt is at, the one of its own turn if there are several.
+
+        Raises DataError where it is farther than ``near`` from all.
+        """
+        off = [abs(remainder(halt.angle - other, 2.0 * pi)) for other in angles]
+        best = min(range(len(off)), key=lambda k: (off[k] > near, abs(halt.angle - angles[k])))
+        if off[best] > near:
+            nearest = angles[min(range(len(off)), key=off.__getitem__)]
+            raise DataError(
+                f"{self._path}, row {halt.row}: the table angle {halt.angle / DEGREE:.9g} degrees "
+                f"is not in the plan; the nearest there is {nearest / DEGREE:g} degrees"
+            )
+        return best
+
+    def _visits(
+        self, halts: Sequence[Halt], angles: Sequence[float], known: Known
+    ) -> Sequence[int]:
+        """Return the position of each halt at ``angles``: by its pass, where a plan comes again.
+
+        Rows in the order of the plan are its steps. Without a plan a position is the number of its
+        angle, and the passes are noted.
+        """
+        if not known.angles:
+            if is_repeated(halts):
+                found = passes(halts, str(self._path))
+                self._runs = 1 + max(run for run, _ in found)
+                self._both_directions = len({down for _, down in found}) == 2
+            return [halt.number for halt in halts]
+        numbers = [min(range(len(angles)), key=lambda k: abs(angles[k] - angle))
+                   for angle in known.angles]  # fmt: skip
+        if [numbers[position] for position in known.order] == [halt.number for halt in halts]:
+            return known.order
+        if len(numbers) == len(angles):
+            return [numbers.index(halt.number) for halt in halts]
+        positions, runs = dict[tuple[int, int, bool], int](), Counter[tuple[int, bool]]()
+        for position, number in enumerate(numbers):
+            down = position in known.downward
+            positions[number, runs[number, down], down] = position
+            runs[number, down] += 1
+        found = passes(halts, str(self._path), both=bool(known.downward))
+        if not known.downward and len({down for _, down in found}) == 2:
+            raise DataError(
+                f"{self._path}: the table goes up and down through its angles, the plan up only: "
+                "set plan.bidirectional=true"
+            )
+        ways = [(halt.number, run, down and bool(known.downward))
+                for halt, (run, down) in zip(halts, found, strict=True)]  # fmt: skip
+        return [positions.get(way, positions[way[0], 0, way[2]]) for way in ways]
 
     def _numbers(self, name: str, cells: Sequence[tuple[int, str]]) -> list[str]:
         """Return numbers from 0, by what is known of them and by the labels that stand there."""
@@ -488,6 +567,10 @@ def _text(cell: Cell) -> str:
     if isinstance(cell, str):
         return cell
     return str(int(cell)) if cell.is_integer() else repr(cell)
+
+
+def _is_nest(row: Mapping[str, tuple[Cell, Use]]) -> bool:
+    return "kind" in row and kind_of(_text(row["kind"][0])) == "nest"
 
 
 def _is_nothing(cell: Cell) -> bool:
