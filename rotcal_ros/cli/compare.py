@@ -59,9 +59,9 @@ def command(
 
     A reference table has angles, deviations and, unless --reference-u states them, uncertainties,
     in any form: a workbook or a text. A file of several evaluations (rotcal solve --balls ... -o)
-    counts as all of them. Correlations between results of the same data are taken into account. The offset, which
-    no method can determine, is removed. The exit code is 1 if a pair disagrees by more than chance
-    explains, judged by |E_n| at single angles and at all angles together.
+    counts as all of them. Correlations between results of the same data are taken into account.
+    The offset, which no method can determine, is removed. The exit code is 1 if a pair disagrees
+    by more than chance explains, judged by |E_n| at single angles and at all angles together.
 
     With --truth every result.json and result_NAME.json beside a truth.json in FOLDER or below is
     scored, for the open data set and for simulated sessions: errors, intervals that hold the

@@ -79,7 +79,8 @@ def read_deviations(
 def _require_known_factor(reading: Reading) -> None:
     """Raise DataError for an uncertainty of which nobody says whether it is expanded."""
     theirs = [*reading.columns.values()][2]
-    if reading.table.header[2] == _EITHER or _CAPITAL.match(theirs):
+    named, capital = reading.table.header[2], _CAPITAL.match(theirs)
+    if named == _EITHER or (named == "u_rad" and capital):
         text = theirs.rpartition("'")[0].strip("'")
         raise DataError(
             f"{reading.table.path}: the column {text!r} may hold standard uncertainties (k = 1) "

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import PointKind
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods import changed, prepare, read_configuration
@@ -79,3 +80,67 @@ def test_the_order_of_the_rows_tells_the_direction(method, tmp_path):
     result = read_measurements(table, calibration.configuration).solve()
     assert len(result.angles) == len(calibration.plan.distinct_angles)
     shows_the_play(result)
+
+
+def set_up(folder, text):
+    (folder / "setup.yaml").write_text(text)
+    return read_configuration(folder / "setup.yaml")
+
+
+def test_without_a_plan_the_table_tells_directions_and_runs(tmp_path):
+    calibration = planned("tracer", BOTH, "plan.runs=2")
+    observations = observed(calibration)
+    table = write(tmp_path, "tracer", calibration, observations)
+    own = set_up(tmp_path, "method: tracer_multistation\nlength_std_m: 1.2e-7\n")
+    read = read_measurements(table, own)
+    assert (read.configuration.plan.runs, read.configuration.plan.bidirectional) == (2, True)
+    found = [(o.table_position, o.target, o.mean[0]) for o in read.observations]
+    assert found == [(o.table_position, o.target, o.mean[0]) for o in observations]
+    result = read.solve()
+    shows_the_play(result)
+    assert result.runs.forward.shape == result.runs.reverse.shape == (12, 2)
+
+
+@pytest.mark.parametrize("method", ["tracer", "ball_plate"])
+def test_a_column_tells_the_direction_in_any_order(method, tmp_path):
+    """Rows are missing and stand in the order of their values, which tells nothing."""
+    calibration = planned(method, BOTH)
+    observations = sorted(observed(calibration)[1:], key=lambda o: o.mean)
+    n = len(calibration.plan.distinct_angles)
+
+    def words(o):
+        return "Rück" if o.table_position >= n else "Hin"
+
+    table = write(tmp_path, method, calibration, observations, ",Richtung", words)
+    read = read_measurements(table, calibration.configuration)
+    found = [(o.table_position, o.target) for o in read.observations]
+    assert found == [(o.table_position, o.target) for o in observations]
+
+
+@pytest.mark.parametrize("last", ["0", "360"])
+def test_a_closing_angle_is_a_position_of_its_own(last, tmp_path):
+    calibration = planned("tracer", "plan.table_positions=13")
+    table = write(tmp_path, "tracer", calibration, observed(calibration))
+    n = len(calibration.plan.targets)
+    *rows, _ = table.read_text().split("\n")
+    rows[-n:] = [f"{last},{row.partition(',')[2]}" for row in rows[-n:]]
+    table.write_text("\n".join(rows) + "\n")
+    own = set_up(tmp_path, "method: tracer_multistation\nlength_std_m: 1.2e-7\n")
+    for configuration in (own, calibration.configuration):
+        read = read_measurements(table, configuration)
+        assert read.configuration.plan.table_positions == 13 or own is configuration
+        assert [o.table_position for o in read.observations][-n:] == [12] * n
+    result = read.solve()
+    assert result.angles[-1] == pytest.approx(2 * np.pi)
+    assert abs(result.deviations["ECC"][-1]) < 4.5 * result.std["ECC"][-1]
+
+
+def test_a_missing_row_and_a_plan_of_one_direction_are_asked_about(tmp_path):
+    calibration = planned("tracer", BOTH)
+    observations = observed(calibration)
+    table = write(tmp_path, "tracer", calibration, observations[:7] + observations[8:])
+    with pytest.raises(DataError, match=r"Add a column 'direction' \(up or down\)"):
+        read_measurements(table, calibration.configuration)
+    write(tmp_path, "tracer", calibration, observations)
+    with pytest.raises(DataError, match=r"measures it once: .* plan.bidirectional=true"):
+        read_measurements(table, planned("tracer").configuration)

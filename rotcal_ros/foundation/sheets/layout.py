@@ -79,8 +79,8 @@ class Layout:
 
     ``uses`` maps names of columns, or TABLE_ANGLE, DIRECTION, RUN, to their places; ``matrix`` are
     the cells of a matrix, empty for a list. ``aside``: headings that nobody needs; ``missing``:
-    columns without any; ``doubled``: a column and two headings that mean it. ``first``: index of the first row of
-    values. ``length_unit``: stated above the table.
+    columns without any; ``doubled``: a column and two headings that mean it. ``first``: index of
+    the first row of values. ``length_unit``: stated above the table.
     """
 
     sheet: Sheet
@@ -95,10 +95,10 @@ class Layout:
     length_unit: str = ""
 
     @property
-    def rank(self) -> tuple[bool, int, int]:
-        """How well it is understood: whole, with how many columns, and how few left over."""
+    def rank(self) -> tuple[bool, int, int, int]:
+        """How well it is understood: whole, by how many columns, how few missing and left over."""
         values = len(self.uses) + len({cells.column for cells in self.matrix})
-        return not self.missing, values, -len(self.aside)
+        return not self.missing, values, -len(self.missing), -len(self.aside)
 
 
 def best_layout(

@@ -155,6 +155,7 @@ def _untold(halts: Sequence[Halt], group: Sequence[int], where: str) -> DataErro
     rows = f"row{'s' * (len(at) > 1)} " + " and ".join(str(halt.row) for halt in at)
     return DataError(
         f"{where}: the table angle {at[0].angle / DEGREE:g} degrees, {rows}: the order of the "
-        "rows tells the run, and the way up or down, only where all was measured equally often. Add a "
-        "column 'direction' (up or down) and, for several runs, a column 'run', or keep one row"
+        "rows tells the run, and the way up or down, only where all was measured equally often. "
+        "Add a column 'direction' (up or down) and, for several runs, a column 'run', or keep one "
+        "row"
     )

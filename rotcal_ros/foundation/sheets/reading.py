@@ -25,6 +25,7 @@ from rotcal_ros.foundation.sheets.words import (
     DIRECTION,
     LENGTH,
     RUN,
+    SMALL_ANGLES,
     TABLE_ANGLE,
     TIME,
     UNITS,
@@ -194,9 +195,11 @@ def _not_understood(path: Path, headers: Sequence[Header], layout: Layout | None
         return f"{path}: no row names the columns: expected {expected}, in any form and language"
     found = ", ".join(f"{name} ({use.text})" for name, use in layout.uses.items())
     others = f"; not known: {', '.join(map(repr, layout.aside))}" if layout.aside else ""
+    name = TableColumn.of(layout.missing[0]).name
     return (
         f"{path}: no column {', '.join(layout.missing)}: found {found}{others}. Expected "
-        f"{expected}. Tell a column with another name by --set 'sheet.columns=[length=ITS NAME]'"
+        f"'{','.join(layout.header)}', in any unit and order. Tell a column with another name by "
+        f"--set 'sheet.columns=[{name}=ITS NAME]'"
     )
 
 
@@ -374,6 +377,12 @@ class _Rows:
         units = use.units
         if len(units) == 1:
             return units[0]
+        if name in SMALL_ANGLES:
+            raise DataError(
+                f"{self._path}: the column {use.text!r} ({name}) states no unit: its first value "
+                f"can be {measure.value} arcsec, urad or deg. Write the unit behind its name, as in "
+                f"'{use.text} [arcsec]'"
+            )
         if stated := self._unit_elsewhere(use, quantity):
             return stated
         usual = {LENGTH: ("m", "mm", "um", "in"), ANGLE: ("deg", "rad", "gon")}

@@ -21,6 +21,8 @@ TABLE_ANGLE: Final = "angle"
 DIRECTION: Final = "direction"
 RUN: Final = "run"
 """Columns that tell which visit of a table angle it was."""
+SMALL_ANGLES: Final = ("deviation", "u", "expanded", "uncertainty")
+"""Columns of reference tables, whose unit is another than that of the table angles."""
 _PI: Final = Decimal("3.14159265358979323846264338327950288")
 UNITS: Final[Mapping[str, Mapping[str, Decimal]]] = {
     LENGTH: {
@@ -39,7 +41,7 @@ UNITS: Final[Mapping[str, Mapping[str, Decimal]]] = {
 """Quantity -> unit -> size in metres, radians, seconds."""
 _QUANTITIES: Final = {
     **dict.fromkeys(("length", "d", "x", "y", "z", "sx", "sy", "sz"), LENGTH),
-    **dict.fromkeys((TABLE_ANGLE, "deviation", "u", "expanded", "uncertainty"), ANGLE),
+    **dict.fromkeys((TABLE_ANGLE, *SMALL_ANGLES), ANGLE),
     "time": TIME,
 }
 """TableColumn -> what it measures; all others are numbers from 0, or words."""

@@ -139,11 +139,7 @@ def test_grad_is_degrees_in_german_and_gons_elsewhere() -> None:
         ("pos,target,length [m],L [mm]\n0,0,1.5,1.5\n", {}, "may both be the column length"),
         ("pos,target,length [m]\n0,zero,1.5\n", {}, "row 2: target must be a number, or a name"),
         ("pos,target,length [m]\n0,0,x1\n", {}, "row 2: length must be a number, found 'x1'"),
-        (
-            "angle [deg],target,length [m]\n45,0,1.5\n",
-            {},
-            "45 degrees is not in the plan",
-        ),
+        ("angle [deg],target,length [m]\n45,0,1.5\n", {}, "45 degrees is not in the plan"),
         (
             "pos,C [deg],target,length [m]\n1,45,0,1.5\n",
             {"counted_from": "0"},
