@@ -82,6 +82,11 @@ def _results(path: Path) -> dict[str, ResultSource]:
         data = read_bytes(path)
         content = load_json(data)
         hashed = {path.name: sha256(data).hexdigest()}
+        if isinstance(content, dict) and "deviations" in content and "schema" not in content:
+            raise DataError(
+                "these are deviations of no result, as the truth of a simulation: `rotcal compare "
+                f"--truth {path.parent}` scores the results beside it"
+            )
         ways = content.get(EVALUATIONS) if isinstance(content, dict) else None
         if not isinstance(ways, list) or not ways:
             return {"": ResultSource(Result.from_dict(content), hashed)}

@@ -380,7 +380,7 @@ class _Rows:
         if name in SMALL_ANGLES:
             raise DataError(
                 f"{self._path}: the column {use.text!r} ({name}) states no unit: its first value "
-                f"can be {measure.value} arcsec, urad or deg. Write the unit behind its name, as in "
+                f"can be {measure.value} arcsec, urad or deg. Write the unit behind its name, as "
                 f"'{use.text} [arcsec]'"
             )
         if stated := self._unit_elsewhere(use, quantity):
