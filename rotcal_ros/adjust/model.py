@@ -544,10 +544,9 @@ def _require_unfelt(model: Model, scale: Floats, open_: Floats, told: Bools) -> 
         along = lost[0, : len(share)]
         named &= along * along[np.argmax(share * wanted)] > 0.0
         if (others := np.flatnonzero(wanted & ~named)).size:
-            one = _in_words(model, np.flatnonzero(named), told)
+            one, other = (_in_words(model, k, told) for k in (np.flatnonzero(named), others))
             raise ObservabilityError(
-                f"the observations cannot tell {one} from {_in_words(model, others, told)}: measure "
-                "what joins them"
+                f"the observations cannot tell {one} from {other}: measure what joins them"
             )
     names = _in_words(model, np.flatnonzero(named), told)
     raise ObservabilityError(

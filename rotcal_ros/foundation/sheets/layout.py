@@ -20,6 +20,7 @@ from rotcal_ros.foundation.sheets.words import (
     answer,
     columns_of,
     folded,
+    label_of,
     quantity_of,
     units_of,
 )
@@ -32,7 +33,6 @@ _BESIDE: Final = frozenset({TABLE_ANGLE, DIRECTION, RUN})
 """What may stand for a position, or beside it."""
 _LOOKED_AT: Final = 100
 """Rows in which the head of a table is looked for."""
-_LABEL: Final = re.compile(r"(.*?)\s*[-_#.]?\s*(\d{1,6})(?:\.0)?")
 _ALL_IN: Final = re.compile(
     r"(?:units?|einheit(?:en)?|unites?|单位|單位|単位)\s*[:=]\s*(\S+)|"
     r"(?:all|alle|toutes?|tous)\b.*\b(?:in|en)\s+(\S+)",
@@ -297,15 +297,15 @@ def _label(text: str, key: str, values: Sequence[TableColumn]) -> Cell | None:
 
     A number, alone or behind a word for it; a table angle is a text with its unit.
     """
-    found = _LABEL.fullmatch(text.strip())
+    found = label_of(text)
     if found is None:
         angle = text.strip().endswith("°") and key == "position"
         return text.strip() if angle else None
-    word = found[1]
+    word, number = found
     names = columns_of(Heading(word, word))
     meant = {key, *(value.name for value in values)} | ({"ball"} if key == "ball_step" else set())
     if len(word) <= 1 or meant.intersection(names):
-        return float(found[2])
+        return float(number)
     return None
 
 

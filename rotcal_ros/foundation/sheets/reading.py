@@ -6,7 +6,6 @@ method then checks it as one of our own tables.
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -36,6 +35,7 @@ from rotcal_ros.foundation.sheets.words import (
     is_nothing,
     is_summary,
     kind_of,
+    label_of,
 )
 from rotcal_ros.foundation.tables import Header, Table, own_table
 from rotcal_ros.foundation.units import DEGREE
@@ -45,8 +45,6 @@ _Row: TypeAlias = "tuple[int, Mapping[str, tuple[Cell, Use]]]"
 _NO_KEYS: Final = frozenset({"position", "segment"})
 """Columns of numbers that do not tell what was measured."""
 _DEFAULTS: Final = {LENGTH: "length_unit", ANGLE: "angle_unit", TIME: "time_unit"}
-_LABEL: Final = re.compile(r"(?:\D*[^\W\d_]\W*)?([0-9]{1,9})")
-"""A number, or a word and a number."""
 _NEAR: Final = 0.25
 """Share of the smallest step of the table within which an angle is the planned one."""
 _SAME_ANGLE: Final = 1e-9
@@ -494,13 +492,13 @@ class _Rows:
 
     def _digits(self, name: str, number: int, text: str) -> int:
         """Return the number that a label is, or ends with; DataError without one."""
-        found = _LABEL.fullmatch(text)
+        found = label_of(text)
         if found is None:
             raise DataError(
                 f"{self._path}, row {number}: {name} must be a number, or a name that the table "
                 f"of targets has as well, found {text!r}"
             )
-        return int(found[1])
+        return found[1]
 
     def _as_planned(self, name: str, numbers: Sequence[int]) -> list[int]:
         """Return numbers as the plan has them: as they stand, or as its first, second and so on.

@@ -45,6 +45,7 @@ _QUANTITIES: Final = {
     "time": TIME,
 }
 """TableColumn -> what it measures; all others are numbers from 0, or words."""
+_LABEL: Final = re.compile(r"(?:(\D*[^\W\d_])[\W_]*|#\s*)?([0-9]{1,9})(?:\.0*)?")
 _APART: Final = re.compile(r"[\W_]+")
 _IN_BRACKETS: Final = re.compile(r"(.*\S)\s*[\[({【]\s*([^\[\](){}【】]+?)\s*[\])}】]", re.S)
 _BEHIND: Final = re.compile(r"(.*\S)(?:\s+in\s+|\s*[/,]\s*|[_\s]+)(\S+)", re.DOTALL)
@@ -109,6 +110,16 @@ def units_of(text: str) -> tuple[str, ...]:
     (('deg', 'gon'), ('in',), ())
     """
     return _units().get(_unit(text), ())
+
+
+def label_of(text: str) -> tuple[str, int] | None:
+    """Return word and number of a label, whose word may be empty; None for a text that is none.
+
+    >>> label_of("SMR-07"), label_of("#3"), label_of("12.0"), label_of("-5")
+    (('SMR', 7), ('', 3), ('', 12), None)
+    """
+    found = _LABEL.fullmatch(plain(text))
+    return (found[1] or "", int(found[2])) if found else None
 
 
 def quantity_of(unit: str) -> str:
