@@ -31,6 +31,8 @@ TEXTS: Final = frozenset({"kind", "tracker_station"})
 """Columns that hold words."""
 _BESIDE: Final = frozenset({TABLE_ANGLE, DIRECTION, RUN})
 """What may stand for a position, or beside it."""
+_NO_UNIT: Final = ("", "-", "1")
+"""What stands for none in a line of units."""
 _LOOKED_AT: Final = 100
 """Rows in which the head of a table is looked for."""
 _ALL_IN: Final = re.compile(
@@ -95,10 +97,14 @@ class Layout:
     length_unit: str = ""
 
     @property
-    def rank(self) -> tuple[bool, int, int, int]:
-        """How well it is understood: whole, by how many columns, how few missing and left over."""
+    def rank(self) -> tuple[bool, int, int, int, int]:
+        """How well it is understood: whole, by how many columns, how few missing and left over.
+
+        Of equal ones that with units.
+        """
         values = len(self.uses) + len({cells.column for cells in self.matrix})
-        return not self.missing, values, -len(self.missing), -len(self.aside)
+        units = sum(bool(use.units) for use in self.uses.values())
+        return not self.missing, values, -len(self.missing), -len(self.aside), units
 
 
 def best_layout(
@@ -155,8 +161,8 @@ def _heads(sheet: Sheet, row: int) -> Iterator[tuple[dict[int, Heading], int]]:
     cells = sheet.rows[row][1]
     heads = {place: Heading.of(_text(cell)) for place, cell in enumerate(cells) if cell != ""}
     below = sheet.rows[row + 1][1] if row + 1 < len(sheet.rows) else ()
-    units = {place: units_of(cell.strip("[]() ")) for place, cell in enumerate(below)
-             if isinstance(cell, str) and cell}  # fmt: skip
+    bare = [cell.strip("[]() ") if isinstance(cell, str) else "" for cell in below]
+    units = {place: units_of(text) for place, text in enumerate(bare) if text not in _NO_UNIT}
     if units and all(units.values()):
         for place, found in units.items():
             if place in heads:

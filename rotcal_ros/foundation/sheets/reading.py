@@ -246,13 +246,24 @@ class _Rows:
 
     def _kept(self) -> Iterator[tuple[int, tuple[Cell, ...]]]:
         """Yield the rows of values; note those that are left out, and why."""
-        width = max(use.place for use in self._all_uses()) + 1
+        width, begun = max(use.place for use in self._all_uses()) + 1, False
         for number, row in self._layout.sheet.rows[self._layout.first :]:
             cells = (*row, *[""] * (width - len(row)))
-            if why := self._no_values(cells):
-                self._left_out.append((number, why))
-            else:
+            why = self._no_values(cells)
+            if not why and (named := _named_by(row)):
+                why = "another table begins here" if begun else "the head in other words"
+                if begun and named.issuperset(self._layout.uses):
+                    raise DataError(
+                        f"{self._path}, row {number}: a table with the same columns begins here: "
+                        "put both below one head, or each into a file of its own"
+                    )
+            if not why:
+                begun = True
                 yield number, cells
+                continue
+            self._left_out.append((number, why))
+            if why.startswith("another"):
+                return
 
     def _no_values(self, cells: Sequence[Cell]) -> str:
         """Return why a row holds no values; empty if it does."""
@@ -574,6 +585,13 @@ def _text(cell: Cell) -> str:
     if isinstance(cell, str):
         return cell
     return str(int(cell)) if cell.is_integer() else repr(cell)
+
+
+def _named_by(cells: Sequence[Cell]) -> set[str]:
+    """Return the columns that cells name, if they are two or more names and nothing else."""
+    texts = [cell for cell in cells if cell != ""]
+    named = [columns_of(Heading.of(cell)) for cell in texts if isinstance(cell, str)]
+    return set().union(*named) if len(named) == len(texts) > 1 and all(named) else set()
 
 
 def _is_nest(row: Mapping[str, tuple[Cell, Use]]) -> bool:

@@ -146,6 +146,11 @@ def test_grad_is_degrees_in_german_and_gons_elsewhere() -> None:
             "1 is planned at 90",
         ),
         ("pos;target;length [m]\n0;0;1,5\n0;1;2.5\n", {}, "some decimal commas"),
+        (
+            "pos,target,length [m]\n0,0,1.5\nposition,Ziel,L [mm]\n1,0,15\n",
+            {},
+            "row 3: a table with the same columns begins here",
+        ),
     ],
 )
 def test_what_can_be_read_in_two_ways_is_asked(
@@ -227,3 +232,39 @@ def test_a_column_and_a_sheet_that_are_not_there(tmp_path: Path) -> None:
         read(tmp_path, "pos,target,length [m]\n0,0,1.5\n", name="Two")
     with pytest.raises(ConfigurationError, match="expected COLUMN=TEXT"):
         read(tmp_path, "pos,target,length [m]\n0,0,1.5\n", columns=("length",))
+
+
+ANGLES = [0, 90, 180]
+
+
+@pytest.mark.parametrize(
+    ("angles", "runs", "both"),
+    [
+        ([*ANGLES, *ANGLES[::-1]], 1, True),
+        ([*ANGLES, *ANGLES[-2::-1]], 1, True),  # the last one is not measured twice
+        ([*ANGLES, *ANGLES], 2, False),
+        ([*ANGLES[::-1], *ANGLES[::-1]], 2, False),
+        ([*ANGLES, *ANGLES[::-1]] * 2, 2, True),
+        ([350, 0, 10, 10, 0, 350], 1, True),
+    ],
+)
+def test_the_order_of_rows_tells_passes(
+    tmp_path: Path, angles: list[int], runs: int, both: bool
+) -> None:
+    rows = [f"{angle},{target},1.5" for angle in angles for target in (0, 1)]
+    text = "\n".join(["angle [deg],target,length [m]", *rows])
+    reading = read(tmp_path, text, known={"target": Known((0, 1))})
+    assert (reading.runs, reading.both_directions) == (runs, both)
+    assert len(reading.angles_deg) == 3
+
+
+@pytest.mark.parametrize("angles", [[0, 0, 90, 90, 180, 180], [*ANGLES, 0], [*ANGLES, 90, 180, 0]])
+def test_an_order_that_tells_no_passes_is_asked_about(tmp_path: Path, angles: list[int]) -> None:
+    rows = "\n".join(f"{angle},0,1.5" for angle in angles)
+    with pytest.raises(DataError, match="Add a column 'direction'"):
+        read(tmp_path, f"angle [deg],target,length [m]\n{rows}\n", known={"target": Known((0,))})
+
+
+def test_an_unknown_direction_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="row 2: the direction must be up or down, found 'left'"):
+        read(tmp_path, "angle [deg],direction,target,length [m]\n0,left,0,1.5\n")
