@@ -86,7 +86,7 @@ def read_measurements(
     """
     path, method = source.path if isinstance(source, Table) else source, configuration.method
     if method.table is None:
-        raise BagError(f"{path}: the method {method.name} reads no plain tables")
+        raise BagError(f"{path}: the method {method.name} reads no plain tables: give a bag")
     _require_own_method(source, configuration)
     reader, settings = method.table, configuration.sheet
     aim = _targets(source, targets, reader.targets, settings)
@@ -108,7 +108,7 @@ def read_measurements(
     elif "plan" not in configuration.given:
         raise ConfigurationError(
             f"{configuration.source} has no group 'plan': it has to say which table angles the "
-            f"positions in {path} stand for"
+            f"positions in {path} stand for: add it, or a column of table angles to the table"
         )
     announce(reading)
     aimed_at = aim.table if aim is not None and "target" in reading.table.header else None

@@ -101,7 +101,9 @@ def _results(path: Path) -> dict[str, ResultSource]:
     except (AttributeError, TypeError) as error:
         raise DataError(f"{path}: damaged evaluations: {error}") from error
     except ValueError as error:
-        raise BagError(f"{path} is not JSON: {error}") from error
+        raise BagError(
+            f"{path} is not JSON: {error}: give a result.json, a bag, a session or a table"
+        ) from error
     except DataError as error:
         raise DataError(f"{path}: {error}") from error
 
@@ -181,5 +183,8 @@ def read_curve(path: Path, component: str, references: References = AS_STATED) -
     if not is_table(path):
         return measured_curve(read_source(path).result, component)
     if component != "ECC":
-        raise DataError(f"{path}: a reference table holds ECC only, {component} was asked for")
+        raise DataError(
+            f"{path}: a reference table holds ECC only, {component} was asked for: "
+            "leave out the component"
+        )
     return references.read(path)

@@ -60,7 +60,8 @@ def sheets(path: Path) -> list[Sheet]:
     found = [sheet for encoding, text in _texts(data) for sheet in _ways(text, encoding)]
     if not found:
         raise BagError(
-            f"cannot read the table {path}: it is neither text nor a workbook (.xlsx, .xls, .ods)"
+            f"cannot read the table {path}: it is neither text nor a workbook (.xlsx, .xls, "
+            ".ods): save it as one of these"
         )
     return found
 

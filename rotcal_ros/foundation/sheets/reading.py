@@ -173,7 +173,11 @@ def read_any(
     else:
         path, found = source, [g for g in sheets(source) if settings.name in ("", g.name)]
     if not found:
-        raise ConfigurationError(f"{path}: there is no sheet {settings.name!r} (sheet.name)")
+        names = [grid.name for grid in sheets(path) if grid.name] or ["a text has none"]
+        raise ConfigurationError(
+            f"{path}: there is no sheet {settings.name!r} (sheet.name): choose one of "
+            f"{', '.join(names)}"
+        )
     layout = best_layout(found, headers, named, str(path))
     if layout is None or layout.missing:
         raise BagError(_not_understood(path, headers, layout))
@@ -190,7 +194,10 @@ def _named(entry: str) -> tuple[str, str]:
 def _not_understood(path: Path, headers: Sequence[Header], layout: Layout | None) -> str:
     expected = " or ".join(f"'{','.join(header)}'" for header in headers)
     if layout is None:
-        return f"{path}: no row names the columns: expected {expected}, in any form and language"
+        return (
+            f"{path}: no row names the columns: expected {expected}, in any form and language: "
+            "add a line of names above the numbers"
+        )
     found = ", ".join(f"{name} ({use.text})" for name, use in layout.uses.items())
     others = f"; not known: {', '.join(map(repr, layout.aside))}" if layout.aside else ""
     name = TableColumn.of(layout.missing[0]).name
@@ -222,7 +229,11 @@ class _Rows:
             (number, values) for number, cells in self._kept() for values in self._spread(cells)
         ]
         if not rows:
-            raise DataError(f"{self._path}: the table has a header but no rows")
+            why = "".join(f" (row {row}: {what})" for row, what in self._left_out[:1])
+            raise DataError(
+                f"{self._path}: the table has a header but no rows{why}: add what was measured "
+                "below it"
+            )
         mark = self._mark([values for _, values in rows])
         columns = [self._column(column, rows, mark) for column in self._columns]
         lines = tuple(
@@ -376,7 +387,8 @@ class _Rows:
         measure = parse(value, mark, quantity)
         if measure is None:
             raise DataError(
-                f"{self._path}, row {number}: {name} must be a number, found {_text(value)!r}"
+                f"{self._path}, row {number}: {name} must be a number, found {_text(value)!r}: "
+                "correct it, or empty the cell where nothing was measured"
             )
         si = in_si(measure, measure.unit or self._unit(use, quantity, measure, name))
         return str(si)
@@ -430,7 +442,7 @@ class _Rows:
         if down is None and texts.get(DIRECTION):
             raise DataError(
                 f"{self._path}, row {number}: the direction must be up or down, found "
-                f"{texts[DIRECTION]!r}"
+                f"{texts[DIRECTION]!r}: write one of these"
             )
         angle = self._in_si((number, *row[TABLE_ANGLE]), "table angle", ANGLE, mark)
         what = tuple(folded(texts[name]) for name in keys)
@@ -447,7 +459,8 @@ class _Rows:
             nearest = angles[min(range(len(off)), key=off.__getitem__)]
             raise DataError(
                 f"{self._path}, row {halt.row}: the table angle {halt.angle / DEGREE:.9g} degrees "
-                f"is not in the plan; the nearest there is {nearest / DEGREE:g} degrees"
+                f"is not in the plan; the nearest there is {nearest / DEGREE:g} degrees: correct "
+                "the row, or the angles of the plan"
             )
         return best
 
@@ -506,8 +519,9 @@ class _Rows:
         found = label_of(text)
         if found is None:
             raise DataError(
-                f"{self._path}, row {number}: {name} must be a number, or a name that the table "
-                f"of targets has as well, found {text!r}"
+                f"{self._path}, row {number}: {name} must be a number"
+                f"{', or a name that the table of targets has as well' * (name == 'target')}, "
+                f"found {text!r}: correct the row, or leave it out"
             )
         return found[1]
 
