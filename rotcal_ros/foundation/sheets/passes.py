@@ -55,8 +55,9 @@ def is_repeated(halts: Sequence[Halt]) -> bool:
 
 
 def passes(halts: Sequence[Halt], where: str, *, both: bool = False) -> list[Pass]:
-    """Return the pass of each halt; what is measured once more at the end is as it was at first.
+    """Return the pass of each halt, each direction with runs from 0.
 
+    What is measured once more at the end is measured as it was at first.
     ``both``: there are known to be passes up and down. Without columns, everything that was
     measured at the same angles must have been measured equally often there, in whole passes: a
     missing row could be of any. Else raises DataError, which begins with ``where``.
@@ -92,7 +93,9 @@ def passes(halts: Sequence[Halt], where: str, *, both: bool = False) -> list[Pas
     for k, count in again.items():
         side = next(found[n][1] for n in sorted(found) if halts[n].number == halts[k].number)
         found[k] = count[side], side
-    return [found[k] for k in range(len(halts))]
+    every = sorted(set(found.values()))
+    of_side = {side: [run for run, s in every if s is side] for side in (False, True)}
+    return [(of_side[side].index(run), side) for _, (run, side) in sorted(found.items())]
 
 
 def _with_runs_of_a_plan(halts: Sequence[Halt]) -> Sequence[Halt]:
@@ -111,17 +114,17 @@ def _groups(halts: Sequence[Halt]) -> Iterator[list[int]]:
     yield from groups.values()
 
 
-def _parts(halts: Sequence[Halt], group: Sequence[int]) -> list[list[int]]:
+def _parts(halts: Sequence[Halt], group: list[int]) -> list[list[int]]:
     """Return the passes of a group: a new one begins where the table turns, or comes again."""
-    parts = list[list[int]]()
-    for k in group:
-        part = parts[-1] if parts else []
-        again = any(halts[n].number == halts[k].number for n in part)
+    parts, seen = [group[:1]], {halts[group[0]].number}
+    for k in group[1:]:
+        part = parts[-1]
         turns = len(part) > 1 and _is_down(halts, part) != _is_down(halts, [part[-1], k])
-        if not part or again or turns:
-            parts.append([k])
-        else:
-            part.append(k)
+        if turns or halts[k].number in seen:
+            parts.append([])
+            seen.clear()
+        parts[-1].append(k)
+        seen.add(halts[k].number)
     return parts
 
 

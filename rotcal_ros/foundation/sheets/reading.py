@@ -357,6 +357,8 @@ class _Rows:
             return [kind_of(_text(c)) if name == "kind" else _text(c)
                     for _, c, _ in cells]  # fmt: skip
         numbers = self._numbers(name, [(number, _text(cell)) for number, cell, _ in cells])
+        if name == "position":
+            numbers = self._in_passes(rows, numbers)
         if name == "position" and TABLE_ANGLE in rows[0][1]:
             beside = [(number, *row[TABLE_ANGLE]) for number, row in rows]
             self._require_angles(numbers, beside, mark)
@@ -423,7 +425,7 @@ class _Rows:
         """
         known = self._known.get("position", Known())
         at = [k for k, (_, row) in enumerate(rows) if not _is_nest(row)]
-        halts = closed([self._halt(*rows[k], mark) for k in at])
+        halts = closed([self._halt(*rows[k], self._angle(rows[k], mark)) for k in at])
         angles = _distinct(known.angles or [halt.angle for halt in halts])
         if not known.angles:
             self._angles_deg = tuple(round(angle / DEGREE, 12) for angle in angles)
@@ -434,8 +436,29 @@ class _Rows:
         numbers = dict(zip(at, found, strict=True))
         return [str(numbers.get(k, "")) for k in range(len(rows))]
 
-    def _halt(self, number: int, row: Mapping[str, tuple[Cell, Use]], mark: str) -> Halt:
-        """Return where the table stood for a row; its number is still to be found."""
+    def _in_passes(self, rows: Sequence[_Row], numbers: list[str]) -> list[str]:
+        """Return numbers of positions, where those given are of angles that are visited again.
+
+        So it is where columns tell direction or run, and there are no more numbers than angles.
+        """
+        known, told = self._known.get("position", Known()), rows[0][1].keys() & {DIRECTION, RUN}
+        angles = _distinct(known.angles)
+        if not (told and all(numbers) and max(map(int, numbers)) < len(angles)):
+            return numbers
+        halts = [
+            replace(
+                self._halt(*row, known.angles[int(n)]), number=angles.index(known.angles[int(n)])
+            )
+            for row, n in zip(rows, numbers, strict=True)
+        ]
+        return [str(position) for position in self._visits(halts, angles, known)]
+
+    def _angle(self, row: _Row, mark: str) -> float:
+        number, cells = row
+        return float(self._in_si((number, *cells[TABLE_ANGLE]), "table angle", ANGLE, mark))
+
+    def _halt(self, number: int, row: Mapping[str, tuple[Cell, Use]], angle: float) -> Halt:
+        """Return that the table stood at ``angle`` (rad) for a row; its number is not known yet."""
         keys = [c.name for c in self._columns if not c.quantity and c.name not in _NO_KEYS]
         texts = {name: _text(cell) for name, (cell, _) in row.items()}
         down = is_down(texts.get(DIRECTION, ""))
@@ -444,9 +467,8 @@ class _Rows:
                 f"{self._path}, row {number}: the direction must be up or down, found "
                 f"{texts[DIRECTION]!r}: write one of these"
             )
-        angle = self._in_si((number, *row[TABLE_ANGLE]), "table angle", ANGLE, mark)
         what = tuple(folded(texts[name]) for name in keys)
-        return Halt(number, float(angle), 0, what, texts.get(RUN, ""), down)
+        return Halt(number, angle, 0, what, texts.get(RUN, ""), down)
 
     def _nearest(self, halt: Halt, angles: Sequence[float], near: float) -> int:
         """Return which of the angles a halt is at, the one of its own turn if there are several.
