@@ -18,7 +18,7 @@ from rotcal_ros.foundation.settings import setting
 from rotcal_ros.foundation.sheets.files import Cell, Sheet, sheets
 from rotcal_ros.foundation.sheets.layout import TEXTS, Layout, TableColumn, Use, best_layout
 from rotcal_ros.foundation.sheets.numerals import Measure, decimal_marks, in_si, parse
-from rotcal_ros.foundation.sheets.passes import Halt, closed, is_repeated, passes
+from rotcal_ros.foundation.sheets.passes import Halt, Pass, closed, is_repeated, passes
 from rotcal_ros.foundation.sheets.words import (
     ANGLE,
     DIRECTION,
@@ -221,6 +221,7 @@ class _Rows:
         self._labels: dict[str, int] = {}
         self._angles_deg: tuple[float, ...] = ()
         self._runs, self._both_directions = 1, False
+        self._strange: list[tuple[int, str]] = []  # directions that are no word for one
 
     def read(self) -> Reading:
         """Return the table."""
@@ -446,11 +447,9 @@ class _Rows:
         if not (told and all(numbers) and max(map(int, numbers)) < len(angles)):
             return numbers
         halts = [
-            replace(
-                self._halt(*row, known.angles[int(n)]), number=angles.index(known.angles[int(n)])
-            )
-            for row, n in zip(rows, numbers, strict=True)
+            self._halt(*row, known.angles[int(n)]) for row, n in zip(rows, numbers, strict=True)
         ]
+        halts = [replace(halt, number=self._nearest(halt, angles, pi)) for halt in halts]
         return [str(position) for position in self._visits(halts, angles, known)]
 
     def _angle(self, row: _Row, mark: str) -> float:
@@ -458,15 +457,12 @@ class _Rows:
         return float(self._in_si((number, *cells[TABLE_ANGLE]), "table angle", ANGLE, mark))
 
     def _halt(self, number: int, row: Mapping[str, tuple[Cell, Use]], angle: float) -> Halt:
-        """Return that the table stood at ``angle`` (rad) for a row; its number is not known yet."""
+        """Return that the table stood at ``angle`` (rad) for a row; its number is open yet."""
         keys = [c.name for c in self._columns if not c.quantity and c.name not in _NO_KEYS]
         texts = {name: _text(cell) for name, (cell, _) in row.items()}
         down = is_down(texts.get(DIRECTION, ""))
         if down is None and texts.get(DIRECTION):
-            raise DataError(
-                f"{self._path}, row {number}: the direction must be up or down, found "
-                f"{texts[DIRECTION]!r}: write one of these"
-            )
+            self._strange.append((number, texts[DIRECTION]))
         what = tuple(folded(texts[name]) for name in keys)
         return Halt(number, angle, 0, what, texts.get(RUN, ""), down)
 
@@ -496,7 +492,7 @@ class _Rows:
         """
         if not known.angles:
             if is_repeated(halts):
-                found = passes(halts, str(self._path))
+                found = self._passes(halts)
                 self._runs = 1 + max(run for run, _ in found)
                 self._both_directions = len({down for _, down in found}) == 2
             return [halt.number for halt in halts]
@@ -511,7 +507,7 @@ class _Rows:
             down = position in known.downward
             positions[number, runs[number, down], down] = position
             runs[number, down] += 1
-        found = passes(halts, str(self._path), both=bool(known.downward))
+        found = self._passes(halts, both=bool(known.downward))
         if not known.downward and len({down for _, down in found}) == 2:
             raise DataError(
                 f"{self._path}: the table goes up and down through its angles, the plan up only: "
@@ -520,6 +516,14 @@ class _Rows:
         ways = [(halt.number, run, down and bool(known.downward))
                 for halt, (run, down) in zip(halts, found, strict=True)]  # fmt: skip
         return [positions.get(way, positions[way[0], 0, way[2]]) for way in ways]
+
+    def _passes(self, halts: Sequence[Halt], *, both: bool = False) -> list[Pass]:
+        for number, text in self._strange[:1]:
+            raise DataError(
+                f"{self._path}, row {number}: the direction must be up or down, found {text!r}: "
+                "write one of these"
+            )
+        return passes(halts, str(self._path), both=both)
 
     def _numbers(self, name: str, cells: Sequence[tuple[int, str]]) -> list[str]:
         """Return numbers from 0, by what is known of them and by the labels that stand there."""

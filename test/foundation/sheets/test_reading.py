@@ -267,5 +267,16 @@ def test_an_order_that_tells_no_passes_is_asked_about(tmp_path: Path, angles: li
 
 
 def test_an_unknown_direction_is_named(tmp_path: Path) -> None:
+    text = "angle [deg],direction,target,length [m]\n0,left,0,1.5\n"
+    assert [cells[0] for cells in rows(read(tmp_path, text))] == ["0"]  # which needs no direction
     with pytest.raises(DataError, match="row 2: the direction must be up or down, found 'left'"):
-        read(tmp_path, "angle [deg],direction,target,length [m]\n0,left,0,1.5\n")
+        read(tmp_path, text + "0,right,0,1.5\n", known={"target": Known((0,))})
+
+
+def test_columns_of_direction_and_run_go_with_numbers_of_positions(tmp_path: Path) -> None:
+    known = {
+        "position": Known((0, 1, 2, 3), angles=(0.0, 1.0, 1.0, 0.0), downward=frozenset((2, 3))),
+        "target": Known((0,)),
+    }
+    text = "position,Richtung,target,length [m]\n0,hin,0,1\n0,rück,0,2\n1,hin,0,3\n1,rück,0,4\n"
+    assert [cells[0] for cells in rows(read(tmp_path, text, known=known))] == ["0", "3", "1", "2"]
