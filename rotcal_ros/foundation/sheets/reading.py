@@ -492,9 +492,7 @@ class _Rows:
         """
         if not known.angles:
             if is_repeated(halts):
-                found = self._passes(halts)
-                self._runs = 1 + max(run for run, _ in found)
-                self._both_directions = len({down for _, down in found}) == 2
+                self._passes(halts)
             return [halt.number for halt in halts]
         numbers = [min(range(len(angles)), key=lambda k: abs(angles[k] - angle))
                    for angle in known.angles]  # fmt: skip
@@ -508,7 +506,7 @@ class _Rows:
             positions[number, runs[number, down], down] = position
             runs[number, down] += 1
         found = self._passes(halts, both=bool(known.downward))
-        if not known.downward and len({down for _, down in found}) == 2:
+        if self._both_directions and not known.downward:
             raise DataError(
                 f"{self._path}: the table goes up and down through its angles, the plan up only: "
                 "set plan.bidirectional=true"
@@ -518,12 +516,17 @@ class _Rows:
         return [positions.get(way, positions[way[0], 0, way[2]]) for way in ways]
 
     def _passes(self, halts: Sequence[Halt], *, both: bool = False) -> list[Pass]:
+        """Return the passes of the halts, and note how many runs they are."""
         for number, text in self._strange[:1]:
             raise DataError(
                 f"{self._path}, row {number}: the direction must be up or down, found {text!r}: "
                 "write one of these"
             )
-        return passes(halts, str(self._path), both=both)
+        found = passes(halts, str(self._path), both=both)
+        runs = self._runs = 1 + max(run for run, _ in found)
+        ways = self._both_directions = len({down for _, down in found}) == 2
+        self._remarks.append(f"{runs} run{'s' * (runs > 1)}{', up and down' * ways}")
+        return found
 
     def _numbers(self, name: str, cells: Sequence[tuple[int, str]]) -> list[str]:
         """Return numbers from 0, by what is known of them and by the labels that stand there."""

@@ -256,6 +256,7 @@ def test_the_order_of_rows_tells_passes(
     text = "\n".join(["angle [deg],target,length [m]", *rows])
     reading = read(tmp_path, text, known={"target": Known((0, 1))})
     assert (reading.runs, reading.both_directions) == (runs, both)
+    assert f"; {runs} run{'s' * (runs - 1)}{', up and down' * both};" in reading.line()
     assert len(reading.angles_deg) == 3
 
 
