@@ -263,7 +263,8 @@ class RowStepFinder:
                 f"{row.place}: {what} was measured already ({', '.join(seen)}), and the plan "
                 f"measures it {'once' if len(steps) == 1 else f'{len(steps)} times'}: keep that "
                 "many rows, or plan what was measured again: plan.bidirectional=true for both "
-                "directions, an angle more for a turn that closes"
+                "directions, plan.runs or plan.arrivals (where the method has them) for more "
+                "runs, an angle more for a turn that closes"
             )
         seen.append(row.place)
         return steps[len(seen) - 1]
