@@ -519,10 +519,10 @@ def _solved(model: Model, white: Floats) -> tuple[Floats, Floats]:
     return u[:, determined], gain
 
 
-def _require_unfelt(model: Model, scale: Floats, open_: Floats, told: Bools) -> None:
+def _require_unfelt(model: Model, scale: Floats, open_: Floats, telling: Bools) -> None:
     """Raise ObservabilityError where an output feels one of the ``open_`` directions (k, p + q).
 
-    Both in unknowns times ``scale`` (p + q,); ``told`` (n, p + q): which observations tell of
+    Both in unknowns times ``scale`` (p + q,); ``telling`` (n, p + q): which observations tell of
     which. What is open else, such as a zero that all readings share, is no matter.
     """
     outputs = _padded(model.every_output, len(scale)) / scale
@@ -532,9 +532,9 @@ def _require_unfelt(model: Model, scale: Floats, open_: Floats, told: Bools) -> 
     size, ways = np.linalg.svd(felt, full_matrices=False)[1:]
     lost = ways[size > FREE * size[0]] @ open_  # what outputs feel of it
     share = np.linalg.norm(lost, axis=0)[: model.size[1]]
-    unseen = ~told.any(axis=0)[: len(share)] & (share > FREE)
+    unseen = ~telling.any(axis=0)[: len(share)] & (share > FREE)
     if unseen.any():
-        names = _in_words(model, np.flatnonzero(unseen), told)
+        names = _in_words(model, np.flatnonzero(unseen), telling)
         raise ObservabilityError(
             f"no observation tells of {names}: measure them, or leave them out"
         )
@@ -544,17 +544,17 @@ def _require_unfelt(model: Model, scale: Floats, open_: Floats, told: Bools) -> 
         along = lost[0, : len(share)]
         named &= along * along[np.argmax(share * wanted)] > 0.0
         if (others := np.flatnonzero(wanted & ~named)).size:
-            one, other = (_in_words(model, k, told) for k in (np.flatnonzero(named), others))
+            part, rest = (_in_words(model, k, telling) for k in (np.flatnonzero(named), others))
             raise ObservabilityError(
-                f"the observations cannot tell {one} from {other}: measure what joins them"
+                f"the observations cannot tell {part} from {rest}: measure what joins them"
             )
-    names = _in_words(model, np.flatnonzero(named), told)
+    names = _in_words(model, np.flatnonzero(named), telling)
     raise ObservabilityError(
         f"the observations cannot tell apart {names}: measure what joins them to the others"
     )
 
 
-def _in_words(model: Model, unknowns: Ints, told: Bools) -> str:
+def _in_words(model: Model, unknowns: Ints, telling: Bools) -> str:
     """Return the names of unknowns, and in brackets the groups of observations that tell of them.
 
     Kinds of groups of which all, or very many, tell of them say nothing.
@@ -562,7 +562,7 @@ def _in_words(model: Model, unknowns: Ints, told: Bools) -> str:
     most = 8
     names = [model.name_of(k) for k in unknowns[:most].tolist()]
     names += [f"{len(unknowns) - most} others"] if len(unknowns) > most else []
-    rows, groups = told[:, unknowns].any(axis=1), list[str]()
+    rows, groups = telling[:, unknowns].any(axis=1), list[str]()
     for grouping in model.groupings:
         every, here = (set(n[n >= 0].tolist()) for n in (grouping.number, grouping.number[rows]))
         if 0 < len(here) < min(len(every), most) and grouping.kind not in model.blocks:

@@ -442,9 +442,9 @@ class _Rows:
 
         So it is where columns tell direction or run, and there are no more numbers than angles.
         """
-        known, told = self._known.get("position", Known()), rows[0][1].keys() & {DIRECTION, RUN}
+        known, beside = self._known.get("position", Known()), rows[0][1].keys() & {DIRECTION, RUN}
         angles = _distinct(known.angles)
-        if not (told and all(numbers) and max(map(int, numbers)) < len(angles)):
+        if not (beside and all(numbers) and max(map(int, numbers)) < len(angles)):
             return numbers
         halts = [
             self._halt(*row, known.angles[int(n)]) for row, n in zip(rows, numbers, strict=True)
