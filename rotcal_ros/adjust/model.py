@@ -532,7 +532,7 @@ def _require_unfelt(model: Model, scale: Floats, open_: Floats, telling: Bools) 
     size, ways = np.linalg.svd(felt, full_matrices=False)[1:]
     lost = ways[size > FREE * size[0]] @ open_  # what outputs feel of it
     share = np.linalg.norm(lost, axis=0)[: model.size[1]]
-    unseen = ~telling.any(axis=0)[: len(share)] & (share > FREE)
+    unseen = (telling[:, : len(share)].sum(axis=0) == 0) & (share > FREE)
     if unseen.any():
         names = _in_words(model, np.flatnonzero(unseen), telling)
         raise ObservabilityError(

@@ -1,7 +1,6 @@
 """Reference tables: an autocollimator with a polygon, or any deviations over angles.
 
-Our own form is ``angle_deg,deviation_arcsec[,u_arcsec]``; others are read by
-:mod:`rotcal_ros.foundation.sheets`.
+Our own form is ``angle_deg,deviation_arcsec[,u_arcsec]``; :func:`read_deviations` reads others.
 """
 
 from __future__ import annotations
@@ -39,15 +38,6 @@ _HEADERS: Final[tuple[Header, ...]] = (
 """Other forms, with a standard uncertainty, an expanded one, one that may be either, or none."""
 _CAPITAL: Final = re.compile(r"'U\b")
 """The heading of an expanded uncertainty, in the notation of the GUM."""
-_WITHOUT: Final[Header] = ("angle_rad", "deviation_rad")
-HEADERS: Final[tuple[Header, ...]] = (
-    (*_WITHOUT, "u_rad"),
-    (*_WITHOUT, "expanded_rad"),
-    (*_WITHOUT, "uncertainty_rad"),
-    _WITHOUT,
-)
-"""Columns of other forms: with a standard uncertainty, an expanded one, one of either, or none."""
-_CAPITAL: Final = re.compile(r"'U\b")
 
 
 def read_deviations(

@@ -130,7 +130,7 @@ def _plan_of(reading: Reading, method: Method) -> dict[str, Any]:
         )
     plan |= {"bidirectional": True} if reading.both_directions else {}
     plan |= {reader.runs: reading.runs} if reading.runs > 1 else {}
-    return plan | reader.again
+    return {**plan, **reader.again}
 
 
 def _require_own_method(source: Path | Table, configuration: Configuration) -> None:

@@ -7,7 +7,8 @@ from pathlib import Path
 import click
 
 from rotcal_ros.cli.console import VERDICT_EXIT_CODES
-from rotcal_ros.extensions.certificate import writing
+from rotcal_ros.extensions.certificate.writing import require_new
+from rotcal_ros.extensions.certificate.writing import write_certificate as write_file
 from rotcal_ros.foundation.session_folder import SessionFolder
 from rotcal_ros.recordings.inputs import Input
 from rotcal_ros.recordings.result_sources import read_source
@@ -26,8 +27,8 @@ def write_certificate(
     session = SessionFolder(given.path)
     folder = given.path if session.bag.is_dir() else given.path.parent
     output = output or folder / "certificate.xml"
-    writing.require_new(output)
+    require_new(output)
     result = read_source(given.path, given).result
-    writing.write_certificate(result, output, key=key, x509=x509)
+    write_file(result, output, key=key, x509=x509)
     say(f"certificate: {output.absolute()}")
     return VERDICT_EXIT_CODES[result.verdict]
