@@ -9,6 +9,7 @@ from typing import Final, Literal
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.settings import check_ros_name, group, of_changes, setting
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICRORADIAN
+from rotcal_ros.foundation.untrusted import load_yaml
 
 
 @dataclass(frozen=True)
@@ -272,7 +273,7 @@ def is_limit(change: str) -> bool:
 
 def changed_limits(changes: Sequence[str]) -> ReadingLimits:
     """Return the limits with ``reading.name=value`` changes; ConfigurationError for all others."""
-    return of_changes(ReadingLimits, _GROUP, changes)
+    return of_changes(ReadingLimits, _GROUP, changes, load_yaml)
 
 
 def refusal(what: str, setting_name: str, least: int) -> str:

@@ -99,10 +99,11 @@ def references(
     from rotcal_ros.foundation.settings import of_changes
     from rotcal_ros.foundation.sheets.reading import SheetSettings
     from rotcal_ros.foundation.tables import is_table
+    from rotcal_ros.foundation.untrusted import load_yaml
     from rotcal_ros.recordings.result_sources import References
     from rotcal_ros.report.terminal.console import understood
 
-    sheet = of_changes(SheetSettings, "sheet", changes)
+    sheet = of_changes(SheetSettings, "sheet", changes, load_yaml)
     found = References(reference_std, None, sheet, understood)
     if polygon is None:
         return found

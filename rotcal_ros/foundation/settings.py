@@ -17,7 +17,6 @@ from typing import Any, TypeVar
 
 from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.plugins import nearest
-from rotcal_ros.foundation.untrusted import load_yaml
 
 T = TypeVar("T")
 
@@ -141,10 +140,13 @@ def load(cls: type[T], values: Mapping[str, Any] | None, where: str) -> T:
         raise ConfigurationError(f"{where}: {error}") from error
 
 
-def of_changes(cls: type[T], group: str, changes: Sequence[str]) -> T:
+def of_changes(
+    cls: type[T], group: str, changes: Sequence[str], parsed: Callable[[str, str], Any]
+) -> T:
     """Return the settings of a ``group`` with ``group.name=value`` changes and nothing else.
 
-    A value is YAML; of a setting that is a text it is that text. Raises ConfigurationError for
+    Of a setting that is a text a value is that text; else ``parsed`` reads it, given the text and
+    its place. Raises ConfigurationError for
     changes of other groups.
     """
     texts = {d.name for d in declarations(cls) if d.kind is str and not d.is_list}
@@ -154,7 +156,7 @@ def of_changes(cls: type[T], group: str, changes: Sequence[str]) -> T:
         first, dot, name = place.partition(".")
         if first != group or not dot or not equals:
             raise ConfigurationError(f"--set {change}: expected {group}.NAME=VALUE")
-        values[name] = value if name in texts else load_yaml(value, f"--set {change}")
+        values[name] = value if name in texts else parsed(value, f"--set {change}")
     return load(cls, values, f"--set: {group}")
 
 
