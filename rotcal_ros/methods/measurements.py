@@ -104,7 +104,8 @@ def read_measurements(
     if reading.angles_deg:
         text = replaced(configuration, "plan", _plan_of(reading, method))
         configuration = parse_configuration(text, configuration.source)
-        reading = read_any(source, reader.headers, settings, known)
+        if reading.runs > 1 or reading.both_directions:  # only now there are positions for them
+            reading = read_any(source, reader.headers, settings, known)
     elif "plan" not in configuration.given:
         raise ConfigurationError(
             f"{configuration.source} has no group 'plan': it has to say which table angles the "
