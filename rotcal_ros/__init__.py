@@ -41,7 +41,7 @@ _MODULES = {
     "tracer_six": "api.tracer_six",
 }
 """Name -> the module that it is."""
-_OF_EXTENSIONS = ("plan_plate",)
+_OF_EXTENSIONS = ("plan_plate", "write_certificate")
 """Names that extensions bring, where they are installed."""
 _PLACES = {name: module for module, names in _NAMES.items() for name in names}
 

@@ -27,6 +27,7 @@ from rotcal_ros.api.reading import read_table as read_table
 from rotcal_ros.compensation.controllers import controller_names as controller_names
 from rotcal_ros.compensation.table import CompensationTable as CompensationTable
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns as BidirectionalRuns
+from rotcal_ros.extensions.certificate.writing import write_certificate as write_certificate
 from rotcal_ros.extensions.design.ball_plate.ball_layout import plan_plate as plan_plate
 from rotcal_ros.foundation.components import unit_of as unit_of
 from rotcal_ros.foundation.errors import RotcalError as RotcalError

@@ -99,7 +99,7 @@ def main() -> None:
     parser.add_argument("--ageing", type=float, default=0.12, help="arcsec, since then")
     parser.add_argument("--set", action="append", default=["solver.length_std_m=2e-7"])
     asked = parser.parse_args()
-    earlier = read_curve(EARLIER, "ECC", None)
+    earlier = read_curve(EARLIER, "ECC")
     rule = CheckRule(asked.within * ARCSEC, ageing_std=asked.ageing * ARCSEC)
     plan = plan_check(changed(read_configuration(SETUP), asked.set), earlier, rule)
     print(

@@ -27,7 +27,7 @@ GROUPS = (
         "extensions/ros2_control", "methods/simulat", "methods/clock_errors",
     )),
     ("Bags, tables, replay", "recording.md#checking-and-repairing", (
-        "bags/", "recordings/", "foundation/tables", "foundation/untrusted",
+        "bags/", "recordings/", "foundation/tables", "foundation/sheets", "foundation/untrusted",
         "methods/measurements", "extensions/fleet", "extensions/replay",
     )),
     ("Plans", "planning.md", ("planning/", "extensions/design", "cli/plan")),

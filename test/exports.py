@@ -1,4 +1,4 @@
-"""The sample lengths, as 24 programs and people would export them; all written by other code."""
+"""The sample lengths, as 34 programs and people would export them; all written by other code."""
 
 from __future__ import annotations
 
@@ -216,6 +216,59 @@ def open_document(path: Path) -> None:
         archive.writestr("META-INF/manifest.xml", "<manifest/>")
 
 
+def of_dos(path: Path) -> None:
+    text = "Prüfung;;\n" + lines(("Tischposition", "Ziel", "Länge [mm]"), comma(MM), ";")
+    path.write_bytes(text.replace("\n", "\r\n").encode("cp850"))
+
+
+def of_matlab(path: Path) -> None:
+    rows = [(p, t, f"{float(n):.12e}") for p, t, n in MM]
+    path.write_text(lines(("Position", "Target", "Length_mm"), [*rows, ("NaN",) * 3], ","))
+
+
+def of_r(path: Path) -> None:
+    rows = [(f'"{k}"', *row) for k, row in enumerate(comma(MM), 1)]
+    path.write_text(lines(('""', '"position"', '"target"', '"length_mm"'), rows, ";"))
+
+
+def fixed_width_with_units(path: Path) -> None:
+    rows = [(f"{p:4} {t:6} {n:>15}",) for p, t, n in MM]
+    path.write_text(lines((" Pos Target        Length\n [-]    [1]          [mm]",), rows, ""))
+
+
+def of_fortran(path: Path) -> None:
+    rows = [(p, t, f"{length}D+00") for p, t, length in sample()]
+    path.write_text(lines(("POS", "TGT", "LENGTH(M)"), rows, "  "))
+
+
+def head_in_a_comment(path: Path) -> None:
+    head = "% lengths of the table\n%\n% Position Target Length/mm"
+    path.write_text(lines((head,), [(f"{p} {t} {n}",) for p, t, n in MM], "") + "% end of file\n")
+
+
+def swiss(path: Path) -> None:
+    um = [(p, t, n.replace(".", "")) for p, t, n in MM]
+    rows = [(p, t, f"{int(n[:-4]):,}".replace(",", "'") + "." + n[-4:]) for p, t, n in um]
+    path.write_text(lines(("Position", "Ziel", "Länge [µm]"), rows, ";"), encoding="utf-8")
+
+
+def with_totals(path: Path) -> None:
+    ends = [(word, "", "12,5") for word in ("Summe:", "Ø", "Anzahl Werte", "Std.-Abw.")]
+    head = ("Position", "Ziel", "Länge [mm]")
+    path.write_text(lines(head, [*comma(MM), *ends], ";"), encoding="utf-8")
+
+
+def another_table_below(path: Path) -> None:
+    text = lines(("Position", "Ziel", "Länge [mm]"), comma(MM), ";")
+    places = lines(("Ziel", "X [mm]", "Y [mm]", "Z [mm]"), [(0, "1,5", "2,5", "3,5")], ";")
+    path.write_text(f"{text};;\n{places}", encoding="utf-8")
+
+
+def two_languages(path: Path) -> None:
+    head = "Position;Ziel;Länge\nposition;target;length\n[-];[-];[mm]"
+    path.write_text(lines((head,), [(";".join(map(str, r)),) for r in comma(MM)], ""))
+
+
 EXPORTS: dict[str, Callable[[Path], None]] = {
     "german.csv": german,
     "german_ansi.csv": german_ansi_with_titles,
@@ -239,6 +292,16 @@ EXPORTS: dict[str, Callable[[Path], None]] = {
     "targets_inside.xlsx": excel_with_targets,
     "texts.xlsx": excel_of_texts,
     "open.ods": open_document,
+    "dos.csv": of_dos,
+    "matlab.csv": of_matlab,
+    "r.csv": of_r,
+    "units_row.txt": fixed_width_with_units,
+    "fortran.dat": of_fortran,
+    "comment.txt": head_in_a_comment,
+    "swiss.csv": swiss,
+    "totals.csv": with_totals,
+    "another_below.csv": another_table_below,
+    "two_languages.csv": two_languages,
 }
 """Name of the file -> what writes it; all hold the sample lengths to the last digit."""
 ROUNDED: dict[str, Callable[[Path], None]] = {"inches.csv": inches, "thousands.csv": thousands}

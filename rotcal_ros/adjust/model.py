@@ -514,16 +514,16 @@ def _solved(model: Model, white: Floats) -> tuple[Floats, Floats]:
     determined = s > OPEN * s[0]
     if not determined.all() or len(s) < len(scale):
         full = vt if len(vt) == len(scale) else np.linalg.svd(white / scale)[2]
-        _require_unfelt(model, scale, full[int(determined.sum()) :], (white != 0.0).any(axis=0))
+        _require_unfelt(model, scale, full[int(determined.sum()) :], white != 0.0)
     gain = (vt[determined].T / s[determined]) @ u[:, determined].T / scale[:, None]
     return u[:, determined], gain
 
 
-def _require_unfelt(model: Model, scale: Floats, open_: Floats, seen: Bools) -> None:
+def _require_unfelt(model: Model, scale: Floats, open_: Floats, telling: Bools) -> None:
     """Raise ObservabilityError where an output feels one of the ``open_`` directions (k, p + q).
 
-    Both in unknowns times ``scale`` (p + q,); ``seen``: those that observations tell of at all.
-    What is open else, such as a zero that all readings share, is no matter.
+    Both in unknowns times ``scale`` (p + q,); ``telling`` (n, p + q): which observations tell of
+    which. What is open else, such as a zero that all readings share, is no matter.
     """
     outputs = _padded(model.every_output, len(scale)) / scale
     felt = outputs @ open_.T
@@ -532,12 +532,42 @@ def _require_unfelt(model: Model, scale: Floats, open_: Floats, seen: Bools) -> 
     size, ways = np.linalg.svd(felt, full_matrices=False)[1:]
     lost = ways[size > FREE * size[0]] @ open_  # what outputs feel of it
     share = np.linalg.norm(lost, axis=0)[: model.size[1]]
-    unseen = ~seen[: len(share)] & (share > FREE)
-    named = np.flatnonzero(unseen if unseen.any() else share > NAMED * share.max())
-    names = ", ".join(model.name_of(k) for k in named[:8].tolist())
-    more = f" and {len(named) - 8} others" if len(named) > 8 else ""
-    why = "no observation tells of" if unseen.any() else "the observations cannot tell apart"
-    raise ObservabilityError(f"{why} {names}{more}: measure what joins them to the others")
+    unseen = (telling[:, : len(share)].sum(axis=0) == 0) & (share > FREE)
+    if unseen.any():
+        names = _in_words(model, np.flatnonzero(unseen), telling)
+        raise ObservabilityError(
+            f"no observation tells of {names}: measure them, or leave them out"
+        )
+    wanted = (outputs != 0.0).any(axis=0)[: len(share)]
+    named = wanted & (share > NAMED * share[wanted].max())
+    if len(lost) == 1:  # one part has moved against the other
+        along = lost[0, : len(share)]
+        named &= along * along[np.argmax(share * wanted)] > 0.0
+        if (others := np.flatnonzero(wanted & ~named)).size:
+            part, rest = (_in_words(model, k, telling) for k in (np.flatnonzero(named), others))
+            raise ObservabilityError(
+                f"the observations cannot tell {part} from {rest}: measure what joins them"
+            )
+    names = _in_words(model, np.flatnonzero(named), telling)
+    raise ObservabilityError(
+        f"the observations cannot tell apart {names}: measure what joins them to the others"
+    )
+
+
+def _in_words(model: Model, unknowns: Ints, telling: Bools) -> str:
+    """Return the names of unknowns, and in brackets the groups of observations that tell of them.
+
+    Kinds of groups of which all, or very many, tell of them say nothing.
+    """
+    most = 8
+    names = [model.name_of(k) for k in unknowns[:most].tolist()]
+    names += [f"{len(unknowns) - most} others"] if len(unknowns) > most else []
+    rows, groups = telling[:, unknowns].any(axis=1), list[str]()
+    for grouping in model.groupings:
+        every, here = (set(n[n >= 0].tolist()) for n in (grouping.number, grouping.number[rows]))
+        if 0 < len(here) < min(len(every), most) and grouping.kind not in model.blocks:
+            groups += [f"{grouping.kind} {k}" for k in sorted(here)]
+    return ", ".join(names) + (f" ({', '.join(groups)})" if groups else "")
 
 
 def _padded(rows: Floats, unknowns: int) -> Floats:

@@ -41,7 +41,7 @@ def compare(
 ) -> Comparison:
     """Compare two independent measurements of one table within their stated uncertainties.
 
-    Each is a result, its file, a bag, or a reference table (.csv). The offset that no method can
+    Each is a result, its file, a bag, or a reference table. The offset that no method can
     know is removed, and ``align_order`` harmonics. ``difference`` (n,) = first - second, m or rad;
     ``normalised_error`` is E_n with k = 2; ``agree`` is the verdict. Raises DataError for an
     absent component and for too few common angles.
@@ -68,7 +68,7 @@ def check(
 ) -> QuickCheck:
     """Judge from a new measurement whether an earlier curve is still within a limit of the table.
 
-    Each is a result, its file, a bag, or a reference table (.csv), measured independently.
+    Each is a result, its file, a bag, or a reference table, measured independently.
     ``within`` and ``ageing_std``, the usual change since then of each angle (k = 1), in rad or m.
     ``verdict`` is "still valid", "changed" or "undecided"; ``miss`` and ``false_alarm`` are the
     risks that the first two are wrong, see docs/quick_check.md. Raises DataError for a result
@@ -91,7 +91,7 @@ def check(
 def combine(*results: Curve, enlarge: Enlargement = "birge") -> Result:
     """Return the best estimate of one table's deviations from independent measurements.
 
-    Each is a result, its file or session, a bag, a reference curve or its table (.csv).
+    Each is a result, its file or session, a bag, a reference curve or its table.
     Generalised least squares with all covariances; every input has its own zero, and everything in
     the result counts from its mean. ``verdict`` is suspect if an input is or if they contradict
     each other: then ``enlarge`` ("birge", "mandel-paule", "none") says what is done to the
@@ -184,7 +184,7 @@ def write_report(
 
 def _curve(curve: Curve, component: str) -> MeasuredCurve:
     if isinstance(curve, str | PathLike):
-        return read_curve(Path(curve), component, None)
+        return read_curve(Path(curve), component)
     return measured_curve(curve, component) if isinstance(curve, Result) else curve
 
 

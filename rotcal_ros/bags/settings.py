@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 from rotcal_ros.foundation.errors import ConfigurationError
-from rotcal_ros.foundation.settings import check_ros_name, expert, group, load, setting
+from rotcal_ros.foundation.settings import check_ros_name, expert, group, of_changes, setting
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICRORADIAN
 from rotcal_ros.foundation.untrusted import load_yaml
 
@@ -271,14 +271,7 @@ def is_limit(change: str) -> bool:
 
 def changed_limits(changes: Sequence[str]) -> ReadingLimits:
     """Return the limits with ``reading.name=value`` changes; ConfigurationError for all others."""
-    values: dict[str, Any] = {}
-    for change in changes:
-        name, equals, value = change.partition("=")
-        first, dot, limit = name.partition(".")
-        if first != _GROUP or not dot or not equals:
-            raise ConfigurationError(f"--set {change}: expected {_GROUP}.NAME=VALUE")
-        values[limit] = load_yaml(value, f"--set {change}")
-    return load(ReadingLimits, values, f"--set: {_GROUP}")
+    return of_changes(ReadingLimits, _GROUP, changes, load_yaml)
 
 
 def refusal(what: str, setting_name: str, least: int) -> str:

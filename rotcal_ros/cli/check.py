@@ -13,8 +13,10 @@ from rotcal_ros.cli.options import (
     align_option,
     component_option,
     reference_option,
+    references,
     rule_of,
     rule_options,
+    sheet_option,
 )
 from rotcal_ros.foundation.components import unit_of
 
@@ -29,6 +31,7 @@ EXIT_CODES: Final[Mapping[CheckVerdict, int]] = {"still valid": 0, "changed": 1,
 @click.argument("new", type=path_type)
 @rule_options
 @reference_option
+@sheet_option
 @component_option
 @align_option
 @json_option
@@ -36,6 +39,7 @@ def command(
     earlier: Path,
     new: Path,
     reference_std: float | None,
+    changes: tuple[str, ...],
     component: str,
     align_order: int,
     as_json: bool,
@@ -43,7 +47,7 @@ def command(
 ) -> int:
     """Judge by a NEW measurement whether the EARLIER curve still describes the table.
 
-    Both are a result.json, bag, session or reference table (.csv), of any method. The verdict is
+    Both are a result.json, bag, session or reference table, of any method. The verdict is
     'still valid' if every measured angle is within the limit less a guard band, 'changed' if the
     table moved by more than uncertainty and ageing explain, else 'undecided'. The exit code is 0,
     1 or 3. 'rotcal plan check' plans what a tracer has to measure for it.
@@ -52,7 +56,8 @@ def command(
     from rotcal_ros.recordings.result_sources import read_curve
 
     unit, label = unit_of(component)
-    curves = [read_curve(path, component, None, reference_std) for path in (earlier, new)]
+    how = references((earlier, new), reference_std, changes)
+    curves = [read_curve(path, component, how) for path in (earlier, new)]
     check = quick_check(curves[0], curves[1], rule_of(unit, **asked), align_order, unit, label)
     if as_json:
         print_json({"component": component, **check.to_dict()})

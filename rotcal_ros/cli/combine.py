@@ -14,7 +14,7 @@ from rotcal_ros.cli.console import (
     path_type,
     print_json,
 )
-from rotcal_ros.cli.options import polygon_faces, polygon_option, reference_option
+from rotcal_ros.cli.options import polygon_option, reference_option, references, sheet_option
 from rotcal_ros.report.terminal.console import say
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 )
 @polygon_option
 @reference_option
+@sheet_option
 @json_option
 def command(
     sources: tuple[Path, ...],
@@ -43,9 +44,10 @@ def command(
     enlarge: Enlargement,
     polygon: Path | None,
     reference_std: float | None,
+    changes: tuple[str, ...],
     as_json: bool,
 ) -> int:
-    """Combine results of one table: result.json, bags, sessions, reference tables (.csv).
+    """Combine results of one table: result.json, bags, sessions, reference tables.
 
     Generalised least squares with all covariances; the zero of every input is unknown. Inputs that
     rest on the same observations count once. If inputs contradict each other (chi-square), the
@@ -57,10 +59,8 @@ def command(
     from rotcal_ros.foundation.files import write_atomically
     from rotcal_ros.recordings.result_sources import read_measured
 
-    faces = polygon_faces(polygon, sources, reference_std)
-    combined = combine(
-        [read_measured(source, faces, reference_std) for source in sources], enlarge
-    )
+    how = references(sources, reference_std, changes, polygon)
+    combined = combine([read_measured(source, how) for source in sources], enlarge)
     result = combined.result
     text = result.to_json()
     if output is not None:

@@ -13,20 +13,23 @@ from rotcal_ros.cli.console import NamedFile, draw, json_option, path_type, prin
 from rotcal_ros.cli.options import (
     align_option,
     component_option,
-    polygon_faces,
     polygon_option,
     reference_option,
+    references,
+    sheet_option,
 )
 
 if TYPE_CHECKING:
     from rotcal_ros.evaluation.compare import Comparison
     from rotcal_ros.foundation.curves.measured import MeasuredCurve
+    from rotcal_ros.recordings.result_sources import References
 
 
 @click.command()
 @click.argument("sources", nargs=-1, required=True, type=path_type, metavar="A B [C ...] | FOLDER")
 @polygon_option
 @reference_option
+@sheet_option
 @component_option
 @align_option
 @click.option(
@@ -45,19 +48,20 @@ def command(
     sources: tuple[Path, ...],
     polygon: Path | None,
     reference_std: float | None,
+    changes: tuple[str, ...],
     component: str,
     align_order: int,
     truth: bool,
     output: Path | None,
     as_json: bool,
 ) -> int:
-    """Compare results of one table pair by pair: result.json, bags, sessions, references (.csv).
+    """Compare results of one table pair by pair: result.json, bags, sessions, reference tables.
 
-    A reference table has the columns angle_deg, deviation_arcsec and, unless --reference-u states
-    it, u_arcsec. A file of several evaluations (rotcal solve --balls ... -o) counts as all of
-    them. Correlations between results of the same data are taken into account. The offset, which
-    no method can determine, is removed. The exit code is 1 if a pair disagrees by more than chance
-    explains, judged by |E_n| at single angles and at all angles together.
+    A reference table has angles, deviations and, unless --reference-u states them, uncertainties,
+    in any form: a workbook or a text. A file of several evaluations (rotcal solve --balls ... -o)
+    counts as all of them. Correlations between results of the same data are taken into account.
+    The offset, which no method can determine, is removed. The exit code is 1 if a pair disagrees
+    by more than chance explains, judged by |E_n| at single angles and at all angles together.
 
     With --truth every result.json and result_NAME.json beside a truth.json in FOLDER or below is
     scored, for the open data set and for simulated sessions: errors, intervals that hold the
@@ -65,15 +69,15 @@ def command(
     wrong by more than its U.
     """
     if truth:
-        others = polygon, output, align_order, reference_std is not None, component != "ECC"
-        if len(sources) > 1 or any(others):
+        stated = reference_std is not None or component != "ECC"
+        if len(sources) > 1 or any((polygon, output, align_order, changes, stated)):
             raise click.UsageError("--truth takes one FOLDER, and of the options --json alone")
         return _scored(sources[0], as_json=as_json)
     from rotcal_ros.evaluation.compare import compare_all
 
     if len(set(sources)) < len(sources):
         raise click.UsageError("give each result only once")
-    curves = _read(sources, polygon, component, reference_std)
+    curves = _read(sources, component, references(sources, reference_std, changes, polygon))
     if len(curves) < 2:
         raise click.UsageError("give at least two different results to compare")
     comparisons = compare_all(curves, align_order)
@@ -108,16 +112,13 @@ def _scored(folder: Path, *, as_json: bool) -> int:
     return int(any(score.misleads for score in scores))
 
 
-def _read(
-    sources: tuple[Path, ...], polygon: Path | None, component: str, reference_std: float | None
-) -> dict[str, MeasuredCurve]:
+def _read(sources: tuple[Path, ...], component: str, how: References) -> dict[str, MeasuredCurve]:
     from rotcal_ros.recordings.result_sources import read_curves
 
-    faces = polygon_faces(polygon, sources, reference_std)
     return {
         name: curve
         for source in sources
-        for name, curve in read_curves(source, component, faces, reference_std).items()
+        for name, curve in read_curves(source, component, how).items()
     }
 
 

@@ -6,7 +6,8 @@ loaded before every verb, so it imports nothing that takes time.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
@@ -20,8 +21,8 @@ from rotcal_ros.foundation.components import COMPONENTS
 from rotcal_ros.foundation.units import ARCSEC
 
 if TYPE_CHECKING:
-    from rotcal_ros.foundation.curves.measured import MeasuredCurve
     from rotcal_ros.planning.check_rule import CheckRule
+    from rotcal_ros.recordings.result_sources import References
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -76,23 +77,39 @@ polygon_option: Final = click.option(
 )
 
 
-def polygon_faces(
-    polygon: Path | None, sources: Iterable[Path], reference_std: float | None
-) -> MeasuredCurve | None:
-    """Return the calibrated faces in the file ``polygon``, if one is given.
+sheet_option = click.option(
+    "--set",
+    "changes",
+    multiple=True,
+    metavar="sheet.NAME=VALUE",
+    help="How a reference table is read, where it can be read in two ways.",
+)
 
-    ``reference_std`` (rad) holds for faces that state no uncertainty. Raises UsageError if there
-    is no reference table among ``sources``.
+
+def references(
+    sources: Iterable[Path],
+    reference_std: float | None,
+    changes: Sequence[str],
+    polygon: Path | None = None,
+) -> References:
+    """Return how reference tables are read by these options.
+
+    Raises UsageError for a ``polygon`` without a reference table among ``sources``.
     """
-    if polygon is None:
-        return None
-    from rotcal_ros.evaluation.reference import read_reference
+    from rotcal_ros.foundation.settings import of_changes
+    from rotcal_ros.foundation.sheets.reading import SheetSettings
     from rotcal_ros.foundation.tables import is_table
-    from rotcal_ros.recordings.result_sources import read_text
+    from rotcal_ros.foundation.untrusted import load_yaml
+    from rotcal_ros.recordings.result_sources import References
+    from rotcal_ros.report.terminal.console import understood
 
+    sheet = of_changes(SheetSettings, "sheet", changes, load_yaml)
+    found = References(reference_std, None, sheet, understood)
+    if polygon is None:
+        return found
     if not any(map(is_table, sources)):
         raise click.UsageError("--polygon needs a reference table, and none is given")
-    return read_reference(read_text(polygon), str(polygon), reference_std)
+    return replace(found, polygon=found.faces(polygon))
 
 
 _risk = click.FloatRange(0.0, 0.5, min_open=True, max_open=True)

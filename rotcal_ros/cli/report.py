@@ -107,7 +107,7 @@ def command(
             Input(source, setup, targets, changes, announce=understood), output, sign, certificate
         )
     if sign or certificate:
-        raise click.UsageError("--sign and --certificate belong to --dcc")
+        raise click.UsageError("--sign and --certificate belong to --dcc: add it")
     # Figures take a second to load; a wrong option should not wait for them.
     from rotcal_ros.recordings.inputs import Input
     from rotcal_ros.recordings.result_sources import read_source

@@ -1,9 +1,15 @@
-"""Reference tables: an autocollimator with a polygon, or any ``angle_deg,deviation_arcsec``."""
+"""Reference tables: an autocollimator with a polygon, or any deviations over angles.
+
+Our own form is ``angle_deg,deviation_arcsec[,u_arcsec]``; :func:`read_deviations` reads others.
+"""
 
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -12,10 +18,65 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, TURN, wrapped
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, period_of
 from rotcal_ros.foundation.errors import BagError, DataError
-from rotcal_ros.foundation.tables import csv_rows
+from rotcal_ros.foundation.sheets.reading import (
+    AS_IT_STANDS,
+    Reading,
+    SheetSettings,
+    read_any,
+)
+from rotcal_ros.foundation.sheets.words import answer
+from rotcal_ros.foundation.tables import Header, csv_rows
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
 COLUMNS: Final = ("angle_deg", "deviation_arcsec", "u_arcsec")
+_EXPANDED: Final = "expanded_rad"
+_EITHER: Final = "uncertainty_rad"
+_WITHOUT: Final[Header] = ("angle_rad", "deviation_rad")
+_HEADERS: Final[tuple[Header, ...]] = (
+    (*_WITHOUT, "u_rad"), (*_WITHOUT, _EXPANDED), (*_WITHOUT, _EITHER), _WITHOUT
+)  # fmt: skip
+"""Other forms, with a standard uncertainty, an expanded one, one that may be either, or none."""
+_CAPITAL: Final = re.compile(r"'U\b")
+"""The heading of an expanded uncertainty, in the notation of the GUM."""
+
+
+def read_deviations(
+    path: Path,
+    std: float | None = None,
+    sheet: SheetSettings = AS_IT_STANDS,
+    announce: Callable[[Reading], object] = str,
+) -> MeasuredCurve:
+    """Return the curve in a table of another form: deviations over angles, both in any unit.
+
+    An expanded uncertainty is taken as U with k = 2. ``sheet`` says what the table leaves open,
+    ``announce`` is given how it was understood. ``std`` and errors as of :func:`read_reference`.
+    """
+    reading = read_any(path, _HEADERS, sheet)
+    stated = reading.table.header[2:]
+    if stated and not any(entry.startswith(("u=", "expanded=")) for entry in sheet.columns):
+        _require_known_factor(reading)
+    announce(reading)
+    factor = 0.5 if stated == (_EXPANDED,) else 1.0
+    rows = []
+    for row in reading.table.rows():
+        angle, deviation, *u = (row.number(name) for name in reading.table.header)
+        if u and u[0] < 0.0:
+            raise DataError(f"{row.place}: the uncertainty is negative: {u[0] / ARCSEC:g} arcsec")
+        rows.append((angle, deviation, u[0] * factor if u else (std or 0.0)))
+    return _curve(rows, str(path), stated=bool(stated) or std is not None)
+
+
+def _require_known_factor(reading: Reading) -> None:
+    """Raise DataError for an uncertainty of which nobody says whether it is expanded."""
+    theirs = [*reading.columns.values()][2]
+    named, capital = reading.table.header[2], _CAPITAL.match(theirs)
+    if named == _EITHER or (named == "u_rad" and capital):
+        text = theirs.rpartition("'")[0].strip("'")
+        raise DataError(
+            f"{reading.table.path}: the column {text!r} may hold standard uncertainties (k = 1) "
+            f"or expanded ones (k = 2): say which: {answer('u', text)} or "
+            f"{answer('expanded', text)}"
+        )
 
 
 def read_reference(text: str, name: str, std: float | None = None) -> MeasuredCurve:
@@ -38,14 +99,27 @@ def read_reference(text: str, name: str, std: float | None = None) -> MeasuredCu
         for line, cells in enumerate(reader, start=2)
         if cells
     ]
+    data = [[*row, (std or 0.0) / ARCSEC][:3] for row in rows]
+    in_si = [(angle * DEGREE, value * ARCSEC, u * ARCSEC) for angle, value, u in data]
+    return _curve(in_si, name, stated=std is not None or head == COLUMNS)
+
+
+def _curve(
+    rows: Sequence[tuple[float, float, float]], name: str, *, stated: bool
+) -> MeasuredCurve:
+    """Return the curve of angles, deviations and standard uncertainties (rad).
+
+    ``stated``: somebody has stated the uncertainties.
+    """
     if len(rows) < 3:
         raise DataError(f"{name}: {len(rows)} rows, expected at least 3")
-    data = np.array([[*row, (std or 0.0) / ARCSEC][:3] for row in rows])
-    data = data[np.argsort(data[:, 0])]
-    angles, deviation, uncertainty = data[:, 0] * DEGREE, data[:, 1] * ARCSEC, data[:, 2] * ARCSEC
+    angles, deviation, uncertainty = np.array(sorted(rows, key=lambda row: row[0])).T
     if np.any(np.diff(angles) < SAME_ANGLE):
         twice = angles[np.argmax(np.diff(angles) < SAME_ANGLE)] / DEGREE
-        raise DataError(f"{name}: the angle {twice:.6g} deg occurs twice")
+        raise DataError(
+            f"{name}: the angle {twice:.6g} deg occurs twice: keep one of the rows, or their mean "
+            "(`rotcal iso230` evaluates repeated runs)"
+        )
     period = period_of(angles)
     if period and abs(angles[-1] - angles[0] - TURN) < SAME_ANGLE:
         gap, limit = (
@@ -58,7 +132,7 @@ def read_reference(text: str, name: str, std: float | None = None) -> MeasuredCu
                 f"differ by {gap / ARCSEC:.4g} arcsec, expected the same table position to agree"
             )
         angles, deviation, uncertainty = angles[:-1], deviation[:-1], uncertainty[:-1]
-    if std is None and head != COLUMNS:
+    if not stated:
         raise DataError(
             f"{name} states no uncertainty: add a column u_arcsec, or state one for all rows with "
             "--reference-u (standard uncertainty, k = 1)"

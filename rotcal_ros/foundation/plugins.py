@@ -56,7 +56,7 @@ OF_EXTENSIONS: Final = {
     ),
     STORES: ("opcua", "ads"),
     PLANS: ("check", "effort", "plate", "sequence", "tracer", "trade"),
-    FUNCTIONS: ("plan_plate",),
+    FUNCTIONS: ("plan_plate", "write_certificate"),
 }  # fmt: skip
 """Names from extensions of this package; if they are missing, errors say what to install."""
 _OWN: Final = "rotcal_ros"

@@ -519,7 +519,10 @@ class Result:
         Raises DataError, with the entry, when it is none or does not fit together.
         """
         if not isinstance(data, Mapping) or data.get("schema") != SCHEMA:
-            raise DataError(f"not a rotcal result of schema {SCHEMA}: no matching 'schema' entry")
+            raise DataError(
+                f"not a rotcal result of schema {SCHEMA}: no matching 'schema' entry; solve the "
+                "bag or the table again"
+            )
         try:
             return _result(data)
         except KeyError as error:

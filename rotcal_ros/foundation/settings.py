@@ -127,7 +127,10 @@ def load(cls: type[T], values: Mapping[str, Any] | None, where: str) -> T:
     """
     values = {} if values is None else values
     if not isinstance(values, Mapping):
-        raise ConfigurationError(f"{where}: expected a group of settings, found {values!r:.80}")
+        raise ConfigurationError(
+            f"{where}: expected a group of settings, found {values!r:.80}: "
+            "put its settings below it, indented, as NAME: VALUE"
+        )
     hints = typing.get_type_hints(cls)
     fields = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
     for name in values:
@@ -145,11 +148,31 @@ def load(cls: type[T], values: Mapping[str, Any] | None, where: str) -> T:
         elif field.default is MISSING and field.default_factory is MISSING:
             what = "a group of settings" if dataclasses.is_dataclass(hints[name]) else ""
             what = what or field.metadata["setting"].description
-            raise ConfigurationError(f"{where}: setting {name!r} is missing ({what})")
+            raise ConfigurationError(f"{where}: setting {name!r} is missing ({what}): add it")
     try:
         return cls(**loaded)
     except ConfigurationError as error:  # settings that do not go together
         raise ConfigurationError(f"{where}: {error}") from error
+
+
+def of_changes(
+    cls: type[T], group: str, changes: Sequence[str], parsed: Callable[[str, str], Any]
+) -> T:
+    """Return the settings of a ``group`` with ``group.name=value`` changes and nothing else.
+
+    Of a setting that is a text a value is that text; else ``parsed`` reads it, given the text and
+    its place. Raises ConfigurationError for
+    changes of other groups.
+    """
+    texts = {d.name for d in declarations(cls) if d.kind is str and not d.is_list}
+    values: dict[str, Any] = {}
+    for change in changes:
+        place, equals, value = change.partition("=")
+        first, dot, name = place.partition(".")
+        if first != group or not dot or not equals:
+            raise ConfigurationError(f"--set {change}: expected {group}.NAME=VALUE")
+        values[name] = value if name in texts else parsed(value, f"--set {change}")
+    return load(cls, values, f"--set: {group}")
 
 
 def to_mapping(settings: Any) -> dict[str, Any]:
@@ -206,7 +229,9 @@ def checked_value(value: Any, declared: Declaration, place: str) -> Any:
     if not declared.is_list:
         return _scalar(value, declared, place)
     if isinstance(value, str) or not isinstance(value, Sequence):
-        raise ConfigurationError(f"{place}: expected a list, found {value!r:.80}")
+        raise ConfigurationError(
+            f"{place}: expected a list, found {value!r:.80}: put it in brackets, as [1, 2]"
+        )
     if declared.length is None and _are_points(value):
         value = [number for point in value for number in point]
     if declared.length not in (None, len(value)):
@@ -225,7 +250,9 @@ def _are_points(values: Sequence[Any]) -> bool:
 def _scalar(value: Any, declared: Declaration, place: str) -> Any:
     kind, info = declared.kind, declared.info
     if isinstance(value, int) and abs(value) > _LARGEST:
-        raise ConfigurationError(f"{place}: a number of more than 64 bits ({info.description})")
+        raise ConfigurationError(
+            f"{place}: a number of more than 64 bits ({info.description}): give a smaller one"
+        )
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
     if kind is float and isinstance(value, str) and _EXPONENT.fullmatch(value):
@@ -237,7 +264,8 @@ def _scalar(value: Any, declared: Declaration, place: str) -> Any:
         )
     if kind is str and _NO_TEXT.search(value):
         raise ConfigurationError(
-            f"{place}: {value!r:.60} is not valid text: it holds a NUL or an unpaired surrogate"
+            f"{place}: {value!r:.60} is not valid text: it holds a NUL or an unpaired surrogate; "
+            "write it again"
         )
     if kind is float and not math.isfinite(value):
         raise ConfigurationError(f"{place}: expected a finite number, found {value!r}")

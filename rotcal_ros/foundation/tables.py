@@ -49,7 +49,10 @@ class Row:
         """Return a cell as an index from 0."""
         text = self.cells[name]
         if not (text.isascii() and text.isdigit()) or len(text) > 9:
-            raise DataError(f"{self.place}: {name} must be a whole number from 0, found {text!r}")
+            raise DataError(
+                f"{self.place}: {name} must be a whole number from 0, found {text!r}: "
+                "correct the row, or leave it out"
+            )
         return int(text)
 
     def number(self, name: str) -> float:
@@ -60,7 +63,10 @@ class Row:
         except ValueError:
             value = float("nan")
         if not isfinite(value):
-            raise DataError(f"{self.place}: {name} must be a finite number, found {text!r}")
+            raise DataError(
+                f"{self.place}: {name} must be a finite number, found {text!r}: correct the row, "
+                "or leave it out"
+            )
         return value
 
     def metres(self, name: str, farthest: float = _FARTHEST) -> float:
@@ -111,12 +117,15 @@ class Table:
             if len(cells) != len(self.header):
                 raise DataError(
                     f"{self.path}, row {number}: expected {len(self.header)} values "
-                    f"({','.join(self.header)}), found {len(cells)}"
+                    f"({','.join(self.header)}), found {len(cells)}: correct the line, or leave "
+                    "it out"
                 )
             row = dict(zip(self.header, cells, strict=True))
             rows.append(Row(f"{self.path}, row {number}", row))
         if not rows:
-            raise DataError(f"{self.path}: the table has a header but no rows")
+            raise DataError(
+                f"{self.path}: the table has a header but no rows: add what was measured below it"
+            )
         return rows
 
 
@@ -187,7 +196,10 @@ def csv_rows(text: str, name: str) -> Iterator[list[str]]:
     try:
         yield from reader
     except csv.Error as error:
-        raise DataError(f"{name}, line {reader.line_num}: not a table row: {error}") from error
+        raise DataError(
+            f"{name}, line {reader.line_num}: not a table row: {error}: look for a quotation mark "
+            "that is not closed"
+        ) from error
 
 
 def require_header(table: Table, headers: Sequence[Header]) -> None:

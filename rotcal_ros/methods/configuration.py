@@ -391,10 +391,13 @@ def raw_groups(text: str, source: str) -> tuple[str, dict[str, Any]]:
     except (KeyError, TypeError, ValueError):
         raise ConfigurationError(
             f"{source}: expected 'method: NAME' at the top, or a ROS 2 parameter file with "
-            f"'{ALL_NODES}: {PARAMETERS}: method: ...'"
+            f"'{ALL_NODES}: {PARAMETERS}: method: ...'; `rotcal new` writes one"
         ) from None
     if not isinstance(method, str):
-        raise ConfigurationError(f"{source}: method must be a name, found {method!r:.80}")
+        raise ConfigurationError(
+            f"{source}: method must be a name, found {method!r:.80}: name "
+            "one method, as 'method: ball_plate'"
+        )
     return method, _in_groups(method, values, source) if at_the_top else values
 
 
@@ -476,5 +479,7 @@ def _place(parameters: dict[str, Any], name: str, where: str) -> tuple[dict[str,
             place[group] = {}
         place = place[group]
         if not isinstance(place, dict):
-            raise ConfigurationError(f"{where}: {group} is a value, not a group")
+            raise ConfigurationError(
+                f"{where}: {group} is a value, not a group: leave out what follows it"
+            )
     return place, last

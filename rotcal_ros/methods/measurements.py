@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
-from rotcal_ros.foundation.observations import Observation
+from rotcal_ros.foundation.observations import Approach, Observation
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.sheets.reading import (
     AS_IT_STANDS,
@@ -32,6 +32,7 @@ from rotcal_ros.methods.calibration import Calibration, prepare
 from rotcal_ros.methods.configuration import Configuration, parse_configuration, replaced
 from rotcal_ros.methods.method import (
     Measurements,
+    Method,
     TableReader,
     Trials,
     find_method,
@@ -85,34 +86,52 @@ def read_measurements(
     """
     path, method = source.path if isinstance(source, Table) else source, configuration.method
     if method.table is None:
-        raise BagError(f"{path}: the method {method.name} reads no plain tables")
+        raise BagError(f"{path}: the method {method.name} reads no plain tables: give a bag")
     _require_own_method(source, configuration)
     reader, settings = method.table, configuration.sheet
     aim = _targets(source, targets, reader.targets, settings)
-    planned = "plan" in configuration.given
 
     def known() -> Mapping[str, Known]:
         found = _known_of_plan(configuration, reader.columns)
         if aim is not None:
             numbers = tuple(range(len(aim.table.lines)))
             found["target"] = Known(numbers, aim.labels, source=aim)
-        return found if planned else {name: replace(of, angles=()) for name, of in found.items()}
+        if "plan" in configuration.given:
+            return found
+        return {name: replace(of, angles=()) for name, of in found.items()}
 
     reading = read_any(source, reader.headers, settings, known)
     if reading.angles_deg:
-        angles = {"table_angles_deg": list(reading.angles_deg)}
-        text = replaced(configuration, "plan", angles)
+        text = replaced(configuration, "plan", _plan_of(reading, method))
         configuration = parse_configuration(text, configuration.source)
-    elif not planned:
+        if reading.runs > 1 or reading.both_directions:  # only now there are positions for them
+            reading = read_any(source, reader.headers, settings, known)
+    elif "plan" not in configuration.given:
         raise ConfigurationError(
             f"{configuration.source} has no group 'plan': it has to say which table angles the "
-            f"positions in {path} stand for"
+            f"positions in {path} stand for: add it, or a column of table angles to the table"
         )
     announce(reading)
     aimed_at = aim.table if aim is not None and "target" in reading.table.header else None
     if targets is not None and aimed_at is None:
         raise DataError(f"{path} has no column of targets: leave out the table of targets")
     return reader.read(configuration, reading.table, aimed_at)
+
+
+def _plan_of(reading: Reading, method: Method) -> dict[str, Any]:
+    """Return the settings of the plan that the table angles of a table are."""
+    plan: dict[str, Any] = {"table_angles_deg": list(reading.angles_deg)}
+    if reading.runs == 1 and not reading.both_directions:
+        return plan
+    reader = method.table
+    if reader is None or (reading.runs > 1 and not reader.runs):
+        raise DataError(
+            f"{reading.table.path}: the table comes to its angles in {reading.runs} runs, which "
+            f"the method {method.name} does not tell apart: keep one, and solve each for itself"
+        )
+    plan |= {"bidirectional": True} if reading.both_directions else {}
+    plan |= {reader.runs: reading.runs} if reading.runs > 1 else {}
+    return {**plan, **reader.again}
 
 
 def _require_own_method(source: Path | Table, configuration: Configuration) -> None:
@@ -160,10 +179,14 @@ def read_targets(
 def _known_of_plan(configuration: Configuration, columns: Mapping[str, str]) -> dict[str, Known]:
     """Return the numbers that ``columns`` may have, by the field of a step that each tells."""
     plan = prepare(configuration).plan
+    down = (step for step in plan.steps if step.approach is Approach.NEGATIVE)
+    downward = frozenset(step.table_position for step in down)
     return {
         name: Known(
             tuple(sorted({getattr(step, field) for step in plan.steps})),
             angles=plan.table_angles if field == "table_position" else (),
+            downward=downward,
+            order=tuple(step.table_position for step in plan.steps),
         )
         for name, field in columns.items()
     }
@@ -238,8 +261,11 @@ class RowStepFinder:
         seen = self._seen.setdefault(key, [])
         if len(seen) == len(steps):
             raise DataError(
-                f"{row.place}: {what} was measured already ({', '.join(seen)}); keep one of the "
-                "rows" + (f", {len(steps)} are in the plan" if len(steps) > 1 else "")
+                f"{row.place}: {what} was measured already ({', '.join(seen)}), and the plan "
+                f"measures it {'once' if len(steps) == 1 else f'{len(steps)} times'}: keep that "
+                "many rows, or plan what was measured again: plan.bidirectional=true for both "
+                "directions, plan.runs or plan.arrivals (where the method has them) for more "
+                "runs, an angle more for a turn that closes"
             )
         seen.append(row.place)
         return steps[len(seen) - 1]

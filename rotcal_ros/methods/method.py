@@ -83,13 +83,17 @@ class TableReader:
     ``read`` takes the configuration, the table and that of targets, if any, and returns what was
     measured; DataError names file and row of what cannot be. ``columns`` are those of numbers from
     0, each with the field of a :class:`~.planning.plan.Step` that it tells. ``targets`` is the
-    header of a table of targets; empty where there is none.
+    header of a table of targets; empty where there is none. ``runs`` is the setting of the plan
+    that counts how often it goes through the table angles; empty: once only. A plan that does so
+    again, or in both directions, has the settings ``again`` too.
     """
 
     headers: tuple[Header, ...]
     read: Callable[[Configuration, Table, Table | None], Measurements]
     columns: Mapping[str, str]
     targets: Header = ()
+    runs: str = ""
+    again: Mapping[str, str] = field(default_factory=dict)
 
 
 DEFAULT: Final = "tracer_multistation"

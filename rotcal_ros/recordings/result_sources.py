@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
+from typing import Final
 
 from rotcal_ros.evaluation.combination import CombinationInput
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, read_runs, require_runs
-from rotcal_ros.evaluation.reference import read_reference, without_polygon
+from rotcal_ros.evaluation.reference import (
+    COLUMNS,
+    read_deviations,
+    read_reference,
+    without_polygon,
+)
 from rotcal_ros.evaluation.ways import EVALUATIONS, way_name
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.session_folder import SessionFolder
-from rotcal_ros.foundation.tables import is_table
+from rotcal_ros.foundation.sheets.reading import AS_IT_STANDS, Reading, SheetSettings
+from rotcal_ros.foundation.tables import is_table, own_table
 from rotcal_ros.foundation.untrusted import load_json, read_bytes, why
 from rotcal_ros.foundation.untrusted import read_text as text_of_file
 from rotcal_ros.methods.configuration import read_configuration
@@ -75,6 +82,11 @@ def _results(path: Path) -> dict[str, ResultSource]:
         data = read_bytes(path)
         content = load_json(data)
         hashed = {path.name: sha256(data).hexdigest()}
+        if isinstance(content, dict) and "deviations" in content and "schema" not in content:
+            raise DataError(
+                "these are deviations of no result, as the truth of a simulation: `rotcal compare "
+                f"--truth {path.parent}` scores the results beside it"
+            )
         ways = content.get(EVALUATIONS) if isinstance(content, dict) else None
         if not isinstance(ways, list) or not ways:
             return {"": ResultSource(Result.from_dict(content), hashed)}
@@ -89,7 +101,9 @@ def _results(path: Path) -> dict[str, ResultSource]:
     except (AttributeError, TypeError) as error:
         raise DataError(f"{path}: damaged evaluations: {error}") from error
     except ValueError as error:
-        raise BagError(f"{path} is not JSON: {error}") from error
+        raise BagError(
+            f"{path} is not JSON: {error}: give a result.json, a bag, a session or a table"
+        ) from error
     except DataError as error:
         raise DataError(f"{path}: {error}") from error
 
@@ -115,23 +129,45 @@ def read_text(path: Path) -> str:
         raise BagError(f"cannot read {path}: {why(error)}") from error
 
 
-def read_measured(
-    path: Path, polygon: MeasuredCurve | None = None, reference_std: float | None = None
-) -> CombinationInput:
-    """Return a result, a bag, a session or a reference table, ready to be combined.
+@dataclass(frozen=True)
+class References:
+    """How reference tables are read.
 
-    See :func:`read_curve`.
+    ``std`` (rad) is the standard uncertainty of those that state none, ``polygon`` holds the face
+    errors that are subtracted from them. ``sheet`` says what a table leaves open, ``announce`` is
+    given how one of another form than ours was understood.
     """
+
+    std: float | None = None
+    polygon: MeasuredCurve | None = None
+    sheet: SheetSettings = AS_IT_STANDS
+    announce: Callable[[Reading], object] = str
+
+    def read(self, path: Path) -> MeasuredCurve:
+        """Return the curve in a table without the polygon; raises as :func:`read_reference`."""
+        curve = self.faces(path)
+        return curve if self.polygon is None else without_polygon(curve, self.polygon)
+
+    def faces(self, path: Path) -> MeasuredCurve:
+        """Return the curve in a table as it stands there."""
+        if own_table(path, (COLUMNS, COLUMNS[:2])) is not None:
+            return read_reference(read_text(path), str(path), self.std)
+        return read_deviations(path, self.std, self.sheet, self.announce)
+
+
+AS_STATED: Final = References()
+"""Reference tables that state everything themselves."""
+
+
+def read_measured(path: Path, references: References = AS_STATED) -> CombinationInput:
+    """Return a result, a bag, a session or a reference table, ready to be combined."""
     if is_table(path):
-        return CombinationInput.of(str(path), read_curve(path, "ECC", polygon, reference_std))
+        return CombinationInput.of(str(path), references.read(path))
     return CombinationInput.of(str(path), read_source(path).result)
 
 
 def read_curves(
-    path: Path,
-    component: str,
-    polygon: MeasuredCurve | None = None,
-    reference_std: float | None = None,
+    path: Path, component: str, references: References = AS_STATED
 ) -> dict[str, MeasuredCurve]:
     """Return the curve as :func:`read_curve` does, or those of all evaluations, by name."""
     if path.suffix == ".json" and path.is_file():
@@ -139,23 +175,16 @@ def read_curves(
             f"{path}: {name}" if name else str(path): measured_curve(source.result, component)
             for name, source in _results(path).items()
         }
-    return {str(path): read_curve(path, component, polygon, reference_std)}
+    return {str(path): read_curve(path, component, references)}
 
 
-def read_curve(
-    path: Path,
-    component: str,
-    polygon: MeasuredCurve | None = None,
-    reference_std: float | None = None,
-) -> MeasuredCurve:
-    """Return one deviation curve of a result, a bag, or a reference table.
-
-    ``polygon`` holds the face errors that are subtracted from reference tables, ``reference_std``
-    (rad) is their standard uncertainty if they state none. Raises DataError if neither does.
-    """
+def read_curve(path: Path, component: str, references: References = AS_STATED) -> MeasuredCurve:
+    """Return one deviation curve of a result, a bag, or a reference table."""
     if not is_table(path):
         return measured_curve(read_source(path).result, component)
     if component != "ECC":
-        raise DataError(f"{path}: a reference table holds ECC only, {component} was asked for")
-    reading = read_reference(read_text(path), str(path), reference_std)
-    return reading if polygon is None else without_polygon(reading, polygon)
+        raise DataError(
+            f"{path}: a reference table holds ECC only, {component} was asked for: "
+            "leave out the component"
+        )
+    return references.read(path)

@@ -252,6 +252,16 @@ def test_what_nothing_tells_is_named():
         _rows(model, kept[:0])
 
 
+def test_parts_that_nothing_joins_are_named_with_their_runs():
+    _, model = comparison()
+    run, place = (grouping.number for grouping in model.groupings)
+    apart = _rows(model, np.flatnonzero((run < 2) == (place < 2)))
+    with pytest.raises(ObservabilityError) as refused:
+        adjust(apart)
+    assert "tell place 0, place 1 (run 0, run 1) from place 2, place 3, " in str(refused.value)
+    assert "others (run 2, run 3): measure what joins them" in str(refused.value)
+
+
 def _rows(model, rows):
     """Return the linear model with some of its observations, without effects."""
     design = model.equations(model.first)[1][rows]

@@ -125,7 +125,7 @@ def test_reference_in_the_wrong_unit_or_sense_is_named(tmp_path, change, reason)
 @pytest.mark.parametrize(
     ("text", "code", "found"),
     [
-        ("angle,dev\n0,1\n", 2, "expected angle_deg"),
+        ("angle,correction\n0,1\n", 2, "no column deviation_rad"),
         ("angle_deg,deviation_arcsec\n0,1\n10,x\n20,1\n", 3, "line 3"),
         ("angle_deg,deviation_arcsec\n0,1\n0,1\n20,1\n", 3, "occurs twice"),
         ("angle_deg,deviation_arcsec\n0,1\n180,2\n270,2\n360,9\n", 3, "same table position"),
@@ -139,6 +139,31 @@ def test_damaged_reference(pair, tmp_path, text, code, found):
     assert (ran.exit_code, ran.stdout) == (code, "")
     assert found in ran.stderr
     assert "bad.csv" in ran.stderr
+
+
+def test_a_reference_of_another_form_is_read_and_said(pair, tmp_path):
+    own = np.loadtxt(pair[1], delimiter=",", skiprows=1)
+    rows = "".join(f"{a};{d};{2 * u}\n" for a, d, u in own).replace(".", ",")
+    path = tmp_path / "referenz.csv"
+    path.write_text(f"Winkel [°];Abweichung [Winkelsekunden];U [Winkelsekunden]\n{rows}")
+    asked = run("compare", pair[0], path)
+    assert asked.exit_code == 3
+    assert "--set 'sheet.columns=[expanded=U Winkelsekunden]'" in asked.stderr
+    given = ("--set", "sheet.columns=[expanded=U Winkelsekunden]")
+    read, expected = (
+        run("compare", pair[0], path, *given, "--json"),
+        run("compare", *pair, "--json"),
+    )
+    assert "deviation_rad = 'Abweichung [Winkelsekunden]'" in read.stderr
+    found, wanted = (json.loads(ran.stdout)["pairs"][0]["chi2"] for ran in (read, expected))
+    assert found == pytest.approx(wanted, rel=1e-9)
+
+
+def test_a_truth_is_pointed_to_its_own_option(pair, tmp_path):
+    (tmp_path / "truth.json").write_text('{"angles_rad": [0.0], "deviations": {"ECC": [0.0]}}')
+    ran = run("compare", pair[0], tmp_path / "truth.json")
+    assert ran.exit_code == 3
+    assert f"rotcal compare --truth {tmp_path}" in ran.stderr
 
 
 def test_compare_refuses_what_it_cannot_compare(pair, tmp_path):

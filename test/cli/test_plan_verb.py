@@ -123,4 +123,4 @@ def test_a_table_may_hold_the_closing_rows_of_its_plan(tmp_path):
     again = run("solve", str(table), "--setup", setup)
     assert again.exit_code == 3
     assert "was measured already" in again.stderr
-    assert "2 are in the plan" in again.stderr
+    assert "measures it 2 times" in again.stderr

@@ -141,9 +141,9 @@ def _read_targets(path: Path) -> None:
 
 
 def _read_reference(path: Path) -> None:
-    from rotcal_ros.recordings.result_sources import read_curve
+    from rotcal_ros.recordings.result_sources import References, read_curve
 
-    read_curve(path, "ECC", None, 1e-6)
+    read_curve(path, "ECC", References(1e-6))
 
 
 def _references() -> Iterable[bytes]:

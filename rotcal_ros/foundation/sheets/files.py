@@ -21,9 +21,12 @@ Cell: TypeAlias = "str | float"
 """A text as it stands there, or what a workbook holds as a number."""
 
 _MARKS: Final = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
-_OLDER: Final = ("cp1252", "gb18030", "cp932")
+_OLDER: Final = ("cp1252", "cp850", "gb18030", "cp932")
 """Encodings that any bytes may be in: which one it is, the names of the columns tell."""
 _GAP: Final = re.compile(r"\s{2,}|\t")
+_COMMENT: Final = re.compile(r"\s*(?:[#%]|//)")
+_RULE: Final = re.compile(r"[-=:+_ ]*")
+"""What lines below a head are drawn with."""
 _STATED: Final = re.compile(r'^"?sep=(.)"?[;,\t]*$', re.IGNORECASE)
 SEPARATORS: Final[dict[str, str]] = {
     ",": noted("commas"), ";": noted("semicolons"), "\t": noted("tabs"), "|": noted("bars"),
@@ -58,7 +61,8 @@ def sheets(path: Path) -> list[Sheet]:
     found = [sheet for encoding, text in _texts(data) for sheet in _ways(text, encoding)]
     if not found:
         raise BagError(
-            f"cannot read the table {path}: it is neither text nor a workbook (.xlsx, .xls, .ods)"
+            f"cannot read the table {path}: it is neither text nor a workbook (.xlsx, .xls, "
+            ".ods): save it as one of these"
         )
     return found
 
@@ -139,19 +143,29 @@ def _wide(data: bytes) -> str | None:
 
 
 def _ways(text: str, encoding: str) -> Iterator[Sheet]:
-    """Yield the grids that a text may be, one for each separator that occurs in it."""
+    """Yield the grids that a text may be, for each separator that occurs in it."""
     if "\0" in text:
         return
     lines = text.splitlines()
     stated = _STATED.match(lines[0]) if lines else None
     separators = [stated[1]] if stated else [s for s in SEPARATORS if s in text]
-    for separator in separators or [","]:
-        rows = _rows(text, separator)
-        if rows is not None:
-            rows = rows[1:] if stated else rows
-            name = SEPARATORS.get(separator, repr(separator))
-            form = phrase("text in {0}, {1} between the columns", encoding, phrase(name))
-            yield Sheet(form, tuple(rows))
+    for lines_read in _with_comments(lines):
+        for separator in separators or [","]:
+            rows = _rows("\n".join(lines_read), separator)
+            if rows is not None:
+                rows = rows[1:] if stated else rows
+                name = SEPARATORS.get(separator, repr(separator))
+                form = phrase("text in {0}, {1} between the columns", encoding, phrase(name))
+                yield Sheet(form, tuple(rows))
+
+
+def _with_comments(lines: Sequence[str]) -> Iterator[list[str]]:
+    """Yield lines without comments; then, if it begins with some, with these as its head."""
+    bare = ["" if _COMMENT.match(line) else line for line in lines]
+    yield bare
+    head = next((k for k, line in enumerate(bare) if line.strip()), 0)
+    if any(map(_COMMENT.match, lines[:head])):
+        yield [_COMMENT.sub("", line, count=1) for line in lines[:head]] + bare[head:]
 
 
 def _rows(text: str, separator: str) -> list[tuple[int, tuple[Cell, ...]]] | None:
@@ -168,4 +182,8 @@ def _rows(text: str, separator: str) -> list[tuple[int, tuple[Cell, ...]]] | Non
         except csv.Error:
             return None
     stripped = [(number, tuple(map(str.strip, cells))) for number, cells in found]
-    return [row for row in stripped if any(row[1]) and not str(row[1][0]).startswith("#")]
+    return [row for row in stripped if any(row[1]) and not _is_rule(row[1])]
+
+
+def _is_rule(cells: Sequence[str]) -> bool:
+    return any("--" in cell or "==" in cell for cell in cells) and all(map(_RULE.fullmatch, cells))

@@ -11,12 +11,16 @@ from rotcal_ros.foundation.errors import DataError, Question
 from rotcal_ros.foundation.sheets.files import Cell, Sheet
 from rotcal_ros.foundation.sheets.words import (
     ANGLE,
+    DIRECTION,
     LENGTH,
+    RUN,
     TABLE_ANGLE,
     TIME,
     Heading,
+    answer,
     columns_of,
     folded,
+    label_of,
     quantity_of,
     units_of,
 )
@@ -25,9 +29,12 @@ from rotcal_ros.foundation.tables import Header
 _SUFFIXES: Final = {"_m": LENGTH, "_rad": ANGLE, "_s": TIME}
 TEXTS: Final = frozenset({"kind", "tracker_station"})
 """Columns that hold words."""
+_BESIDE: Final = frozenset({TABLE_ANGLE, DIRECTION, RUN})
+"""What may stand for a position, or beside it."""
+_NO_UNIT: Final = ("", "-", "1")
+"""What stands for none in a line of units."""
 _LOOKED_AT: Final = 100
 """Rows in which the head of a table is looked for."""
-_LABEL: Final = re.compile(r"(.*?)\s*[-_#.]?\s*(\d{1,6})(?:\.0)?")
 _ALL_IN: Final = re.compile(
     r"(?:units?|einheit(?:en)?|unites?|单位|單位|単位)\s*[:=]\s*(\S+)|"
     r"(?:all|alle|toutes?|tous)\b.*\b(?:in|en)\s+(\S+)",
@@ -72,10 +79,10 @@ class Cells:
 class Layout:
     """How a grid is understood: the ``header`` of ours that its columns fill, and from where.
 
-    ``uses`` maps names of columns, or TABLE_ANGLE, to their places; ``matrix`` are the cells of a
-    matrix, empty for a list. ``aside``: headings that nobody needs; ``missing``: columns without
-    any; ``doubled``: a column and two headings that mean it. ``first``: index of the first row of
-    values. ``length_unit``: stated above the table.
+    ``uses`` maps names of columns, or TABLE_ANGLE, DIRECTION, RUN, to their places; ``matrix`` are
+    the cells of a matrix, empty for a list. ``aside``: headings that nobody needs; ``missing``:
+    columns without any; ``doubled``: a column and two headings that mean it. ``first``: index of
+    the first row of values. ``length_unit``: stated above the table.
     """
 
     sheet: Sheet
@@ -90,10 +97,14 @@ class Layout:
     length_unit: str = ""
 
     @property
-    def rank(self) -> tuple[bool, int, int]:
-        """How well it is understood: whole, with how many columns, and how few left over."""
+    def rank(self) -> tuple[bool, int, int, int, int]:
+        """How well it is understood: whole, by how many columns, how few missing and left over.
+
+        Of equal ones that with units.
+        """
         values = len(self.uses) + len({cells.column for cells in self.matrix})
-        return not self.missing, values, -len(self.aside)
+        units = sum(bool(use.units) for use in self.uses.values())
+        return not self.missing, values, -len(self.missing), -len(self.aside), units
 
 
 def best_layout(
@@ -114,7 +125,7 @@ def best_layout(
         name, *texts = best.doubled
         raise DataError(
             f"{where}: {texts[0]!r} and {texts[1]!r} may both be the column {name}: say which: "
-            f"--set 'sheet.columns=[{name}={texts[1]}]'",
+            f"{answer(name, texts[0])} or {answer(name, texts[1])}",
             question=Question("sheet.columns", tuple((f"{name}={t}", t) for t in texts)),
         )
     equal = [layout for layout in layouts if layout.rank == best.rank and layout.sheet.name]
@@ -152,8 +163,8 @@ def _heads(sheet: Sheet, row: int) -> Iterator[tuple[dict[int, Heading], int]]:
     cells = sheet.rows[row][1]
     heads = {place: Heading.of(_text(cell)) for place, cell in enumerate(cells) if cell != ""}
     below = sheet.rows[row + 1][1] if row + 1 < len(sheet.rows) else ()
-    units = {place: units_of(cell.strip("[]() ")) for place, cell in enumerate(below)
-             if isinstance(cell, str) and cell}  # fmt: skip
+    bare = [cell.strip("[]() ") if isinstance(cell, str) else "" for cell in below]
+    units = {place: units_of(text) for place, text in enumerate(bare) if text not in _NO_UNIT}
     if units and all(units.values()):
         for place, found in units.items():
             if place in heads:
@@ -184,7 +195,7 @@ def _of_heads(
         name = next((name for name in meant if name not in uses), "")
         if name:
             uses[name] = Use(place, head.text, head.units)
-        elif meant:
+        elif meant and meant[0] not in (DIRECTION, RUN):
             doubled = doubled or (meant[0], uses[meant[0]].text, head.text)
     corner = None if uses else _corner(heads, wanted, named)
     if corner:
@@ -219,16 +230,16 @@ def _by_angle(column: TableColumn, uses: Mapping[str, Use]) -> bool:
 def _meant(
     head: Heading, wanted: Mapping[str, TableColumn], named: Mapping[str, str]
 ) -> list[str]:
-    """Return which of the wanted columns, or the table angle, a heading means."""
+    """Return which of the wanted columns, or of those beside a position, a heading means."""
     chosen = [name for name, text in named.items() if folded(text) == folded(head.text)]
     if chosen:
-        return [name for name in chosen if name in wanted or name == TABLE_ANGLE]
+        return [name for name in chosen if name in wanted or name in _BESIDE]
     own = [name for name in wanted if folded(name) == folded(head.name)]
     known = [name for name in (*own, *columns_of(head)) if name not in named]
     if "ball" in known:
         known.append("ball_step")
-    angle = {TABLE_ANGLE} if "position" in wanted else set()
-    return [name for name in known if name in wanted or name in angle]
+    beside = _BESIDE if "position" in wanted else ()
+    return [name for name in known if name in wanted or name in beside]
 
 
 def _corner(
@@ -263,7 +274,7 @@ def _matrix(
         return []
     if {c.name for c in values} != {c.name for c in columns if c.quantity not in ("", TIME)}:
         return []
-    key, groups = keys[0], dict[Cell, dict[str, Use]]()
+    key, groups = keys[0], dict[tuple[Cell, int], dict[str, Use]]()
     for place, head in left.items():
         name, text = _value_of(head, values)
         units = label_units or tuple(u for u in head.units if quantity_of(u) == ANGLE)
@@ -273,11 +284,10 @@ def _matrix(
             label = _label(text, key.name, values) if name else None
         if label is not None:
             of_value = () if units else head.units
-            groups.setdefault(label, {}).setdefault(name, Use(place, head.text, of_value))
-    whole = {label: uses for label, uses in groups.items() if len(uses) == len(values)}
-    return (
-        [Cells(key.name, label, uses) for label, uses in whole.items()] if len(whole) > 1 else []
-    )
+            time = sum(name in uses for (other, _), uses in groups.items() if other == label)
+            groups.setdefault((label, time), {})[name] = Use(place, head.text, of_value)
+    whole = [(label, uses) for (label, _), uses in groups.items() if len(uses) == len(values)]
+    return [Cells(key.name, label, uses) for label, uses in whole] if len(whole) > 1 else []
 
 
 def _value_of(head: Heading, values: Sequence[TableColumn]) -> tuple[str, str]:
@@ -295,15 +305,15 @@ def _label(text: str, key: str, values: Sequence[TableColumn]) -> Cell | None:
 
     A number, alone or behind a word for it; a table angle is a text with its unit.
     """
-    found = _LABEL.fullmatch(text.strip())
+    found = label_of(text)
     if found is None:
         angle = text.strip().endswith("°") and key == "position"
         return text.strip() if angle else None
-    word = found[1]
+    word, number = found
     names = columns_of(Heading(word, word))
     meant = {key, *(value.name for value in values)} | ({"ball"} if key == "ball_step" else set())
     if len(word) <= 1 or meant.intersection(names):
-        return float(found[2])
+        return float(number)
     return None
 
 

@@ -6,13 +6,13 @@ method then checks it as one of our own tables.
 
 from __future__ import annotations
 
-import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from math import pi, remainder
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeAlias
 
 from rotcal_ros.foundation.errors import BagError, ConfigurationError, DataError, Question
 from rotcal_ros.foundation.language import phrase
@@ -20,18 +20,24 @@ from rotcal_ros.foundation.settings import expert, setting
 from rotcal_ros.foundation.sheets.files import Cell, Sheet, sheets
 from rotcal_ros.foundation.sheets.layout import TEXTS, Layout, TableColumn, Use, best_layout
 from rotcal_ros.foundation.sheets.numerals import Measure, decimal_marks, in_si, parse
+from rotcal_ros.foundation.sheets.passes import Halt, Pass, closed, is_repeated, passes
 from rotcal_ros.foundation.sheets.words import (
     ANGLE,
+    DIRECTION,
     LENGTH,
+    RUN,
+    SMALL_ANGLES,
     TABLE_ANGLE,
     TIME,
     UNITS,
     Heading,
     columns_of,
     folded,
+    is_down,
     is_nothing,
     is_summary,
     kind_of,
+    label_of,
 )
 from rotcal_ros.foundation.tables import Header, Table, own_table
 from rotcal_ros.foundation.units import DEGREE
@@ -40,8 +46,10 @@ UNIT_SETTINGS: Final = {LENGTH: "length_unit", ANGLE: "angle_unit", TIME: "time_
 """Quantity -> the setting of its unit, for columns that state none."""
 _LOOKED_AT: Final = 100
 """Rows among which the head of a table that cannot be understood is guessed."""
-_LABEL: Final = re.compile(r"(?:\D*[^\W\d_]\W*)?([0-9]{1,9})")
-"""A number, or a word and a number."""
+_Row: TypeAlias = "tuple[int, Mapping[str, tuple[Cell, Use]]]"
+"""Its number, and its cells by column."""
+_NO_KEYS: Final = frozenset({"position", "segment"})
+"""Columns of numbers that do not tell what was measured."""
 _NEAR: Final = 0.25
 """Share of the smallest step of the table within which an angle is the planned one."""
 _SAME_ANGLE: Final = 1e-9
@@ -83,7 +91,8 @@ AS_IT_STANDS: Final = SheetSettings()
 class Known:
     """What a number in a table may be: ``numbers`` of the plan, ascending, perhaps with gaps.
 
-    ``labels`` maps other names to them; ``angles`` (rad) are those of the positions. ``listed``:
+    ``labels`` maps other names to them; ``angles`` (rad) are those of the positions, ``downward``
+    those of them that are reached from above, ``order`` all in the order of the plan. ``listed``:
     no plan knows them, the table lists them all, as one of targets does. ``source`` is the table
     that the labels are from.
     """
@@ -91,6 +100,8 @@ class Known:
     numbers: tuple[int, ...] = ()
     labels: Mapping[str, int] = field(default_factory=dict)
     angles: tuple[float, ...] = ()
+    downward: frozenset[int] = frozenset()
+    order: tuple[int, ...] = ()
     listed: bool = False
     source: Reading | None = None
 
@@ -101,10 +112,11 @@ class Reading:
 
     ``columns`` maps our columns to theirs; ``left_out`` are the numbers of rows with why;
     ``remarks`` say what was counted or turned. ``labels`` maps the labels of the first column to
-    their numbers. ``angles_deg`` are the table's own, ascending, where no plan had any. ``form``
-    is empty for a table of our own form, which is read as it stands. ``beside``: other tables that
-    were read for it. ``uses`` maps our columns without their units, or TABLE_ANGLE, to where they
-    are, unless that is a matrix; ``head`` are the texts at the head of the table.
+    their numbers. ``angles_deg`` are the table's own, ascending, where no plan had any, with how
+    many ``runs`` go through them, in ``both_directions`` or in one. ``form`` is empty for a table
+    of our own form, which is read as it stands. ``beside``: other tables that were read for it.
+    ``uses`` maps our columns without their units, or TABLE_ANGLE, to where they are, unless that
+    is a matrix; ``head`` are the texts at the head of the table.
     """
 
     table: Table
@@ -115,6 +127,8 @@ class Reading:
     remarks: tuple[str, ...] = ()
     labels: Mapping[str, int] = field(default_factory=dict)
     angles_deg: tuple[float, ...] = ()
+    runs: int = 1
+    both_directions: bool = False
     beside: tuple[Reading, ...] = ()
     uses: Mapping[str, Use] = field(default_factory=dict)
     head: tuple[str, ...] = ()
@@ -168,7 +182,11 @@ def read_any(
     else:
         path, found = source, [g for g in sheets(source) if settings.name in ("", g.name)]
     if not found:
-        raise ConfigurationError(f"{path}: there is no sheet {settings.name!r} (sheet.name)")
+        names = [grid.name for grid in sheets(path) if grid.name] or ["a text has none"]
+        raise ConfigurationError(
+            f"{path}: there is no sheet {settings.name!r} (sheet.name): choose one of "
+            f"{', '.join(names)}"
+        )
     layout = best_layout(found, headers, named, str(path))
     if layout is None or layout.missing:
         raise _not_understood(path, headers, layout, found)
@@ -188,14 +206,17 @@ def _not_understood(
     expected = " or ".join(f"'{','.join(header)}'" for header in headers)
     if layout is None:
         return BagError(
-            f"{path}: no row names the columns: expected {expected}, in any form and language",
+            f"{path}: no row names the columns: expected {expected}, in any form and language: "
+            "add a line of names above the numbers",
             question=_which_column(headers[0][0], _likely_head(grids)),
         )
     found = ", ".join(f"{name} ({use.text})" for name, use in layout.uses.items())
     others = f"; not known: {', '.join(map(repr, layout.aside))}" if layout.aside else ""
+    name = TableColumn.of(layout.missing[0]).name
     return BagError(
         f"{path}: no column {', '.join(layout.missing)}: found {found}{others}. Expected "
-        f"{expected}. Tell a column with another name by --set 'sheet.columns=[length=ITS NAME]'",
+        f"'{','.join(layout.header)}', in any unit and order. Tell a column with another name by "
+        f"--set 'sheet.columns=[{name}=ITS NAME]'",
         question=_which_column(layout.missing[0], layout.aside),
     )
 
@@ -229,6 +250,8 @@ class _Rows:
         self._remarks: list[str] = []
         self._labels: dict[str, int] = {}
         self._angles_deg: tuple[float, ...] = ()
+        self._runs, self._both_directions = 1, False
+        self._strange: list[tuple[int, str]] = []  # directions that are no word for one
 
     def read(self) -> Reading:
         """Return the table."""
@@ -237,7 +260,11 @@ class _Rows:
             (number, values) for number, cells in self._kept() for values in self._spread(cells)
         ]
         if not rows:
-            raise DataError(f"{self._path}: the table has a header but no rows")
+            why = "".join(f" (row {row}: {what})" for row, what in self._left_out[:1])
+            raise DataError(
+                f"{self._path}: the table has a header but no rows{why}: add what was measured "
+                "below it"
+            )
         mark = self._mark([values for _, values in rows])
         columns = [self._column(column, rows, mark) for column in self._columns]
         lines = tuple(
@@ -254,6 +281,8 @@ class _Rows:
             (*self._remarks, *([phrase("decimal comma")] if mark == "," else [])),
             self._labels,
             self._angles_deg,
+            self._runs,
+            self._both_directions,
             tuple(known.source for known in self._known.values() if known.source),
             layout.uses,
             layout.head,
@@ -261,12 +290,25 @@ class _Rows:
 
     def _kept(self) -> Iterator[tuple[int, tuple[Cell, ...]]]:
         """Yield the rows of values; note those that are left out, and why."""
-        width = max(use.place for use in self._all_uses()) + 1
+        width, begun = max(use.place for use in self._all_uses()) + 1, False
         for number, row in self._layout.sheet.rows[self._layout.first :]:
             cells = (*row, *[""] * (width - len(row)))
-            if why := self._no_values(cells):
+            why = self._no_values(cells)
+            named = set() if why else _named_by(row)
+            if named and begun:
+                if named.issuperset(self._layout.uses):
+                    raise DataError(
+                        f"{self._path}, row {number}: a table with the same columns begins here: "
+                        "put both below one head, or each into a file of its own"
+                    )
+                self._left_out.append((number, phrase("another table begins here")))
+                return
+            if named:
+                why = phrase("the head in other words")
+            if why:
                 self._left_out.append((number, why))
             else:
+                begun = True
                 yield number, cells
 
     def _no_values(self, cells: Sequence[Cell]) -> str:
@@ -334,13 +376,13 @@ class _Rows:
     def _column(
         self,
         column: TableColumn,
-        rows: Sequence[tuple[int, Mapping[str, tuple[Cell, Use]]]],
+        rows: Sequence[_Row],
         mark: str,
     ) -> list[str]:
         """Return our cells of a column."""
         name = column.name
         if name not in rows[0][1]:
-            return self._positions([(number, *row[TABLE_ANGLE]) for number, row in rows], mark)
+            return self._positions(rows, mark)
         cells = [(number, *row[name]) for number, row in rows]
         if column.quantity:
             return [self._in_si(place, name, column.quantity, mark) for place in cells]
@@ -348,6 +390,8 @@ class _Rows:
             return [kind_of(_text(c)) if name == "kind" else _text(c)
                     for _, c, _ in cells]  # fmt: skip
         numbers = self._numbers(name, [(number, _text(cell)) for number, cell, _ in cells])
+        if name == "position":
+            numbers = self._in_passes(rows, numbers)
         if name == "position" and TABLE_ANGLE in rows[0][1]:
             beside = [(number, *row[TABLE_ANGLE]) for number, row in rows]
             self._require_angles(numbers, beside, mark)
@@ -378,7 +422,8 @@ class _Rows:
         measure = parse(value, mark, quantity)
         if measure is None:
             raise DataError(
-                f"{self._path}, row {number}: {name} must be a number, found {_text(value)!r}"
+                f"{self._path}, row {number}: {name} must be a number, found {_text(value)!r}: "
+                "correct it, or empty the cell where nothing was measured"
             )
         si = in_si(measure, measure.unit or self._unit(use, quantity, measure, name))
         return str(si)
@@ -388,6 +433,12 @@ class _Rows:
         units = use.units
         if len(units) == 1:
             return units[0]
+        if name in SMALL_ANGLES:
+            raise DataError(
+                f"{self._path}: the column {use.text!r} ({name}) states no unit: its first value "
+                f"can be {measure.value} arcsec, urad or deg. Write the unit behind its name, as "
+                f"'{use.text} [arcsec]'"
+            )
         if stated := self._unit_elsewhere(use, quantity):
             return stated
         usual = {LENGTH: ("m", "mm", "um", "in"), ANGLE: ("deg", "rad", "gon")}
@@ -402,25 +453,116 @@ class _Rows:
             question=Question(setting, read),
         )
 
-    def _positions(self, cells: Sequence[tuple[int, Cell, Use]], mark: str) -> list[str]:
-        """Return the numbers of positions by table angles, whole turns aside."""
-        angles = [float(self._in_si(cell, "table angle", ANGLE, mark)) for cell in cells]
-        planned = self._known.get("position", Known()).angles
-        if not planned:
-            planned = _distinct(angles)
-            self._angles_deg = tuple(round(angle / DEGREE, 12) for angle in planned)
-        found, near = [], _NEAR * _smallest_step(planned)
-        for (number, cell, _), angle in zip(cells, angles, strict=True):
-            off = [abs(remainder(angle - other, 2.0 * pi)) for other in planned]
-            nearest = min(range(len(off)), key=off.__getitem__)
-            if off[nearest] > near:
-                raise DataError(
-                    f"{self._path}, row {number}: the table angle {_text(cell)} is not in the "
-                    f"plan; the nearest there is {planned[nearest] / DEGREE:g} degrees"
-                )
-            found.append(nearest)
+    def _positions(self, rows: Sequence[_Row], mark: str) -> list[str]:
+        """Return the numbers of positions by table angles, whole turns aside.
+
+        They are empty for points of nests, which belong to none.
+        """
+        known = self._known.get("position", Known())
+        at = [k for k, (_, row) in enumerate(rows) if not _is_nest(row)]
+        halts = closed([self._halt(*rows[k], self._angle(rows[k], mark)) for k in at])
+        angles = _distinct(known.angles or [halt.angle for halt in halts])
+        if not known.angles:
+            self._angles_deg = tuple(round(angle / DEGREE, 12) for angle in angles)
+        near = _NEAR * _smallest_step(angles)
+        halts = [replace(halt, number=self._nearest(halt, angles, near)) for halt in halts]
+        found = self._visits(halts, angles, known)
         self._remarks.append(phrase("positions by their angles"))
-        return [str(index) for index in found]
+        numbers = dict(zip(at, found, strict=True))
+        return [str(numbers.get(k, "")) for k in range(len(rows))]
+
+    def _in_passes(self, rows: Sequence[_Row], numbers: list[str]) -> list[str]:
+        """Return numbers of positions, where those given are of angles that are visited again.
+
+        So it is where columns tell direction or run, and there are no more numbers than angles.
+        """
+        known, beside = self._known.get("position", Known()), rows[0][1].keys() & {DIRECTION, RUN}
+        angles = _distinct(known.angles)
+        if not (beside and all(numbers) and max(map(int, numbers)) < len(angles)):
+            return numbers
+        halts = [
+            self._halt(*row, known.angles[int(n)]) for row, n in zip(rows, numbers, strict=True)
+        ]
+        halts = [replace(halt, number=self._nearest(halt, angles, pi)) for halt in halts]
+        return [str(position) for position in self._visits(halts, angles, known)]
+
+    def _angle(self, row: _Row, mark: str) -> float:
+        number, cells = row
+        return float(self._in_si((number, *cells[TABLE_ANGLE]), "table angle", ANGLE, mark))
+
+    def _halt(self, number: int, row: Mapping[str, tuple[Cell, Use]], angle: float) -> Halt:
+        """Return that the table stood at ``angle`` (rad) for a row; its number is open yet."""
+        keys = [c.name for c in self._columns if not c.quantity and c.name not in _NO_KEYS]
+        texts = {name: _text(cell) for name, (cell, _) in row.items()}
+        down = is_down(texts.get(DIRECTION, ""))
+        if down is None and texts.get(DIRECTION):
+            self._strange.append((number, texts[DIRECTION]))
+        what = tuple(folded(texts[name]) for name in keys)
+        return Halt(number, angle, 0, what, texts.get(RUN, ""), down)
+
+    def _nearest(self, halt: Halt, angles: Sequence[float], near: float) -> int:
+        """Return which of the angles a halt is at, the one of its own turn if there are several.
+
+        Raises DataError where it is farther than ``near`` from all.
+        """
+        off = [abs(remainder(halt.angle - other, 2.0 * pi)) for other in angles]
+        best = min(range(len(off)), key=lambda k: (off[k] > near, abs(halt.angle - angles[k])))
+        if off[best] > near:
+            nearest = angles[min(range(len(off)), key=off.__getitem__)]
+            raise DataError(
+                f"{self._path}, row {halt.row}: the table angle {halt.angle / DEGREE:.9g} degrees "
+                f"is not in the plan; the nearest there is {nearest / DEGREE:g} degrees: correct "
+                "the row, or the angles of the plan"
+            )
+        return best
+
+    def _visits(
+        self, halts: Sequence[Halt], angles: Sequence[float], known: Known
+    ) -> Sequence[int]:
+        """Return the position of each halt at ``angles``: by its pass, where a plan comes again.
+
+        Rows in the order of the plan are its steps. Without a plan a position is the number of its
+        angle, and the passes are noted.
+        """
+        if not known.angles:
+            if is_repeated(halts):
+                self._passes(halts)
+            return [halt.number for halt in halts]
+        numbers = [min(range(len(angles)), key=lambda k: abs(angles[k] - angle))
+                   for angle in known.angles]  # fmt: skip
+        if [numbers[position] for position in known.order] == [halt.number for halt in halts]:
+            return known.order
+        if len(numbers) == len(angles):
+            return [numbers.index(halt.number) for halt in halts]
+        positions, runs = dict[tuple[int, int, bool], int](), Counter[tuple[int, bool]]()
+        for position, number in enumerate(numbers):
+            down = position in known.downward
+            positions[number, runs[number, down], down] = position
+            runs[number, down] += 1
+        found = self._passes(halts, both=bool(known.downward))
+        if self._both_directions and not known.downward:
+            raise DataError(
+                f"{self._path}: the table goes up and down through its angles, the plan up only: "
+                "set plan.bidirectional=true"
+            )
+        ways = [(halt.number, run, down and bool(known.downward))
+                for halt, (run, down) in zip(halts, found, strict=True)]  # fmt: skip
+        return [positions.get(way, positions[way[0], 0, way[2]]) for way in ways]
+
+    def _passes(self, halts: Sequence[Halt], *, both: bool = False) -> list[Pass]:
+        """Return the passes of the halts, and note how many runs they are."""
+        for number, text in self._strange[:1]:
+            raise DataError(
+                f"{self._path}, row {number}: the direction must be up or down, found {text!r}: "
+                "write one of these"
+            )
+        found = passes(halts, str(self._path), both=both)
+        runs = self._runs = 1 + max(run for run, _ in found)
+        ways = self._both_directions = len({down for _, down in found}) == 2
+        self._remarks.append(
+            phrase("runs: {0}, up and down", runs) if ways else phrase("runs: {0}", runs)
+        )
+        return found
 
     def _numbers(self, name: str, cells: Sequence[tuple[int, str]]) -> list[str]:
         """Return numbers from 0, by what is known of them and by the labels that stand there."""
@@ -439,13 +581,14 @@ class _Rows:
 
     def _digits(self, name: str, number: int, text: str) -> int:
         """Return the number that a label is, or ends with; DataError without one."""
-        found = _LABEL.fullmatch(text)
+        found = label_of(text)
         if found is None:
             raise DataError(
-                f"{self._path}, row {number}: {name} must be a number, or a name that the table "
-                f"of targets has as well, found {text!r}"
+                f"{self._path}, row {number}: {name} must be a number"
+                f"{', or a name that the table of targets has as well' * (name == 'target')}, "
+                f"found {text!r}: correct the row, or leave it out"
             )
-        return int(found[1])
+        return found[1]
 
     def _as_planned(self, name: str, numbers: Sequence[int]) -> list[int]:
         """Return numbers as the plan has them: as they stand, or as its first, second and so on.
@@ -533,6 +676,17 @@ def _text(cell: Cell) -> str:
 
 def _is_number(cell: Cell) -> bool:
     return any(parse(cell, mark) for mark in (".", ","))
+
+
+def _named_by(cells: Sequence[Cell]) -> set[str]:
+    """Return the columns that cells name, if they are two or more names and nothing else."""
+    texts = [cell for cell in cells if cell != ""]
+    named = [columns_of(Heading.of(cell)) for cell in texts if isinstance(cell, str)]
+    return set().union(*named) if len(named) == len(texts) > 1 and all(named) else set()
+
+
+def _is_nest(row: Mapping[str, tuple[Cell, Use]]) -> bool:
+    return "kind" in row and kind_of(_text(row["kind"][0])) == "nest"
 
 
 def _is_nothing(cell: Cell) -> bool:

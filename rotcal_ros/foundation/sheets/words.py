@@ -18,6 +18,11 @@ ANGLE: Final = "angle"
 TIME: Final = "time"
 TABLE_ANGLE: Final = "angle"
 """A column of table angles, which stand for numbers of positions."""
+DIRECTION: Final = "direction"
+RUN: Final = "run"
+"""Columns that tell which visit of a table angle it was."""
+SMALL_ANGLES: Final = ("deviation", "u", "expanded", "uncertainty")
+"""Columns of reference tables, whose unit is another than that of the table angles."""
 _PI: Final = Decimal("3.14159265358979323846264338327950288")
 UNITS: Final[Mapping[str, Mapping[str, Decimal]]] = {
     LENGTH: {
@@ -36,10 +41,11 @@ UNITS: Final[Mapping[str, Mapping[str, Decimal]]] = {
 """Quantity -> unit -> size in metres, radians, seconds."""
 _QUANTITIES: Final = {
     **dict.fromkeys(("length", "d", "x", "y", "z", "sx", "sy", "sz"), LENGTH),
-    TABLE_ANGLE: ANGLE,
+    **dict.fromkeys((TABLE_ANGLE, *SMALL_ANGLES), ANGLE),
     "time": TIME,
 }
 """TableColumn -> what it measures; all others are numbers from 0, or words."""
+_LABEL: Final = re.compile(r"(?:(\D*[^\W\d_])[\W_]*|#\s*)?([0-9]{1,9})(?:\.0*)?")
 _APART: Final = re.compile(r"[\W_]+")
 _IN_BRACKETS: Final = re.compile(r"(.*\S)\s*[\[({【]\s*([^\[\](){}【】]+?)\s*[\])}】]", re.S)
 _BEHIND: Final = re.compile(r"(.*\S)(?:\s+in\s+|\s*[/,]\s*|[_\s]+)(\S+)", re.DOTALL)
@@ -88,6 +94,15 @@ def columns_of(head: Heading) -> tuple[str, ...]:
     return tuple(name for name in found if _QUANTITIES.get(name) in quantities)
 
 
+def answer(column: str, text: str) -> str:
+    """Return the setting by which a person says that a heading means a column.
+
+    >>> answer("length", "Weg [mm]")
+    "--set 'sheet.columns=[length=Weg mm]'"
+    """
+    return f"--set 'sheet.columns=[{column}={' '.join(filter(None, _APART.split(plain(text))))}]'"
+
+
 def units_of(text: str) -> tuple[str, ...]:
     """Return the units that ``text`` may be, by the names of UNITS; none if it is no unit.
 
@@ -95,6 +110,16 @@ def units_of(text: str) -> tuple[str, ...]:
     (('deg', 'gon'), ('in',), ())
     """
     return _units().get(_unit(text), ())
+
+
+def label_of(text: str) -> tuple[str, int] | None:
+    """Return word and number of a label, whose word may be empty; None for a text that is none.
+
+    >>> label_of("SMR-07"), label_of("#3"), label_of("12.0"), label_of("-5")
+    (('SMR', 7), ('', 3), ('', 12), None)
+    """
+    found = _LABEL.fullmatch(plain(text))
+    return (found[1] or "", int(found[2])) if found else None
 
 
 def quantity_of(unit: str) -> str:
@@ -115,6 +140,15 @@ def is_nothing(text: str) -> bool:
 def kind_of(text: str) -> str:
     """Return the kind of a tracker's point in our word, or the text as it stands."""
     return _kinds().get(folded(text), text)
+
+
+def is_down(text: str) -> bool | None:
+    """Return whether a direction is that of shrinking angles; None for a text that is none.
+
+    >>> is_down("Rück"), is_down("+"), is_down("left")
+    (True, False, None)
+    """
+    return _directions().get(_unit(text))
 
 
 def folded(text: str) -> str:
@@ -194,6 +228,16 @@ def _units() -> dict[str, tuple[str, ...]]:
 def _kinds() -> dict[str, str]:
     kinds = _words()["kinds"]
     return {folded(word): kind for kind, languages in kinds.items() for word in _listed(languages)}
+
+
+@cache
+def _directions() -> dict[str, bool]:
+    directions = _words()["directions"]
+    return {
+        _unit(word): direction == "down"
+        for direction, languages in directions.items()
+        for word in _listed(languages)
+    }
 
 
 @cache

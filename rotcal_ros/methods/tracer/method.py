@@ -15,7 +15,11 @@ from rotcal_ros.methods.tracer.disturbances import DISTURBANCES
 from rotcal_ros.methods.tracer.figures import figures, tables
 from rotcal_ros.methods.tracer.lengths import LengthCheck, read_from
 from rotcal_ros.methods.tracer.plan import check_plan, tracer_plan
-from rotcal_ros.methods.tracer.settings import TracerPlanSettings, TracerSimulationSettings
+from rotcal_ros.methods.tracer.settings import (
+    TARGETS_PER_STATION,
+    TracerPlanSettings,
+    TracerSimulationSettings,
+)
 from rotcal_ros.methods.tracer.solver.solve import METHOD as NAME
 from rotcal_ros.methods.tracer.solver_settings import TracerSolverSettings
 from rotcal_ros.methods.tracer.table import PLAN_FILES
@@ -88,7 +92,14 @@ METHOD: Final = Method(
     trials=calibration.trials,
     nominal=nominal,
     stations=stations,
-    table=TableReader((*table.HEADERS, *table.STATIONS), table.read, table.COLUMNS, table.TARGETS),
+    table=TableReader(
+        (*table.HEADERS, *table.STATIONS),
+        table.read,
+        table.COLUMNS,
+        table.TARGETS,
+        runs="runs",
+        again={"order": TARGETS_PER_STATION},
+    ),
     figures=figures,
     tables=tables,
     disturbances=DISTURBANCES,

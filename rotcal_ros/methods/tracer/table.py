@@ -90,7 +90,9 @@ def read_stations(configuration: Configuration, table: Table) -> StationTable:
                 f"{len(angles) - 1}; does the set-up belong to this table?"
             )
         if position in rows:
-            raise DataError(f"{row.place}: position {position} is listed twice")
+            raise DataError(
+                f"{row.place}: position {position} is listed twice: keep one of the rows"
+            )
         rows[position] = row
     positions, with_distance = sorted(rows), DISTANCE in table.header
     solver: TracerSolverSettings = configuration.solver
@@ -169,13 +171,13 @@ def _points(table: Table) -> tuple[Point, ...]:
     for row in table.rows():
         number = row.index("target")
         if number in points:
-            raise DataError(f"{row.place}: target {number} is listed twice")
+            raise DataError(f"{row.place}: target {number} is listed twice: keep one of the rows")
         points[number] = row.point()
     missing = sorted(set(range(max(points) + 1)) - points.keys())
     if missing:
         raise DataError(
             f"{table.path}: targets are numbered from 0 without gaps, but target {missing[0]} is "
-            "missing"
+            "missing: add its row, or number them anew, in the lengths too"
         )
     return tuple(points[number] for number in sorted(points))
 
@@ -192,12 +194,13 @@ def read_pairs(path: Path) -> tuple[int, ...]:
     for row in table.rows():
         number = row.index("step")
         if number in steps:
-            raise DataError(f"{row.place}: step {number} is listed twice")
+            raise DataError(f"{row.place}: step {number} is listed twice: keep one of the rows")
         steps[number] = row.index("table_position"), row.index("target")
     for number in range(len(steps)):
         if number not in steps:
             raise DataError(
-                f"{path}: steps are numbered from 0 without gaps, but step {number} is missing"
+                f"{path}: steps are numbered from 0 without gaps, but step {number} is missing: "
+                "add its row, or number them anew"
             )
     return tuple(index for number in range(len(steps)) for index in steps[number])
 

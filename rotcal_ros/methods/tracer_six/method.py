@@ -60,7 +60,7 @@ METHOD: Final = Method(
     nominal=nominal,
     stations=lambda configuration: Stations(places_of(configuration.plan), carried=True),
     gauge=gauge.without_axis_and_artefact,
-    table=TableReader(table.HEADERS, table.read, table.COLUMNS, TARGETS),
+    table=TableReader(table.HEADERS, table.read, table.COLUMNS, TARGETS, runs="arrivals"),
     figures=figures,
     tables=tables,
     zero=gauge.in_words,

@@ -11,6 +11,7 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
+import rotcal_ros as rc
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.circumstances import Circumstances
@@ -51,6 +52,14 @@ def test_it_is_written_beside_the_result_once(result_file):
     other = result_file.with_name("other.xml")
     assert run(result_file, "--dcc", "-o", other).exit_code == 0
     assert other.read_bytes() == written.read_bytes()
+
+
+def test_the_function_writes_what_the_verb_writes(result_file, tmp_path):
+    assert run(result_file, "--dcc").exit_code == 0
+    written = rc.write_certificate(rc.read_result(result_file), tmp_path / "c.xml")
+    assert written.read_bytes() == result_file.with_name("certificate.xml").read_bytes()
+    with pytest.raises(rc.RotcalError, match="not overwritten"):
+        rc.write_certificate(rc.read_result(result_file), written)
 
 
 def test_a_result_without_identity_is_refused_with_all_it_needs(tmp_path):

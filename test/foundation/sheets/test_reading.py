@@ -139,13 +139,18 @@ def test_grad_is_degrees_in_german_and_gons_elsewhere() -> None:
         ("pos,target,length [m],L [mm]\n0,0,1.5,1.5\n", {}, "may both be the column length"),
         ("pos,target,length [m]\n0,zero,1.5\n", {}, "row 2: target must be a number, or a name"),
         ("pos,target,length [m]\n0,0,x1\n", {}, "row 2: length must be a number, found 'x1'"),
-        ("angle [deg],target,length [m]\n45,0,1.5\n", {}, "45 is not in the plan; the nearest"),
+        ("angle [deg],target,length [m]\n45,0,1.5\n", {}, "45 degrees is not in the plan"),
         (
             "pos,C [deg],target,length [m]\n1,45,0,1.5\n",
             {"counted_from": "0"},
             "1 is planned at 90",
         ),
         ("pos;target;length [m]\n0;0;1,5\n0;1;2.5\n", {}, "some decimal commas"),
+        (
+            "pos,target,length [m]\n0,0,1.5\nposition,Ziel,L [mm]\n1,0,15\n",
+            {},
+            "row 3: a table with the same columns begins here",
+        ),
     ],
 )
 def test_what_can_be_read_in_two_ways_is_asked(
@@ -256,3 +261,52 @@ def test_a_column_and_a_sheet_that_are_not_there(tmp_path: Path) -> None:
         read(tmp_path, "pos,target,length [m]\n0,0,1.5\n", name="Two")
     with pytest.raises(ConfigurationError, match="expected COLUMN=TEXT"):
         read(tmp_path, "pos,target,length [m]\n0,0,1.5\n", columns=("length",))
+
+
+ANGLES = [0, 90, 180]
+
+
+@pytest.mark.parametrize(
+    ("angles", "runs", "both"),
+    [
+        ([*ANGLES, *ANGLES[::-1]], 1, True),
+        ([*ANGLES, *ANGLES[-2::-1]], 1, True),  # the last one is not measured twice
+        ([*ANGLES, *ANGLES], 2, False),
+        ([*ANGLES, 0], 2, False),  # the first one once more
+        ([*ANGLES[::-1], *ANGLES[::-1]], 2, False),
+        ([*ANGLES, *ANGLES[::-1]] * 2, 2, True),
+        ([350, 0, 10, 10, 0, 350], 1, True),
+    ],
+)
+def test_the_order_of_rows_tells_passes(
+    tmp_path: Path, angles: list[int], runs: int, both: bool
+) -> None:
+    rows = [f"{angle},{target},1.5" for angle in angles for target in (0, 1)]
+    text = "\n".join(["angle [deg],target,length [m]", *rows])
+    reading = read(tmp_path, text, known={"target": Known((0, 1))})
+    assert (reading.runs, reading.both_directions) == (runs, both)
+    assert f"; runs: {runs}{', up and down' * both};" in reading.line()
+    assert len(reading.angles_deg) == 3
+
+
+@pytest.mark.parametrize("angles", [[0, 0, 90, 90, 180, 180], [*ANGLES, 90, 180, 0]])
+def test_an_order_that_tells_no_passes_is_asked_about(tmp_path: Path, angles: list[int]) -> None:
+    rows = "\n".join(f"{angle},0,1.5" for angle in angles)
+    with pytest.raises(DataError, match="Add a column 'direction'"):
+        read(tmp_path, f"angle [deg],target,length [m]\n{rows}\n", known={"target": Known((0,))})
+
+
+def test_an_unknown_direction_is_named(tmp_path: Path) -> None:
+    text = "angle [deg],direction,target,length [m]\n0,left,0,1.5\n"
+    assert [cells[0] for cells in rows(read(tmp_path, text))] == ["0"]  # which needs no direction
+    with pytest.raises(DataError, match="row 2: the direction must be up or down, found 'left'"):
+        read(tmp_path, text + "0,right,0,1.5\n", known={"target": Known((0,))})
+
+
+def test_columns_of_direction_and_run_go_with_numbers_of_positions(tmp_path: Path) -> None:
+    known = {
+        "position": Known((0, 1, 2, 3), angles=(0.0, 1.0, 1.0, 0.0), downward=frozenset((2, 3))),
+        "target": Known((0,)),
+    }
+    text = "position,Richtung,target,length [m]\n0,hin,0,1\n0,rück,0,2\n1,hin,0,3\n1,rück,0,4\n"
+    assert [cells[0] for cells in rows(read(tmp_path, text, known=known))] == ["0", "3", "1", "2"]

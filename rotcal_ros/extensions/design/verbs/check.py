@@ -105,7 +105,7 @@ def _check_plan(
     with progress("targets") as shown:
         return plan_check(
             configuration,
-            read_curve(earlier, "ECC", None),
+            read_curve(earlier, "ECC"),
             rule_of(ARCSEC, **rule),
             every=every,
             offered=() if candidates is None else read_targets(candidates),
