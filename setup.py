@@ -222,7 +222,7 @@ setup(
         "rotcal_ros.goals": [f"tracer = {NAME}.extensions.design.settings:TracerDesignSettings"],
         "rotcal_ros.functions": [
             f"plan_plate = {NAME}.extensions.design.ball_plate.ball_layout:plan_plate",
-            f"write_certificate = {NAME}.extensions.certificate.writing:write_certificate",
+            f"write_certificate = {NAME}.extensions.certificate.writing:write_certificate [dcc]",
         ],
         "rotcal_ros.figures": [f"plot = {NAME}.methods.figures.curves:plot"],
         "rotcal_ros.certificates": [

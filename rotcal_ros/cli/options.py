@@ -77,7 +77,7 @@ polygon_option: Final = click.option(
 )
 
 
-sheet_option = click.option(
+sheet_option: Final = click.option(
     "--set",
     "changes",
     multiple=True,

@@ -18,12 +18,8 @@ from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, TURN, wrapped
 from rotcal_ros.foundation.curves.measured import MeasuredCurve, period_of
 from rotcal_ros.foundation.errors import BagError, DataError
-from rotcal_ros.foundation.sheets.reading import (
-    AS_IT_STANDS,
-    Reading,
-    SheetSettings,
-    read_any,
-)
+from rotcal_ros.foundation.sheets.layout import TableColumn
+from rotcal_ros.foundation.sheets.reading import AS_IT_STANDS, Reading, SheetSettings, read_any
 from rotcal_ros.foundation.sheets.words import answer
 from rotcal_ros.foundation.tables import Header, csv_rows
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
@@ -36,7 +32,7 @@ _HEADERS: Final[tuple[Header, ...]] = (
     (*_WITHOUT, "u_rad"), (*_WITHOUT, _EXPANDED), (*_WITHOUT, _EITHER), _WITHOUT
 )  # fmt: skip
 """Other forms, with a standard uncertainty, an expanded one, one that may be either, or none."""
-_CAPITAL: Final = re.compile(r"'U\b")
+_CAPITAL: Final = re.compile(r"U\b")
 """The heading of an expanded uncertainty, in the notation of the GUM."""
 
 
@@ -68,10 +64,10 @@ def read_deviations(
 
 def _require_known_factor(reading: Reading) -> None:
     """Raise DataError for an uncertainty of which nobody says whether it is expanded."""
-    theirs = [*reading.columns.values()][2]
-    named, capital = reading.table.header[2], _CAPITAL.match(theirs)
-    if named == _EITHER or (named == "u_rad" and capital):
-        text = theirs.rpartition("'")[0].strip("'")
+    named = reading.table.header[2]
+    use = reading.uses.get(TableColumn.of(named).name)
+    text = named if use is None else use.text
+    if named == _EITHER or (named == "u_rad" and _CAPITAL.match(text)):
         raise DataError(
             f"{reading.table.path}: the column {text!r} may hold standard uncertainties (k = 1) "
             f"or expanded ones (k = 2): say which: {answer('u', text)} or "

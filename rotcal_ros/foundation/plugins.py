@@ -95,19 +95,22 @@ def names(group: str) -> tuple[str, ...]:
 def load(group: str, name: str, what: str) -> Any:
     """Load the entry point ``name`` of ``group``.
 
-    Raises ConfigurationError, with the nearest name, when there is none; ``what`` is the kind of
-    plug-in in words.
+    Raises ConfigurationError, with the nearest name, when there is none, and with the extra that
+    the entry point names when something cannot be imported; ``what`` is the kind of plug-in in
+    words.
     """
     found = _found(group)
     if name not in found:
         raise ConfigurationError(f"unknown {what} {name!r:.80}{nearest(name, found, group)}")
+    point = found[name]
     try:
-        return found[name].load()
+        return point.load()
     except Exception as error:  # code of another package may raise anything
-        why = error if isinstance(error, ImportError) else f"{type(error).__name__}: {error}"
-        package = _package(found[name])
+        why = str(error) if isinstance(error, ImportError) else f"{type(error).__name__}: {error}"
+        if isinstance(error, ImportError) and point.dist is not None and point.extras:
+            why += f": pip install '{point.dist.metadata['Name']}[{','.join(point.extras)}]'"
         raise ConfigurationError(
-            f"the {what} {name!r} ({package}) cannot be loaded: {why}"
+            f"the {what} {name!r} ({_package(point)}) cannot be loaded: {why}"
         ) from error
 
 

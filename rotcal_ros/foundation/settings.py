@@ -161,8 +161,7 @@ def of_changes(
     """Return the settings of a ``group`` with ``group.name=value`` changes and nothing else.
 
     Of a setting that is a text a value is that text; else ``parsed`` reads it, given the text and
-    its place. Raises ConfigurationError for
-    changes of other groups.
+    its place. Raises ConfigurationError for changes of other groups.
     """
     texts = {d.name for d in declarations(cls) if d.kind is str and not d.is_list}
     values: dict[str, Any] = {}

@@ -64,7 +64,7 @@ def test_a_type_checker_sees_the_same_names_at_the_same_places():
     places = {name: f"rotcal_ros.{module}.{name}" for name, module in rc._PLACES.items()}
     places |= {name: f"rotcal_ros.{module}" for name, module in rc._MODULES.items()}
     brought = entry_points(group=FUNCTIONS)
-    places |= {point.name: point.value.replace(":", ".") for point in brought}
+    places |= {point.name: f"{point.module}.{point.attr}" for point in brought}
     assert seen == places
     declared = {node.target.id for node in tree.body if isinstance(node, ast.AnnAssign)}
     assert declared == {"__all__", "__version__"}

@@ -72,6 +72,12 @@ def test_what_is_open_is_asked(head, asked, tmp_path):
         read(tmp_path, head)
 
 
+def test_names_with_the_units_of_si_leave_nothing_open(tmp_path):
+    curve = read(tmp_path, "angle_rad,deviation_rad,u_rad")
+    assert curve.deviation.tolist() == [deviation for _, deviation in ROWS]
+    assert np.diag(curve.covariance).tolist() == [0.25] * len(ROWS)
+
+
 def test_a_correction_is_no_deviation(tmp_path):
     with pytest.raises(BagError, match=r"no column deviation_rad: .*\[deviation=ITS NAME\]"):
         read(tmp_path, "Angle [deg],Correction [arcsec],u [arcsec]")

@@ -6,11 +6,9 @@ each, and errors tell the names that people know.
 
 from __future__ import annotations
 
-import io
 import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import redirect_stderr
 from dataclasses import asdict, dataclass, field, is_dataclass, replace
 from functools import partial
 from multiprocessing.connection import Connection
@@ -44,7 +42,6 @@ from rotcal_ros.methods.configuration import (
 from rotcal_ros.methods.measurements import read_measurements
 from rotcal_ros.methods.method import Measurements, find_method, method_names
 from rotcal_ros.methods.new_setup import given_value, known_settings, setup_text, values_of_tables
-from rotcal_ros.recordings.inputs import Input
 from rotcal_ros.recordings.result_sources import read_source
 from rotcal_ros.report.page import write_measured
 from rotcal_ros.report.printing import printed
@@ -221,9 +218,8 @@ def as_pdf(asked: Asked) -> Reply:
 def certified(asked: Asked) -> Reply:
     """Write the digital calibration certificate."""
     (asked.folder / DCC).unlink(missing_ok=True)
-    write = plugins.extension(plugins.CERTIFICATES, "dcc", "a certificate")
-    with redirect_stderr(io.StringIO()):
-        write(Input(asked.folder / RESULT), asked.folder / DCC, None, None)
+    write = plugins.load(plugins.FUNCTIONS, "write_certificate", "function")
+    write(read_source(asked.folder / RESULT).result, asked.folder / DCC)
     return {"files": [DCC]}
 
 

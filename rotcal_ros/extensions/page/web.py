@@ -218,7 +218,7 @@ def make_app(folder: Path, port: int) -> OneVisitor:
                 Route("/start", desk.start),
                 Route("/settings/{method}", _settings),
                 Route("/files/{role}", desk.take, methods=["POST", "DELETE"]),
-                Route("/work/{what}", desk.work, methods=["POST"]),
+                Route("/do/{what}", desk.work, methods=["POST"]),
                 Route("/made/{name}", desk.download),
                 Mount("/static", StaticFiles(directory=STATIC)),
             ],

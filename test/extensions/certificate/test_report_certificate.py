@@ -15,6 +15,7 @@ import rotcal_ros as rc
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.circumstances import Circumstances
+from rotcal_ros.foundation.errors import ConfigurationError
 from rotcal_ros.foundation.identity import Identity
 from rotcal_ros.foundation.results import Result
 
@@ -83,6 +84,14 @@ def test_missing_packages_are_named_with_what_brings_them(result_file, monkeypat
     assert refused.output == (
         "rotcal: a certificate needs the package lxml: pip install 'rotcal_ros[dcc]'\n"
     )
+
+
+def test_a_script_is_told_what_brings_them(monkeypatch):
+    for name in [n for n in sys.modules if n.startswith("rotcal_ros.extensions.certificate.")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "lxml", None)
+    with pytest.raises(ConfigurationError, match=r"lxml.*: pip install 'rotcal_ros\[dcc\]'$"):
+        plugins.load.__wrapped__(plugins.FUNCTIONS, "write_certificate", "function")
 
 
 def test_without_the_extension_it_is_said_what_to_install(result_file, monkeypatch):

@@ -45,7 +45,7 @@ class Visitor:
 
     def work(self, what, *changes, method=METHOD, **options):
         asked = {"method": method, "changes": changes, **options}
-        return self.client.post(f"/work/{what}", json=asked, headers=self.own).json()
+        return self.client.post(f"/do/{what}", json=asked, headers=self.own).json()
 
     def lengths(self, text, name="mine.csv"):
         """Drop a table, text or bytes, and the targets of the samples."""
@@ -113,7 +113,7 @@ def test_another_page_is_not_heard(visitor, wrong, tmp_path):
     answers = (
         visitor.client.post("/files/table", content=b"x", headers=headers),
         visitor.client.request("DELETE", "/files/table", headers=headers),
-        visitor.client.post("/work/explain", json={"method": METHOD}, headers=headers),
+        visitor.client.post("/do/explain", json={"method": METHOD}, headers=headers),
     )
     assert [answer.status_code for answer in answers] == [403] * 3
     assert list(tmp_path.iterdir()) == []
@@ -178,7 +178,7 @@ def test_nonsense_is_told_by_the_name_of_the_file(visitor, content, words, tmp_p
 def test_without_a_table_nothing_can_be_done(visitor):
     assert "drop one" in visitor.work("solve")["error"]["text"]
     visitor.lengths(OWN[0].read_bytes())
-    refused = visitor.client.post("/work/format", json={"method": METHOD}, headers=visitor.own)
+    refused = visitor.client.post("/do/format", json={"method": METHOD}, headers=visitor.own)
     assert refused.status_code == 400
 
 

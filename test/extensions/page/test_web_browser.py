@@ -136,6 +136,19 @@ def test_an_error_stands_at_its_field(opened):
     assert "length_std_m: 1.2e-07" in page.request.get(f"{page.url}made/setup.yaml").text()
 
 
+def test_instruments_that_are_not_shown_are_stated_too(opened):
+    page = opened(locale="en-GB")
+    page.evaluate("document.querySelectorAll('details').forEach((e) => { e.open = true; })")
+    for kind in ("tracer", "machine"):
+        page.locator("#instrument").select_option(kind)
+        page.locator(f"[data-name='identity.instruments.{kind}.serial']").fill(f"of {kind}")
+    dropped(page, "lengths.csv", (DATA / "lengths.csv").read_bytes())
+    solve(page)
+    text = page.request.get(f"{page.url}made/setup.yaml").text()
+    assert "serial: of tracer" in text
+    assert "serial: of machine" in text
+
+
 def test_it_speaks_german(opened):
     page = opened(locale="de-DE")
     dropped(page, "lengths.csv", (DATA / "lengths.csv").read_bytes())

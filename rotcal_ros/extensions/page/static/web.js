@@ -27,7 +27,7 @@ async function ask(path, body, method = "POST") {
   }
 }
 const work = (what, more = {}) =>
-  ask(`/work/${what}`, JSON.stringify({ method: by("method").value, changes: changes(), language, ...more }));
+  ask(`/do/${what}`, JSON.stringify({ method: by("method").value, changes: changes(), language, ...more }));
 
 function field(id, words, input, unit = "") {
   const line = element("p", "", "field"), label = element("label", words), wrap = element("span", "", unit ? "with_unit" : "");
@@ -94,7 +94,7 @@ function given({ dataset: { name, kind }, value }) {
   return /^\d*\.?\d*$/.test(plain) ? `${plain}e-6` : plain;
 }
 function changes() {
-  const found = new Map(inputs().filter((i) => i.value.trim() && !i.closest(".field").hidden | i.closest("#instruments"))
+  const found = new Map(inputs().filter((i) => i.value.trim())
     .filter((i) => !("setup" in names) || i.dataset.name.startsWith("identity.") || i.dataset.name.startsWith("air."))
     .map((i) => [i.dataset.name, given(i)]));
   const count = found.get("plan.table_positions");
@@ -250,6 +250,7 @@ function unitOf({ setting, units, name }, main) {
 
 // The result, and what is made of it.
 async function solve() {
+  clearTimeout(waiting); // a field that was left for this button: what it says is solved now
   by("solve").disabled = true;
   text("busy", t("Solving …"));
   const told = await work("solve");
