@@ -102,8 +102,10 @@ def tangential_protection(
         f"a tracer that mount or cable shift along its circle between the angles{alike} leaves no "
         f"trace in any length: 1 um of it is {MICROMETRE / radius / ARCSEC:.2f} arcsec{beside}"
     )
-    bound = "no angle was measured again, which would bound what of it does not come back with "
-    bound += untested
+    bound = (
+        "no angle was measured again, which would bound what of it does not come back with "
+        f"{untested}"
+    )
     if within is not None:
         bound = (
             f"what of it does not come back with the angle is less than {within / MICROMETRE:.2g} "

@@ -449,8 +449,10 @@ def _moved(solution: SixSolution, effect: Effect, worst: Unseen, what: str) -> P
     if again is None:
         shown = f"{what}; no run measured an angle again to show it (plan.closes)"
     else:
-        shown = f"{what}; {len(again.places)} of {len(solution.layout.places)} runs came back to"
-        shown += " an angle, and are tested for it"
+        shown = (
+            f"{what}; {len(again.places)} of {len(solution.layout.places)} runs came back to an "
+            "angle, and are tested for it"
+        )
     return _felt(effect, worst, shown)
 
 
