@@ -29,8 +29,8 @@ LONGEST: Final = 4000
 """Letters of a text that is still taken apart."""
 MOST_LETTERS: Final = 200
 """Of words before a mere blank."""
-LETTERS: Final = 4
-"""An entry with fewer beside its places says nothing about who made a text."""
+LETTERS: Final = 7
+"""An entry with fewer beside its places may have made a text, if no others did piece by piece."""
 DEPTH: Final = 6
 """Texts in places of texts: this far down they are understood."""
 _COUNTED: Final = re.compile(r"(\d+ |)([^\d].*[^\d])( \d+|)")
@@ -117,12 +117,13 @@ class Template:
 class Language:
     """One language: ``texts`` are English ones with their translations.
 
-    ``templates`` are those among them that have places, the most telling ones first.
+    ``templates`` are those among them that have places, the most telling ones first: those with
+    LETTERS, and the rest.
     """
 
     code: str = "en"
     texts: Mapping[str, str] | None = None
-    templates: Sequence[Template] = ()
+    templates: tuple[Sequence[Template], Sequence[Template]] = ((), ())
 
     def __call__(self, template: str, *parts: object) -> str:
         """Return a text of the catalogue in this language, with its places filled."""
@@ -139,18 +140,33 @@ class Language:
         """Return a finished text of ours in this language; None if no entry made it."""
         if self.texts is None or text in self.texts or not depth or len(text) > LONGEST:
             return None if self.texts is None else self.texts.get(text)
-        for template in self.templates:
-            filling = template.filling(text, self.texts)
+        whole, short = self.templates
+        return (
+            self._filled(whole, text, depth)
+            or self._piecewise(text, depth)
+            or self._filled(short, text, depth)
+            or self._counted(text, depth)
+        )
+
+    def _filled(self, templates: Sequence[Template], text: str, depth: int) -> str | None:
+        for template in templates:
+            filling = template.filling(text, self.texts or ())
             if filling is not None:
                 parts = [self.understood(part, depth - 1) or part for part in filling]
                 return template.translated.format(*parts)
-        for joint in JOINTS:
+        return None
+
+    def _piecewise(self, text: str, depth: int) -> str | None:
+        for joint in filter(text.__contains__, JOINTS):
             each = [
-                self.understood(part, depth - 1) if " " in part else self(part)
+                self.understood(part, depth - 1) or (None if " " in part else part)
                 for part in text.split(joint)
             ]
-            if len(each) > 1 and None not in each:
+            if None not in each:
                 return joint.join(map(str, each))
+        return None
+
+    def _counted(self, text: str, depth: int) -> str | None:
         counted = _COUNTED.fullmatch(text)
         if counted is None or counted[2] == text:
             return None
@@ -191,8 +207,10 @@ def language(code: str) -> Language:
     texts = {_joined(english): _joined(translated) for english, translated in entries}
     texts = {english: text for english, text in texts.items() if english and text}
     templates = [Template.of(*entry) for entry in texts.items() if _PLACE.search(entry[0])]
-    telling = [template for template in templates if template.letters >= LETTERS]
-    return Language(code, texts, sorted(telling, key=lambda t: t.letters, reverse=True))
+    telling = sorted(templates, key=lambda template: template.letters, reverse=True)
+    whole = [template for template in telling if template.letters >= LETTERS]
+    short = [template for template in telling if 0 < template.letters < LETTERS]
+    return Language(code, texts, (whole, short))
 
 
 def _joined(lines: str) -> str:

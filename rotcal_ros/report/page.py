@@ -115,7 +115,7 @@ def render_report(report: ReportInput) -> str:
         conformity=first_page.statements_of_conformity(result, doubt),
         warnings=list(map(phrase, result.warnings)),
         curve=curves.deviations(result, report.truth, valid=not doubt),
-        zero=_zero(result),
+        zero=listed(_zero(result), " "),
         values=first_page.value_blocks(result, doubt),
         traceability=traceability_statement(result),
         only_this_item=first_page.ONLY_THIS_ITEM,
@@ -220,7 +220,7 @@ def _residuals_alone(result: Result, _truth: Mapping[str, Any] | None) -> Sequen
 def _zero(result: Result) -> Sequence[str]:
     """Return what the curves count from, in words."""
     if result.method in method_names():
-        return list(map(phrase, find_method(result.method).zero(result)))
+        return [phrase(text) for text in find_method(result.method).zero(result)]
     counts_from = result.zeros.counts_from
     return (
         ()

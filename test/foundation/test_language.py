@@ -49,7 +49,7 @@ def test_a_list_of_phrases_is_said_part_by_part():
         # a text in a place of another, and a place that ends at a mere blank
         ("2 of the 9 lengths of station 4 are off together, by about 5 um, and were left out: look "
          "for warm air, a person or an obstacle in the beams",
-         "2 der 9 Längen bei Station 4 weichen gemeinsam ab, um etwa 5 um, und wurden "
+         "2 der 9 Längen bei Station 4 weichen gemeinsam ab, um etwa 5 µm, und wurden "
          "ausgeschlossen: mögliche Ursache: warme Luft, eine Person oder ein Hindernis im "
          "Strahlengang"),
         # a name of the cell in a place, with what looks like a place
@@ -76,7 +76,7 @@ def test_no_entry_takes_the_text_of_another(code):
             f"{piece}{number}"
             for piece, number in zip(template.pieces, [*template.places, ""], strict=True)
         )
-        for template in spoken.templates
+        for template in spoken.templates[0]
         if (numbers := [*range(len(set(template.places)))])
     }
     assert {german: spoken(english) for german, english in filled.items()} == {g: g for g in filled}

@@ -16,11 +16,12 @@ from rotcal_ros.report.page import ReportInput, render_report
 ROOT = Path(__file__).parents[2]
 RESULTS = [*ROOT.glob("test/golden/**/result.json"), *ROOT.glob("examples/data/result_*.json")]
 ENGLISH = re.compile(
-    r"\b(the|of|is|are|and|by|with|from|that|not|than|each|at|to|on|no|its|was|were|table|angle"
+    r"\b(the|of|is|are|and|by|with|from|that|not|than|each|at|to|on|no|its|were|table|angle"
     r"|residuals?|measured|targets?|stations?|position)\b"
 )
 """Words that no German text has."""
-NAMES = "tilt_std_arcsec", "ball_plate.md", "drift_allowance_m"
+DETAILS = re.compile(r"<details><summary>[^<]*result\.json</summary>.*?</details>", re.DOTALL)
+"""Names of entries of a file, which have no language."""
 FOREIGN = ("pre", "code", "style")
 
 
@@ -30,7 +31,7 @@ class Texts(HTMLParser):
     def __init__(self, page):
         super().__init__()
         self.texts, self._quiet, self._summary = [], 0, ""
-        self.feed(re.sub(r'<details><summary>[^<]*, SI</summary>.*?</details>', "", page, flags=re.S))
+        self.feed(re.sub(DETAILS, "", page))
 
     def handle_starttag(self, tag, attrs):
         self._quiet += tag in FOREIGN

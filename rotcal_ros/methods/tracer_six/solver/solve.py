@@ -436,7 +436,8 @@ def _tangential(solution: SixSolution) -> Protection:
     return tangential_protection(
         _radius(solution),
         alike=", by the same at every place,",
-        beside=" of ECC; what differs from place to place is scatter",
+        of=" of ECC",
+        beside="what differs from place to place is scatter",
         within=returned(solution),
         shown="angles that were measured again",
         untested="it",
