@@ -102,16 +102,16 @@ def shown_texts() -> dict[str, list[str]]:
             if " " in text and set(re.findall("[a-z]{2,}", text)) - {"mm", "arcsec"}
         ]
         for where, tree in modules().items()
-        if not where.startswith("extensions")
     }
 
 
 @cache
 def modules() -> dict[str, ast.Module]:
-    """Return the syntax of every file of the package by its name."""
+    """Return the syntax of the files of the package by their names; extensions mark theirs."""
     return {
         str(path.relative_to(PACKAGE)): ast.parse(path.read_text(encoding="utf-8"))
         for path in sorted(PACKAGE.rglob("*.py"))
+        if "extensions" not in path.parts
     }
 
 

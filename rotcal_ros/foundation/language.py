@@ -101,7 +101,7 @@ class Template:
         rest = text.removeprefix(first).removesuffix(last)
         if len(text) != len(first) + len(rest) + len(last):
             return None
-        found = {}
+        found: dict[int, str] = {}
         for place, piece in zip(self.places, [*between, ""], strict=True):
             end = rest.find(piece) if piece else len(rest)
             if piece == " ":
@@ -110,7 +110,7 @@ class Template:
             if end < 0:
                 return None
             found[place], rest = rest[:end], rest[end + len(piece) :]
-        return [found[place] for place in sorted(found)]
+        return [found.get(place, "") for place in range(max(found) + 1)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -80,4 +80,10 @@ def section(result: Result) -> str | None:
     ]
     drawn = diagrams(runs, figures)
     notes = () if figures.measurement_stated else (ONLY_SCATTER,)
-    return render("iso230", figure=drawn, rows=rows, notes=notes, warnings=list(map(phrase, figures.warnings)))
+    return render(
+        "iso230",
+        figure=drawn,
+        rows=rows,
+        notes=notes,
+        warnings=list(map(phrase, figures.warnings)),
+    )

@@ -96,7 +96,9 @@ def render_report(report: ReportInput) -> str:
     result = report.result
     identity = result.circumstances.identity
     doubt = withheld(result, report.truth)
-    attempts = [[o.step, o.attempt, phrase(o.reason)] for o in report.observations if not o.accepted]
+    attempts = [
+        [o.step, o.attempt, phrase(o.reason)] for o in report.observations if not o.accepted
+    ]
     adjusted = any(title == verification.TITLE for title, _ in report.extra)
     return render(
         "report",

@@ -77,10 +77,10 @@ def test_warnings_and_reasons_are_german_and_an_unknown_one_is_marked_as_english
     known = read_source(ROOT / "examples/data/result_ball_plate.json").result
     warnings = ("3 of 40 centres were rejected", "the moon is full")
     page = german(replace(known, verdict="suspect", warnings=warnings))
-    said = "die Bewertung lautet „zweifelhaft“: 3 von 40 Kugelmittelpunkten wurden verworfen; the moon"
-    assert said in page
+    said = "3 von 40 Kugelmittelpunkten wurden verworfen"
+    assert f"die Bewertung lautet „zweifelhaft“: {said}; the moon is full" in page
     page = german(replace(known, warnings=warnings))
-    assert "<li>3 von 40 Kugelmittelpunkten wurden verworfen</li>" in page
+    assert f"<li>{said}</li>" in page
     assert '<li lang="en">the moon is full</li>' in page
 
 

@@ -104,7 +104,9 @@ def tables(result: Result) -> list[ResultTable]:
     columns: dict[str, Any] = {"position": details["station_ids"]}
     projected = places - axial[:, None] * normal
     columns |= {f"{axis}_mm": places[:, k] / MILLIMETRE for k, axis in enumerate("xyz")}
-    columns |= {f"projected_{axis}_mm": projected[:, k] / MILLIMETRE for k, axis in enumerate("xyz")}
+    columns |= {
+        f"projected_{axis}_mm": projected[:, k] / MILLIMETRE for k, axis in enumerate("xyz")
+    }
     if "station_std" in details:
         expanded = COVERAGE_FACTOR * _array(details["station_std"]) / MICROMETRE
         columns |= {f"U_{axis}_um": expanded[:, k] for k, axis in enumerate("xyz")}

@@ -102,9 +102,9 @@ def tangential_protection(
 
     All its lengths are those of a table that turned further: none can show it, and an angle that
     was measured again bounds only what does not come back with the angle. ``radius`` (m) of the
-    circle; ``alike``: what else looks like it, ``of`` which deviation the angle is, ``beside``: what
-    else is said. ``within`` (m):
-    how near the tracer came back, 95 %, as ``shown``; None: that is ``untested``.
+    circle; ``alike``: what else looks like it, ``of`` which deviation the angle is, ``beside``:
+    what else is said. ``within`` (m): how near the tracer came back, 95 %, as ``shown``; None:
+    that is ``untested``.
     """
     why = (
         f"a tracer that mount or cable shift along its circle between the angles{alike} leaves no "
