@@ -68,13 +68,11 @@ def used() -> dict[str, str]:
     page = Shown()
     page.feed(INDEX.read_text(encoding="utf-8"))
     shown = [text for text in page.texts if any(map(str.isalpha, text)) and text != "rotcal"]
-    for where, texts in shown_texts().items():
-        for text in texts:
-            found.setdefault(text, where)
     titles = [find_method(name).title for name in method_names()]
     data = (*DATA, WHOLE, *ALL_EFFECTS, *get_args(Treatment), *titles, *REASONS.values(),
             *STATES.values(), *INSTRUCTIONS.values())  # fmt: skip
-    for where, texts in (("static/index.html", shown), ("data", data)):
+    of_calls = [(where, tuple(texts)) for where, texts in shown_texts().items()]
+    for where, texts in (*of_calls, ("static/index.html", tuple(shown)), ("data", data)):
         for text in texts:
             found.setdefault(text, where)
     return {text: where for text, where in found.items() if any(map(str.isalpha, text))}
@@ -158,5 +156,5 @@ def update(code: str) -> None:
 
 
 if __name__ == "__main__":
-    for language in sys.argv[1:] or [path.stem for path in FOLDER.glob("*.po")]:
-        update(language)
+    for code in sys.argv[1:] or [path.stem for path in FOLDER.glob("*.po")]:
+        update(code)
