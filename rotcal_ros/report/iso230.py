@@ -79,7 +79,7 @@ def section(result: Result) -> str | None:
         for (name, values), expanded in zip(figures.summary(), figures.expanded(), strict=True)
     ]
     drawn = diagrams(runs, figures)
-    notes = () if figures.measurement_stated else (ONLY_SCATTER,)
+    notes = () if figures.measurement_stated else (phrase(ONLY_SCATTER),)
     return render(
         "iso230",
         figure=drawn,

@@ -227,7 +227,7 @@ def _zero(result: Result) -> Sequence[str]:
     return (
         ()
         if counts_from == UNKNOWN
-        else (phrase("Every deviation counts from: {0}.", counts_from),)
+        else (phrase("Every deviation counts from: {0}.", phrase(counts_from)),)
     )
 
 
