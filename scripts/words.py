@@ -1,12 +1,19 @@
 """Brings the catalogues of other languages up to date with the texts of pages and reports.
 
+Texts that are marked, or stand in a call that shows them, are asked for. What else the code
+writes, such as a warning, is asked for as soon as one catalogue has it.
+
 usage: python scripts/words.py            all catalogues: new texts are added, those not used go
        python scripts/words.py LANGUAGE   begins a catalogue (a code of ISO 639-1, such as fr)
 """
 
 from __future__ import annotations
 
+import ast
+import re
 import sys
+from collections.abc import Iterator
+from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import get_args
@@ -17,7 +24,7 @@ from babel.messages.pofile import read_po, write_po
 
 from rotcal_ros.evaluation.budget import WHOLE
 from rotcal_ros.extensions.page.web import asked_settings
-from rotcal_ros.foundation.language import FOLDER
+from rotcal_ros.foundation.language import FOLDER, language
 from rotcal_ros.foundation.node_state import INSTRUCTIONS, REASONS, STATES
 from rotcal_ros.foundation.protection import ALL_EFFECTS, Treatment
 from rotcal_ros.methods import find_method, method_names
@@ -27,6 +34,10 @@ PAGES = PACKAGE / "extensions" / "page" / "static"
 READ = [("**/templates/**.j2", "jinja2"), ("**/static/*.js", "javascript"), ("**.py", "python")]
 OPTIONS = {"**/static/*.js": {"template_string": False}}
 MARKS = {"phrase": None, "noted": None, "t": None}
+SHOWN_BY = ("Figure", "Protection", "angle_axis", "set_xlabel", "set_ylabel", "set_title")
+"""Calls whose texts of several words come onto a page."""
+UNIT = re.compile("_(deg|mm|um|arcsec)$")
+"""At the end of a head of a table, of which the page says the rest."""
 DATA = (
     "ok", "suspect", "failed", "measurement", "tolerance", "within", "beyond", "undecided",
     "tracker", "tracer", "laser", "mirror", "plate", "cmm", "rotary table", "machine",
@@ -64,10 +75,72 @@ def used() -> dict[str, str]:
     titles = [find_method(name).title for name in method_names()]
     data = (*DATA, *fields, WHOLE, *ALL_EFFECTS, *get_args(Treatment), *titles, *REASONS.values(),
             *STATES.values(), *INSTRUCTIONS.values())  # fmt: skip
-    for where, texts in (("static/*.html", shown), ("data", data)):
+    of_calls = [(where, tuple(texts)) for where, texts in shown_texts().items()]
+    for where, texts in (*of_calls, ("static/*.html", tuple(shown)), ("data", data)):
         for text in texts:
             found.setdefault(text, where)
     return {text: where for text, where in found.items() if any(map(str.isalpha, text))}
+
+
+def written() -> dict[str, str]:
+    """Return every text in the code with its places, marked or not, and where it is."""
+    return {
+        text: where
+        for where, tree in modules().items()
+        for node in ast.walk(tree)
+        for text in texts_of(node)
+    }
+
+
+def shown_texts() -> dict[str, list[str]]:
+    """Return, by file, the texts of several words in calls that show them."""
+    return {
+        where: [
+            text
+            for call in ast.walk(tree)
+            if isinstance(call, ast.Call) and ast.unparse(call.func).split(".")[-1] in SHOWN_BY
+            for argument in (*call.args, *(keyword.value for keyword in call.keywords))
+            for text in texts_of(argument)
+            if " " in text and set(re.findall("[a-z]{2,}", text)) - {"mm", "arcsec"}
+        ]
+        for where, tree in modules().items()
+    }
+
+
+@cache
+def modules() -> dict[str, ast.Module]:
+    """Return the syntax of the files of the package by their names; extensions mark theirs."""
+    return {
+        str(path.relative_to(PACKAGE)): ast.parse(path.read_text(encoding="utf-8"))
+        for path in sorted(PACKAGE.rglob("*.py"))
+        if "extensions" not in path.parts
+    }
+
+
+def texts_of(node: ast.AST) -> Iterator[str]:
+    """Yield the texts that a piece of code is: of a constant, a name, or with places {0}, {1}."""
+    if isinstance(node, ast.JoinedStr):
+        count = iter(range(len(node.values)))
+        text = "".join(
+            str(part.value) if isinstance(part, ast.Constant) else f"{{{next(count)}}}"
+            for part in node.values
+        )
+    elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+        count = iter(range(len(node.value)))
+        text = re.sub(r"\{(:[^}]*)?\}", lambda _: f"{{{next(count)}}}", node.value)
+    elif isinstance(node, ast.keyword) and node.arg:
+        text = node.arg
+    else:
+        return
+    yield text
+    if " " not in text:
+        yield UNIT.sub("", text).removeprefix("U_").replace("_", " ")
+
+
+def wanted() -> dict[str, str]:
+    """Return what every catalogue has to have: what is used, and what another one has."""
+    known = {text for path in FOLDER.glob("*.po") for text in language(path.stem).texts or ()}
+    return used() | {text: where for text, where in written().items() if text in known}
 
 
 def update(code: str) -> None:
@@ -78,7 +151,7 @@ def update(code: str) -> None:
         with path.open("rb") as file:
             catalogue = read_po(file, locale=code)
     template = Catalog(project="rotcal_ros", fuzzy=False)
-    for text, where in used().items():
+    for text, where in wanted().items():
         template.add(text, locations=[(where, 0)])
     catalogue.update(template, no_fuzzy_matching=True)
     catalogue.obsolete.clear()
@@ -87,5 +160,5 @@ def update(code: str) -> None:
 
 
 if __name__ == "__main__":
-    for language in sys.argv[1:] or [path.stem for path in FOLDER.glob("*.po")]:
-        update(language)
+    for code in sys.argv[1:] or [path.stem for path in FOLDER.glob("*.po")]:
+        update(code)

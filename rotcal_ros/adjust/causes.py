@@ -171,8 +171,9 @@ class Diagnosis:
         """Return what is wrong with the observations."""
         name = self.model.names
         gone = ", ".join(name[row] for row in sorted(self.why)[:8])
-        more = f" and {len(self.why) - 8} others" if len(self.why) > 8 else ""
-        parts = [f"{gone}{more} are wrong"] if gone else []
+        if len(self.why) > 8:
+            gone = f"{gone} and {len(self.why) - 8} others"
+        parts = [f"{gone} are wrong"] if gone else []
         return " and ".join([*parts, *(e.what for e in self.taken)]) or "nothing is wrong"
 
     def holding(self, found: Explanation, rivals: Sequence[Explanation] = ()) -> Diagnosis:

@@ -179,8 +179,8 @@ def _blamed(case: Blame, words: Words) -> str:
     )
     if case.ambiguous:
         other = int(case.rivals[0].sum())
-        text += (
-            f"; that {other} others are off in their place explains the residuals nearly as well "
+        text += "; " + (
+            f"that {other} others are off in their place explains the residuals nearly as well "
             f"(likelihood 1 : {case.ratios[0]:.2g}), and the uncertainty covers both"
         )
     return text

@@ -18,6 +18,7 @@ from click.shell_completion import CompletionItem
 from rotcal_ros.cli.console import path_type
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.components import COMPONENTS
+from rotcal_ros.foundation.language import ENGLISH, codes
 from rotcal_ros.foundation.units import ARCSEC
 
 if TYPE_CHECKING:
@@ -27,6 +28,12 @@ if TYPE_CHECKING:
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 shown_option = partial(click.option, show_default=True)
+language_option = click.option(
+    "--language",
+    type=click.Choice(codes()),
+    default=ENGLISH.code,
+    help="Language of the report; names, and what a person wrote, stay as they are.",
+)
 set_option = click.option(
     "--set", "changes", multiple=True, metavar="GROUP.NAME=VALUE", help="Change a setting."
 )

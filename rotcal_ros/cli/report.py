@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rotcal_ros.cli.console import VERDICT_EXIT_CODES, NamedFile
-from rotcal_ros.cli.options import set_option, setup_options
+from rotcal_ros.cli.options import language_option, set_option, setup_options
 from rotcal_ros.foundation.errors import BagError
-from rotcal_ros.foundation.language import ENGLISH, codes
+from rotcal_ros.foundation.language import speaking
 from rotcal_ros.foundation.session_folder import SessionFolder, resume_command, unfinished
 from rotcal_ros.report.terminal.console import say, understood
 
@@ -42,12 +42,7 @@ if TYPE_CHECKING:
     metavar="FOLDER",
     help="Files of the table that was in force, to test whether it acts.",
 )
-@click.option(
-    "--language",
-    type=click.Choice(codes()),
-    default=ENGLISH.code,
-    help="Language of headings, tables and statements; explanations of the methods stay English.",
-)
+@language_option
 @click.option(
     "--dcc",
     is_flag=True,
@@ -113,7 +108,6 @@ def command(
     from rotcal_ros.recordings.result_sources import read_source
     from rotcal_ros.report.page import write_measured, write_result, write_tables
     from rotcal_ros.report.printing import require_writable
-    from rotcal_ros.report.template import speaking
 
     session = SessionFolder(source)
     source = session.bag if session.bag.is_dir() else source

@@ -9,7 +9,8 @@ from pathlib import Path
 import click
 
 from rotcal_ros.cli.console import json_option, path_type, print_outcome
-from rotcal_ros.cli.options import configurations, set_option
+from rotcal_ros.cli.options import configurations, language_option, set_option
+from rotcal_ros.foundation.language import speaking
 from rotcal_ros.report.terminal.console import tell
 
 
@@ -26,6 +27,7 @@ from rotcal_ros.report.terminal.console import tell
     help="Continue the interrupted calibration in FOLDER from its first missing step.",
 )
 @click.option("--keep-previous", is_flag=True, help="Move an existing output folder aside.")
+@language_option
 @click.option("--no-report", is_flag=True, help="Write no report.")
 @click.option("--no-export", is_flag=True, help="Write no controller files.")
 @click.option("-y", "--yes", is_flag=True, help="Take work of a person as done when asked for.")
@@ -41,6 +43,7 @@ def command(
     changes: tuple[str, ...],
     resume: Path | None,
     keep_previous: bool,
+    language: str,
     no_report: bool,
     no_export: bool,
     yes: bool,
@@ -85,9 +88,10 @@ def command(
     with lasting_output(session.run_log), viewers:
         outcome = calibrate(session, viewers, at_once=yes)
         if not outcome.get("interrupted"):
-            files = write_products(
-                session, report=not no_report, export=not no_export, tell=viewers.say
-            )
+            with speaking(language):
+                files = write_products(
+                    session, report=not no_report, export=not no_export, tell=viewers.say
+                )
             seconds = round(time.monotonic() - started, 1)
             standing = goal_standing(session.folder)
             goal_line = "" if standing is None else standing.in_words()

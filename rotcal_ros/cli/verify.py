@@ -17,9 +17,10 @@ from rotcal_ros.cli.console import (
     path_type,
     print_verdict,
 )
-from rotcal_ros.cli.options import configurations, installed
+from rotcal_ros.cli.options import configurations, installed, language_option
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.circumstances import SIMULATED
+from rotcal_ros.foundation.language import speaking
 from rotcal_ros.foundation.units import ARCSEC
 from rotcal_ros.report.terminal.console import say, tell
 
@@ -65,6 +66,7 @@ if TYPE_CHECKING:
 @click.option(
     "--again", is_flag=True, help="Add the remaining deviations to the table, and measure again."
 )
+@language_option
 @click.option("--keep-previous", is_flag=True, help="Move an existing output folder aside.")
 @click.option(
     "--resume", type=path_type, metavar="FOLDER", help="Go on with an interrupted verification."
@@ -82,6 +84,7 @@ def command(
     controllers: tuple[str, ...],
     accept_unverified: bool,
     again: bool,
+    language: str,
     keep_previous: bool,
     resume: Path | None,
     loaded: bool,
@@ -114,7 +117,8 @@ def command(
         folder = resume.absolute()
     if loaded:
         confirm_loaded(folder)
-    return _verify(folder, as_json)
+    with speaking(language):
+        return _verify(folder, as_json)
 
 
 def _loaded(folder: Path, files: Sequence[Path]) -> bool:

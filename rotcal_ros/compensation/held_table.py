@@ -146,7 +146,7 @@ class Effect:
         sure = abs(self.factor) - COVERAGE_FACTOR * self.std > SURE and self.share >= SHARE
         for (low, high), cause in zip(WRONG, CAUSES, strict=True):
             if sure and low <= self.factor < high:
-                return f"the table in force does not do what it should: {self.in_words()}; {cause}"
+                return f"the table in force does not do what it should: {cause}; {self.in_words()}"
         return None
 
     def in_words(self) -> str:

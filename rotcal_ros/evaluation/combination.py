@@ -303,9 +303,10 @@ def _interpolated(
 ) -> list[str]:
     """Return in words which components were not measured at all angles."""
     fewer = [c for c, own in joined.items() if len(own.angles) < len(angles)]
+    then = {True: "interpolated at the others", False: "only on an arc, left out"}
     return [
         f"{c} was measured at {len(joined[c].angles)} of {len(angles)} angles: "
-        + ("interpolated at the others" if c in deviations else "only on an arc, left out")
+        f"{then[c in deviations]}"
         for c in fewer
     ]
 

@@ -26,7 +26,7 @@ from rotcal_ros.foundation.arrays import Bools, Floats
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, TRANSLATIONS, unit_of
 from rotcal_ros.foundation.gum_numbers import uncertainty
 from rotcal_ros.foundation.identity import Identity
-from rotcal_ros.foundation.language import noted, phrase
+from rotcal_ros.foundation.language import listed, noted, phrase
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 
@@ -65,7 +65,7 @@ class Conformity:
         limit = f"±{self.tolerance / unit:g} {label}"
         if self.open_zeros:
             return phrase("{0} is undecided against the tolerance {1}: {2}",
-                          self.component, limit, self.open_zeros)  # fmt: skip
+                          self.component, limit, phrase(self.open_zeros))  # fmt: skip
         place = f"{result.angles[self.worst] / DEGREE:g}°"
         decision = phrase(_DECIDED[self.decision], self.component, limit, place)
         return phrase("{0}; conformance probability {1}", decision, _percent(self.probability))
@@ -226,7 +226,7 @@ def withheld_by(verdict: str, warnings: Sequence[str]) -> str | None:
     """Return why a verdict forbids to state an uncertainty; None if it does not."""
     if verdict == "ok":
         return None
-    why = "; ".join(warnings) or phrase("its reason is not recorded")
+    why = listed([*map(phrase, warnings)] or [phrase("its reason is not recorded")])
     return phrase("the verdict is {0}: {1}", phrase(verdict), why)
 
 

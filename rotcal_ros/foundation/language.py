@@ -2,13 +2,19 @@
 
 A text has places ``{0}``, ``{1}`` ... for what differs. Catalogues are files of gettext,
 ``translations/LANGUAGE.po``; what a catalogue lacks stays English.
+
+Results, bags and logs hold finished English texts. One of these is understood again by the entry
+that could have made it, and what fills its places by other entries: so a stored result speaks
+every language, however old it is.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -17,6 +23,18 @@ from typing import Final
 from rotcal_ros.foundation.errors import ConfigurationError
 
 FOLDER: Final = Path(__file__).with_name("translations")
+JOINTS: Final = ("; ", ": ", ", ")
+"""What stands between texts that were made one by one."""
+LONGEST: Final = 4000
+"""Letters of a text that is still taken apart."""
+MOST_LETTERS: Final = 200
+"""Of words before a mere blank."""
+LETTERS: Final = 7
+"""An entry with fewer beside its places may have made a text, if no others did piece by piece."""
+DEPTH: Final = 6
+"""Texts in places of texts: this far down they are understood."""
+_COUNTED: Final = re.compile(r"(\d+ |)([^\d].*[^\d])( \d+|)")
+_PLACE: Final = re.compile(r"\{(\d+)\}")
 _ENTRY: Final = re.compile(r'^msgid ((?:".*"\n)+)msgstr ((?:".*"\n)+)', re.MULTILINE)
 
 
@@ -55,24 +73,120 @@ def listed(texts: Sequence[str], between: str = "; ") -> str:
 
 
 @dataclass(frozen=True, slots=True)
+class Template:
+    """An entry with places: the ``pieces`` between its ``places``, and its translation."""
+
+    pieces: tuple[str, ...]
+    places: tuple[int, ...]
+    translated: str
+
+    @classmethod
+    def of(cls, english: str, translated: str) -> Template:
+        """Return an entry of a catalogue, taken apart."""
+        parts = _PLACE.split(english)
+        return cls(tuple(parts[::2]), tuple(map(int, parts[1::2])), translated)
+
+    @property
+    def letters(self) -> int:
+        """How many letters a text of this entry has for sure."""
+        return sum(map(str.isalpha, "".join(self.pieces)))
+
+    def filling(self, text: str, known: Container[str]) -> list[str] | None:
+        """Return what fills the places in ``text``; None if this entry did not make it.
+
+        Each place ends where the next piece begins first, so no text takes long; if that is a
+        mere blank, behind the most words that are ``known``.
+        """
+        first, *between, last = self.pieces
+        rest = text.removeprefix(first).removesuffix(last)
+        if len(text) != len(first) + len(rest) + len(last):
+            return None
+        found: dict[int, str] = {}
+        for place, piece in zip(self.places, [*between, ""], strict=True):
+            end = rest.find(piece) if piece else len(rest)
+            if piece == " ":
+                blanks = (blank.start() for blank in re.finditer(" ", rest[:MOST_LETTERS]))
+                end = max((b for b in blanks if rest[:b] in known), default=end)
+            if end < 0:
+                return None
+            found[place], rest = rest[:end], rest[end + len(piece) :]
+        return [found.get(place, "") for place in range(max(found) + 1)]
+
+
+@dataclass(frozen=True, slots=True)
 class Language:
-    """One language: ``texts`` are English ones with their translations."""
+    """One language: ``texts`` are English ones with their translations.
+
+    ``templates`` are those among them that have places, the most telling ones first: those with
+    LETTERS, and the rest.
+    """
 
     code: str = "en"
     texts: Mapping[str, str] | None = None
+    templates: tuple[Sequence[Template], Sequence[Template]] = ((), ())
 
     def __call__(self, template: str, *parts: object) -> str:
         """Return a text of the catalogue in this language, with its places filled."""
+        if not parts:
+            return self.understood(template) or template
         spoken = (self.say(part) if isinstance(part, str) else part for part in parts)
-        text = (self.texts or {}).get(template, template)
-        return text.format(*spoken) if parts else text
+        return (self.texts or {}).get(template, template).format(*spoken)
 
     def say(self, text: str) -> str:
         """Return a phrase in this language, any other text as it is."""
         return self(text.template, *text.parts) if isinstance(text, Phrase) else text
 
+    def understood(self, text: str, depth: int = DEPTH) -> str | None:
+        """Return a finished text of ours in this language; None if no entry made it."""
+        if self.texts is None or text in self.texts or not depth or len(text) > LONGEST:
+            return None if self.texts is None else self.texts.get(text)
+        whole, short = self.templates
+        return (
+            self._filled(whole, text, depth)
+            or self._piecewise(text, depth)
+            or self._filled(short, text, depth)
+            or self._counted(text, depth)
+        )
+
+    def _filled(self, templates: Sequence[Template], text: str, depth: int) -> str | None:
+        for template in templates:
+            filling = template.filling(text, self.texts or ())
+            if filling is not None:
+                parts = [self.understood(part, depth - 1) or part for part in filling]
+                return template.translated.format(*parts)
+        return None
+
+    def _piecewise(self, text: str, depth: int) -> str | None:
+        for joint in filter(text.__contains__, JOINTS):
+            each = [
+                self.understood(part, depth - 1) or (None if " " in part else part)
+                for part in text.split(joint)
+            ]
+            if None not in each:
+                return joint.join(map(str, each))
+        return None
+
+    def _counted(self, text: str, depth: int) -> str | None:
+        counted = _COUNTED.fullmatch(text)
+        if counted is None or counted[2] == text:
+            return None
+        words = self.understood(counted[2], depth - 1)
+        return words and f"{counted[1]}{words}{counted[3]}"
+
 
 ENGLISH: Final = Language()
+SPOKEN: Final[ContextVar[Language]] = ContextVar("SPOKEN", default=ENGLISH)
+"""The language of what is drawn and rendered now."""
+
+
+@contextmanager
+def speaking(code: str) -> Iterator[None]:
+    """Draw and render in another language: phrases, and what is ours in a page or a figure."""
+    token = SPOKEN.set(language(code))
+    try:
+        yield
+    finally:
+        SPOKEN.reset(token)
 
 
 def codes() -> tuple[str, ...]:
@@ -91,7 +205,12 @@ def language(code: str) -> Language:
         )
     entries = _ENTRY.findall((FOLDER / f"{code}.po").read_text(encoding="utf-8") + "\n")
     texts = {_joined(english): _joined(translated) for english, translated in entries}
-    return Language(code, {english: text for english, text in texts.items() if english and text})
+    texts = {english: text for english, text in texts.items() if english and text}
+    templates = [Template.of(*entry) for entry in texts.items() if _PLACE.search(entry[0])]
+    telling = sorted(templates, key=lambda template: template.letters, reverse=True)
+    whole = [template for template in telling if template.letters >= LETTERS]
+    short = [template for template in telling if 0 < template.letters < LETTERS]
+    return Language(code, texts, (whole, short))
 
 
 def _joined(lines: str) -> str:

@@ -319,7 +319,7 @@ class Result:
         if self.simulated:
             verdict = phrase("{0} (SIMULATED)", verdict)
         if self.zeros.free:
-            verdict = phrase("{0}, {1}", verdict, self.zeros.in_words())
+            verdict = phrase("{0}, {1}", verdict, phrase(self.zeros.in_words()))
         if not self.protections:
             return phrase("{0}, protection against drift and the like not stated", verdict)
         against = listed([phrase(effect) for effect in self.unprotected], ", ")

@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, MICROMETRE
 
@@ -25,6 +26,8 @@ UNITS: Final = {"deg": "°", "mm": "mm", "um": "µm", "arcsec": "arcsec"}
 """Units as people know them, by the end of a head."""
 EXPANDED: Final = "U_"
 """Beginning of the heads of expanded uncertainties."""
+WORDED: Final = ("quantity", "used")
+"""Columns whose cells are words of ours; other texts are names."""
 GAUGE: Final = {
     "prior": "in the frame of all stated coordinates, which weigh (datum prior)",
     "free": "less a shift and a turn of all targets, which nothing tells (datum free)",
@@ -79,15 +82,15 @@ def _readable(head: str) -> str:
     name, _, unit = head.rpartition("_")
     if unit not in UNITS:
         name = head
-    words = name.removeprefix(EXPANDED).replace("_", " ")
+    words = phrase(name.removeprefix(EXPANDED).replace("_", " "))
     if name.startswith(EXPANDED):
-        words = f"U({words})"
-    return f"{words} / {UNITS[unit]}" if unit in UNITS else words
+        words = phrase("U({0})", words)
+    return phrase("{0} / {1}", words, UNITS[unit]) if unit in UNITS else words
 
 
 def _shown(head: str, cell: Any) -> str:
     if not isinstance(cell, float):
-        return str(cell)
+        return phrase(str(cell)) if head in WORDED else str(cell)
     digits = DIGITS.get(head.rpartition("_")[2])
     return f"{cell:.7g}" if digits is None else f"{cell:.{digits}f}"
 

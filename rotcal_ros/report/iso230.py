@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from rotcal_ros.evaluation.iso230 import ONLY_SCATTER, BidirectionalRuns, Iso230, iso230, runs_of
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.language import SPOKEN, phrase
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods.figures import style
@@ -70,7 +70,7 @@ def section(result: Result) -> str | None:
     try:
         runs = runs_of(result)
     except DataError as error:
-        return str(escape(f"Not evaluated: {error}."))
+        return str(escape(SPOKEN.get().say(phrase("Not evaluated: {0}.", phrase(str(error))))))
     if runs is None:
         return None
     figures = iso230(runs)
@@ -79,5 +79,11 @@ def section(result: Result) -> str | None:
         for (name, values), expanded in zip(figures.summary(), figures.expanded(), strict=True)
     ]
     drawn = diagrams(runs, figures)
-    notes = () if figures.measurement_stated else (ONLY_SCATTER,)
-    return render("iso230", figure=drawn, rows=rows, notes=notes, warnings=figures.warnings)
+    notes = () if figures.measurement_stated else (phrase(ONLY_SCATTER),)
+    return render(
+        "iso230",
+        figure=drawn,
+        rows=rows,
+        notes=notes,
+        warnings=list(map(phrase, figures.warnings)),
+    )

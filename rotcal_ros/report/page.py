@@ -12,7 +12,7 @@ import json
 import platform
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from importlib.metadata import version
 from itertools import cycle
@@ -96,7 +96,9 @@ def render_report(report: ReportInput) -> str:
     result = report.result
     identity = result.circumstances.identity
     doubt = withheld(result, report.truth)
-    attempts = [[o.step, o.attempt, o.reason] for o in report.observations if not o.accepted]
+    attempts = [
+        [o.step, o.attempt, phrase(o.reason)] for o in report.observations if not o.accepted
+    ]
     adjusted = any(title == verification.TITLE for title, _ in report.extra)
     return render(
         "report",
@@ -113,15 +115,16 @@ def render_report(report: ReportInput) -> str:
         sentences=first_page.sentences(result, doubt),
         statement_of_u=first_page.statement_of_u(result, doubt),
         conformity=first_page.statements_of_conformity(result, doubt),
+        warnings=list(map(phrase, result.warnings)),
         curve=curves.deviations(result, report.truth, valid=not doubt),
-        zero=_zero(result),
+        zero=listed(_zero(result), " "),
         values=first_page.value_blocks(result, doubt),
         traceability=traceability_statement(result),
         only_this_item=first_page.ONLY_THIS_ITEM,
         adjustment=phrase("See “{0}”.", verification.TITLE) if adjusted else NO_ADJUSTMENT,
         goal=goal_standing(report.goal),
         sections=_sections(report, doubt),
-        rejected=[[r.index, r.why] for r in result.rejected],
+        rejected=[[r.index, phrase(r.why)] for r in result.rejected],
         attempts=attempts,
         details=_details(result),
     )
@@ -130,7 +133,11 @@ def render_report(report: ReportInput) -> str:
 def _sections(report: ReportInput, doubt: str | None) -> list[tuple[str, str]]:
     """Return title and HTML of the sections that follow page one."""
     result = report.result
-    figures = [figure for figure in _figures(report) if figure.svg]
+    figures = [
+        replace(figure, title=phrase(figure.title), caption=phrase(figure.caption))
+        for figure in _figures(report)
+        if figure.svg
+    ]
     drawn = {place: _drawings(figures, place) for place in ("set-up", "residuals", "results")}
     found = [
         (BUDGET, budget(result, doubt)),
@@ -153,7 +160,8 @@ def tables_of(result: Result, *, stated: bool) -> str | None:
     found = [*steps_table(result, stated=stated), *_tables_of_the_method(result)]
     if not found:
         return None
-    return render("tables", tables=found, most=MOST_ROWS)
+    titled = [replace(table, title=phrase(table.title)) for table in found]
+    return render("tables", tables=titled, most=MOST_ROWS)
 
 
 def _tables_of_the_method(result: Result) -> Sequence[ResultTable]:
@@ -214,12 +222,12 @@ def _residuals_alone(result: Result, _truth: Mapping[str, Any] | None) -> Sequen
 def _zero(result: Result) -> Sequence[str]:
     """Return what the curves count from, in words."""
     if result.method in method_names():
-        return find_method(result.method).zero(result)
+        return [phrase(text) for text in find_method(result.method).zero(result)]
     counts_from = result.zeros.counts_from
     return (
         ()
         if counts_from == UNKNOWN
-        else (phrase("Every deviation counts from: {0}.", counts_from),)
+        else (phrase("Every deviation counts from: {0}.", phrase(counts_from)),)
     )
 
 
@@ -380,7 +388,7 @@ def budget(result: Result, withheld: str | None) -> str:
         figure=sources(result),
         tables=_tables(result),
         withheld=withheld,
-        refraction=result.circumstances.refraction or NOT_STATED,
+        refraction=phrase(result.circumstances.refraction or NOT_STATED),
         dof=result.dof,
         sigma0=f"{result.sigma0:.2f}",
     )
@@ -461,7 +469,7 @@ def goal_standing(standing: GoalStanding | None) -> str | None:
         reached=f"{standing.reached / ARCSEC:.3f}",
         measured=standing.measured,
         candidates=standing.candidates,
-        reason=standing.reason,
+        reason=phrase(standing.reason),
         noise=f"{standing.compared.length_std / MICROMETRE:.3g}",
         rows=_plan_rows(own, papers),
     )
@@ -641,7 +649,7 @@ def protections(result: Result) -> str:
             {
                 "effect": phrase(p.effect),
                 "treatment": phrase(p.treatment),
-                "why": p.why,
+                "why": phrase(p.why),
                 "error": "" if p.error is None else f"{p.error:.1f}",
                 "bare": p.effect in result.unprotected,
             }

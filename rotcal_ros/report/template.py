@@ -7,9 +7,6 @@ uses the custom properties ``--figure-...``, which the page sets for its dark sc
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
 from functools import cache, partial
 from html import escape
 from typing import Any, Final
@@ -19,7 +16,7 @@ from markupsafe import Markup
 
 from rotcal_ros import __version__
 from rotcal_ros.foundation.escapes import printable, printable_lines
-from rotcal_ros.foundation.language import ENGLISH, Language, Phrase, language
+from rotcal_ros.foundation.language import ENGLISH, SPOKEN, Language, Phrase, language
 from rotcal_ros.methods.figures import style
 
 _OWN: Final = "rotcal_ros.report"
@@ -33,20 +30,6 @@ def render(template: str, *, package: str = _OWN, **values: Any) -> str:
     """
     template_file = _environment(package, SPOKEN.get().code).get_template(f"{template}.html.j2")
     return template_file.render(values, version=__version__)
-
-
-SPOKEN: Final[ContextVar[Language]] = ContextVar("SPOKEN", default=ENGLISH)
-"""The language of what is rendered now."""
-
-
-@contextmanager
-def speaking(code: str) -> Iterator[None]:
-    """Render in another language: what is ours in a template or a phrase; nothing else."""
-    token = SPOKEN.set(language(code))
-    try:
-        yield
-    finally:
-        SPOKEN.reset(token)
 
 
 @cache
@@ -68,6 +51,7 @@ def _environment(package: str, code: str) -> Environment:
         "drawn": partial(_drawn, spoken),
         "quoted": partial(_quoted, spoken),
         "capitalize_first": partial(_sentence, spoken),
+        "foreign": partial(_foreign, spoken),
     }
     return environment
 
@@ -80,6 +64,13 @@ def _visible(spoken: Language, value: Any) -> Any:
 def _sentence(spoken: Language, text: str) -> str:
     text = spoken.say(text)
     return text[:1].upper() + text[1:]
+
+
+def _foreign(spoken: Language, text: Any) -> Markup:
+    """Return the attribute of an element whose text, one of ours, no catalogue knows."""
+    spoken_as_it_is = isinstance(text, Phrase) and spoken.say(text) == text
+    unknown = spoken_as_it_is and " " in text and spoken.understood(text) is None
+    return Markup(' lang="en"' * (unknown and spoken is not ENGLISH))
 
 
 def _drawn(spoken: Language, svg: str, name: str) -> Markup:

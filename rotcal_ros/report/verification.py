@@ -12,7 +12,7 @@ from rotcal_ros.evaluation.verification import ISO_FIGURES, Positioning, Verific
 from rotcal_ros.foundation.components import COVERAGE_FACTOR
 from rotcal_ros.foundation.escapes import printable_lines
 from rotcal_ros.foundation.in_force import in_words, known_hash
-from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.language import SPOKEN, phrase
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 from rotcal_ros.methods.figures import style
@@ -49,7 +49,7 @@ def verification_section(verification: Verification) -> tuple[str, str]:
         "verification",
         text=_in_words(verification),
         verdict=phrase(verification.verdict),
-        reserves=verification.reserves,
+        reserves=list(map(phrase, verification.reserves)),
         figure=before_and_after(before, after),
         rows=[(name, f"{a / ARCSEC:.3f}", f"{b / ARCSEC:.3f}") for name, a, b in rows],
     )
@@ -64,36 +64,39 @@ def acting_section(result: Result, in_force: Path | None) -> list[tuple[str, str
     if in_force is not None:
         effect = effect_in_force(result, in_force)
         acts = (
-            "its corrections are too small to show it"
+            phrase("its corrections are too small to show it")
             if effect is None
-            else effect.fault or effect.in_words()
+            else phrase(effect.fault or effect.in_words())
         )
     elif known_hash(result.measured_on):
-        acts = (
+        acts = phrase(
             "not tested: this also needs the files of the table (rotcal report --in-force "
             "FOLDER, rotcal export --add-to FOLDER)"
         )
     else:
         return []
-    text = f"{in_words(result.measured_on)}. Does that table act? {acts}."
-    return [(phrase("The table in force"), f"<p>{escape(printable_lines(text))}</p>")]
+    text = phrase("{0}. Does that table act? {1}.", in_words(result.measured_on), acts)
+    spoken = printable_lines(SPOKEN.get().say(text))
+    return [(phrase("The table in force"), f"<p>{escape(spoken)}</p>")]
 
 
 def _in_words(verification: Verification) -> str:
-    text = (
-        f"Measured, compensated, measured again: the range is {verification.ratio:.0f} times "
-        f"smaller. Up to {verification.expected / ARCSEC:.3f} arcsec were expected to be left: "
-        f"the uncertainty of both measurements and {verification.stated / ARCSEC:.3f} arcsec "
-        "of the table itself."
+    text = phrase(
+        "Measured, compensated, measured again: the range is {0} times smaller. Up to {1} arcsec "
+        "were expected to be left: the uncertainty of both measurements and {2} arcsec of the "
+        "table itself.",
+        f"{verification.ratio:.0f}",
+        f"{verification.expected / ARCSEC:.3f}",
+        f"{verification.stated / ARCSEC:.3f}",
     )
     if verification.effect is not None:
-        acting = verification.fault or f"does the table act? {verification.effect.in_words()}"
-        text = f"{text} {acting[0].upper()}{acting[1:]}."
+        acts = phrase(verification.fault or verification.effect.in_words())
+        text = phrase("{0} Does the table act? {1}.", text, acts)
     if verification.again is None:
         return text
-    left = verification.again.systematic / ARCSEC
-    return (
-        f"{text} The rest was added to the table: measured again, the range is {left:.3f} arcsec."
+    left = f"{verification.again.systematic / ARCSEC:.3f}"
+    return phrase(
+        "{0} The rest was added to the table: measured again, the range is {1} arcsec.", text, left
     )
 
 

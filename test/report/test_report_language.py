@@ -6,9 +6,8 @@ from html.parser import HTMLParser
 import pytest
 from certified_samples import CIRCUMSTANCES, report, result
 
-from rotcal_ros.foundation.language import language
+from rotcal_ros.foundation.language import language, speaking
 from rotcal_ros.report.page import render_report
-from rotcal_ros.report.template import speaking
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 

@@ -467,7 +467,7 @@ def _statements(result: Result) -> Iterator[list[Any]]:
     )
     yield _statement(phrase("Verdict of the evaluation"), phrase("{0}.", result.verdict_line))
     if result.warnings:
-        yield _statement(phrase("Remarks"), *result.warnings)
+        yield _statement(phrase("Remarks"), *map(phrase, result.warnings))
 
 
 def _statement(name: str, *paragraphs: str) -> list[Any]:

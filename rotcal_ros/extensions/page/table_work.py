@@ -26,7 +26,7 @@ from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.errors import RotcalError
 from rotcal_ros.foundation.files import replace_atomically, write_atomically, write_durably
-from rotcal_ros.foundation.language import phrase
+from rotcal_ros.foundation.language import phrase, speaking
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.foundation.sheets.layout import TableColumn, Use
 from rotcal_ros.foundation.sheets.reading import UNIT_SETTINGS, Reading
@@ -45,7 +45,6 @@ from rotcal_ros.methods.new_setup import given_value, known_settings, setup_text
 from rotcal_ros.recordings.result_sources import read_source
 from rotcal_ros.report.page import write_measured
 from rotcal_ros.report.printing import printed
-from rotcal_ros.report.template import speaking
 
 TABLE, TARGETS, SETUP, IN_FORCE = "table", "targets", "setup", "in_force"
 PLACES: Final = {TABLE: "table.txt", TARGETS: "targets.txt", SETUP: "given.yaml"}

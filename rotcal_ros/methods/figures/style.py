@@ -15,6 +15,7 @@ import numpy as np
 
 from rotcal_ros.foundation.arrays import Floats
 from rotcal_ros.foundation.escapes import printable_lines, shortened
+from rotcal_ros.foundation.language import SPOKEN
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes as Axes
@@ -130,12 +131,15 @@ def svg(ax: Axes) -> str:
 
 
 def _make_plain(figure: Figure) -> None:
-    """Take names for what they are: no formulas, no controls, and not wider than the figure."""
+    """Say what is ours in the language of the page, and take names for what they are.
+
+    No formulas, no controls, and nothing wider than the figure.
+    """
     from matplotlib.text import Text
 
     for text in figure.findobj(Text):
         text.set_parse_math(False)
-        text.set_text(shortened(printable_lines(text.get_text()), LONGEST_NAME))
+        text.set_text(shortened(printable_lines(SPOKEN.get()(text.get_text())), LONGEST_NAME))
 
 
 def angle_axis(ax: Axes, angles_deg: Floats, label: str = "commanded table angle / °") -> None:

@@ -184,10 +184,10 @@ def drift(details: Mapping[str, Any]) -> str:
                          label if number == 0 else "")  # fmt: skip
         _draw_course(ranged, x, _array(station["range_m"]) / MICROMETRE,
                      _array(station["range_std_m"]) / MICROMETRE, style.BLUE, "")  # fmt: skip
-    for ax, unit in ((turned, "arcsec"), (ranged, "µm")):
+    for ax, label in ((turned, "turn / arcsec"), (ranged, "range / µm")):
         ax.set_xticks(np.arange(len(stations)) + 0.4, [str(s["station"]) for s in stations])
         ax.set_xlabel("tracker station")
-        ax.set_ylabel(("turn / " if ax is turned else "range / ") + unit)
+        ax.set_ylabel(label)
     return style.svg(turned)
 
 

@@ -102,8 +102,11 @@ def tables(result: Result) -> list[ResultTable]:
     places = _array(details["stations"])
     normal, axial = _array(details["plane"]["normal"]), _array(details["axial"])
     columns: dict[str, Any] = {"position": details["station_ids"]}
-    for name, at in (("", places), ("projected_", places - axial[:, None] * normal)):
-        columns |= {f"{name}{axis}_mm": at[:, k] / MILLIMETRE for k, axis in enumerate("xyz")}
+    projected = places - axial[:, None] * normal
+    columns |= {f"{axis}_mm": places[:, k] / MILLIMETRE for k, axis in enumerate("xyz")}
+    columns |= {
+        f"projected_{axis}_mm": projected[:, k] / MILLIMETRE for k, axis in enumerate("xyz")
+    }
     if "station_std" in details:
         expanded = COVERAGE_FACTOR * _array(details["station_std"]) / MICROMETRE
         columns |= {f"U_{axis}_um": expanded[:, k] for k, axis in enumerate("xyz")}

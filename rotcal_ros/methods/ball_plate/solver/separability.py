@@ -63,11 +63,11 @@ class Separability:
             )
         if self.lost:
             found.append(
-                "cannot be told apart from plate and CMM: " + _spell(self.lost) + "; choose ball "
-                "steps without a common factor, or more balls"
+                f"cannot be told apart from plate and CMM: {_spell(self.lost)}; choose ball steps "
+                "without a common factor, or more balls"
             )
         if self.weak:
-            found.append("only weakly separated: " + _spell(self.weak))
+            found.append(f"only weakly separated: {_spell(self.weak)}")
         return tuple(found)
 
 
@@ -169,7 +169,8 @@ def _lost_of_dense(problem: BallPlateProblem) -> tuple[dict[str, tuple[int, ...]
 
 def _spell(parts: dict[str, tuple[int, ...]]) -> str:
     return "; ".join(
-        f"harmonic{'s' if len(q) > 1 else ''} {_ranges(q)} of {name}" for name, q in parts.items()
+        f"harmonics {_ranges(q)} of {name}" if len(q) > 1 else f"harmonic {_ranges(q)} of {name}"
+        for name, q in parts.items()
     )
 
 

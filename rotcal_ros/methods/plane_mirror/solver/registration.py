@@ -366,8 +366,9 @@ def _hypotheses(problem: PlaneMirrorProblem, nests: Nests) -> list[tuple[Bools, 
                 text = f"moved while the tracker was at station {at[now]}"
             found.append((own & (nests.round >= seen[now]), seen[now], text))
         for now in range(1, len(seen) - 1):
-            once = " in one of its rounds" if at.count(at[now]) > 1 else ""
-            text = f"stood elsewhere at station {at[now]}{once}"
+            text = f"stood elsewhere at station {at[now]}"
+            if at.count(at[now]) > 1:
+                text = f"{text} in one of its rounds"
             found.append((own & (nests.round == seen[now]), seen[now], text))
     return found
 

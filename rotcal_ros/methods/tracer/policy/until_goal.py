@@ -276,7 +276,7 @@ class UntilGoal:
         if not more:
             lacking = self._experiment.lacking_in_words(self._measured)
             worse = lacking or f"{_in_words(now)} > {_in_words(goal)}"
-            return f"no further step helps: {worse}, {self._learnt}{self._doubt}"
+            return f"no further step helps: {worse}, {self._noise_and_doubt}"
         if len(more) >= MOST_AT_ONCE:
             self._reach.doubt()  # worked out for the next choice: this one was long enough
         why = f"{self._learnt}: {len(more)} more lengths to {_in_words(goal)}"
@@ -287,14 +287,14 @@ class UntilGoal:
         """Return that the goal is reached, by the U of the result, and with which verdict."""
         reached = now if result is None else result.uncertainty
         goal = _in_words(self._limits.uncertainty)
-        return f"goal reached: {_in_words(reached)} <= {goal}, {self._learnt}{self._doubt}"
+        return f"goal reached: {_in_words(reached)} <= {goal}, {self._noise_and_doubt}"
 
     @property
-    def _doubt(self) -> str:
-        """Why the result is not ok, to end a sentence with; empty: nothing is said against it."""
+    def _noise_and_doubt(self) -> str:
+        """The noise, and why the result is not ok where something is said against it."""
         if self._result is None or not self._result.doubt:
-            return ""
-        return f"; but the verdict would not be ok: {self._result.doubt}"
+            return self._learnt
+        return f"{self._learnt}; but the verdict would not be ok: {self._result.doubt}"
 
     def _allow_for(self, result: Stated, factor: float, student: float) -> None:
         """Plan from now on for what the solver states, which is more than what was planned."""
@@ -336,7 +336,7 @@ class UntilGoal:
             missed = (
                 f"the table's error motion alone, as its circle tells it, gives {_in_words(best)}"
             )
-        return f"the goal is out of reach: {missed}, {self._learnt}{self._doubt}"
+        return f"the goal is out of reach: {missed}, {self._noise_and_doubt}"
 
     def _state(self, noise: LengthNoise) -> None:
         """State the noise from now on as the first stage tells it, if it does."""

@@ -307,12 +307,12 @@ def _concluded(
 
 def _sentence(join: Join, failed: bool) -> str:
     worst = float(np.abs(join.disagreement).max())
-    text = (
+    moved = ": something moved during the interruption" if failed else ""
+    return (
         f"run {join.run} was joined by {len(join.disagreement)} steps measured again: its lengths "
         f"were {join.offset:+.3g} m off (standard deviation {join.std:.2g} m); the steps agree "
-        f"within {worst:.2g} m, {join.sigma0:.2f} times what is expected"
+        f"within {worst:.2g} m, {join.sigma0:.2f} times what is expected{moved}"
     )
-    return text + (": something moved during the interruption" if failed else "")
 
 
 def _plain(join: Join) -> dict[str, Any]:

@@ -220,7 +220,7 @@ class Numbering:
                 f"{found}: if that is right, the table's zero is another one than was commanded, "
                 "and every deviation stands at an angle that is off by as much",
             )
-        positions = f"{abs(count)} table position{'s' if abs(count) > 1 else ''}"
+        positions = f"{abs(count)} table positions" if abs(count) > 1 else "1 table position"
         warning = (
             f"{found}, which is {positions}: the positions are numbered off by {abs(count)}, or "
             f"the table's zero or {self.where} is wrong; every deviation may stand at the angle "

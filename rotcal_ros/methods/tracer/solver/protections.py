@@ -89,27 +89,38 @@ def noise_protection(error: float) -> Protection:
 
 
 def tangential_protection(
-    radius: float, *, alike: str, beside: str, within: float | None, shown: str, untested: str
+    radius: float,
+    *,
+    alike: str,
+    of: str = "",
+    beside: str = "",
+    within: float | None,
+    shown: str,
+    untested: str,
 ) -> Protection:
     """Return the statement about a tracer that moves along its circle between the angles.
 
     All its lengths are those of a table that turned further: none can show it, and an angle that
     was measured again bounds only what does not come back with the angle. ``radius`` (m) of the
-    circle; ``alike``: what else looks like it, ``beside``: what is said beside. ``within`` (m):
-    how near the tracer came back, 95 %, as ``shown``; None: that is ``untested``.
+    circle; ``alike``: what else looks like it, ``of`` which deviation the angle is, ``beside``:
+    what else is said. ``within`` (m): how near the tracer came back, 95 %, as ``shown``; None:
+    that is ``untested``.
     """
     why = (
         f"a tracer that mount or cable shift along its circle between the angles{alike} leaves no "
-        f"trace in any length: 1 um of it is {MICROMETRE / radius / ARCSEC:.2f} arcsec{beside}"
+        f"trace in any length: 1 um of it is {MICROMETRE / radius / ARCSEC:.2f} arcsec{of}"
     )
-    bound = "no angle was measured again, which would bound what of it does not come back with "
-    bound += untested
+    bound = (
+        "no angle was measured again, which would bound what of it does not come back with "
+        f"{untested}"
+    )
     if within is not None:
         bound = (
             f"what of it does not come back with the angle is less than {within / MICROMETRE:.2g} "
             f"um, {within / radius / ARCSEC:.2g} arcsec (95 %, {shown})"
         )
-    return Protection("tangential motion", "not protected", f"{why}; {bound}")
+    why = "; ".join(filter(None, (why, beside, bound)))
+    return Protection("tangential motion", "not protected", why)
 
 
 def protections(solution: TracerSolution) -> tuple[Protection, ...]:
@@ -301,7 +312,7 @@ def _tangential(solution: TracerSolution, turns: int) -> Protection:
     return tangential_protection(
         solution.motion.radius,
         alike=drift if turns > 1 else "",
-        beside=f"; the uncertainty holds {held}, which is believed and not measured",
+        beside=f"the uncertainty holds {held}, which is believed and not measured",
         within=None if closing is None else closing.within,
         shown=""
         if closing is None

@@ -180,7 +180,6 @@ def _protections(
             tangential_protection(
                 motion.radius,
                 alike=", or noise of the stations along it that is larger than across,",
-                beside="",
                 within=None,
                 shown="",
                 untested="the angle",

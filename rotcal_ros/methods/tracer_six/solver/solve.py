@@ -436,7 +436,8 @@ def _tangential(solution: SixSolution) -> Protection:
     return tangential_protection(
         _radius(solution),
         alike=", by the same at every place,",
-        beside=" of ECC; what differs from place to place is scatter",
+        of=" of ECC",
+        beside="what differs from place to place is scatter",
         within=returned(solution),
         shown="angles that were measured again",
         untested="it",
@@ -449,8 +450,10 @@ def _moved(solution: SixSolution, effect: Effect, worst: Unseen, what: str) -> P
     if again is None:
         shown = f"{what}; no run measured an angle again to show it (plan.closes)"
     else:
-        shown = f"{what}; {len(again.places)} of {len(solution.layout.places)} runs came back to"
-        shown += " an angle, and are tested for it"
+        shown = (
+            f"{what}; {len(again.places)} of {len(solution.layout.places)} runs came back to an "
+            "angle, and are tested for it"
+        )
     return _felt(effect, worst, shown)
 
 

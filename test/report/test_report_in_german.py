@@ -1,0 +1,93 @@
+"""Reports of all methods in German: no English is left of what the program says."""
+
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from rotcal_ros.foundation.language import language, speaking
+from rotcal_ros.methods import find_method, method_names
+from rotcal_ros.recordings.result_sources import read_source
+from rotcal_ros.report.page import ReportInput, render_report
+
+ROOT = Path(__file__).parents[2]
+RESULTS = [*ROOT.glob("test/golden/**/result.json"), *ROOT.glob("examples/data/result_*.json")]
+ENGLISH = re.compile(
+    r"\b(the|of|is|are|and|by|with|from|that|not|than|each|at|to|on|no|its|were|table|angle"
+    r"|residuals?|measured|targets?|stations?|position)\b"
+)
+"""Words that no German text has."""
+DETAILS = re.compile(r"<details><summary>[^<]*result\.json</summary>.*?</details>", re.DOTALL)
+"""Names of entries of a file, which have no language."""
+FOREIGN = ("pre", "code", "style")
+
+
+class Texts(HTMLParser):
+    """What a page says: its texts, names for screen readers, and the texts of its figures."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.texts, self._quiet, self._summary = [], 0, ""
+        self.feed(re.sub(DETAILS, "", page))
+
+    def handle_starttag(self, tag, attrs):
+        self._quiet += tag in FOREIGN
+        self.texts += [value for name, value in attrs if name == "aria-label"]
+
+    def handle_endtag(self, tag):
+        self._quiet -= tag in FOREIGN
+
+    def handle_data(self, data):
+        if not self._quiet and data.strip():
+            self.texts.append(" ".join(data.split()))
+
+    def handle_comment(self, data):
+        self.texts.append(data.strip())
+
+
+def german(result):
+    title = find_method(result.method).title
+    with speaking("de"):
+        return render_report(ReportInput(result, title))
+
+
+def english_left(page):
+    return sorted({text for text in Texts(page).texts if ENGLISH.search(text)})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", RESULTS, ids=lambda path: "/".join(path.parts[-3:-1]) + path.stem)
+def test_nothing_is_english_in_the_report_of_a_sample(path):
+    page = german(read_source(path).result)
+    assert english_left(page) == []
+    assert 'lang="en"' not in page
+    assert len(Texts(page).texts) > 150
+
+
+def test_there_is_a_sample_of_every_method():
+    methods = {json.loads(path.read_text())["method"] for path in RESULTS}
+    assert methods == set(method_names())
+
+
+@pytest.mark.usefixtures("without_figures")
+def test_warnings_and_reasons_are_german_and_an_unknown_one_is_marked_as_english():
+    known = read_source(ROOT / "examples/data/result_ball_plate.json").result
+    warnings = ("3 of 40 centres were rejected", "the moon is full")
+    page = german(replace(known, verdict="suspect", warnings=warnings))
+    said = "3 von 40 Kugelmittelpunkten wurden verworfen"
+    assert f"die Bewertung lautet „zweifelhaft“: {said}; the moon is full" in page
+    page = german(replace(known, warnings=warnings))
+    assert f"<li>{said}</li>" in page
+    assert '<li lang="en">the moon is full</li>' in page
+
+
+@pytest.mark.usefixtures("without_figures")
+def test_the_result_stays_as_it_is():
+    result = read_source(ROOT / "examples/data/result_ball_plate.json").result
+    before = result.to_json()
+    german(result)
+    assert result.to_json() == before
+    assert language("de").texts is not None
