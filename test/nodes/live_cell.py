@@ -131,7 +131,10 @@ class Client:
                 return event
             if event["event"] == "result":
                 outcome = event["error_msg"]
-            assert event["event"] != "end", f"the client ended without {kinds}: {outcome}"
+            assert event["event"] != "end", (
+                f"the client ended without {kinds}: {outcome}; ended before: "
+                f"{self._processes.ended()}"
+            )
         pytest.fail(f"no {kinds} within {DEADLINE_S} s of an idle machine; {in_words()}")
 
     def wait_for_step(self, step):

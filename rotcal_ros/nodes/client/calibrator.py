@@ -196,8 +196,9 @@ class Calibrator:
         return None
 
     def no_answer(self) -> str:
-        """Return the error that the planner gives no answer, with its state."""
-        return f"no answer from the planner; it is {self.health.in_words(PLANNER)}"
+        """Return the error that the planner gives no answer, with its state and who is heard."""
+        heard = ", ".join(sorted(self.health.present())) or "no node at all"
+        return f"no answer from the planner; it is {self.health.in_words(PLANNER)}; heard: {heard}"
 
     def _hear(self, message: Any) -> None:
         self._feedback = Feedback.of(message.feedback)
