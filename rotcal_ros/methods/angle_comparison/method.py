@@ -167,9 +167,12 @@ def check(
 
 def figures(result: Result, _truth: Mapping[str, Any] | None) -> Sequence[Figure]:
     """Return the figures that only this method can fill."""
-    caption = "Actual less nominal angle of the reference, k = 2; the mean is zero."
     return [
-        Figure("Errors of the reference", caption, _reference(result.details)),
+        Figure(
+            "Errors of the reference",
+            "Actual less nominal angle of the reference, k = 2; the mean is zero.",
+            _reference(result.details),
+        ),
         *residual_figures(result, ARCSEC, "arcsec"),
     ]
 
