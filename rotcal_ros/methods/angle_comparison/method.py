@@ -29,6 +29,7 @@ from rotcal_ros.methods.angle_comparison.settings import (
     ComparisonSolverSettings,
 )
 from rotcal_ros.methods.angle_comparison.simulation import SimulatedComparison
+from rotcal_ros.methods.arrivals import Arrivals, arrivals_of
 from rotcal_ros.methods.by_model import ByModel, Statement
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.disturbance import harmless, of_readings, repeatability
@@ -37,6 +38,7 @@ from rotcal_ros.methods.figures.residuals import residual_figures
 from rotcal_ros.methods.measurements import planned_table
 from rotcal_ros.planning.plan import Plan, numbered_steps, pauses_at_stations
 from rotcal_ros.planning.readings import Readings
+from rotcal_ros.planning.table_angles import table_angles
 
 NAME: Final = "angle_comparison"
 NOWHERE: Final = (0.0, 0.0, 0.0)
@@ -165,6 +167,14 @@ def check(
     )
 
 
+def arrivals(configuration: Configuration) -> Arrivals | None:
+    """Return the arrivals of a plan that measures both directions."""
+    plan: ComparisonPlanSettings = configuration.plan
+    if not plan.bidirectional:
+        return None
+    return arrivals_of(table_angles(plan), runs=1, bidirectional=True)
+
+
 def figures(result: Result, _truth: Mapping[str, Any] | None) -> Sequence[Figure]:
     """Return the figures that only this method can fill."""
     return [
@@ -191,7 +201,7 @@ def _reference(details: Mapping[str, Any]) -> str:
     return style.svg(ax)
 
 
-METHOD: Final = ByModel(NAME, model, states).method(
+METHOD: Final = ByModel(NAME, model, states, arrivals=arrivals).method(
     title="Two circles: polygon, indexing table or encoder beside the table",
     page="angle_comparison",
     plan_settings=ComparisonPlanSettings,

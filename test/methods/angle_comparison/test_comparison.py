@@ -9,7 +9,13 @@ from rotcal_ros.adjust import engine
 from rotcal_ros.foundation.errors import ConfigurationError, ObservabilityError, PlanError
 from rotcal_ros.foundation.protection import EFFECTS
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
-from rotcal_ros.methods import parse_configuration, prepare, prepare_to_measure, read_configuration
+from rotcal_ros.methods import (
+    changed,
+    parse_configuration,
+    prepare,
+    prepare_to_measure,
+    read_configuration,
+)
 from rotcal_ros.methods.angle_comparison.model import REFERENCE, Circles, model_of
 from rotcal_ros.methods.angle_comparison.settings import (
     ComparisonPlanSettings,
@@ -255,6 +261,23 @@ def test_the_simulated_cell_is_solved_to_its_truth_and_says_all_nine_effects():
     assert result.verdict == "ok"
     assert (np.abs(error[1:12]) < 3.0 * result.std["ECC"][1:12]).all()
     assert [p.effect for p in result.protections if p.effect in EFFECTS] == list(EFFECTS)
+
+
+def test_play_of_the_table_is_found_by_both_directions():
+    configuration = changed(
+        read_configuration(CONFIG / "angle_comparison_demo.yaml"),
+        ("plan.bidirectional=true", "simulation.table.backlash_arcsec=6.0"),
+    )
+    calibration = prepare_to_measure(configuration)
+    seen = [o for event in simulated_run(calibration) for o in event.observed if o.accepted]
+    result = calibration.solve(seen)
+    both = result.directions["ECC"]
+    assert len(result.angles) == 13
+    assert np.abs((both.reversal + 6.0 * ARCSEC) / both.reversal_std).max() < 4.0
+    drawn = calibration.trials(seen)(np.random.default_rng(1), 4000)
+    assert drawn.std(axis=0) == pytest.approx(
+        result.std["ECC"], abs=0.06 * result.std["ECC"].max()
+    )
 
 
 def test_a_first_reading_beyond_the_alignment_is_told():
