@@ -113,11 +113,13 @@ class ByModel:
         self, configuration: Configuration, plan: Plan, observations: Sequence[Observation]
     ) -> Trials:
         """Prepare Monte Carlo trials about accepted observations."""
-        prepared, arrivals = self._adjusted(configuration, observations).trials, self.arrivals
-        if (found := arrivals(configuration)) is None:
+        prepared = self._adjusted(configuration, observations).trials
+        arrivals = self.arrivals(configuration)
+        if arrivals is None:
             return prepared
         alone = replace(self, arrivals=lambda _configuration: None)
-        return RepeatedTrials.of(prepared, alone.solve(configuration, plan, observations), found)
+        every = alone.solve(configuration, plan, observations)
+        return RepeatedTrials.of(prepared, every, arrivals)
 
     def measure(
         self, configuration: Configuration, plan: Plan, sizes: Sizes, seed: int
