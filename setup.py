@@ -44,6 +44,7 @@ METHODS = {
     "ball_plate": "ball_plate",
     "plane_mirror": "plane_mirror",
     "tracer_six": "tracer_six",
+    "angle_comparison": "angle_comparison",
 }
 CONTROLLERS = {"csv": "plain_csv:PlainCsv", "linuxcnc": "linuxcnc:LinuxCnc"}
 CONTROLLERS_OF_EXTENSIONS = {

@@ -25,7 +25,7 @@ from rotcal_ros.foundation.errors import ConfigurationError, RotcalError
 from rotcal_ros.foundation.protection import ALL_EFFECTS, EFFECTS, POWER, TOLERABLE, Effect
 from rotcal_ros.foundation.results import Result
 from rotcal_ros.methods import Calibration
-from rotcal_ros.methods.disturbance import Disturbance
+from rotcal_ros.methods.disturbance import Disturbance, DisturbedMeasurement
 
 NOT_STATED = "not stated"
 
@@ -62,14 +62,23 @@ class Bench:
 
     def __init__(self, calibration: Calibration, runs: int) -> None:
         self.calibration, self.runs = calibration.of_distances, runs
-        self._plain: dict[int, Result] = {}
+        self._plain: dict[int, tuple[Result, Mapping[str, Floats]]] = {}
 
     def plain(self, number: int) -> Result:
         """Return the undisturbed result of trial ``number``."""
+        return self._undisturbed(number)[0]
+
+    def _undisturbed(self, number: int) -> tuple[Result, Mapping[str, Floats]]:
+        """Return the result of trial ``number``, and what the table really does there."""
         if number not in self._plain:
             measured = self.calibration.measured({}, number)
-            self._plain[number] = self.calibration.solve(measured.observations)
+            result = self.calibration.solve(measured.observations)
+            self._plain[number] = result, self._truth(measured)
         return self._plain[number]
+
+    def _truth(self, measured: DisturbedMeasurement) -> Mapping[str, Floats]:
+        angles = np.array(self.calibration.plan.distinct_angles)
+        return self.calibration.method.gauge(angles, measured.truth)
 
     def false_alarms(self) -> int:
         """Return how many undisturbed results are not ok."""
@@ -85,13 +94,11 @@ class Bench:
             result = self.calibration.solve(measured.observations)
         except RotcalError:
             return Trial(True, None)
-        plain = self.plain(number)
+        plain, before = self._undisturbed(number)
         if not np.array_equal(result.angles, plain.angles):
             return Trial(result.verdict != "ok", None)
-        truth = self.calibration.method.gauge(
-            np.array(self.calibration.plan.distinct_angles), measured.truth
-        )
-        error = _error(result, plain, truth)
+        truth = self._truth(measured)
+        error = _error(result, plain, {name: truth[name] - before[name] for name in truth})
         scatters = {d.effect for d in self.listed() if d.scatters}
         return Trial(
             result.verdict != "ok", _pooled(error) if effect in scatters else _worst(error)
@@ -146,14 +153,17 @@ def power_rows(
     return rows
 
 
-def _error(result: Result, plain: Result, truth: Mapping[str, Floats]) -> dict[str, Floats]:
-    """Return the error of each component, in its stated std if it has one."""
+def _error(result: Result, plain: Result, moved: Mapping[str, Floats]) -> dict[str, Floats]:
+    """Return the error of each component, in its stated std if it has one.
+
+    ``moved``: by how much the effect moves the table itself, as a tilt does.
+    """
     parts = {}
     for name in result.components:
         std = result.std[name]
         caused = result.deviations[name] - plain.deviations[name]
-        if len(truth.get(name, ())) == len(caused):
-            caused = caused - truth[name]
+        if len(moved.get(name, ())) == len(caused):
+            caused = caused - moved[name]
         parts[name] = caused[std > 0.0] / std[std > 0.0]
     return parts
 

@@ -8,7 +8,7 @@ trials, and measurements that are spoiled on purpose.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -23,6 +23,7 @@ from rotcal_ros.foundation.errors import DataError
 from rotcal_ros.foundation.observations import Observation, PointKind
 from rotcal_ros.foundation.protection import EFFECTS, Protection
 from rotcal_ros.foundation.results import Result
+from rotcal_ros.methods.arrivals import Arrivals, RepeatedTrials, mean_of_runs
 from rotcal_ros.methods.configuration import Configuration
 from rotcal_ros.methods.disturbance import (
     Disturbance,
@@ -74,12 +75,15 @@ class ByModel:
     The first observations of a model are the readings, in their order. Its outputs are the
     deviations at the first table positions of the plan, one of the ``components`` after the other.
     ``states`` tells what the engine cannot know; all that every method lists has to be said.
+    ``arrivals`` returns those of a plan that comes to its angles more than once: their mean is
+    the result, and the curves from each side.
     """
 
     name: str
     model: Callable[[Configuration, Readings], Model]
     states: Callable[[Configuration, Adjusted], Statement]
     components: tuple[str, ...] = ("ECC",)
+    arrivals: Callable[[Configuration], Arrivals | None] = lambda _configuration: None
 
     def solve(
         self, configuration: Configuration, plan: Plan, observations: Sequence[Observation]
@@ -102,13 +106,20 @@ class ByModel:
                 f"the method {self.name} says nothing of {', '.join(sorted(silent))}: declare an "
                 "effect of the model, or state a protection"
             )
-        return result
+        arrivals = self.arrivals(configuration)
+        return result if arrivals is None else mean_of_runs(result, arrivals)
 
     def trials(
-        self, configuration: Configuration, _plan: Plan, observations: Sequence[Observation]
+        self, configuration: Configuration, plan: Plan, observations: Sequence[Observation]
     ) -> Trials:
         """Prepare Monte Carlo trials about accepted observations."""
-        return self._adjusted(configuration, observations).trials
+        prepared = self._adjusted(configuration, observations).trials
+        arrivals = self.arrivals(configuration)
+        if arrivals is None:
+            return prepared
+        alone = replace(self, arrivals=lambda _configuration: None)
+        every = alone.solve(configuration, plan, observations)
+        return RepeatedTrials.of(prepared, every, arrivals)
 
     def measure(
         self, configuration: Configuration, plan: Plan, sizes: Sizes, seed: int

@@ -1,13 +1,16 @@
-"""The worked example of docs/engine.md prints what the page says."""
+"""The worked examples of pages print what the pages say."""
 
 import re
 from pathlib import Path
 
-PAGE = Path(__file__).parents[2] / "docs" / "engine.md"
+import pytest
+
+DOCS = Path(__file__).parents[2] / "docs"
 
 
-def test_the_worked_example_prints_what_the_page_says(capsys):
-    text = PAGE.read_text()
+@pytest.mark.parametrize("page", ["engine.md", "angle_comparison.md"])
+def test_the_worked_example_prints_what_the_page_says(page, capsys):
+    text = (DOCS / page).read_text()
     (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     (printed,) = re.findall(r"```text\n(.*?)```", text, re.DOTALL)
     exec(code, {})

@@ -10,7 +10,9 @@ from settings_page import rows
 
 from rotcal_ros.cli.main import rotcal
 
-METHODS = ("ball_plate", "plane_mirror", "tracer_multistation", "tracer_six")
+METHODS = (
+    "angle_comparison", "ball_plate", "plane_mirror", "tracer_multistation", "tracer_six",
+)  # fmt: skip
 
 
 def run(*arguments, **env):

@@ -11,11 +11,14 @@ from mirror_cell import measure, measure_direct, paper_cell
 from plate_data import simulated
 from six_scene import scene
 
+from rotcal_ros.foundation.units import ARCSEC
+from rotcal_ros.methods import prepare, read_configuration
 from rotcal_ros.methods.ball_plate import solver as ball_plate
 from rotcal_ros.methods.plane_mirror import solver as plane_mirror
 from rotcal_ros.methods.tracer_six import solver as tracer_six
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "result_schema.py"
+CONFIG = Path(__file__).parents[2] / "config"
 WAYS = ("direct", "stitching", "registration", "joint")
 
 
@@ -116,3 +119,12 @@ def test_details_of_the_tracer_at_several_places():
     details = tracer_six.solve(tracer_six.SixProblem(**rows)).details
     assert_documented(details, "tracer_six", {"N": 5, "p": 3, "s": 6, "t": 24})
     assert [move["kind"] for move in details["moves"]] == ["between runs", "within runs", "slip"]
+
+
+def test_details_of_two_circles():
+    configuration = read_configuration(CONFIG / "angle_comparison_demo.yaml")
+    calibration = prepare(configuration)
+    measured = calibration.measured({"knock": 0.5 * ARCSEC}, seed=3)
+    details = calibration.solve(measured.observations).details
+    assert details["effects_found"] or details["gathering"]["blamed"]
+    assert_documented(details, "angle_comparison", {"m": 12})

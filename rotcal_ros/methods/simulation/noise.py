@@ -42,6 +42,9 @@ class NoiseSource(IntEnum):
     TOUCH = 41
     BALL = 42
     DIRT = 43
+    REFERENCE_MARK = 50
+    REFERENCE_SETTING = 51
+    REFERENCE_READING = 52
 
 
 class IndexedNoise:

@@ -1,0 +1,179 @@
+"""What two circles beside each other read, for the engine.
+
+    reading = t(theta) - r(theta - shift) + zero of the setting + noise
+
+All angles are radians, counter-clockwise about the table axis positive: ``t`` is the table's
+deviation (actual - commanded) at its angle ``theta``, ``r`` the error of the reference
+(actual - nominal) at the angle that it shows then, ``shift`` the table angle at which it shows its
+zero. A reading is positive where the table has turned farther than the reference says.
+
+With several shifts both circles are unknown and both are found (Sim's "full closure", a rosette of
+two circles). Order n of a complete circle with K shifts s has the normal matrix
+
+    [[K, -S], [-conj(S), K]],    S = sum over k of exp(i n s_k),
+
+so that its variance is K / (K^2 - |S|^2) times that of a reading; where |S| = K nothing tells the
+order of the table from that of the reference.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.adjust.gathering import Words
+from rotcal_ros.adjust.model import (
+    Grouping,
+    Model,
+    from_mean,
+    indicators,
+    instrument_effects,
+    linear,
+)
+from rotcal_ros.foundation.arrays import Floats, Ints
+from rotcal_ros.foundation.observations import Approach
+from rotcal_ros.foundation.units import ARCSEC, DEGREE
+from rotcal_ros.methods.angle_comparison.settings import (
+    ComparisonPlanSettings,
+    ComparisonSolverSettings,
+)
+from rotcal_ros.planning.readings import Readings
+from rotcal_ros.planning.table_angles import table_angles
+
+TURN: Final = 2.0 * np.pi
+SAME_DIGITS: Final = 9
+"""Digits of a turn to which angles are compared: 1.3 milliarcsec."""
+LOST: Final = 1e-9
+"""Share of K^2 that K^2 - |S|^2 may be, by rounding, where an order is lost."""
+REFERENCE: Final = "reference error"
+"""What the model tells beside the table's deviations: from their mean, where they are unknown."""
+
+
+@dataclass(frozen=True, eq=False)
+class Circles:
+    """Which marks of the two circles meet.
+
+    ``angles`` (p,), rad, and ``approaches`` (p,) of the table positions; ``table`` (p,): number of
+    the table's unknown, the same at the same angle from the same side. ``marks`` (m,), rad: the
+    angles that the reference shows, ascending in one turn; ``shown`` (k, p): the number of the
+    mark at each setting and position.
+    """
+
+    angles: tuple[float, ...]
+    approaches: tuple[Approach, ...]
+    table: Ints
+    marks: Floats
+    shown: Ints
+
+    @classmethod
+    def of(cls, plan: ComparisonPlanSettings) -> Circles:
+        """Return those of the settings of a plan; raises PlanError as :func:`table_angles`."""
+        up = table_angles(plan)
+        angles = up + up[::-1] * plan.bidirectional
+        down = len(angles) - len(up)
+        approaches = (Approach.POSITIVE,) * len(up) + (Approach.NEGATIVE,) * down
+        shifts = np.array(plan.shifts_deg) * DEGREE
+        marks, shown = _marks(np.array(angles) - shifts[:, None])
+        _, table = _marks(np.array(angles))
+        table[len(up) :] += len(up)
+        _, table = np.unique(table, return_inverse=True)
+        return cls(angles, approaches, table, marks, shown)
+
+    @property
+    def n_table(self) -> int:
+        """How many deviations of the table are unknown."""
+        return int(self.table.max()) + 1
+
+
+def _marks(angles: Floats) -> tuple[Floats, Ints]:
+    """Return the different angles (m,) in one turn, and which of them each of ``angles`` is."""
+    share = np.round(angles / TURN % 1.0, SAME_DIGITS) % 1.0
+    marks, number = np.unique(share, return_inverse=True)
+    return marks * TURN, number.reshape(angles.shape)
+
+
+def lost_orders(circles: Circles, shifts: Floats) -> tuple[int, ...]:
+    """Return the orders that ``shifts`` (k,), rad, lose, where both circles have the same grid.
+
+    Where they have not, none are told here: the engine names the unknowns.
+    """
+    n = len(circles.marks)
+    if len(np.unique(_marks(np.array(circles.angles))[1])) != n or not _even(circles.marks):
+        return ()
+    orders = np.arange(1, n // 2 + 1)
+    squares = np.abs(np.exp(1j * np.multiply.outer(orders, shifts)).sum(axis=1)) ** 2
+    lost = len(shifts) ** 2 - squares < LOST * len(shifts) ** 2
+    return tuple(orders[lost].tolist())
+
+
+def _even(marks: Floats) -> bool:
+    steps = np.diff(np.append(marks, marks[0] + TURN))
+    return bool(np.ptp(steps) < 10.0 ** (1 - SAME_DIGITS) * TURN)
+
+
+def readings_of(plan: ComparisonPlanSettings) -> Readings:
+    """Return readings of a whole plan that are all 0, in its order: what a prediction needs."""
+    shown = Circles.of(plan).shown
+    station, position = np.indices(shown.shape).reshape(2, -1)
+    return Readings(position, shown.ravel(), station, np.zeros(shown.size), np.arange(shown.size))
+
+
+def known_reference(solver: ComparisonSolverSettings, circles: Circles) -> bool:
+    """Whether the reference has a certificate; else its errors are unknown, or taken for none."""
+    return len(solver.reference_errors_arcsec) == len(circles.marks)
+
+
+def model_of(
+    plan: ComparisonPlanSettings, solver: ComparisonSolverSettings, read: Readings
+) -> Model:
+    """Return unknowns, readings and what could spoil them; outputs are those of the positions.
+
+    With one shift and no certificate the reference is taken for perfect. A certificate counts from
+    a zero of its own, as a setting does.
+    """
+    circles, settings = Circles.of(plan), len(plan.shifts_deg)
+    certified = known_reference(solver, circles)
+    sign = 1.0 if solver.readings_count == "with the table" else -1.0
+    blocks = {
+        "table angle": circles.n_table,
+        "reference mark": len(circles.marks) if certified or settings > 1 else 0,
+        "setting": settings + certified,
+    }
+    table, mark, zero = blocks.values()
+    rows = indicators((circles.table[read.position], table), (read.target, mark))
+    rows[:, table:] *= -1.0
+    design = np.concatenate([rows, indicators((read.station, zero))], axis=1)
+    positions = np.eye(table, sum(blocks.values()))[circles.table]
+    reference = {REFERENCE: from_mean(blocks, "reference mark")} if mark else {}
+    model = Model(
+        blocks=blocks,
+        observed=sign * read.value,
+        std=np.full(len(read.value), solver.sigma_arcsec * ARCSEC),
+        equations=linear(design),
+        outputs=positions - positions[0],
+        also=reference,
+        words=Words(
+            "readings", "a draught, heat or a person", "at the reference", "at the reference"
+        ),
+        components=("the readings",),
+        groupings=(
+            Grouping("setting", read.station, along=read.when),
+            Grouping("reference mark", read.target),
+            Grouping("position", read.position),
+        ),
+        effects=instrument_effects(
+            "the instrument",
+            read.station,
+            read.when,
+            solver.largest_shift_arcsec * ARCSEC,
+            moved="reference or instrument",
+        ),
+    )
+    if not certified:
+        return model
+    errors = np.array(solver.reference_errors_arcsec) * ARCSEC
+    known = np.eye(mark, sum(blocks.values()), table)
+    known[:, -1] = 1.0
+    return model.knowing("the certificate", known, errors, solver.reference_std_arcsec * ARCSEC)
