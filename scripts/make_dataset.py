@@ -85,13 +85,10 @@ PAPERS = {
 }
 """Plan -> the change that makes of our solver what the paper prints; papers give no verdict."""
 LEGEND = """\
-* *rotcal*: this package as it comes.
-* *scipy*: least squares on the plain equations.
-* *closed_form*: linear equations only.
-* *paper*: the recipe that the paper prints, without a verdict (tracer: station by station; ball
-  plate: the closed form; mirror: registration).
-* A *curve* is one component of one measurement. Errors are arcsec for rotations and um for
-  translations; *rms* is over all cases, *plain rms* over those with nothing wrong.
+* *rotcal*: this package; *scipy*: least squares on the plain equations; *closed_form*: linear
+  equations only; *paper*: the recipe that the paper prints, without a verdict.
+* A *curve* is one component of one measurement. *rms* is over all cases, *plain rms* over those
+  with nothing wrong.
 * *say ok*: curves whose result says ok, or says nothing. *hold*: their intervals (U, k = 2) that
   hold the truth, where 95.4 % should, without curves that name the effect.
 * *mislead*: they say ok, name no reason, and more intervals fail than chance explains (one sound

@@ -33,9 +33,8 @@ larger and larger, until the verdict was no longer `ok` in {100 * POWER:g} % of 
   "not up to". "Allowed" is the allowance that the configuration states and the uncertainty
   contains.
 * *Error* is what the effect does to the deviations unnoticed up to that size, in standard
-  uncertainties (k = 1) as the result states them. It is the root mean square over the measurements
-  whose verdict stayed `ok`, at the worst component and angle. Effects that scatter hit all angles
-  alike, and count over all. The noise itself is not included.
+  uncertainties: the root mean square over the measurements whose verdict stayed `ok`, at the worst
+  component and angle. Effects that scatter count over all angles.
 * *Named* says whether the verdict line names the effect ("ok, not protected against ...").
 
 No effect may do more than {TOLERABLE:g} standard uncertainties unnoticed and unnamed. What an
@@ -43,16 +42,12 @@ effect is, stands below the table, or else below the nearest table above.
 
 Three errors have no size here, because no size turns the verdict:
 
-* **An offset between parts of the table that nothing joins**: 4 arcsec between the odd and even
-  positions of a plate of 6 balls leave no trace. Such a result is always `suspect`, and its
-  verdict line names the parts. Export and bridge refuse it until `rotcal combine` joins them
-  ([groups](ball_plate.md#closed-form-and-groups)).
+* **An offset between parts of the table that nothing joins**
+  ([groups](ball_plate.md#closed-form-and-groups)). Such a result is always `suspect`.
 * **Positions of a table of lengths that are all numbered off by one**. The verdict line names
-  `numbering` until `plan.tracer_m` states where the tracer stands. Live, the table's feedback
-  numbers the positions.
-* **A z axis that points down** in a table of ball centres. The verdict line names `sign of z`.
-  Live, touch points show which way is up. The same is named for targets and places of a tracer at
-  several places, unless some beam rises by more than 45 degrees: then the result is `suspect`.
+  `numbering` until `plan.tracer_m` states where the tracer stands.
+* **A z axis that points down** in a table of ball centres, or of a tracer at several places. The
+  verdict line names `sign of z`.
 
 Sizes depend on the plan: lengths, redundancy, order. `make power` writes this page again;
 `python scripts/power_table.py --plan CONFIG --output PAGE` measures your own plan. The words:

@@ -168,7 +168,7 @@ def nodes() -> Check:
 def rate(output: Path) -> Check:
     """Let recorder and capture work for 5 s beside whatever this machine is doing."""
     ok, found = _try("rate_trial", str(_existing(output)))
-    advice = "give the calibration a computer, or cores, of its own (docs/busy_computer.md)"
+    advice = "give the calibration a computer, or cores, of its own (docs/running.md)"
     return Check("Rate", ok, found, advice)
 
 

@@ -2,9 +2,57 @@
 
 In the frame that turns with the CMM position every ball sees a shifted copy of the table's
 sequence, so a discrete Fourier transform over the CMM positions splits the least squares into
-systems that do not know of each other (docs/ball_plate_derivation.md). Result and
-covariances equal the dense form (Eq. 20, 21 of the paper); time and memory grow like N R log N and
-N R instead of N^3 and N^2.
+systems that do not know of each other. Result and covariances equal the dense form (Eq. 20, 21 of
+the paper; ``benchmarks/dense_ball_plate.py``); time and memory grow like N R log N and N R instead
+of N^3 and N^2. The model, its symbols and constraints: docs/ball_plate_derivation.md.
+
+Write everything in the frame that turns with the CMM position, primes for vectors in turned
+frames:
+
+    y_kj = B_k' (m_kj - p_k),   d'_i = B_i' d_i,   c'_i = B_i' c_i,   b'_k = B_k' b_k
+
+As B_k' B_i = B_{-j},
+
+    y_kj = B_{-j} d'_{k-j} + (B_{-j} c'_{k-j}) x p_0 + b'_k + B_{-j} a_j + (B_k' u) x p_0 + B_k' v.
+
+B_{-j} does not depend on k, so a ball sees a *shifted copy of the same sequence*. The discrete
+Fourier transform over k, F(q) = sum_k f_k exp(-2 pi i q k / N), turns the shift by j into the
+phase e_q(j) = exp(-2 pi i q j / N). Every harmonic can then be solved alone.
+
+Take w+ = (w_x + i w_y)/sqrt 2 and w- = (w_x - i w_y)/sqrt 2 for plane vectors. B_{-j} then
+multiplies by e_1(j) and its conjugate, and all coefficients are pure phases. With p_0 along x only
+c_z acts in the plane, and only c_x, c_y act along z:
+
+    Y+ = e_{q+1} D+ + (i/sqrt 2) e_q rho C_z + B+
+    Y- = e_{q-1} D- - (i/sqrt 2) e_q rho C_z + B-
+    Y_z = e_q D_z + (i/sqrt 2) rho (e_{q+1} C+ - e_{q-1} C-) + B_z
+
+The CMM's unknowns have the coefficient 1 for all balls. Subtracting the mean over the balls
+eliminates them and leaves two Hermitian 3 x 3 matrices per harmonic. With P(q) = sum_j e_q(j) they
+are, for the plane (D+, D-, rho C_z),
+
+    R - |P(q+1)|^2/R        0                     (i/sqrt 2) X*
+    .                       R - |P(q-1)|^2/R     -(i/sqrt 2) Z
+    .                       .                     R - |P(q)|^2/R
+
+    X = P(1) - P(q+1) P(q)*/R,     Z = P(1) - P(q-1)* P(q)/R
+
+and for the axis, (rho C+, rho C-, D_z), half the first two diagonals, the same couplings to D_z,
+and -1/2 (P(2) - P(q+1) P(q-1)*/R)* between C+ and C-.
+
+As computed, the rows are divided by e_{q+1}, e_{q-1} and e_q, which brings them back to the frame
+that turns with the *table*.
+
+*Where the constraints act.* a_j is constant over k: it lives at q = 0 only. Eq. 15 to 18 set b' =
+c' = d' = 0 at q = 0, so a, u_z and v_z follow from the means; u_z rho and v_z are the mean over
+the balls (Eq. 19). The parts u_xy and v_xy are pure first harmonics. They have the same column as
+B_z(1) and B-(1), which Eq. 15 sets to zero: what the fit finds there *is* the pose. D-(1) and
+C-(1), also with a constant column, are zero by Eq. 17. For q >= 2 there is nothing to constrain.
+
+*Covariances.* Noise sigma in every coordinate is white in the transform. So the inverse of the 3 x
+3 matrix is the unit covariance of a harmonic. Its inverse transform is the circulant covariance
+over the table positions in the turning frame. Turned back, the variance of x and y has a constant
+part from (w+, w+) and a part that runs with twice the angle from (w+, w-).
 
 Notation: q is the number of the harmonic, Q = N // 2 their count, R that of the balls, rho the
 radius of the ball circle. A plane vector is held as w+ = (w_x + i w_y)/sqrt 2 and
