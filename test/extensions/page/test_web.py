@@ -10,11 +10,14 @@ import subprocess
 import sys
 import urllib.request
 
+import numpy as np
 import pytest
+from click.testing import CliRunner
 from exports import DATA, EXPORTS, MM, lines
 from starlette.testclient import TestClient
 
 import rotcal_ros as rc
+from rotcal_ros.cli.main import rotcal
 from rotcal_ros.extensions.page import web
 from rotcal_ros.extensions.page.web import Worker, asked_settings, make_app
 
@@ -27,6 +30,11 @@ IDENTITY = (
     "customer_address=2 Street", "certificate_number=K-1", "instruments.tracer.serial=T1",
     "instruments.tracer.calibrated=2026-01-31",
 )  # fmt: skip
+
+FOR_CSV = {
+    "controller": "csv", "settings": "", "in_force": "replace", "accept": [], "spacing": None,
+    "axis": "", "serial": "",
+}  # fmt: skip
 
 
 class Visitor:
@@ -294,23 +302,75 @@ def test_a_certificate_lists_what_is_missing_and_is_made_with_it(visitor):
 def test_a_controller_gets_its_files_once_it_is_said_what_was_in_force(visitor):
     visitor.lengths(OWN[0].read_bytes())
     visitor.deviations()
-    options = {
-        "controller": "csv", "settings": "", "accept_age": False, "accept_unverified": False,
-    }  # fmt: skip
-    error = visitor.work("controller", in_force="", **options)["error"]
+    error = visitor.work("controller", **FOR_CSV | {"in_force": ""})["error"]
     assert error["text"].startswith("not known which table was in force")
-    told = visitor.work("controller", in_force="replace", **options)
+    told = visitor.work("controller", **FOR_CSV)
     assert told["files"] == ["c_csv.csv", "c_csv.provenance.json"]
     assert told["words"][0].startswith("replaces the table in force")
     # What was dropped is read: this was not measured with its own table in force.
     for name in told["files"]:
         assert visitor.drop("in_force", name, visitor.made(name).content).status_code == 200
-    error = visitor.work("controller", in_force="add", **options)["error"]
+    error = visitor.work("controller", **FOR_CSV | {"in_force": "add"})["error"]
     assert error["text"].startswith(
         "not added: the table in force does not do what it should: +1.0"
     )
-    error = visitor.work("controller", in_force="replace", **options | {"controller": "cvs"})
+    error = visitor.work("controller", **FOR_CSV | {"controller": "cvs"})
     assert "did you mean 'csv'?" in error["error"]["text"]
+
+
+def of_the_command_line(folder, *options):
+    """Return the rows that ``rotcal export`` writes for the result on the page."""
+    words = ["export", folder / "result.json", "--to", "csv", "-o", folder / "by_verb", *options]
+    done = CliRunner().invoke(rotcal, [str(word) for word in words])
+    assert done.exit_code == 0, done.stderr
+    return (folder / "by_verb" / "c_csv.csv").read_text()
+
+
+def test_the_rows_are_as_far_apart_as_is_asked_for(visitor, tmp_path):
+    visitor.lengths(OWN[0].read_bytes())
+    visitor.deviations()
+    visitor.work("controller", **FOR_CSV | {"spacing": 7.5})
+    rows = visitor.made("c_csv.csv").text
+    assert rows == of_the_command_line(tmp_path, "--replace", "--spacing", 7.5)
+    side = visitor.made("c_csv.provenance.json").json()
+    assert (side["rows"], side["widest_spacing_deg"]) == (48, 7.5)
+
+
+@pytest.mark.parametrize(
+    ("word", "changed", "stated", "reason"),
+    [
+        ("axis", {"axis": "B"}, (), "axis C was measured and the export (--axis, --serial) has"),
+        ("serial", {"serial": "12"}, ("identity.serial=11",), "serial number 11 was measured and"),
+        ("age", {}, ("identity.measured=2020-03-31",), " days old, at most 30 are accepted"),
+        ("unverified", {"controller": "fagor"}, (), "not verified: "),
+    ],
+)
+def test_what_can_be_accepted_is_offered_with_its_reason(visitor, word, changed, stated, reason):
+    visitor.drop("setup", "tracer.yaml", (DATA / "tracer.yaml").read_bytes())
+    visitor.lengths(OWN[0].read_bytes())
+    visitor.deviations(*stated)
+    question = visitor.work("controller", **FOR_CSV | changed)["error"]["question"]
+    ((answer, words),) = question["answers"]
+    assert (question["setting"], answer) == ("accept", word)
+    assert reason in words
+    told = visitor.work("controller", **FOR_CSV | changed | {"accept": [word]})
+    assert "error" not in told, told["error"]
+    assert any(words.partition(": not verified: ")[2] in line for line in told["words"])
+
+
+def lengths_of(ecc, noise_m=1e-7):
+    """Return the lengths of a tracer on a table with these ECC (rad), every 30 degrees."""
+    rng = np.random.default_rng(5)
+    targets = np.loadtxt(OWN[1], delimiter=",", skiprows=1)[:, 1:]
+    turned = np.deg2rad(np.arange(12) * 30.0) + ecc
+    places = [(0.2 * np.cos(a), 0.2 * np.sin(a), 0.12) for a in turned]
+    apart = np.linalg.norm(targets[None] - np.array(places)[:, None], axis=2)
+    rows = [
+        (position, target, f"{length:.10f}")
+        for (position, target), length in np.ndenumerate(apart + rng.normal(0, noise_m, apart.shape))
+        for position, target in [(position, target)]
+    ]
+    return lines(("position", "target", "length_m"), rows, ",")
 
 
 def test_another_table_takes_the_results_away(visitor):
