@@ -20,6 +20,7 @@ import rotcal_ros as rc
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.extensions.page import web
 from rotcal_ros.extensions.page.web import Worker, asked_settings, make_app
+from rotcal_ros.foundation.units import ARCSEC
 
 ORIGIN = "http://127.0.0.1:8000"
 METHOD = "tracer_multistation"
@@ -31,6 +32,7 @@ IDENTITY = (
     "instruments.tracer.calibrated=2026-01-31",
 )  # fmt: skip
 
+ANGLES = np.deg2rad(np.arange(12) * 30.0)
 FOR_CSV = {
     "controller": "csv", "settings": "", "in_force": "replace", "accept": [], "spacing": None,
     "axis": "", "serial": "",
@@ -355,22 +357,44 @@ def test_what_can_be_accepted_is_offered_with_its_reason(visitor, word, changed,
     assert reason in words
     told = visitor.work("controller", **FOR_CSV | changed | {"accept": [word]})
     assert "error" not in told, told["error"]
-    assert any(words.partition(": not verified: ")[2] in line for line in told["words"])
+    assert any(f"({word})" in line or "not verified" in line for line in told["words"])
 
 
 def lengths_of(ecc, noise_m=1e-7):
-    """Return the lengths of a tracer on a table with these ECC (rad), every 30 degrees."""
-    rng = np.random.default_rng(5)
+    """Return the lengths of a tracer on a table that deviates by ``ecc`` (rad) at ANGLES."""
     targets = np.loadtxt(OWN[1], delimiter=",", skiprows=1)[:, 1:]
-    turned = np.deg2rad(np.arange(12) * 30.0) + ecc
-    places = [(0.2 * np.cos(a), 0.2 * np.sin(a), 0.12) for a in turned]
-    apart = np.linalg.norm(targets[None] - np.array(places)[:, None], axis=2)
-    rows = [
-        (position, target, f"{length:.10f}")
-        for (position, target), length in np.ndenumerate(apart + rng.normal(0, noise_m, apart.shape))
-        for position, target in [(position, target)]
-    ]
+    places = np.array([(0.2 * np.cos(a), 0.2 * np.sin(a), 0.12) for a in ANGLES + ecc])
+    lengths = np.linalg.norm(targets[None] - places[:, None], axis=2)
+    lengths += np.random.default_rng(5).normal(0.0, noise_m, lengths.shape)
+    rows = [(*at, f"{length:.10f}") for at, length in np.ndenumerate(lengths)]
     return lines(("position", "target", "length_m"), rows, ",")
+
+
+def test_what_a_table_leaves_is_added_to_it_as_the_command_line_does(visitor, tmp_path):
+    first, left = 6.0 * ARCSEC * np.sin(ANGLES), 1.5 * ARCSEC * np.sin(2.0 * ANGLES)
+    visitor.lengths(lengths_of(first))
+    visitor.deviations("solver.length_std_m=1e-7")
+    held = {n: visitor.made(n).content for n in visitor.work("controller", **FOR_CSV)["files"]}
+    visitor.lengths(lengths_of(left))
+    visitor.deviations("solver.length_std_m=1e-7")
+    for name, content in held.items():
+        visitor.drop("in_force", name, content)
+    told = visitor.work("controller", **FOR_CSV | {"in_force": "add"})
+    assert "error" not in told, told["error"]
+    assert told["words"][0].startswith("adds to the table")
+    rows = visitor.made("c_csv.csv").text
+    assert rows == of_the_command_line(tmp_path, "--add-to", tmp_path / "in_force")
+    angles, corrections, *_ = np.loadtxt(rows.splitlines(), delimiter=",", skiprows=1).T
+    wanted = 6.0 * np.sin(np.deg2rad(angles)) + 1.5 * np.sin(np.deg2rad(2.0 * angles))
+    assert len(angles) >= 13
+    assert np.ptp(corrections + wanted) < 0.5
+
+
+def test_a_table_in_force_that_is_not_there_is_told_without_a_path(visitor, tmp_path):
+    visitor.lengths(OWN[0].read_bytes())
+    visitor.deviations()
+    error = visitor.work("controller", **FOR_CSV | {"in_force": "add"})["error"]
+    assert error["text"].startswith("in_force holds 0 tables of axis C for csv")
 
 
 def test_another_table_takes_the_results_away(visitor):
