@@ -138,6 +138,7 @@ class ExportRequest:
 
     @property
     def now_ns(self) -> int:
+        """The time of the call in ns since 1970."""
         return int(self.now.timestamp()) * 1_000_000_000
 
     def machines(self) -> dict[str, MachineIdentity]:

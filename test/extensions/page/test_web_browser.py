@@ -26,7 +26,7 @@ DROP = """async ([name, content]) => {
   document.querySelector(".drop").dispatchEvent(
     new DragEvent("drop", { dataTransfer: transfer, bubbles: true, cancelable: true }));
 }"""
-FREE = "#tables, #command, #controller, #controller_error, #accepted p, #error, #language, #links, #warnings, td, option, .name"
+FREE = "#tables, #command, #controller, #error, #language, #links, #warnings, td, option, .name"
 """Places with what the tables and the command line say."""
 
 
