@@ -161,11 +161,11 @@ def _refuse(
             "nothing was written"
         )
     if controller.unverified and not accept_unverified:
-        why = f"{controller.facts.title}: not verified: {'; '.join(controller.unverified)}"
+        title, unverified = controller.facts.title, "; ".join(controller.unverified)
         raise ConfigurationError(
-            f"{why}. Give --accept-unverified to write the file nevertheless, and test it with "
-            "one small value first",
-            question=Question(ACCEPT, ((UNVERIFIED, why),)),
+            f"{title}: not verified: {unverified}. Give --accept-unverified to write the file "
+            "nevertheless, and test it with one small value first",
+            question=Question(ACCEPT, ((UNVERIFIED, f"{title}: not verified: {unverified}"),)),
         )
 
 
