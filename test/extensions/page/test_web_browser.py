@@ -150,12 +150,10 @@ def test_instruments_that_are_not_shown_are_stated_too(opened):
 
 
 def seen(page):
-    """Return what a person has stated on the page."""
+    """Return what stands in all fields of the page."""
     return page.evaluate(
-        """() => [...document.querySelectorAll("input, select, textarea, #corrected button")]
-          .filter((e) => e.id !== "language")
-          .map((e) => [e.id, e.type === "radio" ? String(e.checked) : e.value ?? "", e.ariaLabel])
-          .filter(([, value]) => value).map(([id, value]) => `${id}=${value}`)"""
+        """() => [...document.querySelectorAll("main input, main select, main textarea")]
+          .map((e) => `${e.id}=${e.type === "radio" ? e.checked : e.value}`)"""
     )
 
 
@@ -167,7 +165,7 @@ def test_what_was_stated_outlasts_a_reload_and_another_language(opened):
     page.get_by_label("column that is length").select_option("Other")
     page.get_by_label("Take back: length = Other").wait_for()
     page.get_by_label("How it was measured").select_option("tracer_multistation")
-    page.get_by_label("Serial number", exact=True).fill("4711")
+    page.locator("[data-name='identity.serial']").fill("4711")
     page.evaluate("document.querySelectorAll('details').forEach((e) => { e.open = true; })")
     page.locator("#instrument").select_option("machine")
     solve(page)
