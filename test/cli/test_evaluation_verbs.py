@@ -228,6 +228,7 @@ def test_iso230_gives_the_figures_that_the_hand_gives(tmp_path):
 
 GERMAN = "Lauf;Richtung;Winkel [°];Abweichung [Winkelsekunden];Prüfer"
 IN_ORDER = "Table angle [deg];Deviation [arcsec]"
+NUMBERED = "Position;Table angle [deg];Deviation [arcsec]"
 
 
 def in_another_form(path, head, told=("up", "down")):
@@ -238,15 +239,18 @@ def in_another_form(path, head, told=("up", "down")):
         for name, side, order in ((told[0], UP, range(8)), (told[1], DOWN, reversed(range(8))))
         for i in order
     ]
-    of_all = head == GERMAN
-    texts = [(*row[:2], f"{row[2]}", f"{row[3]:.6f}", "me") if of_all else row[2:] for row in rows]
-    lines = [";".join(map(str, text)) for text in texts]
-    body = "\n".join(line.replace(".", ",") if of_all else line for line in lines)
+    cells = {
+        GERMAN: lambda run, way, angle, value: (run, way, angle, f"{value:.6f}", "me"),
+        IN_ORDER: lambda _run, _way, angle, value: (angle, value),
+        NUMBERED: lambda _run, _way, angle, value: (angle // 45 + 1, angle, value),
+    }[head]
+    body = "\n".join(";".join(map(str, cells(*row))) for row in rows)
+    body = body.replace(".", ",") if head == GERMAN else body
     path.write_text(f"{head}\n{body}\n", encoding="utf-8-sig")
     return path
 
 
-@pytest.mark.parametrize("head", [GERMAN, IN_ORDER])
+@pytest.mark.parametrize("head", [GERMAN, IN_ORDER, NUMBERED])
 def test_iso230_reads_any_form_by_columns_or_by_the_order_of_rows(tmp_path, head):
     path = in_another_form(tmp_path / "läufe.txt", head, ("auf", "ab"))
     expected = json.loads(run("iso230", runs_file(tmp_path / "runs.csv"), "--json").stdout)
