@@ -111,11 +111,10 @@ def combine(*results: Curve, enlarge: Enlargement = "birge") -> Result:
 def iso230(runs: BidirectionalRuns | Result | Name) -> Iso230:
     """Evaluate repeated runs from both directions after ISO 230-2.
 
-    ``runs`` are deviations (m, n) in rad (actual - commanded), a table
-    ``angle_deg,run,direction,deviation_arcsec``, or a result, its file or a bag of a plan with
-    runs. Every figure is in rad: ``accuracy`` A, ``repeatability`` R, ``reversal`` B ...;
-    ``uncertainties`` has theirs under the same names. Raises DataError for runs that are not
-    complete.
+    ``runs`` are deviations (m, n) in rad (actual - commanded), a table of angle, run, direction
+    and deviation in any form, or a result, its file or a bag of a plan with runs. Every figure
+    is in rad: ``accuracy`` A, ``repeatability`` R, ``reversal`` B ...; ``uncertainties`` has
+    theirs under the same names. Raises DataError for runs that are not complete.
 
     >>> import rotcal_ros as rc
     >>> figures = rc.iso230("examples/data/runs.csv")

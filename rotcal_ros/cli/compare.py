@@ -13,11 +13,13 @@ from rotcal_ros.cli.console import NamedFile, draw, json_option, path_type, prin
 from rotcal_ros.cli.options import (
     align_option,
     component_option,
+    language_option,
     polygon_option,
     reference_option,
     references,
     sheet_option,
 )
+from rotcal_ros.foundation.language import ENGLISH, speaking
 
 if TYPE_CHECKING:
     from rotcal_ros.evaluation.compare import Comparison
@@ -43,6 +45,7 @@ if TYPE_CHECKING:
     type=NamedFile(".svg", ".html", bare=False),
     help="Draw the curves and E_n into this file: .svg or .html.",
 )
+@language_option
 @json_option
 def command(
     sources: tuple[Path, ...],
@@ -53,6 +56,7 @@ def command(
     align_order: int,
     truth: bool,
     output: Path | None,
+    language: str,
     as_json: bool,
 ) -> int:
     """Compare results of one table pair by pair: result.json, bags, sessions, reference tables.
@@ -69,7 +73,7 @@ def command(
     wrong by more than its U.
     """
     if truth:
-        stated = reference_std is not None or component != "ECC"
+        stated = reference_std is not None or (component, language) != ("ECC", ENGLISH.code)
         if len(sources) > 1 or any((polygon, output, align_order, changes, stated)):
             raise click.UsageError("--truth takes one FOLDER, and of the options --json alone")
         return _scored(sources[0], as_json=as_json)
@@ -86,7 +90,8 @@ def command(
 
         shown = (curves, comparisons, component)
         page, figure = partial(comparison_page, *shown), partial(curves_and_errors, *shown)
-        draw(output, {".svg": figure, ".html": page})
+        with speaking(language):
+            draw(output, {".svg": figure, ".html": page})
     if as_json:
         print_json(_plain(comparisons, component))
     else:

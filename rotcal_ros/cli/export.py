@@ -100,46 +100,45 @@ def command(as_json: bool, **options: Any) -> int:
     The settings of the joint come from --machine-ini; a copy of that file, which uses the table,
     is written beside the table. The option is the same as --set machine_ini=FILE.
     """
-    from rotcal_ros.compensation.writing import write_files
-
-    asked = _Asked(**options)
+    asked = ExportRequest(**options)
     forward = asked.read(asked.source)
     if asked.controller == VOLUMETRIC:
         _show(_write_volumetric(forward, asked), as_json)
     else:
-        export = _export(forward, asked)
-        _show_export(export, write_files(export.with_machine_files(), asked.out), as_json)
+        export, paths = write_export(forward, asked)
+        _show_export(export, paths, as_json)
     return 0
 
 
 @dataclass(frozen=True)
-class _Asked:
+class ExportRequest:
     """The options of the command line; ``now`` is the time of the call."""
 
     source: Path
-    setup: Path | None
-    targets: Path | None
     controller: str
     out: Path
-    spacing: float | None
-    axis: str | None
-    serial: str | None
-    reference: float | None
-    reverse: Path | None
-    harmonics: int | None
-    revolutions: str | None
-    machine_ini: Path | None
-    settings: tuple[str, ...]
-    name: str | None
-    replace: bool
-    add_to: Path | None
-    accept: tuple[str, ...]
-    max_age: float | None
-    accept_unverified: bool
+    setup: Path | None = None
+    targets: Path | None = None
+    spacing: float | None = None
+    axis: str | None = None
+    serial: str | None = None
+    reference: float | None = None
+    reverse: Path | None = None
+    harmonics: int | None = None
+    revolutions: str | None = None
+    machine_ini: Path | None = None
+    settings: tuple[str, ...] = ()
+    name: str | None = None
+    replace: bool = False
+    add_to: Path | None = None
+    accept: tuple[str, ...] = ()
+    max_age: float | None = None
+    accept_unverified: bool = False
     now: datetime = field(default_factory=lambda: datetime.now(timezone.utc))
 
     @property
     def now_ns(self) -> int:
+        """The time of the call in ns since 1970."""
         return int(self.now.timestamp()) * 1_000_000_000
 
     def machines(self) -> dict[str, MachineIdentity]:
@@ -202,14 +201,17 @@ class _Asked:
             )
 
 
-def _export(forward: ResultSource, asked: _Asked) -> ExportFiles:
-    """Return the files for a controller, after reading them back and simulating it."""
+def write_export(
+    forward: ResultSource, asked: ExportRequest
+) -> tuple[ExportFiles, tuple[Path, ...]]:
+    """Write the files for a controller, after reading them back and simulating it."""
     from rotcal_ros.compensation.earlier_export import to_be_in_force
     from rotcal_ros.compensation.export import prepare_export
+    from rotcal_ros.compensation.writing import write_files
 
     machines, accepted = asked.machines(), asked.accepted()
     backward = None if asked.reverse is None else asked.read(asked.reverse)
-    return prepare_export(
+    export = prepare_export(
         to_be_in_force(
             _table(forward, backward, asked),
             asked.controller,
@@ -229,10 +231,11 @@ def _export(forward: ResultSource, asked: _Asked) -> ExportFiles:
         accept_unverified=asked.accept_unverified,
         sources={**forward.sha256, **(backward.sha256 if backward else {})},
     )
+    return export, write_files(export.with_machine_files(), asked.out)
 
 
 def _table(
-    forward: ResultSource, backward: ResultSource | None, asked: _Asked
+    forward: ResultSource, backward: ResultSource | None, asked: ExportRequest
 ) -> CompensationTable:
     """Return the correction table at the measured angles, or on rows of a harmonic fit."""
     from rotcal_ros.compensation.table import table_from_result
@@ -253,7 +256,7 @@ def _table(
     )
 
 
-def _write_volumetric(forward: ResultSource, asked: _Asked) -> tuple[Path, ...]:
+def _write_volumetric(forward: ResultSource, asked: ExportRequest) -> tuple[Path, ...]:
     """Write all deviations; contradictions are refused, or printed if accepted."""
     from rotcal_ros.compensation.agreement import MachineIdentity, require
     from rotcal_ros.compensation.volumetric import volumetric_files
@@ -300,13 +303,10 @@ def _show(paths: Iterable[Path], as_json: bool, **facts: Any) -> None:
 
 def _show_export(export: ExportFiles, paths: Iterable[Path], as_json: bool) -> None:
     """Print what was written, with its provenance and its warnings."""
-    from rotcal_ros.compensation.export import standing
     from rotcal_ros.compensation.writing import PROVENANCE
 
     side = next(text for file, text in export.files.items() if file.endswith(PROVENANCE))
     _show(paths, as_json, provenance=json.loads(side))
     if not as_json:
-        say(standing(export.table))
-        say(export.residual.in_words())
-        for warning in export.warnings:
-            say(f"warning: {warning}")
+        for line in export.in_words():
+            say(line)

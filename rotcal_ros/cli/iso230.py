@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from rotcal_ros.cli.console import NamedFile, draw, json_option, path_type, print_json
+from rotcal_ros.cli.options import announcer, explain_option, sheet_of, sheet_option
 from rotcal_ros.foundation.units import ARCSEC
 
 
@@ -24,19 +25,31 @@ from rotcal_ros.foundation.units import ARCSEC
     metavar="ARCSEC",
     help="Standard uncertainty (k = 1) of the measuring device at a target, the same in all runs.",
 )
+@sheet_option
+@explain_option
 @json_option
-def command(source: Path, output: Path | None, device: float | None, as_json: bool) -> int:
-    """Evaluate RUNS: a table (.csv), or the result.json or bag of a plan with runs.
+def command(
+    source: Path,
+    output: Path | None,
+    device: float | None,
+    changes: tuple[str, ...],
+    explain: bool,
+    as_json: bool,
+) -> int:
+    """Evaluate RUNS: a table, or the result.json or bag of a plan with runs.
 
-    The table has the columns angle_deg, run, direction (up or down), deviation_arcsec; every
-    target occurs once in every run and direction. Every figure comes with its uncertainty: from
-    the scatter of the runs, and from errors that all runs share. A result or bag knows the latter;
-    for a table --device states them.
+    The table, a workbook or a text in any form, has the table angle, run, direction (up or down)
+    and deviation; without run and direction the order of the rows tells them. Every target occurs
+    once in every run and direction. Every figure comes with its uncertainty: from the scatter of
+    the runs, and from errors that all runs share. A result or bag knows the latter; for a table
+    --device states them.
     """
     from rotcal_ros.evaluation.iso230 import iso230, with_device
     from rotcal_ros.recordings.result_sources import read_repeated_runs
 
-    runs = read_repeated_runs(source)
+    runs = read_repeated_runs(source, sheet_of(changes), announcer(explain=explain))
+    if explain:
+        return 0
     if device is not None:
         runs = with_device(runs, device * ARCSEC)
     figures = iso230(runs)

@@ -22,6 +22,7 @@ from rotcal_ros.foundation.language import ENGLISH, codes
 from rotcal_ros.foundation.units import ARCSEC
 
 if TYPE_CHECKING:
+    from rotcal_ros.foundation.sheets.reading import Reading, SheetSettings
     from rotcal_ros.planning.check_rule import CheckRule
     from rotcal_ros.recordings.result_sources import References
 
@@ -89,8 +90,27 @@ sheet_option: Final = click.option(
     "changes",
     multiple=True,
     metavar="sheet.NAME=VALUE",
-    help="How a reference table is read, where it can be read in two ways.",
+    help="How a table is read, where it can be read in two ways.",
 )
+explain_option: Final = click.option(
+    "--explain", is_flag=True, help="Say how a table is understood, and stop."
+)
+
+
+def announcer(*, explain: bool) -> Callable[[Reading], object]:
+    """Return what is told how a table was understood: in one line, or all for ``--explain``."""
+    from rotcal_ros.report.terminal.console import tell, understood
+
+    return (lambda reading: tell(*reading.lines())) if explain else understood
+
+
+def sheet_of(changes: Sequence[str]) -> SheetSettings:
+    """Return what ``--set sheet.NAME=VALUE`` says of a table."""
+    from rotcal_ros.foundation.settings import of_changes
+    from rotcal_ros.foundation.sheets.reading import SheetSettings
+    from rotcal_ros.foundation.untrusted import load_yaml
+
+    return of_changes(SheetSettings, "sheet", changes, load_yaml)
 
 
 def references(
@@ -103,15 +123,10 @@ def references(
 
     Raises UsageError for a ``polygon`` without a reference table among ``sources``.
     """
-    from rotcal_ros.foundation.settings import of_changes
-    from rotcal_ros.foundation.sheets.reading import SheetSettings
     from rotcal_ros.foundation.tables import is_table
-    from rotcal_ros.foundation.untrusted import load_yaml
     from rotcal_ros.recordings.result_sources import References
-    from rotcal_ros.report.terminal.console import understood
 
-    sheet = of_changes(SheetSettings, "sheet", changes, load_yaml)
-    found = References(reference_std, None, sheet, understood)
+    found = References(reference_std, None, sheet_of(changes), announcer(explain=False))
     if polygon is None:
         return found
     if not any(map(is_table, sources)):

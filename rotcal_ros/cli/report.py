@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from rotcal_ros.report.terminal.console import say, understood
 
 if TYPE_CHECKING:
     from rotcal_ros.foundation.results import Result
+    from rotcal_ros.recordings.inputs import Input
 
 
 @click.command()
@@ -67,70 +69,99 @@ if TYPE_CHECKING:
     help="Also write the tables of the result, such as stations and residuals, as CSV into "
     "FOLDER.",
 )
-def command(
-    source: Path,
-    setup: Path | None,
-    targets: Path | None,
-    changes: tuple[str, ...],
-    output: Path | None,
-    truth: Path | None,
-    in_force: Path | None,
-    language: str,
-    dcc: bool,
-    sign: Path | None,
-    certificate: Path | None,
-    tables: Path | None,
-) -> int:
+def command(**options: Any) -> int:
     """Solve BAG, or TABLE with its --setup, and write the report.
 
     It has figures, tables, warnings, verdict and fingerprints. A RESULT (.json) is reported as it
     is, such as a combination or a result whose bag is elsewhere.
     """
-    ending = "" if output is None else output.suffix.lower()
-    if ending and dcc != (ending == ".xml"):
-        raise click.UsageError("a certificate (--dcc) is .xml, a report .html or .pdf")
-    if dcc:
-        if truth or in_force or tables:
+    asked = _Asked(**options)
+    asked.refuse_what_does_not_fit()
+    return _certify(asked) if asked.dcc else _report(asked)
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """The options of the command line."""
+
+    source: Path
+    setup: Path | None
+    targets: Path | None
+    changes: tuple[str, ...]
+    output: Path | None
+    truth: Path | None
+    in_force: Path | None
+    language: str
+    dcc: bool
+    sign: Path | None
+    certificate: Path | None
+    tables: Path | None
+
+    def refuse_what_does_not_fit(self) -> None:
+        """Raise UsageError for options of a report with a certificate, or the other way round."""
+        ending = "" if self.output is None else self.output.suffix.lower()
+        if ending and self.dcc != (ending == ".xml"):
+            raise click.UsageError("a certificate (--dcc) is .xml, a report .html or .pdf")
+        if self.dcc and (self.truth or self.in_force or self.tables):
             raise click.UsageError(
                 "a certificate has no room for --truth, --in-force and --tables"
             )
-        from rotcal_ros.foundation.plugins import CERTIFICATES, extension
+        if not self.dcc and (self.sign or self.certificate):
+            raise click.UsageError("--sign and --certificate belong to --dcc: add it")
+
+    def input(self, source: Path) -> Input:
+        """Return the bag or table ``source`` with what belongs to it."""
         from rotcal_ros.recordings.inputs import Input
 
-        write: Callable[..., int] = extension(CERTIFICATES, "dcc", "a certificate")
-        return write(
-            Input(source, setup, targets, changes, announce=understood), output, sign, certificate
-        )
-    if sign or certificate:
-        raise click.UsageError("--sign and --certificate belong to --dcc: add it")
+        return Input(source, self.setup, self.targets, self.changes, announce=understood)
+
+
+def _certify(asked: _Asked) -> int:
+    from rotcal_ros.foundation.plugins import CERTIFICATES, extension
+
+    write: Callable[..., int] = extension(CERTIFICATES, "dcc", "a certificate")
+    return write(asked.input(asked.source), asked.output, asked.sign, asked.certificate)
+
+
+def _report(asked: _Asked) -> int:
     # Figures take a second to load; a wrong option should not wait for them.
-    from rotcal_ros.recordings.inputs import Input
-    from rotcal_ros.recordings.result_sources import read_source
-    from rotcal_ros.report.page import write_measured, write_result, write_tables
+    from rotcal_ros.report.page import write_tables
     from rotcal_ros.report.printing import require_writable
 
-    session = SessionFolder(source)
-    source = session.bag if session.bag.is_dir() else source
-    output = output or page_beside(source)
+    session = SessionFolder(asked.source)
+    source = session.bag if session.bag.is_dir() else asked.source
+    output = asked.output or page_beside(source)
     require_writable(output)
+    _require_new(output, source)
+    _require_empty(asked.tables, source)
+    with speaking(asked.language):
+        result = _written(asked, source, output)
+    say(f"report: {output.absolute()}")
+    for path in () if asked.tables is None else write_tables(result, asked.tables):
+        say(f"table: {path.absolute()}")
+    return max(VERDICT_EXIT_CODES[result.verdict], _acting(result, asked.in_force))
+
+
+def _written(asked: _Asked, source: Path, output: Path) -> Result:
+    """Write the page; return the result that it is about."""
+    from rotcal_ros.recordings.result_sources import read_source
+    from rotcal_ros.report.page import write_measured, write_result
+
+    injected = None if asked.truth is None else _truth(asked.truth)
+    given = asked.input(source)
+    if source.suffix == ".json":
+        return write_result(read_source(source, given), output, injected, asked.in_force)
+    begun = source.is_dir() and unfinished(source.parent)
+    go_on = resume_command(source.parent) if begun else ""
+    return write_measured(given.read(), output, injected, asked.in_force, go_on)
+
+
+def _require_new(output: Path, source: Path) -> None:
+    """Raise BagError for a page that is there already, or would lie inside a bag."""
     if bag := bag_around(output, source):
         raise BagError(f"{output} would lie inside the bag {bag}; name a file beside it with -o")
     if output.exists():
         raise BagError(f"{output} exists and is not overwritten; name another file with -o")
-    _require_empty(tables, source)
-    injected = None if truth is None else _truth(truth)
-    given = Input(source, setup, targets, changes, announce=understood)
-    begun = source.is_dir() and unfinished(source.parent)
-    go_on = resume_command(source.parent) if begun else ""
-    with speaking(language):
-        if source.suffix == ".json":
-            result = write_result(read_source(source, given), output, injected, in_force)
-        else:
-            result = write_measured(given.read(), output, injected, in_force, go_on)
-    say(f"report: {output.absolute()}")
-    for path in () if tables is None else write_tables(result, tables):
-        say(f"table: {path.absolute()}")
-    return max(VERDICT_EXIT_CODES[result.verdict], _acting(result, in_force))
 
 
 def _require_empty(folder: Path | None, source: Path) -> None:

@@ -16,14 +16,13 @@ from rotcal_ros.cli.console import (
     path_type,
     print_json,
 )
-from rotcal_ros.cli.options import set_option, setup_options
+from rotcal_ros.cli.options import announcer, explain_option, set_option, setup_options
 from rotcal_ros.foundation.errors import DataError
-from rotcal_ros.report.terminal.console import progress, say, tell, understood
+from rotcal_ros.report.terminal.console import progress, say, tell
 
 if TYPE_CHECKING:
     from rotcal_ros.evaluation.ways import Evaluation
     from rotcal_ros.foundation.results import Result
-    from rotcal_ros.foundation.sheets.reading import Reading
     from rotcal_ros.methods.method import Measurements
     from rotcal_ros.recordings.replay import Recording
 
@@ -62,7 +61,7 @@ if TYPE_CHECKING:
 @click.option(
     "-o", "--output", type=NamedFile(".json"), help="Write the result to this file, as JSON."
 )
-@click.option("--explain", is_flag=True, help="Say how a table is understood, and stop.")
+@explain_option
 @json_option
 def command(
     source: Path,
@@ -88,9 +87,7 @@ def command(
     """
     from rotcal_ros.recordings.inputs import Input
 
-    def announce(reading: Reading) -> None:
-        tell(*reading.lines()) if explain else understood(reading)
-
+    announce = announcer(explain=explain)
     with progress("reading") as shown:
         data = Input(source, setup, targets, changes, taken_from, namespace, announce).read(shown)
     if explain:

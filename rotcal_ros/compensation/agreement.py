@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
-from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.errors import ConfigurationError, DataError, Question
 from rotcal_ros.foundation.units import NANOSECOND
 
 if TYPE_CHECKING:
@@ -21,6 +21,10 @@ SERIAL: Final = "serial"
 AGE: Final = "age"
 CONFLICTS: Final = (AXIS, SERIAL, AGE)
 """The words that accept contradictions, one for each kind."""
+UNVERIFIED: Final = "unverified"
+"""Accepts what nobody has confirmed of a controller; no contradiction."""
+ACCEPT: Final = "accept"
+"""The setting that a refusal asks for: its answers are such words, each with the reason."""
 LARGEST_AGE_DAYS: Final = 30.0
 """Largest age of a measurement unless the settings say otherwise: tables are remounted, and they
 wear."""
@@ -103,7 +107,8 @@ def require(
         raise DataError(
             f"{'; '.join(text for word in refused for text in found[word])}: the table does not "
             f"belong here. To use it nevertheless, say so: {words} "
-            f"(bridge.accept: [{', '.join(refused)}]); nothing was written"
+            f"(bridge.accept: [{', '.join(refused)}]); nothing was written",
+            question=Question(ACCEPT, tuple((word, "; ".join(found[word])) for word in refused)),
         )
     undated = () if made_ns else (f"it is not known how many days ago this was measured, {limit}",)
     return undated + tuple(

@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from rotcal_ros.compensation.agreement import ACCEPT, UNVERIFIED
 from rotcal_ros.compensation.controller import Controller, Lag, Rule
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.held_table import in_force_of
@@ -34,7 +35,7 @@ from rotcal_ros.foundation.circumstances import NOTHING_MEASURED, SIMULATED
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, check_axis
 from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, TURN
 from rotcal_ros.foundation.curves.measured import gaps_of
-from rotcal_ros.foundation.errors import ConfigurationError, DataError
+from rotcal_ros.foundation.errors import ConfigurationError, DataError, Question
 from rotcal_ros.foundation.in_force import in_words, known_hash
 from rotcal_ros.foundation.units import ARCSEC, DEGREE, NANOSECOND
 
@@ -61,6 +62,11 @@ class ExportFiles:
     table: CompensationTable
     confirmation: str
     controller: Controller
+
+    def in_words(self) -> list[str]:
+        """Return what the files do to the table in force, what they leave, and the warnings."""
+        warnings = (f"warning: {warning}" for warning in self.warnings)
+        return [standing(self.table), self.residual.in_words(), *warnings]
 
     def with_machine_files(self) -> dict[str, str]:
         """Return the files, and copies of the machine's own files that use them.
@@ -155,10 +161,11 @@ def _refuse(
             "nothing was written"
         )
     if controller.unverified and not accept_unverified:
+        title, unverified = controller.facts.title, "; ".join(controller.unverified)
         raise ConfigurationError(
-            f"{controller.facts.title}: not verified: {'; '.join(controller.unverified)}. Give "
-            "--accept-unverified to write the file nevertheless, and test it with one small value "
-            "first"
+            f"{title}: not verified: {unverified}. Give --accept-unverified to write the file "
+            "nevertheless, and test it with one small value first",
+            question=Question(ACCEPT, ((UNVERIFIED, f"{title}: not verified: {unverified}"),)),
         )
 
 

@@ -289,7 +289,7 @@ def suspicion(first: Floats, second: Floats, second_mirrored: Floats | None) -> 
             break
     if not mistakes:
         return None
-    return f"both curves have one shape, but for one of them {' and '.join(mistakes)}"
+    return f"both curves have one shape, but for one of them {'; '.join(mistakes)}"
 
 
 def _likeness(first: Floats, second: Floats) -> float:

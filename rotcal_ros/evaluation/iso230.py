@@ -3,8 +3,8 @@
 Deviations x_ij = actual - target at target i in run j, approached from below (forward) and
 from above (reverse). s is estimated with n - 1, repeatability is 4 s wide, accuracy +- 2 s. E
 and R of both directions are taken over both directions, not as the larger of the two
-one-directional figures. Repeated runs come from a result, or from a plain table
-``angle_deg,run,direction,deviation_arcsec``.
+one-directional figures. Repeated runs come from a result, or from a table; our own form is
+``angle_deg,run,direction,deviation_arcsec``, :func:`read_any_runs` reads others.
 
 The uncertainty of the figures follows from the law of propagation (JCGM 100). Every figure is
 piecewise linear in the means and standard deviations of the targets that decide it. It has two
@@ -17,10 +17,11 @@ repeatability alone. Noise of the measurement is in the scatter.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from math import hypot, inf, sqrt
-from typing import Any, Final
+from pathlib import Path
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from scipy.special import stdtrit
@@ -30,6 +31,8 @@ from rotcal_ros.foundation.dataframes import ByAngle
 from rotcal_ros.foundation.errors import BagError, DataError
 from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.results import Result, plain_fields
+from rotcal_ros.foundation.sheets.reading import AS_IT_STANDS, Reading, SheetSettings, read_any
+from rotcal_ros.foundation.sheets.words import answer
 from rotcal_ros.foundation.tables import csv_rows
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
 
@@ -343,6 +346,8 @@ def _repeatability(gap: Floats, s: Floats) -> tuple[Floats, Floats]:
 HEADER: Final = ("angle_deg", "run", "direction", "deviation_arcsec")
 DIRECTIONS: Final = ("up", "down")
 """up: approached with increasing angle, down: with decreasing angle."""
+_Visit: TypeAlias = "tuple[float, str, str]"
+"""A target angle in degrees, the run and the direction."""
 
 
 def read_runs(text: str, name: str) -> BidirectionalRuns:
@@ -351,20 +356,52 @@ def read_runs(text: str, name: str) -> BidirectionalRuns:
     Every target must occur once in every run and direction. Raises BagError for other columns;
     DataError names what is missing, double or not a number.
     """
-    found: dict[tuple[float, str, str], float] = {}
     reader = csv_rows(text, name)
     head = tuple(cell.strip() for cell in next(reader, []))
     if head != HEADER:
         columns = ", ".join(head) or "none"
         raise BagError(f"{name}: the columns are {columns}, expected {', '.join(HEADER)}")
-    for row, cells in enumerate(reader, start=2):
-        if cells:
-            key, deviation = _row(cells, f"{name}, line {row}")
-            if key in found:
-                raise DataError(
-                    f"{name}, line {row}: {key[0]:g} deg, run {key[1]} {key[2]} occurs twice"
-                )
-            found[key] = deviation
+    places = ((f"{name}, line {row}", cells) for row, cells in enumerate(reader, start=2) if cells)
+    return _complete(((place, *_row(cells, place)) for place, cells in places), name)
+
+
+def read_any_runs(
+    path: Path,
+    sheet: SheetSettings = AS_IT_STANDS,
+    announce: Callable[[Reading], object] = str,
+) -> BidirectionalRuns:
+    """Return the runs in a table of another form: deviations at table angles, in any unit.
+
+    Columns tell run and direction, or the order of the rows. ``sheet`` says what the table leaves
+    open, ``announce`` is given how it was understood. Raises as :func:`read_runs`.
+    """
+    reading = read_any(path, (("position", "deviation_rad"),), sheet)
+    announce(reading)
+    if not reading.angles_deg:
+        text = reading.uses["position"].text
+        raise DataError(
+            f"{path}: no column of table angles: {text!r} states no unit of one. If it is one, "
+            f"say so: {answer('angle', text)}"
+        )
+    if not reading.both_directions:
+        raise DataError(
+            f"{path}: all angles were approached in one direction, or once: ISO 230-2 needs runs "
+            "up and down; a column 'direction' tells them, and so does the order of the rows"
+        )
+    rows = []
+    for row, (run, down) in zip(reading.table.rows(), reading.passes, strict=True):
+        visit = reading.angles_deg[row.index("position")], str(run + 1), DIRECTIONS[down]
+        rows.append((row.place, visit, row.number("deviation_rad") / ARCSEC))
+    return _complete(rows, str(path))
+
+
+def _complete(rows: Iterable[tuple[str, _Visit, float]], name: str) -> BidirectionalRuns:
+    """Return the runs of all rows, each with its place, what it visits and arcseconds."""
+    found: dict[_Visit, float] = {}
+    for place, key, deviation in rows:
+        if key in found:
+            raise DataError(f"{place}: {key[0]:g} deg, run {key[1]} {key[2]} occurs twice")
+        found[key] = deviation
     targets = sorted({key[0] for key in found})
     runs = sorted({key[1] for key in found})
     missing = [
@@ -443,7 +480,7 @@ def require_runs(result: Result, source: str) -> BidirectionalRuns:
     return runs
 
 
-def _row(cells: list[str], where: str) -> tuple[tuple[float, str, str], float]:
+def _row(cells: list[str], where: str) -> tuple[_Visit, float]:
     if len(cells) != len(HEADER):
         raise DataError(f"{where}: {len(cells)} columns, expected {len(HEADER)}")
     angle, run, direction, deviation = (cell.strip() for cell in cells)

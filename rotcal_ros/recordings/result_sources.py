@@ -9,7 +9,13 @@ from pathlib import Path
 from typing import Final
 
 from rotcal_ros.evaluation.combination import CombinationInput
-from rotcal_ros.evaluation.iso230 import BidirectionalRuns, read_runs, require_runs
+from rotcal_ros.evaluation.iso230 import (
+    HEADER,
+    BidirectionalRuns,
+    read_any_runs,
+    read_runs,
+    require_runs,
+)
 from rotcal_ros.evaluation.reference import (
     COLUMNS,
     read_deviations,
@@ -114,11 +120,22 @@ def solved(measured: Recording | Measurements) -> ResultSource:
     return ResultSource(measured.solve(), measured.sha256, axis)
 
 
-def read_repeated_runs(path: Path) -> BidirectionalRuns:
-    """Return the repeated runs in a table (.csv), a result or a bag; DataError without any."""
-    if is_table(path):
-        return read_runs(read_text(path), str(path))
-    return require_runs(read_source(path).result, str(path))
+def read_repeated_runs(
+    path: Path,
+    sheet: SheetSettings = AS_IT_STANDS,
+    announce: Callable[[Reading], object] = str,
+) -> BidirectionalRuns:
+    """Return the repeated runs in a table, a result or a bag; DataError without any.
+
+    ``sheet`` says what a table leaves open, ``announce`` is given how it was understood.
+    """
+    if not is_table(path):
+        return require_runs(read_source(path).result, str(path))
+    own = own_table(path, (HEADER,))
+    if own is None:
+        return read_any_runs(path, sheet, announce)
+    announce(Reading(own))
+    return read_runs(read_text(path), str(path))
 
 
 def read_text(path: Path) -> str:

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from rotcal_ros.evaluation.compare import Comparison
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.foundation.curves.measured import MeasuredCurve
+from rotcal_ros.foundation.language import phrase
 from rotcal_ros.foundation.units import DEGREE
 from rotcal_ros.methods.figures import style
 from rotcal_ros.report.template import render
@@ -60,10 +61,10 @@ def comparison_page(
     pairs = [
         {
             "names": f"{a} − {b}",
-            "words": comparison.in_words(unit, name),
-            "notes": comparison.notes,
+            "words": phrase(comparison.in_words(unit, name)),
+            "notes": [phrase(note) for note in comparison.notes],
             "rows": [
-                (*cells, "interpolated" * bool(between))
+                (*cells, phrase("interpolated") if between else "")
                 for cells, between in zip(
                     comparison.rows(unit), comparison.interpolated, strict=True
                 )
@@ -73,7 +74,7 @@ def comparison_page(
     ]
     return render(
         "comparison",
-        title=f"Comparison of {component}",
+        title=phrase("Comparison of {0}", component),
         agree=all(comparison.agree for comparison in comparisons.values()),
         figure=curves_and_errors(curves, comparisons, component),
         pairs=pairs,

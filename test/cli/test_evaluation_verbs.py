@@ -92,6 +92,17 @@ def test_compare_three_draws_a_page_and_a_figure(pair, tmp_path, rng):
     assert run("compare", *pair, "-o", tmp_path / "figure.png").exit_code == 2
 
 
+def test_a_comparison_speaks_german(pair, tmp_path):
+    page = tmp_path / "page.html"
+    assert run("compare", *pair, "-o", page, "--language", "de").exit_code == 0
+    text = page.read_text()
+    assert '<html lang="de">' in text
+    assert "<title>Vergleich von ECC</title>" in text
+    assert "größter |E_n|" in text
+    assert 'lang="en"' not in text
+    assert run("compare", tmp_path, "--truth", "--language", "de").exit_code == 2
+
+
 def test_polygon_is_taken_off(tmp_path, rng):
     degrees = np.arange(24) * 15.0
     faces = rng.normal(0.0, 3.0, 24)
@@ -213,6 +224,69 @@ def test_iso230_gives_the_figures_that_the_hand_gives(tmp_path):
     words = run("iso230", path).stderr
     assert "Accuracy A" in words
     assert "12.897" in words
+
+
+GERMAN = "Lauf;Richtung;Winkel [°];Abweichung [Winkelsekunden];Prüfer"
+IN_ORDER = "Table angle [deg];Deviation [arcsec]"
+NUMBERED = "Position;Table angle [deg];Deviation [arcsec]"
+
+
+def in_another_form(path, head, told=("up", "down")):
+    """Write the runs of ``runs_file`` as each was measured: up, and down again."""
+    rows = [
+        (j + 1, name, 45 * i, side[0][i] + side[1][i] * (j - 2))
+        for j in range(5)
+        for name, side, order in ((told[0], UP, range(8)), (told[1], DOWN, reversed(range(8))))
+        for i in order
+    ]
+    cells = {
+        GERMAN: lambda run, way, angle, value: (run, way, angle, f"{value:.6f}", "me"),
+        IN_ORDER: lambda _run, _way, angle, value: (angle, value),
+        NUMBERED: lambda _run, _way, angle, value: (angle // 45 + 1, angle, value),
+    }[head]
+    body = "\n".join(";".join(map(str, cells(*row))) for row in rows)
+    body = body.replace(".", ",") if head == GERMAN else body
+    path.write_text(f"{head}\n{body}\n", encoding="utf-8-sig")
+    return path
+
+
+@pytest.mark.parametrize("head", [GERMAN, IN_ORDER, NUMBERED])
+def test_iso230_reads_any_form_by_columns_or_by_the_order_of_rows(tmp_path, head):
+    path = in_another_form(tmp_path / "läufe.txt", head, ("auf", "ab"))
+    expected = json.loads(run("iso230", runs_file(tmp_path / "runs.csv"), "--json").stdout)
+    done = run("iso230", path, "--json")
+    assert done.exit_code == 0, done.stderr
+    assert "runs: 5, up and down" in done.stderr
+    found = json.loads(done.stdout)
+    for name in ("accuracy", "repeatability", "systematic", "reversal", "mean_range"):
+        assert found[name] == pytest.approx(expected[name], rel=1e-9)
+    assert found["targets"] == pytest.approx(expected["targets"], abs=1e-15)
+
+
+def test_iso230_explains_a_table_and_stops(tmp_path):
+    explained = run("iso230", in_another_form(tmp_path / "läufe.txt", GERMAN), "--explain")
+    assert (explained.exit_code, explained.stderr) == (0, "")
+    assert "'Winkel [°]'" in explained.stdout
+    assert "not needed: Prüfer" in explained.stdout
+    own = run("iso230", runs_file(tmp_path / "runs.csv"), "--explain")
+    assert "read as it stands" in own.stdout
+
+
+@pytest.mark.parametrize(
+    ("text", "given", "code", "words"),
+    [
+        ("Winkel [°];Abweichung\n0;1\n90;2\n", (), 3, "Write the unit behind its name"),
+        ("Position;Deviation [arcsec]\n0;1\n90;2\n", (), 3, "[angle=Position]"),
+        ("Position;Deviation [arcsec]\n0;1\n90;2\n", ("--set", "sheet.columns=[angle=Position]"),
+         3, "--set sheet.angle_unit=UNIT"),
+        ("Angle [deg];Deviation [arcsec]\n0;1\n90;2\n0;1\n90;2\n", (), 3, "one direction"),
+    ],
+)  # fmt: skip
+def test_iso230_says_what_a_table_of_another_form_lacks(tmp_path, text, given, code, words):
+    (tmp_path / "runs.txt").write_text(text)
+    done = run("iso230", tmp_path / "runs.txt", *given)
+    assert (done.exit_code, done.stdout) == (code, "")
+    assert words in done.stderr
 
 
 def test_iso230_names_a_missing_target(tmp_path):

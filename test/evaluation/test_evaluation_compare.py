@@ -124,7 +124,7 @@ def test_an_arc_is_compared_where_both_were():
         (lambda t: -truth(t), "its sign is turned"),
         (lambda t: truth(t) / ARCSEC, "radians taken for arcseconds"),
         (lambda t: truth(t) / 3600.0, "degrees taken for arcseconds"),
-        (lambda t: -truth(t) * 4.848, "sign is turned .* and microradians and arcseconds"),
+        (lambda t: -truth(t) * 4.848, "sign is turned .*; microradians and arcseconds"),
         (lambda t: -truth(-t), "counted clockwise"),
     ],
 )

@@ -9,22 +9,21 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field, is_dataclass, replace
+from dataclasses import dataclass, field, is_dataclass, replace
 from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from signal import SIG_IGN, SIGINT, signal
 from typing import Any, Final
 
-from rotcal_ros.api.compensating import make_table, write_controller_files
 from rotcal_ros.cli.console import in_lines
-from rotcal_ros.compensation.controllers import parse_options
-from rotcal_ros.compensation.writing import PROVENANCE
+from rotcal_ros.cli.export import ExportRequest, write_export
+from rotcal_ros.compensation.agreement import UNVERIFIED
 from rotcal_ros.evaluation.marks import marks, withheld
 from rotcal_ros.extensions.page.state import Curve, Deviations, PageMark, plain
 from rotcal_ros.foundation import plugins
 from rotcal_ros.foundation.components import COVERAGE_FACTOR, unit_of
-from rotcal_ros.foundation.errors import RotcalError
+from rotcal_ros.foundation.errors import Question, RotcalError
 from rotcal_ros.foundation.files import replace_atomically, write_atomically, write_durably
 from rotcal_ros.foundation.language import phrase, speaking
 from rotcal_ros.foundation.results import Result
@@ -32,7 +31,7 @@ from rotcal_ros.foundation.sheets.layout import TableColumn, Use
 from rotcal_ros.foundation.sheets.reading import UNIT_SETTINGS, Reading
 from rotcal_ros.foundation.sheets.words import TABLE_ANGLE, UNITS
 from rotcal_ros.foundation.units import DEGREE
-from rotcal_ros.foundation.untrusted import load_json, read_text
+from rotcal_ros.foundation.untrusted import read_text
 from rotcal_ros.methods.configuration import (
     Configuration,
     changed,
@@ -93,9 +92,9 @@ class Asked:
     def in_words(self, text: str) -> str:
         """Return a text with the names of files as people know them."""
         known = {PLACES[role]: name for role, name in self.names.items() if role in PLACES}
+        text = text.replace(f"{self.folder}/", "")
         places = "|".join(map(re.escape, known))
-        found = f"(?:{re.escape(str(self.folder))}/)?({places})"
-        return re.sub(found, lambda place: known[place[1]], text) if known else text
+        return re.sub(places, lambda place: known[place[0]], text) if known else text
 
 
 def answer(sender: Connection, work: Callable[[Asked], Reply], asked: Asked) -> None:
@@ -112,7 +111,12 @@ def error_reply(error: Exception, asked: Asked) -> Reply:
     """Return an error as the command line says it, with its question, if it asks one."""
     text, *log = map(asked.in_words, in_lines(error))
     question = error.question if isinstance(error, RotcalError) else None
-    return {"text": text, "log": log, "question": None if question is None else asdict(question)}
+    return {"text": text, "log": log, "question": question and _in_words(question, asked)}
+
+
+def _in_words(question: Question, asked: Asked) -> Reply:
+    answers = [(value, asked.in_words(words)) for value, words in question.answers]
+    return {"setting": question.setting, "answers": answers}
 
 
 def explained(asked: Asked) -> Reply:
@@ -223,21 +227,25 @@ def certified(asked: Asked) -> Reply:
 
 
 def for_controller(asked: Asked) -> Reply:
-    """Write the files for a controller, as ``rotcal export`` does."""
-    folder, earlier, options = asked.folder / "controller", asked.folder / IN_FORCE, asked.options
+    """Write the files for a controller, by the code of ``rotcal export``."""
+    folder, result, options = asked.folder / "controller", asked.folder / RESULT, asked.options
+    spacing, accepted = options["spacing"], set(map(str, options["accept"]))
     shutil.rmtree(folder, ignore_errors=True)
-    files = write_controller_files(
-        make_table(read_source(asked.folder / RESULT).result),
+    request = ExportRequest(
+        result,
         str(options["controller"]),
         folder,
-        settings=parse_options(filter(None, str(options["settings"]).splitlines())),
-        accept_unverified=options["accept_unverified"] is True,
-        replaces=options["in_force"] == "replace",
-        add_to=earlier if options["in_force"] == "add" else None,
-        accept=("age",) if options["accept_age"] is True else (),
+        spacing=None if spacing is None else float(spacing),
+        axis=str(options["axis"]) or None,
+        serial=str(options["serial"]) or None,
+        settings=tuple(filter(None, str(options["settings"]).splitlines())),
+        replace=options["in_force"] == "replace",
+        add_to=asked.folder / IN_FORCE if options["in_force"] == "add" else None,
+        accept=tuple(accepted - {UNVERIFIED}),
+        accept_unverified=UNVERIFIED in accepted,
     )
-    (side,) = (load_json(read_text(file)) for file in files if file.name.endswith(PROVENANCE))
-    words = [side["in_force"], side["residual"], *side["warnings"]]
+    export, files = write_export(read_source(result), request)
+    words = [asked.in_words(line) for line in export.in_words()]
     return {"files": [f"{folder.name}/{file.name}" for file in files], "words": words}
 
 

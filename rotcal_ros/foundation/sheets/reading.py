@@ -116,7 +116,8 @@ class Reading:
     many ``runs`` go through them, in ``both_directions`` or in one. ``form`` is empty for a table
     of our own form, which is read as it stands. ``beside``: other tables that were read for it.
     ``uses`` maps our columns without their units, or TABLE_ANGLE, to where they are, unless that
-    is a matrix; ``head`` are the texts at the head of the table.
+    is a matrix; ``head`` are the texts at the head of the table. ``passes`` are those of the rows
+    where the table came to its angles more than once.
     """
 
     table: Table
@@ -132,6 +133,7 @@ class Reading:
     beside: tuple[Reading, ...] = ()
     uses: Mapping[str, Use] = field(default_factory=dict)
     head: tuple[str, ...] = ()
+    passes: tuple[Pass, ...] = ()
 
     def line(self) -> str:
         """Return it in one line; empty for a table of our own form."""
@@ -251,6 +253,7 @@ class _Rows:
         self._labels: dict[str, int] = {}
         self._angles_deg: tuple[float, ...] = ()
         self._runs, self._both_directions = 1, False
+        self._found: tuple[Pass, ...] = ()
         self._strange: list[tuple[int, str]] = []  # directions that are no word for one
 
     def read(self) -> Reading:
@@ -286,6 +289,7 @@ class _Rows:
             tuple(known.source for known in self._known.values() if known.source),
             layout.uses,
             layout.head,
+            self._found,
         )
 
     def _kept(self) -> Iterator[tuple[int, tuple[Cell, ...]]]:
@@ -381,7 +385,7 @@ class _Rows:
     ) -> list[str]:
         """Return our cells of a column."""
         name = column.name
-        if name not in rows[0][1]:
+        if name not in rows[0][1] or self._by_angles(name):
             return self._positions(rows, mark)
         cells = [(number, *row[name]) for number, row in rows]
         if column.quantity:
@@ -396,6 +400,11 @@ class _Rows:
             beside = [(number, *row[TABLE_ANGLE]) for number, row in rows]
             self._require_angles(numbers, beside, mark)
         return numbers
+
+    def _by_angles(self, name: str) -> bool:
+        """Return whether a column of table angles tells positions, and no plan their numbers."""
+        uses, known = self._layout.uses, self._known
+        return name == "position" and TABLE_ANGLE in uses and not (name in uses and name in known)
 
     def _require_angles(
         self, numbers: Sequence[str], cells: Sequence[tuple[int, Cell, Use]], mark: str
@@ -557,6 +566,7 @@ class _Rows:
                 "write one of these"
             )
         found = passes(halts, str(self._path), both=both)
+        self._found = tuple(found)
         runs = self._runs = 1 + max(run for run, _ in found)
         ways = self._both_directions = len({down for _, down in found}) == 2
         self._remarks.append(
@@ -619,7 +629,7 @@ class _Rows:
     def _theirs(self, column: TableColumn) -> str:
         """Return in words what of theirs a column of ours is."""
         quantity, use = column.quantity, self._layout.uses.get(column.name)
-        if use is None and column.name == "position" and TABLE_ANGLE in self._layout.uses:
+        if self._by_angles(column.name):
             quantity, use = ANGLE, self._layout.uses[TABLE_ANGLE]
         if use is None:
             groups = self._layout.matrix

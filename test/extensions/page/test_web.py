@@ -10,13 +10,17 @@ import subprocess
 import sys
 import urllib.request
 
+import numpy as np
 import pytest
+from click.testing import CliRunner
 from exports import DATA, EXPORTS, MM, lines
 from starlette.testclient import TestClient
 
 import rotcal_ros as rc
+from rotcal_ros.cli.main import rotcal
 from rotcal_ros.extensions.page import web
 from rotcal_ros.extensions.page.web import Worker, asked_settings, make_app
+from rotcal_ros.foundation.units import ARCSEC
 
 ORIGIN = "http://127.0.0.1:8000"
 METHOD = "tracer_multistation"
@@ -27,6 +31,12 @@ IDENTITY = (
     "customer_address=2 Street", "certificate_number=K-1", "instruments.tracer.serial=T1",
     "instruments.tracer.calibrated=2026-01-31",
 )  # fmt: skip
+
+ANGLES = np.deg2rad(np.arange(12) * 30.0)
+FOR_CSV = {
+    "controller": "csv", "settings": "", "in_force": "replace", "accept": [], "spacing": None,
+    "axis": "", "serial": "",
+}  # fmt: skip
 
 
 class Visitor:
@@ -294,23 +304,98 @@ def test_a_certificate_lists_what_is_missing_and_is_made_with_it(visitor):
 def test_a_controller_gets_its_files_once_it_is_said_what_was_in_force(visitor):
     visitor.lengths(OWN[0].read_bytes())
     visitor.deviations()
-    options = {
-        "controller": "csv", "settings": "", "accept_age": False, "accept_unverified": False,
-    }  # fmt: skip
-    error = visitor.work("controller", in_force="", **options)["error"]
+    error = visitor.work("controller", **FOR_CSV | {"in_force": ""})["error"]
     assert error["text"].startswith("not known which table was in force")
-    told = visitor.work("controller", in_force="replace", **options)
+    told = visitor.work("controller", **FOR_CSV)
     assert told["files"] == ["c_csv.csv", "c_csv.provenance.json"]
     assert told["words"][0].startswith("replaces the table in force")
     # What was dropped is read: this was not measured with its own table in force.
     for name in told["files"]:
         assert visitor.drop("in_force", name, visitor.made(name).content).status_code == 200
-    error = visitor.work("controller", in_force="add", **options)["error"]
+    error = visitor.work("controller", **FOR_CSV | {"in_force": "add"})["error"]
     assert error["text"].startswith(
         "not added: the table in force does not do what it should: +1.0"
     )
-    error = visitor.work("controller", in_force="replace", **options | {"controller": "cvs"})
+    error = visitor.work("controller", **FOR_CSV | {"controller": "cvs"})
     assert "did you mean 'csv'?" in error["error"]["text"]
+
+
+def of_the_command_line(folder, *options):
+    """Return the rows that ``rotcal export`` writes for the result on the page."""
+    words = ["export", folder / "result.json", "--to", "csv", "-o", folder / "by_verb", *options]
+    done = CliRunner().invoke(rotcal, [str(word) for word in words])
+    assert done.exit_code == 0, done.stderr
+    return (folder / "by_verb" / "c_csv.csv").read_text()
+
+
+def test_the_rows_are_as_far_apart_as_is_asked_for(visitor, tmp_path):
+    visitor.lengths(OWN[0].read_bytes())
+    visitor.deviations()
+    visitor.work("controller", **FOR_CSV | {"spacing": 7.5})
+    rows = visitor.made("c_csv.csv").text
+    assert rows == of_the_command_line(tmp_path, "--replace", "--spacing", 7.5)
+    side = visitor.made("c_csv.provenance.json").json()
+    assert side["rows"] == 48
+    assert side["widest_spacing_deg"] == pytest.approx(7.5)
+
+
+@pytest.mark.parametrize(
+    ("word", "changed", "stated", "reason"),
+    [
+        ("axis", {"axis": "B"}, (), "axis C was measured and the export (--axis, --serial) has"),
+        ("serial", {"serial": "12"}, ("identity.serial=11",), "serial number 11 was measured and"),
+        ("age", {}, ("identity.measured=2020-03-31",), " days old, at most 30 are accepted"),
+        ("unverified", {"controller": "fagor"}, (), "not verified: "),
+    ],
+)
+def test_what_can_be_accepted_is_offered_with_its_reason(visitor, word, changed, stated, reason):
+    visitor.drop("setup", "tracer.yaml", (DATA / "tracer.yaml").read_bytes())
+    visitor.lengths(OWN[0].read_bytes())
+    visitor.deviations(*stated)
+    question = visitor.work("controller", **FOR_CSV | changed)["error"]["question"]
+    ((answer, words),) = question["answers"]
+    assert (question["setting"], answer) == ("accept", word)
+    assert reason in words
+    told = visitor.work("controller", **FOR_CSV | changed | {"accept": [word]})
+    assert "error" not in told, told["error"]
+    assert any(f"({word})" in line or "not verified" in line for line in told["words"])
+
+
+def lengths_of(ecc, noise_m=1e-7):
+    """Return the lengths of a tracer on a table that deviates by ``ecc`` (rad) at ANGLES."""
+    targets = np.loadtxt(OWN[1], delimiter=",", skiprows=1)[:, 1:]
+    places = np.array([(0.2 * np.cos(a), 0.2 * np.sin(a), 0.12) for a in ANGLES + ecc])
+    lengths = np.linalg.norm(targets[None] - places[:, None], axis=2)
+    lengths += np.random.default_rng(5).normal(0.0, noise_m, lengths.shape)
+    rows = [(*at, f"{length:.10f}") for at, length in np.ndenumerate(lengths)]
+    return lines(("position", "target", "length_m"), rows, ",")
+
+
+def test_what_a_table_leaves_is_added_to_it_as_the_command_line_does(visitor, tmp_path):
+    first, left = 6.0 * ARCSEC * np.sin(ANGLES), 1.5 * ARCSEC * np.sin(2.0 * ANGLES)
+    visitor.lengths(lengths_of(first))
+    visitor.deviations("solver.length_std_m=1e-7")
+    held = {n: visitor.made(n).content for n in visitor.work("controller", **FOR_CSV)["files"]}
+    visitor.lengths(lengths_of(left))
+    visitor.deviations("solver.length_std_m=1e-7")
+    for name, content in held.items():
+        visitor.drop("in_force", name, content)
+    told = visitor.work("controller", **FOR_CSV | {"in_force": "add"})
+    assert "error" not in told, told["error"]
+    assert told["words"][0].startswith("adds to the table")
+    rows = visitor.made("c_csv.csv").text
+    assert rows == of_the_command_line(tmp_path, "--add-to", tmp_path / "in_force")
+    angles, corrections, *_ = np.loadtxt(rows.splitlines(), delimiter=",", skiprows=1).T
+    wanted = 6.0 * np.sin(np.deg2rad(angles)) + 1.5 * np.sin(np.deg2rad(2.0 * angles))
+    assert len(angles) >= 13
+    assert np.ptp(corrections + wanted) < 0.5
+
+
+def test_a_table_in_force_that_is_not_there_is_told_without_a_path(visitor, tmp_path):
+    visitor.lengths(OWN[0].read_bytes())
+    visitor.deviations()
+    error = visitor.work("controller", **FOR_CSV | {"in_force": "add"})["error"]
+    assert error["text"].startswith("in_force holds 0 tables of axis C for csv")
 
 
 def test_another_table_takes_the_results_away(visitor):

@@ -149,6 +149,65 @@ def test_instruments_that_are_not_shown_are_stated_too(opened):
     assert "serial: of machine" in text
 
 
+def seen(page):
+    """Return what stands in all fields of the page."""
+    return page.evaluate(
+        """() => [...document.querySelectorAll("main input, main select, main textarea")]
+          .map((e) => `${e.id}=${e.type === "radio" ? e.checked : e.value}`)"""
+    )
+
+
+def test_what_was_stated_outlasts_a_reload_and_another_language(opened):
+    page = opened(locale="en-GB")
+    rows = [(p, t, "300.0", n) for p, t, n in MM]
+    dropped(page, "mine.csv", lines(("Position", "Target", "Length", "Other"), rows, ",").encode())
+    page.get_by_role("button", name="300.0 mm = 0.3 m").click()
+    page.get_by_label("column that is length").select_option("Other")
+    page.get_by_label("Take back: length = Other").wait_for()
+    page.get_by_label("How it was measured").select_option("tracer_multistation")
+    page.locator("[data-name='identity.serial']").fill("4711")
+    page.evaluate("document.querySelectorAll('details').forEach((e) => { e.open = true; })")
+    page.locator("#instrument").select_option("machine")
+    solve(page)
+    page.get_by_label("None: the new table replaces").check()
+    page.get_by_label("Letter of the machine’s axis").fill("B")
+    before = seen(page)
+    assert {"set.identity.serial=4711", "axis=B", "in_force_replace=true"} <= set(before)
+    for again in (page.reload, lambda: page.locator("#language").select_option("de")):
+        again()
+        expect(page.locator("#corrected button")).to_have_count(2, timeout=PATIENCE_MS)
+        assert seen(page) == before
+    dropped(page, "next.csv", lines(("Position", "Target", "Length"), MM, ",").encode())
+    expect(page.locator("#corrected")).to_be_hidden(timeout=PATIENCE_MS)
+    page.reload()
+    expect(page.locator("#error")).to_contain_text("states no unit", timeout=PATIENCE_MS)
+    expect(page.locator("#corrected")).to_be_hidden()
+
+
+def test_a_refusal_is_shown_and_accepted_by_a_tick_for_that_reason_alone(opened):
+    page = opened(locale="en-GB", color_scheme="dark")
+    dropped(page, "lengths.csv", (DATA / "lengths.csv").read_bytes())
+    page.get_by_label("Day of the measurement").fill("2020-03-31")
+    solve(page)
+    page.locator("#controller").select_option("fagor")
+    page.get_by_label("None: the new table replaces").check()
+    write = page.get_by_role("button", name="Write the files")
+    write.click()
+    old = page.get_by_label(re.compile("the measurement is .* days old"))
+    expect(old).to_be_focused(timeout=PATIENCE_MS)
+    expect(page.locator("#controller_error")).to_contain_text("does not belong here")
+    require_accessible(page)
+    old.check()
+    write.click()
+    page.get_by_label(re.compile("not verified")).check()
+    write.click()
+    expect(page.locator("#controller_links a")).to_have_count(2, timeout=PATIENCE_MS)
+    expect(page.locator("#controller_words")).to_contain_text("accepted by a person (age)")
+    page.locator("#controller").select_option("csv")
+    write.click()
+    expect(old).not_to_be_checked(timeout=PATIENCE_MS)
+
+
 def test_it_speaks_german(opened):
     page = opened(locale="de-DE")
     dropped(page, "lengths.csv", (DATA / "lengths.csv").read_bytes())

@@ -1,0 +1,54 @@
+// What is dropped: each row takes one file, and so does the whole card.
+import { ask, by, desk } from "./web_desk.js";
+import { withSetup } from "./web_form.js";
+import { asTold, understand } from "./web_reading.js";
+import { element, t, text } from "./words.js";
+
+const ROLES = { table: t("Measurements"), targets: t("Targets"), setup: t("Set-up file") };
+
+export function files() {
+  by("files").replaceChildren(...Object.entries(ROLES).map(([role, words]) => {
+    const line = element("li"), name = desk.names[role];
+    line.append(element("span", words), element("span", name ?? t("none yet"), name ? "name there" : "name nothing"));
+    line.append(name ? away(role, words) : choice(role, words));
+    return line;
+  }));
+}
+function choice(role, words) {
+  const choose = element("label", t("Choose …"), "button"), input = element("input");
+  input.type = "file";
+  input.setAttribute("aria-label", `${words}: ${t("choose a file")}`);
+  input.addEventListener("change", () => send(role, input.files[0]));
+  choose.append(input);
+  return choose;
+}
+function away(role, words) {
+  const button = element("button", t("Remove"), "quiet");
+  button.setAttribute("aria-label", `${t("Remove")}: ${words}`);
+  button.addEventListener("click", async () => {
+    await send(role, null);
+    by("files").querySelector("input, button").focus();
+  });
+  return button;
+}
+
+async function send(role, file) {
+  text("file_trouble", "");
+  const told = await ask(`/files/${role}?name=${encodeURIComponent(file?.name ?? "")}`, file ?? undefined, file ? "POST" : "DELETE");
+  if (told.error) { text("file_trouble", told.error.text); return; }
+  desk.names = told.names;
+  if (role === "table") asTold();
+  files();
+  withSetup();
+  await understand();
+}
+
+export function dropping(event) {
+  event.preventDefault();
+  by("dropped").classList.toggle("over", event.type === "dragover");
+}
+const roleOf = ({ name }) => (/\.ya?ml$/i.test(name) ? "setup" : /^(target|ziel|cible|目标|ターゲット)/i.test(name) ? "targets" : "table");
+export async function dropped({ dataTransfer }) {
+  const tableLast = [...dataTransfer.files].sort((a, b) => (roleOf(a) === "table") - (roleOf(b) === "table"));
+  for (const file of tableLast) await send(roleOf(file), file);
+}

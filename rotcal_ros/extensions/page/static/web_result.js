@@ -1,0 +1,73 @@
+// The result, and what is made of it.
+import { showDeviations } from "./deviations.js";
+import { by, desk } from "./web_desk.js";
+import { atFields, work } from "./web_form.js";
+import { atOnce, trouble } from "./web_reading.js";
+import { element, number, say, t, text } from "./words.js";
+
+const TITLES = { "report.html": t("Report"), "result.json": t("Result (JSON)"), "setup.yaml": t("Set-up (YAML)"), "report.pdf": t("Report (PDF)"), "certificate.xml": t("Certificate (XML)") };
+
+export async function solve() {
+  atOnce();
+  by("made_error").hidden = true;
+  by("solve").disabled = true;
+  const told = await busy(t("Solving …"), "solve");
+  by("solve").disabled = false;
+  by("result").hidden = Boolean(told.error);
+  trouble(told.error);
+  if (told.error) { by("error").scrollIntoView(); return; }
+  showResult(told);
+  const links = by("links");
+  links.replaceChildren(...told.files.map(link), order(t("PDF"), "pdf"), order(t("Digital certificate (DCC)"), "dcc"));
+  by("marks").focus();
+  const report = await busy(t("The report is being written …"), "report");
+  if (report.error) failed("made_error", report.error);
+  else links.prepend(link("report.html"));
+}
+async function busy(words, what) {
+  text("busy", words);
+  const told = await work(what);
+  text("busy", "");
+  return told;
+}
+function showResult(told) {
+  by("simulated").hidden = !told.simulated;
+  showDeviations(told.deviations);
+  by("warnings").replaceChildren(...told.warnings.map((words) => element("li", say(words))));
+  const facts = [[t("observations"), told.deviations.observations], [t("rejected"), told.rejected], [t("degrees of freedom"), told.dof], ["sigma0", number(told.sigma0, 3)]];
+  by("facts").replaceChildren(...facts.flatMap(([name, value]) => [element("dt", name), element("dd", String(value))]));
+  text("command", command());
+}
+function command() {
+  const quoted = (name) => `'${name.replace(/'/g, "'\\''")}'`;
+  const { table, targets } = desk.names;
+  return `rotcal solve ${quoted(table)} --setup setup.yaml${targets ? ` --targets ${quoted(targets)}` : ""}`;
+}
+
+export function link(name) {
+  const made = element("a", TITLES[name] ?? name, "button");
+  made.href = `/made/${encodeURIComponent(name)}`;
+  if (name === "report.html") { made.target = "_blank"; made.rel = "noopener"; } else made.download = name;
+  return made;
+}
+function order(words, what) {
+  const button = element("button", `${words} …`, "quiet");
+  button.addEventListener("click", async () => {
+    button.disabled = true;
+    by("made_error").hidden = true;
+    const told = await busy(t("Writing …"), what);
+    button.disabled = false;
+    if (told.error) { failed("made_error", told.error); return; }
+    const made = link(told.files[0]);
+    button.replaceWith(made);
+    made.focus();
+  });
+  return button;
+}
+export function failed(id, error) {
+  atFields(error);
+  const log = element("ul", "", "small");
+  log.append(...error.log.map((line) => element("li", line)));
+  by(id).replaceChildren(element("p", error.text), log);
+  by(id).hidden = false;
+}
