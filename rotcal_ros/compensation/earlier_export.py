@@ -116,7 +116,8 @@ def _checked(path: Path, sha256: str) -> str:
     text = _text(path)
     if hashlib.sha256(text.encode()).hexdigest() != sha256:
         raise BagError(
-            f"{path} was changed since it was written: its side file states another SHA-256"
+            f"{path} was changed since it was written: its side file states another SHA-256; "
+            "export again, or restore the file"
         )
     return text
 

@@ -48,7 +48,7 @@ def harmonic_content(curve: MeasuredCurve, max_order: int | None = None) -> Harm
     curve of parts with unconnected zeros: their offsets would look like harmonics.
     """
     if curve.open_zeros:
-        raise DataError(f"{curve.open_zeros}: it would look like harmonics")
+        raise DataError(f"{curve.open_zeros}: it would look like harmonics; use a spline")
     if curve.period == 0.0:
         raise DataError("the curve covers an arc only: harmonics need the full circle")
     n = len(curve.angles)
