@@ -10,7 +10,6 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from re import Match
-from typing import Final
 
 import numpy as np
 
@@ -20,8 +19,6 @@ from rotcal_ros.foundation.curves.interpolation import SAME_ANGLE, TURN
 from rotcal_ros.foundation.errors import BagError, ConfigurationError
 from rotcal_ros.foundation.observations import Approach
 from rotcal_ros.foundation.units import ARCSEC, DEGREE
-
-RELOAD: Final = "export the file again, or restore it"
 
 
 def columns_deg(table: CompensationTable) -> tuple[Floats, Floats, Floats]:
@@ -145,13 +142,11 @@ def parse_rows(name: str, lines: list[str], columns: int, separator: str | None)
     """Return :func:`numbers` of at least two rows whose first column ascends."""
     data = numbers(name, lines, columns, separator)
     if len(data) < 2:
-        raise BagError(f"{name}: {len(data)} rows, expected at least 2; {RELOAD}")
+        raise BagError(f"{name}: {len(data)} rows, expected at least 2")
     falling = np.diff(data[:, 0]) <= 0.0
     if np.any(falling):
         row = int(np.argmax(falling)) + 2
-        raise BagError(
-            f"{name}, row {row}: the position does not ascend from the row before; {RELOAD}"
-        )
+        raise BagError(f"{name}, row {row}: the position does not ascend from the row before")
     return data
 
 
@@ -217,14 +212,10 @@ class PeriodicTable:
     def __post_init__(self) -> None:
         rows = self.rows_deg
         if len(rows) < 2 or np.any(np.diff(rows) <= 0.0) or (rows[0], rows[-1]) != (0.0, 360.0):
-            raise BagError(
-                f"{self.file}: expected positions that ascend from 0 to 360 deg; {RELOAD}"
-            )
+            raise BagError(f"{self.file}: expected positions that ascend from 0 to 360 deg")
         for column in (self.forward, self.reverse):
             if len(column) != len(rows):
-                raise BagError(
-                    f"{self.file}: {len(column)} values for {len(rows)} positions; {RELOAD}"
-                )
+                raise BagError(f"{self.file}: {len(column)} values for {len(rows)} positions")
             if column[0] != column[-1]:
                 raise BagError(
                     f"{self.file} does not close: it holds {column[0]} at 0 and {column[-1]} at "

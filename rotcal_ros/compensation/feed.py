@@ -467,13 +467,13 @@ def ask_busy(command: Sequence[str], timeout_s: float) -> str | None:
     except (OSError, subprocess.TimeoutExpired) as error:
         raise ControllerError(
             f"it is not known whether the machine is at work ({name}: {error}): correct "
-            "bridge.busy_command. Nothing was changed"
+            "this command (bridge.busy_command). Nothing was changed"
         ) from error
     last = (done.stdout.strip() or done.stderr.strip()).rpartition("\n")[2]
     if done.returncode not in (0, 1):
         raise ControllerError(
             f"it is not known whether the machine is at work ({name} ended with code "
-            f"{done.returncode}: {last}): correct bridge.busy_command, which ends with 0 or 1. "
+            f"{done.returncode}: {last}): correct this command (bridge.busy_command). "
             "Nothing was changed"
         )
     return (last or f"{name} says so") if done.returncode else None

@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 
 from rotcal_ros.compensation.controller import Controller, Facts, Lag, Rule
 from rotcal_ros.compensation.controller_files import (
-    RELOAD,
     columns_deg,
     every_turn,
     fixed,
@@ -176,7 +175,7 @@ class LinuxCnc(Controller):
             )
         columns = (loaded.nominal_deg, loaded.forward_deg, loaded.reverse_deg)
         if not all(np.isfinite(column).all() for column in columns):
-            raise BagError(f"{name}: a number is too large; {RELOAD}")
+            raise BagError(f"{name}: a number is too large")
         return loaded
 
     def resolution(self, table: CompensationTable) -> float:

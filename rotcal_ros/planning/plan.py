@@ -179,7 +179,9 @@ class Plan:
     def __post_init__(self) -> None:
         """Refuse a plan whose steps do not fit its tables."""
         if not self.steps:
-            raise PlanError(f"the plan of method {self.method} has no steps")
+            raise PlanError(
+                f"the plan of method {self.method} has no steps: give table positions and targets"
+            )
         for number, step in enumerate(self.steps):
             if step.index != number:
                 raise PlanError(f"step {number} of the plan carries the index {step.index}")
@@ -202,7 +204,7 @@ class Plan:
         """Return step ``index``; raises PlanError if the plan has no such step."""
         if not 0 <= index < len(self.steps):
             raise PlanError(
-                f"step {index} is not in the plan: it has the steps 0 to {len(self.steps) - 1}"
+                f"step {index} is not in the plan: choose among 0 to {len(self.steps) - 1}"
             )
         return self.steps[index]
 

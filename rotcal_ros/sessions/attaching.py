@@ -277,7 +277,10 @@ def _person(folder: SessionFolder, session: Attachment) -> Person:
     try:
         greeting = session.events.get(timeout=patient(GREETING_TIMEOUT_S))
     except Empty:
-        raise DataError(f"the calibration in {folder.path} does not answer") from None
+        raise DataError(
+            f"the calibration in {folder.path} does not answer; look at its logs there, and "
+            "attach again"
+        ) from None
     if greeting["event"] == "gone":
         _raise_gone(folder)
     configuration = read_configuration(folder.configuration)

@@ -78,7 +78,7 @@ class OpcUaLink:
         except RotcalError:
             raise
         except asyncio.TimeoutError as error:
-            why = f"not done within {self._timeout_s:g} s"
+            why = f"not done within {self._timeout_s:g} s; check opcua.endpoint and the network"
             raise ControllerError(f"{self.address}: cannot {what}: {why}") from error
         except Exception as error:
             # Whatever the library raises: the feed has to put the old table back.
@@ -122,7 +122,9 @@ async def _application_uri(certificate: Path) -> str:
         UniformResourceIdentifier
     )
     if not uris:
-        raise ConfigurationError(f"opcua.certificate: {certificate} states no application URI")
+        raise ConfigurationError(
+            f"opcua.certificate: {certificate} states no application URI; make one that does"
+        )
     return str(uris[0])
 
 
@@ -216,7 +218,8 @@ class ServerFolder:
             if data is None:
                 return
             raise ControllerError(
-                f"there is no file {name}, and the server does not allow creating one"
+                f"there is no file {name}, and the server does not allow creating one; make it "
+                "there"
             )
         await self._write(node_id, data or b"")
 
@@ -251,7 +254,9 @@ class ServerFolder:
             if child.BrowseName.Name == name
         ]
         if len(found) > 1:
-            raise ControllerError(f"the server shows {len(found)} files of the name {name}")
+            raise ControllerError(
+                f"the server shows {len(found)} files of the name {name}; leave one of them"
+            )
         return cast(ua.NodeId, found[0]) if found else None
 
 

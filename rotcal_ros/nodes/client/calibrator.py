@@ -287,7 +287,7 @@ class Outcome:
     def load(self) -> Result:
         """Return the result; DataError with the reason when there is none."""
         if not self.result_file:
-            raise DataError(f"the calibration has no result: {self.error_msg}")
+            raise DataError(f"the calibration has no result: {self.error_msg}; solve its bag")
         try:
             return Result.from_dict(load_json(read_text(Path(self.result_file))))
         except (OSError, ValueError) as error:

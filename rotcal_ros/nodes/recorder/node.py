@@ -153,7 +153,10 @@ class RecorderNode(CellNode):
         topic = self._called.topic(names.OBSERVATION)
         try:
             if not await until(self.stopped, CLOSE_TIMEOUT_S):
-                raise BagError("the recorder is still closing the bag of the previous run")
+                raise BagError(
+                    "the recorder is still closing the bag of the previous run: wait, "
+                    "then try again"
+                )
             self._reading, self._unwanted = True, False
             self.health.beat()  # before the reading can delay it
             bag = await in_thread(self._bags.go_on, request.plan_id, topic)
