@@ -52,8 +52,8 @@ def bag_files(path: Path) -> tuple[Path, ...]:
         if files:
             return tuple(sorted(files.values(), key=_order))
     deeper = sorted(f.parent for ending in SUFFIXES for f in path.glob(f"*/*{ending}"))
-    hint = f"; did you mean {deeper[0]}?" if deeper else ""
-    raise BagError(f"{path} is not a bag: there is no .mcap or .db3 file in the folder{hint}")
+    hint = f"did you mean {deeper[0]}?" if deeper else "name another"
+    raise BagError(f"{path} is not a bag: there is no .mcap or .db3 file in the folder; {hint}")
 
 
 def scan_file(

@@ -318,7 +318,8 @@ def _weights_of(harmonics: int | None) -> Weights:
 def _harmonic_weights(curve: DirectionalCurve, at: Floats, order: int) -> Floats:
     if curve.period == 0.0:
         raise ConfigurationError(
-            "harmonics need the full circle, and the result covers only an arc"
+            "harmonics need the full circle, and the result covers only an arc: leave out "
+            "--harmonics"
         )
     estimator = harmonic_estimator(curve.angles, order, curve.forward_covariance)
     return harmonic_basis(at, order) @ estimator

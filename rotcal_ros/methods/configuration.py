@@ -171,7 +171,7 @@ def parse_configuration(
     use_sim_time = values.pop(USE_SIM_TIME, False)
     if not isinstance(use_sim_time, bool):
         raise ConfigurationError(
-            f"{source}: expected {USE_SIM_TIME} true or false, found {use_sim_time!r:.80}"
+            f"{source}: {USE_SIM_TIME} is true or false, found {use_sim_time!r:.80}"
         )
     for group, value in values.items():
         if group not in GROUPS:

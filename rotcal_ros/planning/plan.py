@@ -204,7 +204,7 @@ class Plan:
         """Return step ``index``; raises PlanError if the plan has no such step."""
         if not 0 <= index < len(self.steps):
             raise PlanError(
-                f"step {index} is not in the plan: choose among 0 to {len(self.steps) - 1}"
+                f"step {index} is not in the plan: it has the steps 0 to {len(self.steps) - 1}"
             )
         return self.steps[index]
 

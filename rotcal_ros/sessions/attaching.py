@@ -306,7 +306,7 @@ def _connect(connection: socket.socket, folder: SessionFolder) -> None:
         connection.connect(_address(folder))
     except PermissionError:
         raise ConfigurationError(
-            f"the calibration in {folder.path} belongs to another user; only that user may attach"
+            f"the calibration in {folder.path} belongs to another user: attach as that user"
         ) from None
     except (FileNotFoundError, ConnectionRefusedError):
         raise _nothing_runs(folder) from None

@@ -101,7 +101,10 @@ class AdsLink:
 
     def _only(self, names: list[str]) -> str:
         if len(names) != 1:
-            raise ControllerError(f"{self.address}: one array holds one table, not {names}")
+            raise ControllerError(
+                f"{self.address}: one array holds one table, not {names}; "
+                "choose a controller with one file"
+            )
         return names[0]
 
     @contextmanager

@@ -187,7 +187,9 @@ class ServerFolder:
         await self._directory.create_file(name, request_file_open=False)
         node_id = await self._file(name)
         if node_id is None:
-            raise ControllerError(f"the server did not create the file {name}")
+            raise ControllerError(
+                f"the server did not create the file {name}; check what it lets opcua.user do"
+            )
         await self._write(node_id, data)
         if await self._read(node_id) != data:
             raise ControllerError(f"read back, {name} differs from what was sent: not in force")
@@ -204,7 +206,9 @@ class ServerFolder:
     async def _move(self, name: str, new_name: str) -> None:
         node_id = await self._file(name)
         if node_id is None:
-            raise ControllerError(f"the file {name} has gone from the server")
+            raise ControllerError(
+                f"the file {name} has gone from the server; find out who removes it"
+            )
         await self._directory.move_or_copy(node_id, self._node.nodeid, False, new_name)
 
     async def _delete(self, name: str) -> None:

@@ -162,7 +162,9 @@ class RecorderNode(CellNode):
             bag = await in_thread(self._bags.go_on, request.plan_id, topic)
             if self._unwanted:
                 bag.writer.close()
-                raise BagError("the recorder was deactivated or ended meanwhile")
+                raise BagError(
+                    "the recorder was deactivated or ended meanwhile: activate it, then try again"
+                )
             self._begin(request, bag, response)
         except (RotcalError, OSError) as error:
             response.message = str(error)

@@ -153,7 +153,9 @@ def _checked(
 ) -> Floats:
     weight = np.array(weights, dtype=np.float64)
     if weight.shape != (4,) or not (weight >= 0.0).all() or not weight.any():
-        raise PlanError(f"four weights of at least 0 are needed (ECC, xy, tilt, z), not {weights}")
+        raise PlanError(
+            f"give four weights of at least 0 (ECC, xy, tilt, z), one above 0, not {weights}"
+        )
     if n_balls < 4:
         raise PlanError(f"{n_balls} balls cannot separate table, plate and CMM: give at least 4")
     if min_gap < 1 or n_balls * min_gap > grid:
