@@ -82,7 +82,7 @@ def answered(action: Callable[[], T], timeout_s: float, place: str, what: str) -
     except FutureTimeout as error:
         raise ControllerError(
             f"the controller in {place} does not answer: no {what} within {timeout_s:g} s; "
-            "see that it runs and its drive is mounted, or raise bridge.answer_timeout_s"
+            "make sure that it runs and its drive is mounted, or raise bridge.answer_timeout_s"
         ) from error
     except OSError as error:
         raise ControllerError(

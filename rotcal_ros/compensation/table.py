@@ -189,8 +189,8 @@ def check_verdict(origin: Result | CompensationTable) -> None:
         why = f" ({'; '.join(origin.warnings)})" if origin.warnings else ""
         raise DataError(
             f"the verdict of the {origin.method} result is '{origin.verdict}'{why}: only 'ok' may "
-            "be fed to a controller; see the report for the cause, and measure again. Nothing was "
-            "written"
+            "be fed to a controller; look at the report for the cause, and measure again. Nothing "
+            "was written"
         )
 
 

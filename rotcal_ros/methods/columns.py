@@ -43,7 +43,7 @@ def indices(name: str, values: ArrayLike, limit: int, size: int | None = None) -
     """Return ``values`` as whole numbers from 0 to below ``limit``."""
     array = np.asarray(values)
     if array.size == 0:
-        raise DataError("there are no lengths: no observation was accepted; look at the reasons")
+        raise DataError("there are no lengths: no observation was accepted")
     if (
         array.ndim != 1
         or array.dtype.kind not in "iu"

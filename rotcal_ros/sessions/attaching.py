@@ -300,7 +300,8 @@ def _connect(connection: socket.socket, folder: SessionFolder) -> None:
     """Connect to the session of a folder; ConfigurationError says why that is impossible."""
     if not folder.configuration.is_file():
         raise ConfigurationError(
-            f"{folder.path} holds no calibration: {folder.configuration.name} is missing"
+            f"{folder.path} holds no calibration: {folder.configuration.name} is missing; name "
+            "the folder of a run"
         )
     try:
         connection.connect(_address(folder))

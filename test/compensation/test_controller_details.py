@@ -239,7 +239,8 @@ def test_a_folder_that_is_gone_or_silent_is_told_with_what_was_wanted(what, call
             free.wait()
 
     with pytest.raises(
-        ControllerError, match=rf"does not answer: no {what} within 0\.05 s; see that it runs"
+        ControllerError,
+        match=rf"does not answer: no {what} within 0\.05 s; make sure that it runs",
     ):
         call(Silent(tmp_path, 0.05))
     free.set()

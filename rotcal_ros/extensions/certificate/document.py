@@ -337,7 +337,7 @@ def require(result: Result) -> None:
     if result.verdict != "ok":
         raise DataError(
             f"the verdict is {result.verdict}: no certificate is written about uncertainties that "
-            "the data contradict; see the report for the cause, and measure again"
+            "the data contradict; look at the report for the cause, and measure again"
         )
 
 

@@ -171,8 +171,8 @@ class InstrumentDriver:
             heard_s = now_s if readings else heard_s
             if now_s - heard_s > self._settings.silence_s:
                 raise InstrumentError(
-                    f"no reading for {self._settings.silence_s:g} s: see that the instrument "
-                    "measures, or raise instrument.silence_s"
+                    f"no reading for {self._settings.silence_s:g} s: make sure that the "
+                    "instrument measures, or raise instrument.silence_s"
                 )
 
     def _pass_on(self, reading: Length) -> None:
