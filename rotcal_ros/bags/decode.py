@@ -168,7 +168,7 @@ def message_types(channel: ChannelDefinition) -> tuple[Typestore, Definitions]:
     if channel.message_encoding not in _ENCODINGS:
         raise BagError(
             f"topic {channel.topic}: its messages are serialised as "
-            f"{channel.message_encoding!r}, which cannot be read; record it from ROS 2 as cdr"
+            f"{channel.message_encoding!r}, which cannot be read (cdr can); record it from ROS 2"
         )
     remembered = len(channel.definition) <= _REMEMBERED
     try:

@@ -37,8 +37,7 @@ def bag_files(path: Path) -> tuple[Path, ...]:
     """
     try:
         if not path.exists():
-            what = "does not exist; expected a bag folder or an .mcap or .db3 file"
-            raise BagError(f"{path} {what}")
+            raise BagError(f"{path} does not exist; name a bag folder, or an .mcap or .db3 file")
         if path.is_file():
             scan_file(path)
             return (path,)

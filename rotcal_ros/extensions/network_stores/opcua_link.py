@@ -82,7 +82,7 @@ class OpcUaLink:
             raise ControllerError(f"{self.address}: cannot {what}: {why}") from error
         except Exception as error:
             # Whatever the library raises: the feed has to put the old table back.
-            why = str(error).strip() or type(error).__name__
+            why = f"{str(error).strip() or type(error).__name__}; look at the server's log"
             raise ControllerError(f"{self.address}: cannot {what}: {why}") from error
 
     @asynccontextmanager
